@@ -1,0 +1,204 @@
+//! Stateless randomness: every draw is a function of a [`Key`], and a key is a function of the
+//! run's seed and of what is being drawn.
+//!
+//! A generator with a state must be saved to be resumed, and hands out other numbers when the
+//! number of workers changes. Here nothing is saved: the noise of micro-batch 2 of step 700 is
+//! `Key::new(seed, Purpose::Noise).at(700).at(2)`, whoever asks, in whatever order, on whatever
+//! device. So a killed run continues bit for bit, and a batch is the same with any number of
+//! loader workers.
+//!
+//! ```
+//! use kinegrad_random::{Key, Purpose};
+//! let key = Key::new(7, Purpose::Noise).at(700).at(2);
+//! assert_eq!(key.normals(4), key.normals(4));
+//! assert_ne!(key.normals(4), key.at(0).normals(4));
+//! ```
+
+use rand::{Rng, RngExt, SeedableRng, seq::SliceRandom};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// What a number is drawn for. Two purposes never share a stream, so adding a draw to one does
+/// not shift another.
+///
+/// The discriminants are part of the reproducibility of existing runs: append, never renumber.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub enum Purpose {
+    /// Initial weights, keyed by parameter.
+    Init = 1,
+    /// Order of the training phrases, keyed by epoch.
+    DataOrder = 2,
+    /// Crop positions, keyed by sample.
+    Crop = 3,
+    /// Data augmentation, keyed by sample.
+    Augment = 4,
+    /// Diffusion timesteps, keyed by step and micro-batch.
+    Timesteps = 5,
+    /// Diffusion noise, keyed by step and micro-batch.
+    Noise = 6,
+    /// Which conditions are dropped for classifier-free guidance, keyed by step and micro-batch.
+    CondDropout = 7,
+    /// Dropout masks, keyed by step, micro-batch, call and layer.
+    Dropout = 8,
+    /// Noise of the validation loss, keyed by phrase and draw.
+    Validation = 9,
+    /// Start noise and step noise of a sampler.
+    Sampling = 10,
+    /// Synthetic phrases, keyed by phrase.
+    Synthetic = 11,
+    /// Train and validation split.
+    Split = 12,
+}
+
+/// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Key([u64; 4]);
+
+/// The finaliser of SplitMix64: a bijection of 64-bit words whose every output bit depends on
+/// every input bit.
+fn mix(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+impl Key {
+    /// The key of `purpose` in the run with this `seed`.
+    pub fn new(seed: u64, purpose: Purpose) -> Self {
+        Self([
+            0x6b69_6e65_6772_6164,
+            0x3c6e_f372_fe94_f82b,
+            0xa54f_f53a_5f1d_36f1,
+            0x510e_527f_ade6_82d1,
+        ])
+        .at(seed)
+        .at(purpose as u64)
+    }
+
+    /// The key one level below: step of a run, micro-batch of a step, layer of a network.
+    #[must_use]
+    pub fn at(self, counter: u64) -> Self {
+        let mut words = self.0;
+        let mut carry = mix(counter.wrapping_add(0x9e37_79b9_7f4a_7c15));
+        for (lane, word) in words.iter_mut().enumerate() {
+            *word = mix(*word ^ carry ^ (lane as u64).wrapping_mul(0xd6e8_feb8_6659_fd93));
+            carry = carry.rotate_left(17).wrapping_add(*word);
+        }
+        words[0] = mix(words[0] ^ carry);
+        Self(words)
+    }
+
+    /// The key one level below, named by text (a parameter's name, a phrase's id).
+    #[must_use]
+    pub fn named(self, name: &str) -> Self {
+        name.bytes()
+            .fold(self.at(name.len() as u64), |key, byte| key.at(u64::from(byte)))
+    }
+
+    /// A fresh generator at the start of this key's stream.
+    pub fn rng(self) -> ChaCha8Rng {
+        let mut seed = [0u8; 32];
+        for (bytes, word) in seed.chunks_exact_mut(8).zip(self.0) {
+            bytes.copy_from_slice(&word.to_le_bytes());
+        }
+        ChaCha8Rng::from_seed(seed)
+    }
+
+    /// `n` draws from the standard normal distribution.
+    pub fn normals(self, n: usize) -> Vec<f32> {
+        let mut rng = self.rng();
+        (0..n).map(|_| StandardNormal.sample(&mut rng)).collect()
+    }
+
+    /// One draw from [0, 1).
+    pub fn uniform(self) -> f64 {
+        self.rng().random()
+    }
+
+    /// `n` draws from [0, 1).
+    pub fn uniforms(self, n: usize) -> Vec<f32> {
+        let mut rng = self.rng();
+        (0..n).map(|_| rng.random()).collect()
+    }
+
+    /// `n` integers from `0..bound`, each equally likely.
+    ///
+    /// # Panics
+    /// Panics if `bound` is zero.
+    pub fn integers(self, n: usize, bound: usize) -> Vec<usize> {
+        let mut rng = self.rng();
+        (0..n).map(|_| rng.random_range(0..bound)).collect()
+    }
+
+    /// The numbers `0..n` in random order.
+    pub fn permutation(self, n: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..n).collect();
+        order.shuffle(&mut self.rng());
+        order
+    }
+
+    /// An inverted-dropout mask: `1 / (1 - prob)` where an element is kept, else 0.
+    pub fn dropout_mask(self, n: usize, prob: f64) -> Vec<f32> {
+        let mut rng = self.rng();
+        let threshold = (prob * 2f64.powi(32)) as u64;
+        let kept = (1.0 / (1.0 - prob)) as f32;
+        (0..n)
+            .map(|_| if u64::from(rng.next_u32()) < threshold { 0.0 } else { kept })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_differ_in_every_level() {
+        let base = Key::new(1, Purpose::Noise);
+        let others = [
+            Key::new(2, Purpose::Noise),
+            Key::new(1, Purpose::Timesteps),
+            base.at(0),
+            base.at(1),
+            base.at(0).at(0),
+            base.named("a"),
+            base.named("b"),
+        ];
+        for (i, key) in others.iter().enumerate() {
+            assert_ne!(base.normals(8), key.normals(8));
+            for other in &others[i + 1..] {
+                assert_ne!(key.normals(8), other.normals(8));
+            }
+        }
+    }
+
+    #[test]
+    fn normals_have_zero_mean_and_unit_variance() {
+        let mut pooled = Vec::new();
+        for step in 0..100 {
+            pooled.extend(Key::new(3, Purpose::Noise).at(step).normals(1000));
+        }
+        let n = pooled.len() as f64;
+        let mean = pooled.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
+        let variance = pooled.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / n;
+        assert!(mean.abs() < 0.015, "mean {mean}");
+        assert!((variance - 1.0).abs() < 0.02, "variance {variance}");
+    }
+
+    #[test]
+    fn dropout_mask_keeps_the_expected_share_and_the_mean() {
+        let mask = Key::new(5, Purpose::Dropout).dropout_mask(100_000, 0.1);
+        let dropped = mask.iter().filter(|&&m| m == 0.0).count() as f64 / 1e5;
+        let mean = mask.iter().map(|&m| f64::from(m)).sum::<f64>() / 1e5;
+        assert!((dropped - 0.1).abs() < 0.005, "dropped {dropped}");
+        assert!((mean - 1.0).abs() < 0.005, "mean {mean}");
+    }
+
+    #[test]
+    fn permutation_holds_every_number_once() {
+        let mut order = Key::new(9, Purpose::DataOrder).at(4).permutation(61);
+        order.sort_unstable();
+        assert_eq!(order, (0..61).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,3 @@
+//! What the golden, parity and end-to-end tests share.
+
+pub mod golden;
