@@ -186,7 +186,7 @@ impl Reference {
         tolerance: f64,
     ) -> f64 {
         assert_eq!(actual.dims().to_vec(), self.shape, "{what}: shape");
-        let values = actual.into_data().to_vec::<f32>().expect("a float32 tensor");
+        let values = actual.try_into_vec_as::<f32>().expect("a float32 tensor");
         self.assert_close_f32(what, &values, tolerance)
     }
 }

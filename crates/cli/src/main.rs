@@ -1,1 +1,39 @@
-fn main() {}
+//! `kinegrad`: train and fine-tune motion-generation models.
+#![recursion_limit = "256"]
+
+mod args;
+mod commands;
+mod failure;
+mod output;
+mod progress;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{Arguments, Command, ConfigCommand, DataCommand};
+use failure::Failure;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(arguments.command) {
+        Ok(code) => code,
+        Err(failure) => {
+            eprint!("{failure}");
+            ExitCode::from(failure.exit_code)
+        }
+    }
+}
+
+fn run(command: Command) -> Result<ExitCode, Failure> {
+    match command {
+        Command::Train(arguments) => commands::train::run(arguments),
+        Command::Sample(arguments) => commands::sample::run(arguments),
+        Command::Check(arguments) => commands::check::run(arguments),
+        Command::Plot(arguments) => commands::plot::run(arguments),
+        Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
+        Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),
+        Command::Config(ConfigCommand::Show(arguments)) => commands::config::show(arguments),
+        Command::Devices => commands::devices::run(),
+    }
+}

@@ -1,1 +1,47 @@
-//! diffusion
+//! The diffusion process: how noise is added to a motion, what a network is trained to predict,
+//! and how a sampler takes the noise away again.
+//!
+//! ```text
+//! DiffusionConfig --> NoiseSchedule (tables, f64) --> GaussianDiffusion (forward process, targets)
+//!                                                         |
+//! Denoiser (any network) -- guided (guidance_scale) -- sample (DDIM, DDPM)
+//! ```
+//!
+//! Nothing here knows what a channel means, and no network is named: a network joins by the trait
+//! [`Denoiser`]. There is no hidden randomness either: noise is an argument, or comes from a
+//! [`kinegrad_random::Key`].
+//!
+//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy. The source
+//! (CC-MotionGen documentation, section 5.3) writes 1 to T in its formulas and 0 to T-1 in its
+//! code; the code's reading is meant throughout.
+//!
+//! Symbols of the papers and their names here:
+//!
+//! | paper | name |
+//! |---|---|
+//! | x_0 | `x_start`; predicted: `pred_original_sample` |
+//! | x_t, x_{t-1} | `x_t`, `prev_sample` |
+//! | epsilon | `noise`; predicted: `pred_epsilon` |
+//! | beta_t, alpha_t = 1 - beta_t | `betas`, `alphas` |
+//! | alpha-bar_t = alpha_0 ... alpha_t | `alphas_cumprod` |
+//! | T, number of sampling steps N | `num_train_timesteps`, `num_inference_steps` |
+
+pub mod config;
+pub mod denoiser;
+mod error;
+pub mod loss;
+mod per_sample;
+pub mod process;
+pub mod sampler;
+pub mod schedule;
+
+pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
+pub use denoiser::{Denoiser, guided};
+pub use error::Error;
+pub use loss::diffusion_loss;
+pub use process::GaussianDiffusion;
+pub use sampler::{
+    Clip, FinalAlpha, SamplerConfig, SamplerKind, StepInput, StepOutput, TimestepSpacing,
+    ddim_step, ddpm_step, sample, timesteps,
+};
+pub use schedule::NoiseSchedule;

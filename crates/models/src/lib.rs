@@ -1,1 +1,22 @@
-//! models
+//! The networks: what predicts, knowing nothing of diffusion schedules, datasets or files' places.
+//!
+//! [`UNet1d`] is the audio-conditioned denoiser of the CC-MotionGen documentation. Its parts are
+//! in [`layers`], with PyTorch's names and weight layouts, so that the path of a parameter in the
+//! module tree *is* its state-dict name; [`parameters`] reads and writes them by that name.
+
+pub mod attention;
+pub mod config;
+pub mod dropout;
+mod error;
+pub mod init;
+pub mod layers;
+pub mod parameters;
+pub mod res_block;
+pub mod time_embedding;
+pub mod unet1d;
+
+pub use config::{ModelConfig, ModelKind, ModelSize};
+pub use dropout::{Dropout, DropoutKey};
+pub use error::Error;
+pub use init::Initializer;
+pub use unet1d::{UNet1d, UNet1dConfig};

@@ -1,1 +1,40 @@
-//! motion
+//! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
+//! phrases' statistics, augmentation, post-processing and sanity checks.
+//!
+//! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
+//! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen
+//! documentation, sections 2, 9 and 10.
+//!
+//! ```
+//! use kinegrad_motion::{Motion, PostProcessConfig, Profile, check, process};
+//! let mut frame = [0.0f32; 25];
+//! frame[9] = 2.0; // a quaternion of twice the unit norm
+//! let motion = Motion::new(frame.repeat(4))?;
+//! assert!(!check(&motion, Profile::Document, None)?.passed);
+//! let repaired = process(&motion, &PostProcessConfig::default(), None);
+//! assert!(check(&repaired, Profile::Document, None)?.passed);
+//! # Ok::<(), kinegrad_motion::Error>(())
+//! ```
+
+pub mod augment;
+pub mod error;
+pub mod kinematics;
+pub mod moments;
+pub mod phrase;
+pub mod postprocess;
+pub mod rotation;
+pub mod sanity;
+pub mod statistics;
+
+#[cfg(test)]
+mod wandering;
+
+pub use augment::{anchor_floor, mirror, rotate_yaw};
+pub use error::Error;
+pub use kinematics::derive;
+pub use moments::ChannelMoments;
+pub use phrase::{CHANNELS, FPS, Motion, channel_name};
+pub use postprocess::{ClampLimits, Hemisphere, PostProcessConfig, process};
+pub use rotation::Quaternion;
+pub use sanity::{Check, Profile, Report, SanityThresholds, Threshold, Value, check};
+pub use statistics::TrainingStatistics;

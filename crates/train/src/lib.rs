@@ -1,1 +1,21 @@
-//! train
+//! Training: the config, the recipes, the trainer's loop, checkpoints and telemetry.
+//!
+//! One training step, down one path: [`run::train`] checks and sets up; [`Trainer`] takes a batch,
+//! asks the recipe ([`recipes`]) for its loss, clips, updates ([`optim`], [`ema`]) and records
+//! ([`checkpoint`], [`telemetry`]). [`generate`] goes from a checkpoint to motion.
+
+pub mod checkpoint;
+pub mod config;
+pub mod device;
+pub mod ema;
+mod error;
+pub mod generate;
+pub mod optim;
+pub mod recipes;
+pub mod run;
+pub mod telemetry;
+mod trainer;
+
+pub use config::Config;
+pub use error::Error;
+pub use trainer::{Ending, Observer, StepReport, Trainer, TrainerParts};

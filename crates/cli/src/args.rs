@@ -1,0 +1,268 @@
+//! The command line: what can be asked, nothing of how it is done.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Train and fine-tune motion-generation models.
+#[derive(Debug, Parser)]
+#[command(version, arg_required_else_help = true, max_term_width = 100)]
+#[command(after_help = "\
+Exit codes:
+  0    done
+  1    a check or the run failed
+  2    bad input: arguments, config, data, checkpoint, a run in use
+  130  stopped by Ctrl-C, after writing a checkpoint")]
+pub struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Train a model from a config file, or continue a run
+    Train(TrainArguments),
+    /// Draw motion from a trained model
+    Sample(SampleArguments),
+    /// Check motion files for physical sanity
+    Check(CheckArguments),
+    /// Draw a motion file, or the loss curves of a run
+    Plot(PlotArguments),
+    /// Make and look at datasets
+    #[command(subcommand)]
+    Data(DataCommand),
+    /// Look at configs
+    #[command(subcommand)]
+    Config(ConfigCommand),
+    /// List the devices this build can run on
+    Devices,
+}
+
+/// The run goes to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
+/// checkpoints. Ctrl-C writes a checkpoint before it stops; `--resume` continues bit for bit.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad train configs/quickstart.toml
+  kinegrad train configs/phrases.toml --set data.source=phrases --set train.max_steps=100
+  kinegrad train configs/phrases.toml --set data.source=phrases --resume")]
+pub struct TrainArguments {
+    /// The config file
+    pub config: PathBuf,
+    /// Override a key of the config, for example optim.learning_rate=2e-4
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Name of the run [default: `run.name`, else the config file's name]
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Folder that holds the runs
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs_dir: PathBuf,
+    /// Device to train on, see `kinegrad devices` [default: `run.device`]
+    #[arg(long)]
+    pub device: Option<String>,
+    /// Continue the run from its newest good checkpoint
+    #[arg(long)]
+    pub resume: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum SamplerName {
+    Ddim,
+    Ddpm,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum SpacingName {
+    Document,
+    Leading,
+    Linspace,
+    Trailing,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum FinalAlphaName {
+    First,
+    One,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ClipName {
+    TrainingRange,
+    Unit,
+    None,
+}
+
+/// Writes PATH.npy (post-processed) and PATH.raw.npy (as the model drew it), both `[T, 25]`
+/// float32 in the dataset's layout and units; with several samples PATH-000.npy and so on. The
+/// condition is a phrase of a dataset, a features.npz, or by default the first held-out phrase of
+/// the run's own dataset. Sampler settings default to those of the run's config.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad sample runs/quickstart --out dance
+  kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
+  kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
+pub struct SampleArguments {
+    /// Folder of a run (its best checkpoint is taken) or of a checkpoint
+    #[arg(value_name = "RUN_OR_CHECKPOINT")]
+    pub run: PathBuf,
+    /// Where to write; `.npy` is added
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Dataset that holds the phrase [default: the run's own]
+    #[arg(long, value_name = "URI")]
+    pub source: Option<String>,
+    /// Phrase whose audio features are the condition; `*` matches any text, and several phrases
+    /// give a file each, PATH-ID.npy
+    #[arg(long, value_name = "ID", conflicts_with = "cond")]
+    pub phrase: Option<String>,
+    /// Audio features that are the condition
+    #[arg(long, value_name = "FEATURES.npz", conflicts_with = "source")]
+    pub cond: Option<PathBuf>,
+    /// Samples per condition
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub count: usize,
+    /// Frames to draw, at most those of the condition [default: all of them]
+    #[arg(long, value_name = "T")]
+    pub frames: Option<usize>,
+    /// Sampler [default: the run's, else ddim]
+    #[arg(long)]
+    pub sampler: Option<SamplerName>,
+    /// Denoising steps [default: the run's, else 20]
+    #[arg(long, value_name = "N")]
+    pub steps: Option<usize>,
+    /// Noise added in each DDIM step, 0 (none) to 1 [default: the run's, else 0]
+    #[arg(long)]
+    pub eta: Option<f64>,
+    /// Classifier-free guidance, 1 is none [default: the run's, else 1]
+    #[arg(long, value_name = "SCALE")]
+    pub guidance_scale: Option<f64>,
+    /// Which timesteps are visited [default: the run's, else linspace]
+    #[arg(long, value_name = "RULE")]
+    pub timestep_spacing: Option<SpacingName>,
+    /// Signal level after the last step [default: the run's, else one]
+    #[arg(long, value_name = "LEVEL")]
+    pub final_alpha: Option<FinalAlphaName>,
+    /// What the predicted clean motion is clipped to [default: the run's, else training-range]
+    #[arg(long, value_name = "RANGE")]
+    pub clip: Option<ClipName>,
+    /// Seed of the noise
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Draw from the trained weights instead of their moving average
+    #[arg(long)]
+    pub no_ema: bool,
+    /// Device to run on [default: the run's]
+    #[arg(long)]
+    pub device: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ProfileName {
+    /// The source document's five checks, on means over all frames
+    Document,
+    /// Checks on every frame, with bounds from the training phrases
+    Strict,
+}
+
+/// PATH is a motion file, or a folder whose motion files are all checked. The `strict` profile
+/// needs the training phrases' statistics: give the run (`--run`) or the dataset (`--source`).
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad check dance.npy
+  kinegrad check runs/quickstart/samples --profile strict --run runs/quickstart
+  kinegrad check dance.npy --json")]
+pub struct CheckArguments {
+    /// Motion files (.npy, [T, 25]) or folders of them
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// Which checks
+    #[arg(long, value_enum, default_value_t = ProfileName::Document)]
+    pub profile: ProfileName,
+    /// Run or checkpoint whose training statistics `strict` uses
+    #[arg(long, value_name = "RUN", conflicts_with = "source")]
+    pub run: Option<PathBuf>,
+    /// Dataset whose phrases' statistics `strict` uses, all of them
+    #[arg(long, value_name = "URI")]
+    pub source: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A motion file is drawn as its path from above, all channels over time, quaternion norm and
+/// jerk; a run as its loss curves.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad plot dance.npy --out dance.svg
+  kinegrad plot runs/quickstart --out losses.svg")]
+pub struct PlotArguments {
+    /// A motion file (.npy, [T, 25]) or the folder of a run
+    #[arg(value_name = "MOTION.npy|RUN")]
+    pub input: PathBuf,
+    /// The picture to write
+    #[arg(long, value_name = "FILE.svg")]
+    pub out: PathBuf,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum DataCommand {
+    /// Make a dataset of synthetic phrases: smooth motion driven by a beat that its audio
+    /// features carry
+    Synth(SynthArguments),
+    /// Count and measure a dataset, and list the problems found
+    Inspect(InspectArguments),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad data synth --out phrases --phrases 64 --frames 120 --seed 0")]
+pub struct SynthArguments {
+    /// Folder to write; it must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Number of phrases
+    #[arg(long, default_value_t = 64, value_name = "N")]
+    pub phrases: usize,
+    /// Frames of each phrase, 30 a second
+    #[arg(long, default_value_t = 120, value_name = "T")]
+    pub frames: usize,
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad data inspect phrases")]
+pub struct InspectArguments {
+    /// Folder of the dataset, or a file:// URI
+    #[arg(value_name = "URI")]
+    pub source: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum ConfigCommand {
+    /// Print a config with every default filled in, and the model's number of parameters
+    Show(ShowArguments),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad config show configs/phrases.toml --set model.size=base")]
+pub struct ShowArguments {
+    /// The config file
+    pub config: PathBuf,
+    /// Override a key of the config
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}

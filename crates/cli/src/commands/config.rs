@@ -1,0 +1,22 @@
+//! `kinegrad config`
+
+use std::process::ExitCode;
+
+use kinegrad_train::{config, run};
+
+use crate::args::ShowArguments;
+use crate::failure::Failure;
+use crate::output::grouped;
+
+/// Prints the resolved config, and the model's size as a comment, so that the output is a config.
+pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
+    let config = config::load(&arguments.config, &arguments.overrides)
+        .map_err(kinegrad_train::Error::from)?
+        .resolved();
+    for warning in config.validate()? {
+        eprintln!("warning: {warning}");
+    }
+    println!("# model: {} parameters", grouped(run::parameter_count(&config)?));
+    print!("{}", config::to_toml(&config));
+    Ok(ExitCode::SUCCESS)
+}

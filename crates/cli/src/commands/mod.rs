@@ -1,0 +1,9 @@
+//! One file per command.
+
+pub mod check;
+pub mod config;
+pub mod data;
+pub mod devices;
+pub mod plot;
+pub mod sample;
+pub mod train;

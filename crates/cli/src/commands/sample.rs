@@ -1,0 +1,164 @@
+//! `kinegrad sample`
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use kinegrad_data::{AudioFeatures, DataKind, Dataset, load_audio, write_motion};
+use kinegrad_diffusion::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
+use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::config::{Clip, Config};
+use kinegrad_train::device;
+use kinegrad_train::generate::{Generator, Sample, resolve_checkpoint};
+
+use crate::args::{ClipName, FinalAlphaName, SampleArguments, SamplerName, SpacingName};
+use crate::failure::{Failure, UsageError};
+
+/// Draws samples and writes each in two forms.
+pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
+    if arguments.count == 0 {
+        return Err(UsageError::new("`--count` is 0", "ask for at least one sample").into());
+    }
+    let path = resolve_checkpoint(&arguments.run, |damaged| eprintln!("warning: {damaged}"))?;
+    let config = State::read(&path)?.config;
+    let sampler = sampler(&arguments, &config);
+    sampler
+        .validate(config.diffusion.num_train_timesteps)
+        .map_err(kinegrad_train::Error::from)?;
+    let conditions = conditions(&arguments, &config)?;
+    let weights = if arguments.no_ema { Weights::Model } else { Weights::Ema };
+    let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
+    let generator = Generator::load(&path, weights, &device)?;
+    let clip = match arguments.clip {
+        None => config.sampling.clip,
+        Some(ClipName::TrainingRange) => Clip::TrainingRange,
+        Some(ClipName::Unit) => Clip::Unit,
+        Some(ClipName::None) => Clip::None,
+    };
+
+    let several = conditions.len() > 1;
+    for (id, condition) in conditions {
+        let stem = stem(&arguments.out, several.then_some(id.as_str()));
+        let repeated = vec![condition; arguments.count];
+        let bar = progress_bar();
+        let samples =
+            generator.sample(&repeated, &sampler, clip, arguments.seed, &mut |step, total| {
+                bar.set_length(total as u64);
+                bar.set_position(step as u64);
+            })?;
+        bar.finish_and_clear();
+        for (index, sample) in samples.iter().enumerate() {
+            let stem = match arguments.count {
+                1 => stem.clone(),
+                _ => format!("{stem}-{index:03}"),
+            };
+            write(&stem, sample)?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The run's sampler with what the command line says instead.
+fn sampler(arguments: &SampleArguments, config: &Config) -> SamplerConfig {
+    let mut sampler = config.sampling.sampler.clone();
+    match arguments.sampler {
+        Some(SamplerName::Ddim) => sampler.kind = SamplerKind::Ddim,
+        Some(SamplerName::Ddpm) => sampler.kind = SamplerKind::Ddpm,
+        None => {}
+    }
+    match arguments.timestep_spacing {
+        Some(SpacingName::Document) => sampler.timestep_spacing = TimestepSpacing::Document,
+        Some(SpacingName::Leading) => sampler.timestep_spacing = TimestepSpacing::Leading,
+        Some(SpacingName::Linspace) => sampler.timestep_spacing = TimestepSpacing::Linspace,
+        Some(SpacingName::Trailing) => sampler.timestep_spacing = TimestepSpacing::Trailing,
+        None => {}
+    }
+    match arguments.final_alpha {
+        Some(FinalAlphaName::First) => sampler.final_alpha = FinalAlpha::First,
+        Some(FinalAlphaName::One) => sampler.final_alpha = FinalAlpha::One,
+        None => {}
+    }
+    sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
+    sampler.eta = arguments.eta.unwrap_or(sampler.eta);
+    sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
+    sampler
+}
+
+/// The conditions to draw for, by name, cut to `--frames`.
+fn conditions(
+    arguments: &SampleArguments,
+    config: &Config,
+) -> Result<Vec<(String, AudioFeatures)>, Failure> {
+    let found = match &arguments.cond {
+        Some(path) => vec![("cond".to_string(), load_audio(path)?)],
+        None => phrases(arguments, config)?,
+    };
+    let Some(frames) = arguments.frames else {
+        return Ok(found);
+    };
+    let cut = |(id, audio): (String, AudioFeatures)| {
+        if frames == 0 || frames > audio.frames() {
+            let message = format!(
+                "`--frames` is {frames}, the condition `{id}` has {} frames",
+                audio.frames()
+            );
+            return Err(UsageError::new(message, "ask for 1 up to that many").into());
+        }
+        Ok((id, audio.slice(0..frames)))
+    };
+    found.into_iter().map(cut).collect()
+}
+
+fn phrases(
+    arguments: &SampleArguments,
+    config: &Config,
+) -> Result<Vec<(String, AudioFeatures)>, Failure> {
+    let mut data = config.data.clone();
+    if let Some(source) = &arguments.source {
+        data.kind = DataKind::Phrases;
+        data.source = Some(source.clone());
+        if arguments.phrase.is_none() {
+            let hint = "name one with `--phrase ID`; `kinegrad data inspect URI` lists them";
+            return Err(UsageError::new("`--source` without `--phrase`", hint).into());
+        }
+    }
+    let dataset = Dataset::open(&data)?;
+    let all = dataset.validation.iter().chain(&dataset.train);
+    let found: Vec<_> = match &arguments.phrase {
+        None => all.take(1).collect(),
+        Some(pattern) => {
+            all.filter(|phrase| kinegrad_data::matches(pattern, &phrase.id)).collect()
+        }
+    };
+    if found.is_empty() {
+        let wanted = arguments.phrase.as_deref().unwrap_or_default();
+        let message = format!("the dataset has no phrase `{wanted}`");
+        return Err(UsageError::new(message, "`kinegrad data inspect URI` lists the phrases").into());
+    }
+    Ok(found.into_iter().map(|phrase| (phrase.id.clone(), phrase.audio.clone())).collect())
+}
+
+/// PATH without its ending `.npy`, with the phrase's id where there are several.
+fn stem(out: &Path, id: Option<&str>) -> String {
+    let text = out.to_string_lossy();
+    let text = text.strip_suffix(".npy").unwrap_or(&text);
+    match id {
+        Some(id) => format!("{text}-{id}"),
+        None => text.to_string(),
+    }
+}
+
+fn write(stem: &str, sample: &Sample) -> Result<(), Failure> {
+    write_motion(&PathBuf::from(format!("{stem}.raw.npy")), &sample.raw)?;
+    let path = PathBuf::from(format!("{stem}.npy"));
+    write_motion(&path, &sample.motion)?;
+    println!("{}", path.display());
+    Ok(())
+}
+
+fn progress_bar() -> ProgressBar {
+    let template = "{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+    let style = ProgressStyle::with_template(template).expect("a valid template");
+    // Draws nothing where standard error is no terminal.
+    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+}

@@ -1,0 +1,127 @@
+//! How training shows itself: a bar on a terminal, lines elsewhere.
+
+use std::io::IsTerminal;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use kinegrad_train::{Observer, StepReport};
+
+/// Share of the old value in the smoothed loss.
+const SMOOTHING: f64 = 0.98;
+
+/// Lines of progress that a whole training prints where there is no terminal.
+const LINES: u64 = 20;
+
+/// Shows a training on standard error.
+pub struct TrainProgress {
+    bar: Option<ProgressBar>,
+    smoothed: Option<f64>,
+    started: Instant,
+    steps_here: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl TrainProgress {
+    /// Shows nothing yet; Ctrl-C asks for a stop from now on, a second Ctrl-C ends the process.
+    pub fn new() -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = stop.clone();
+        let handler = move || {
+            if flag.swap(true, Ordering::SeqCst) {
+                std::process::exit(130);
+            }
+            eprintln!("\nstopping after this step and writing a checkpoint; again to stop at once");
+        };
+        // Fails only if a handler is set already; then that one decides.
+        let _ = ctrlc::set_handler(handler);
+        Self { bar: None, smoothed: None, started: Instant::now(), steps_here: 0, stop }
+    }
+
+    /// Shows the bar, at `step` of `max_steps`.
+    pub fn start(&mut self, step: u64, max_steps: u64) {
+        self.started = Instant::now();
+        if std::io::stderr().is_terminal() {
+            let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
+            let style = ProgressStyle::with_template(template).expect("a valid template");
+            let bar = ProgressBar::new(max_steps).with_style(style).with_position(step);
+            bar.reset_eta();
+            self.bar = Some(bar);
+        }
+    }
+
+    /// A line that stays, above the bar.
+    pub fn line(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| eprintln!("{text}")),
+            None => eprintln!("{text}"),
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Observer for TrainProgress {
+    fn stepped(&mut self, report: &StepReport) {
+        let smoothed = match self.smoothed {
+            Some(old) => SMOOTHING * old + (1.0 - SMOOTHING) * report.loss,
+            None => report.loss,
+        };
+        self.smoothed = Some(smoothed);
+        self.steps_here += 1;
+        let seconds = self.started.elapsed().as_secs_f64();
+        let speed = self.steps_here as f64 / seconds;
+        let message = format!(
+            "loss {:.4} (smoothed {smoothed:.4})  lr {:.2e}  {speed:.2} it/s",
+            report.loss, report.learning_rate
+        );
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position(report.step);
+                bar.set_message(message);
+            }
+            None => {
+                let every = (report.max_steps / LINES).max(1);
+                if report.step.is_multiple_of(every) || report.step == report.max_steps {
+                    let left = (report.max_steps - report.step) as f64 / speed;
+                    let (step, max) = (report.step, report.max_steps);
+                    eprintln!("step {step}/{max}  {message}  ETA {}", duration(left));
+                }
+            }
+        }
+    }
+
+    fn validated(&mut self, step: u64, val_loss: f64, best: bool) {
+        let mark = if best { "  best so far" } else { "" };
+        self.line(&format!("step {step}  val_loss {val_loss:.5}{mark}"));
+    }
+
+    fn saved(&mut self, path: &Path) {
+        self.line(&format!("saved {}", path.display()));
+    }
+
+    fn warning(&mut self, text: &str) {
+        self.line(&format!("warning: {text}"));
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+}
+
+/// Seconds as `1h02m`, `3m20s` or `5s`.
+pub fn duration(seconds: f64) -> String {
+    let seconds = seconds.round() as u64;
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, s) => format!("{s}s"),
+        (0, m, s) => format!("{m}m{s:02}s"),
+        (h, m, _) => format!("{h}h{m:02}m"),
+    }
+}

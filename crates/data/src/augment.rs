@@ -1,0 +1,229 @@
+//! From a phrase to a training sample: which window of it, and how it is changed.
+
+use std::ops::Range;
+
+use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
+use kinegrad_random::{Key, Purpose};
+
+use crate::features::AudioFeatures;
+use crate::{AugmentConfig, Crop, DataConfig, Phrase};
+
+// Counters below the sample's key, one for each augmentation: switching one on moves no other.
+const WINDOW: u64 = 0;
+const MIRROR: u64 = 1;
+const YAW: u64 = 2;
+const AUDIO_NOISE: u64 = 3;
+
+/// Makes training samples. Sample n of a seed is the same whoever makes it, and whenever.
+#[derive(Clone, Debug)]
+pub(crate) struct Sampler {
+    seed: u64,
+    target_frames: usize,
+    crop: Crop,
+    augment: AugmentConfig,
+}
+
+impl Sampler {
+    /// The sampler of a run with this `seed`.
+    pub fn new(config: &DataConfig, seed: u64) -> Self {
+        Self {
+            seed,
+            target_frames: config.target_frames,
+            crop: config.crop,
+            augment: config.augment.clone(),
+        }
+    }
+
+    /// Motion and audio of sample `n`, taken from `phrase`: at most `target_frames` frames, in the
+    /// dataset's units.
+    pub fn sample(&self, phrase: &Phrase, n: u64) -> (Motion, AudioFeatures) {
+        let AugmentConfig {
+            rotate_yaw: turn,
+            mirror: reflect,
+            min_frames,
+            audio_noise,
+        } = self.augment;
+        let key = Key::new(self.seed, Purpose::Augment).at(n);
+        let mut window = self.crop(phrase.frames(), n);
+        if let Some(min_frames) = min_frames {
+            window = sub_window(window, min_frames, key.at(WINDOW));
+        }
+        let mut motion = phrase.motion.slice(window.clone());
+        if reflect && key.at(MIRROR).uniform() < 0.5 {
+            mirror(&mut motion);
+        }
+        if turn {
+            rotate_yaw(&mut motion, std::f64::consts::TAU * key.at(YAW).uniform());
+        }
+        // A leading crop without any of these stays as stored.
+        if window.start > 0 || reflect || turn || min_frames.is_some() {
+            anchor_floor(&mut motion);
+        }
+        let mut audio = phrase.audio.slice(window);
+        if audio_noise > 0.0 {
+            audio = with_noise(audio, audio_noise, key.at(AUDIO_NOISE));
+        }
+        (motion, audio)
+    }
+
+    /// The `target_frames` that sample `n` sees of a phrase, or all of a shorter one.
+    fn crop(&self, frames: usize, n: u64) -> Range<usize> {
+        let length = frames.min(self.target_frames);
+        let start = match self.crop {
+            Crop::Random if frames > length => below(
+                frames - length + 1,
+                Key::new(self.seed, Purpose::Crop).at(n),
+            ),
+            Crop::Random | Crop::Leading => 0,
+        };
+        start..start + length
+    }
+}
+
+/// A random window of at least `min_frames` frames within `window`; all of a shorter one.
+fn sub_window(window: Range<usize>, min_frames: usize, key: Key) -> Range<usize> {
+    if window.len() <= min_frames {
+        return window;
+    }
+    let length = min_frames + below(window.len() - min_frames + 1, key.at(0));
+    let start = window.start + below(window.len() - length + 1, key.at(1));
+    start..start + length
+}
+
+fn below(bound: usize, key: Key) -> usize {
+    key.integers(1, bound)[0]
+}
+
+fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
+    let noise = key.normals(audio.as_slice().len());
+    let noisy = audio
+        .as_slice()
+        .iter()
+        .zip(noise)
+        .map(|(value, noise)| value + std as f32 * noise);
+    AudioFeatures::new(audio.frames(), noisy.collect()).unwrap_or(audio)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic;
+    use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
+    use kinegrad_motion::phrase::POSITION;
+    use std::collections::BTreeSet;
+
+    fn sampler(change: impl Fn(&mut DataConfig)) -> Sampler {
+        let mut config = DataConfig {
+            target_frames: 20,
+            ..DataConfig::default()
+        };
+        change(&mut config);
+        Sampler::new(&config, 3)
+    }
+
+    /// The first frame of `phrase` whose audio is that of the sample.
+    fn start(phrase: &Phrase, audio: &AudioFeatures) -> usize {
+        (0..=phrase.frames() - audio.frames())
+            .find(|&s| phrase.audio.slice(s..s + audio.frames()) == *audio)
+            .expect("a window of the phrase")
+    }
+
+    #[test]
+    fn without_crop_and_augmentation_a_sample_is_the_phrase_as_stored() {
+        for (frames, crop) in [(20, Crop::Random), (12, Crop::Random), (50, Crop::Leading)] {
+            let phrase = synthetic::phrase(0, frames, 1);
+            let (motion, audio) = sampler(|config| config.crop = crop).sample(&phrase, 7);
+            assert_eq!(motion, phrase.motion.slice(0..frames.min(20)));
+            assert_eq!(audio, phrase.audio.slice(0..frames.min(20)));
+        }
+    }
+
+    #[test]
+    fn random_crops_reach_every_window_and_stand_at_the_origin() {
+        let phrase = synthetic::phrase(0, 24, 1);
+        let sampler = sampler(|_| {});
+        let mut starts = BTreeSet::new();
+        for n in 0..100 {
+            let (motion, audio) = sampler.sample(&phrase, n);
+            let s = start(&phrase, &audio);
+            starts.insert(s);
+            let mut expected = phrase.motion.slice(s..s + 20);
+            if s > 0 {
+                anchor_floor(&mut expected);
+            }
+            assert_eq!(motion, expected);
+            assert_eq!(motion.vector(0, POSITION)[0], 0.0);
+            assert_eq!(sampler.sample(&phrase, n), (motion, audio));
+        }
+        assert_eq!(starts, (0..=4).collect());
+    }
+
+    #[test]
+    fn short_windows_keep_the_minimum_and_vary() {
+        let phrase = synthetic::phrase(0, 40, 1);
+        let sampler = sampler(|config| config.augment.min_frames = Some(15));
+        let mut seen = BTreeSet::new();
+        for n in 0..300 {
+            let (motion, audio) = sampler.sample(&phrase, n);
+            assert_eq!(motion.frames(), audio.frames());
+            assert!((15..=20).contains(&motion.frames()));
+            let [x, _, z] = motion.vector(0, POSITION);
+            assert_eq!((x, z), (0.0, 0.0));
+            seen.insert((motion.frames(), start(&phrase, &audio)));
+        }
+        assert_eq!(
+            seen.iter()
+                .map(|(length, _)| length)
+                .collect::<BTreeSet<_>>()
+                .len(),
+            6
+        );
+        assert!(seen.len() > 60, "{}", seen.len());
+        let short = synthetic::phrase(0, 10, 1);
+        assert_eq!(sampler.sample(&short, 0).0.frames(), 10);
+    }
+
+    #[test]
+    fn turned_and_mirrored_samples_stay_motions_and_keep_their_music() {
+        let phrase = synthetic::phrase(0, 20, 1);
+        let both = sampler(|config| {
+            config.augment.rotate_yaw = true;
+            config.augment.mirror = true;
+        });
+        let mirrored = sampler(|config| config.augment.mirror = true);
+        let mut kinds = BTreeSet::new();
+        for n in 0..40 {
+            let (motion, audio) = both.sample(&phrase, n);
+            assert_eq!(audio, phrase.audio);
+            assert_ne!(motion, phrase.motion);
+            assert!(mean_norm(&velocity_errors(&motion)) < 1e-4);
+            kinds.insert(mirrored.sample(&phrase, n).0 == phrase.motion);
+        }
+        assert_eq!(kinds.len(), 2, "both sides come up");
+    }
+
+    #[test]
+    fn audio_noise_has_its_deviation_and_leaves_the_motion() {
+        let phrase = synthetic::phrase(0, 20, 1);
+        let (motion, audio) =
+            sampler(|config| config.augment.audio_noise = 0.25).sample(&phrase, 4);
+        assert_eq!(motion, phrase.motion);
+        let differences = audio.as_slice().iter().zip(phrase.audio.as_slice());
+        let square: f64 = differences.map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        let std = (square / audio.as_slice().len() as f64).sqrt();
+        assert!((std - 0.25).abs() < 0.015, "{std}");
+    }
+
+    #[test]
+    fn switching_one_augmentation_on_moves_no_other() {
+        let phrase = synthetic::phrase(0, 40, 1);
+        let one = sampler(|config| config.augment.min_frames = Some(8));
+        let two = sampler(|config| {
+            config.augment.min_frames = Some(8);
+            config.augment.rotate_yaw = true;
+        });
+        for n in 0..20 {
+            assert_eq!(one.sample(&phrase, n).1, two.sample(&phrase, n).1);
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! What can be wrong with a dataset's settings, its folder and its files.
+
+use std::path::PathBuf;
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// Why one array file could not be used. `file` is its path, followed by `:member` inside an
+/// archive.
+#[derive(Debug, Error, Diagnostic)]
+pub enum FileError {
+    /// The file could not be opened or read.
+    #[error("{file}: cannot be read: {reason}")]
+    #[diagnostic(help("check that the file exists and that you may read it"))]
+    Read {
+        /// The file.
+        file: String,
+        /// What the operating system says.
+        reason: String,
+    },
+    /// The file is no `.npy` array.
+    #[error("{file}: not a .npy array: {reason}")]
+    #[diagnostic(help(
+        "write it again with numpy.save(path, array.astype(\"<f4\")) or numpy.savez_compressed"
+    ))]
+    NotNpy {
+        /// The file.
+        file: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The array holds something else than little-endian float32 or float64.
+    #[error(
+        "{file}: dtype {found} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
+    )]
+    #[diagnostic(help("convert it with array.astype(\"<f4\") before saving"))]
+    Dtype {
+        /// The file.
+        file: String,
+        /// The dtype as the file's header writes it.
+        found: String,
+    },
+    /// The array has another shape than the layout asks for.
+    #[error("{file}: shape {found} found, {allowed} allowed")]
+    #[diagnostic(help(
+        "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
+         spectral_centroid and onset_strength are [frames]"
+    ))]
+    Shape {
+        /// The file.
+        file: String,
+        /// The shape found, as `[a, b]`.
+        found: String,
+        /// The shape asked for.
+        allowed: String,
+    },
+    /// The header promises another number of bytes than the file holds.
+    #[error("{file}: {found} bytes of data found, {needed} needed for its shape and dtype")]
+    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
+    Length {
+        /// The file.
+        file: String,
+        /// Bytes after the header.
+        found: u64,
+        /// Bytes that shape and dtype ask for.
+        needed: u64,
+    },
+    /// The file is no readable zip archive.
+    #[error("{file}: not a readable .npz archive: {reason}")]
+    #[diagnostic(help("the archive is damaged or was cut off: copy or export it again"))]
+    NotNpz {
+        /// The file.
+        file: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A feature is missing from the archive.
+    #[error("{file}: array `{member}` is missing; found: {found}")]
+    #[diagnostic(help(
+        "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
+    ))]
+    MissingMember {
+        /// The archive.
+        file: String,
+        /// The missing array.
+        member: &'static str,
+        /// The arrays that are there.
+        found: String,
+    },
+    /// The arrays of one archive have different numbers of frames.
+    #[error("{file}: `{member}` has {found} frames, `mel` has {frames}")]
+    #[diagnostic(help("all six features of a phrase cover the same frames"))]
+    UnequalFrames {
+        /// The archive.
+        file: String,
+        /// The array that differs.
+        member: &'static str,
+        /// Its frames.
+        found: usize,
+        /// The frames of `mel`.
+        frames: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("{file}: {value} in frame {frame}, channel {channel}; finite numbers allowed")]
+    #[diagnostic(help("repair or leave out the phrase; kinegrad never fills gaps by itself"))]
+    NonFinite {
+        /// The file.
+        file: String,
+        /// The frame, from 0.
+        frame: usize,
+        /// The channel's name.
+        channel: String,
+        /// The value found.
+        value: f32,
+    },
+}
+
+/// Why a dataset could not be opened or written.
+#[derive(Debug, Error, Diagnostic)]
+pub enum Error {
+    /// A value of the `data` table is out of its range.
+    #[error("{key} = {found}: {allowed} allowed")]
+    #[diagnostic(help("{hint}"))]
+    Config {
+        /// The key, as `data.batch_size`.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+        /// What to do.
+        hint: String,
+    },
+    /// `data.source` is of a kind that this version cannot read.
+    #[error("data.source = \"{found}\": scheme `{scheme}` found, a folder or file:// URI allowed")]
+    #[diagnostic(help(
+        "copy the dataset to a local folder and name that; buckets and http are not supported yet"
+    ))]
+    Scheme {
+        /// The whole value.
+        found: String,
+        /// Its scheme.
+        scheme: String,
+    },
+    /// The dataset's folder, or one that the layout asks for, is not there.
+    #[error("data.source: folder {} not found", path.display())]
+    #[diagnostic(help(
+        "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; make one \
+         to try with `kinegrad data synth --out DIR`"
+    ))]
+    MissingFolder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No phrase has both motion and audio features.
+    #[error("data.source: {} holds no phrase ({only_motion} only in motion/, {only_audio} only in \
+             audio_features/)", path.display())]
+    #[diagnostic(help(
+        "a phrase ID is a folder of the same name under motion/ and under audio_features/"
+    ))]
+    EmptyDataset {
+        /// The dataset's folder.
+        path: PathBuf,
+        /// Ids that have motion alone.
+        only_motion: usize,
+        /// Ids that have audio features alone.
+        only_audio: usize,
+    },
+    /// Every phrase was bad and skipped.
+    #[error("data.on_bad_phrase = \"skip\" left none of {skipped} phrases; the first: {first}")]
+    #[diagnostic(help("`kinegrad data inspect` lists what is wrong with each phrase"))]
+    AllSkipped {
+        /// How many were skipped.
+        skipped: usize,
+        /// What was wrong with the first.
+        first: String,
+    },
+    /// Nothing is left to train on.
+    #[error("no training phrase: all {phrases} phrases are held out for validation")]
+    #[diagnostic(help("lower data.validation.fraction or list fewer data.validation.patterns"))]
+    EmptyTrainSplit {
+        /// Phrases in the dataset.
+        phrases: usize,
+    },
+    /// The dataset has no phrase of that id.
+    #[error("phrase `{id}` not found in {} ({phrases} phrases, the first: {first})", path.display())]
+    #[diagnostic(help("an id is the name of a folder under motion/ and under audio_features/"))]
+    UnknownPhrase {
+        /// The id asked for.
+        id: String,
+        /// The dataset's folder.
+        path: PathBuf,
+        /// How many phrases it has.
+        phrases: usize,
+        /// The first of them.
+        first: String,
+    },
+    /// A phrase is bad and `data.on_bad_phrase` is `error`.
+    #[error("phrase `{id}`: {cause}")]
+    #[diagnostic(help(
+        "repair or remove the phrase, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
+         inspect` lists every problem"
+    ))]
+    BadPhrase {
+        /// The phrase.
+        id: String,
+        /// What is wrong with it. Not a `source`, as the message holds it already.
+        cause: Box<FileError>,
+    },
+    /// A file outside any dataset is bad.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    File(#[from] FileError),
+    /// A file or folder could not be read or written.
+    #[error("cannot {action} {}: {reason}", path.display())]
+    #[diagnostic(help("check the path, its permissions and the free space"))]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// The path.
+        path: PathBuf,
+        /// What the operating system says.
+        reason: std::io::Error,
+    },
+    /// A dataset would be written over another one.
+    #[error("{} already holds a dataset", path.display())]
+    #[diagnostic(help("name a new folder, or remove the old dataset first"))]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+impl Error {
+    /// An [`Error::Io`]: `action` is a verb ("read", "write").
+    pub(crate) fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+        reason: std::io::Error,
+    ) -> Self {
+        Self::Io {
+            action,
+            path: path.into(),
+            reason,
+        }
+    }
+}

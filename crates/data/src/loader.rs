@@ -1,0 +1,245 @@
+//! The endless stream of training batches.
+
+use std::sync::Arc;
+
+use kinegrad_motion::TrainingStatistics;
+
+use crate::augment::Sampler;
+use crate::order::Order;
+use crate::prefetch::Prefetch;
+use crate::{Batch, DataConfig, Phrase};
+
+/// Hands out training batches, one after the other, without end.
+///
+/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: phrase number
+/// `n mod P` of epoch `n / P` over the `P` phrases, cropped and augmented by draws keyed by `n`. So
+/// a batch follows from its number alone: a resumed run asks for the next number, and the number of
+/// workers changes nothing. Batches cross epochs, and may hold more samples than there are phrases.
+pub struct Loader {
+    maker: BatchMaker,
+    next_batch: u64,
+    prefetch: Option<Prefetch<Batch>>,
+}
+
+impl Loader {
+    /// A loader that begins with batch `first_batch` of the stream of this `seed`.
+    ///
+    /// `data.num_workers` threads make batches ahead, at most two each; with 0, or where the system
+    /// gives no threads, [`next`](Self::next) makes them itself.
+    ///
+    /// # Panics
+    /// Panics if there are no phrases, or if `config` has not passed [`DataConfig::validate`].
+    pub fn new(
+        phrases: Vec<Arc<Phrase>>,
+        statistics: Arc<TrainingStatistics>,
+        config: &DataConfig,
+        seed: u64,
+        first_batch: u64,
+    ) -> Self {
+        assert!(!phrases.is_empty(), "a loader needs at least one phrase");
+        assert!(config.batch_size > 0, "a batch holds at least one sample");
+        let maker = BatchMaker {
+            order: Order::new(phrases.len(), seed),
+            sampler: Sampler::new(config, seed),
+            phrases: phrases.into(),
+            statistics,
+            batch_size: config.batch_size,
+            frames: config.target_frames,
+        };
+        let prefetch = match config.num_workers {
+            0 => None,
+            workers => {
+                let mut maker = maker.clone();
+                Prefetch::start(workers, first_batch, move |number| maker.make(number))
+            }
+        };
+        Self {
+            maker,
+            next_batch: first_batch,
+            prefetch,
+        }
+    }
+
+    /// The next batch; blocks until it is ready.
+    ///
+    /// # Panics
+    /// Goes on with the panic of a worker, if there was one.
+    #[expect(
+        clippy::should_implement_trait,
+        reason = "the stream has no end, so no Option"
+    )]
+    pub fn next(&mut self) -> Batch {
+        let number = self.next_batch;
+        self.next_batch += 1;
+        match &mut self.prefetch {
+            Some(prefetch) => prefetch.next(),
+            None => self.maker.make(number),
+        }
+    }
+
+    /// The number of the batch that [`next`](Self::next) will give.
+    pub fn next_batch(&self) -> u64 {
+        self.next_batch
+    }
+}
+
+/// Makes any batch from its number. A clone makes the same batches.
+#[derive(Clone)]
+struct BatchMaker {
+    phrases: Arc<[Arc<Phrase>]>,
+    statistics: Arc<TrainingStatistics>,
+    order: Order,
+    sampler: Sampler,
+    batch_size: usize,
+    frames: usize,
+}
+
+impl BatchMaker {
+    fn make(&mut self, number: u64) -> Batch {
+        let mut batch = Batch::with_capacity(self.batch_size, self.frames);
+        let first = number.wrapping_mul(self.batch_size as u64);
+        for n in (0..self.batch_size as u64).map(|i| first.wrapping_add(i)) {
+            let phrase = &self.phrases[self.order.phrase(n)];
+            let (motion, audio) = self.sampler.sample(phrase, n);
+            batch.push(&phrase.id, &motion, &audio, &self.statistics);
+        }
+        batch
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic;
+    use std::collections::BTreeMap;
+
+    fn config() -> DataConfig {
+        let mut config = DataConfig {
+            target_frames: 16,
+            batch_size: 3,
+            ..DataConfig::default()
+        };
+        config.augment.rotate_yaw = true;
+        config.augment.mirror = true;
+        config.augment.min_frames = Some(12);
+        config.augment.audio_noise = 0.1;
+        config
+    }
+
+    fn phrases() -> Vec<Arc<Phrase>> {
+        (0..7)
+            .map(|index| Arc::new(synthetic::phrase(index, 14 + 3 * index, 9)))
+            .collect()
+    }
+
+    fn loader(config: &DataConfig, seed: u64, first_batch: u64) -> Loader {
+        let phrases = phrases();
+        let motions = phrases.iter().map(|phrase| &phrase.motion);
+        let statistics = Arc::new(TrainingStatistics::compute(motions).unwrap());
+        Loader::new(phrases, statistics, config, seed, first_batch)
+    }
+
+    fn batches(config: &DataConfig, seed: u64, first_batch: u64, count: usize) -> Vec<Batch> {
+        let mut loader = loader(config, seed, first_batch);
+        (0..count).map(|_| loader.next()).collect()
+    }
+
+    #[test]
+    fn batches_are_the_same_with_any_number_of_workers_and_from_any_start() {
+        let with = |num_workers| DataConfig {
+            num_workers,
+            ..config()
+        };
+        let expected = batches(&with(0), 1, 0, 20);
+        for workers in [1, 2, 5] {
+            assert_eq!(
+                batches(&with(workers), 1, 0, 20),
+                expected,
+                "{workers} workers"
+            );
+            assert_eq!(
+                batches(&with(workers), 1, 13, 7),
+                expected[13..],
+                "{workers} workers"
+            );
+        }
+        assert_eq!(batches(&with(0), 1, 13, 7), expected[13..]);
+        let other = batches(&with(0), 2, 0, 20);
+        assert!(
+            other
+                .iter()
+                .zip(&expected)
+                .all(|(a, b)| a.x_start != b.x_start)
+        );
+        assert!(expected.iter().zip(&expected[1..]).all(|(a, b)| a != b));
+    }
+
+    #[test]
+    fn a_batch_may_exceed_the_dataset_and_epochs_are_even() {
+        let config = DataConfig {
+            batch_size: 35,
+            num_workers: 2,
+            ..config()
+        };
+        for batch in batches(&config, 4, 0, 2) {
+            assert_eq!(
+                (batch.batch_size, batch.frames, batch.ids.len()),
+                (35, 16, 35)
+            );
+            let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+            for id in batch.ids {
+                *counts.entry(id).or_default() += 1;
+            }
+            assert_eq!(counts.into_values().collect::<Vec<_>>(), [5; 7]);
+        }
+    }
+
+    #[test]
+    fn the_sampling_does_not_depend_on_the_batch_size() {
+        let small = batches(
+            &DataConfig {
+                batch_size: 3,
+                ..config()
+            },
+            1,
+            0,
+            4,
+        );
+        let large = batches(
+            &DataConfig {
+                batch_size: 12,
+                ..config()
+            },
+            1,
+            0,
+            1,
+        );
+        let joined: Vec<f32> = small
+            .iter()
+            .flat_map(|batch| batch.x_start.clone())
+            .collect();
+        assert_eq!(joined, large[0].x_start);
+    }
+
+    #[test]
+    fn padding_is_zero_where_the_mask_is() {
+        let mut padded = 0;
+        for batch in batches(&config(), 6, 0, 5) {
+            for (sample, mask) in batch.mask.chunks(batch.frames).enumerate() {
+                let valid = mask.iter().filter(|&&value| value == 1.0).count();
+                assert!(mask[..valid].iter().all(|&value| value == 1.0));
+                assert!(mask[valid..].iter().all(|&value| value == 0.0));
+                assert!(valid >= 12);
+                padded += batch.frames - valid;
+                for (rows, channels) in [(&batch.x_start, 25), (&batch.cond, 163)] {
+                    let values =
+                        &rows[sample * channels * batch.frames..][..channels * batch.frames];
+                    for row in values.chunks(batch.frames) {
+                        assert!(row[valid..].iter().all(|&value| value == 0.0));
+                    }
+                }
+            }
+        }
+        assert!(padded > 0, "the case came up");
+    }
+}

@@ -1,0 +1,166 @@
+//! Which phrases are held out for validation.
+
+use std::fs;
+use std::path::Path;
+
+use kinegrad_random::{Key, Purpose};
+
+use crate::{Error, ValidationSplit};
+
+/// The rule of a [`ValidationSplit`], with its file read.
+#[derive(Debug)]
+pub(crate) struct Split {
+    patterns: Vec<String>,
+    fraction: f64,
+}
+
+impl Split {
+    /// The rule of `config`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if `ids_file` cannot be read.
+    pub fn new(config: &ValidationSplit) -> Result<Self, Error> {
+        let mut patterns = config.patterns.clone();
+        let listed = !patterns.is_empty() || config.ids_file.is_some();
+        if let Some(file) = &config.ids_file {
+            let text = fs::read_to_string(Path::new(file))
+                .map_err(|reason| Error::io("read data.validation.ids_file", file, reason))?;
+            let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+            patterns.extend(
+                lines
+                    .filter(|line| !line.is_empty() && !line.starts_with('#'))
+                    .map(String::from),
+            );
+        }
+        Ok(Self {
+            patterns,
+            fraction: if listed { 0.0 } else { config.fraction },
+        })
+    }
+
+    /// Whether the phrase `id` is held out. Depends on nothing but the rule and the id.
+    pub fn holds_out(&self, id: &str) -> bool {
+        self.patterns.iter().any(|pattern| matches(pattern, id))
+            // The same phrases whatever the run's seed, so that runs can be compared.
+            || Key::new(0, Purpose::Split).named(id).uniform() < self.fraction
+    }
+
+    /// A warning for each id or pattern of the rule that holds out none of `ids`.
+    pub fn idle_entries(&self, ids: &[&str]) -> Vec<String> {
+        let idle = |pattern: &&String| !ids.iter().any(|id| matches(pattern, id));
+        let warning = |pattern| format!("data.validation: `{pattern}` matches no phrase");
+        self.patterns.iter().filter(idle).map(warning).collect()
+    }
+}
+
+/// Whether the whole of `text` matches `pattern`, in which `*` stands for any run of characters.
+/// Takes at most `pattern.len() * text.len()` steps: only the latest star is ever moved.
+pub fn matches(pattern: &str, text: &str) -> bool {
+    let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
+    let (mut p, mut t) = (0, 0);
+    let mut star: Option<(usize, usize)> = None;
+    while t < text.len() {
+        if pattern.get(p) == Some(&b'*') {
+            star = Some((p + 1, t));
+            p += 1;
+        } else if pattern.get(p) == Some(&text[t]) {
+            p += 1;
+            t += 1;
+        } else if let Some((after, start)) = star {
+            star = Some((after, start + 1));
+            (p, t) = (after, start + 1);
+        } else {
+            return false;
+        }
+    }
+    pattern[p..].iter().all(|&byte| byte == b'*')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn split(fraction: f64, patterns: &[&str], ids_file: Option<String>) -> Split {
+        let patterns = patterns.iter().map(|&pattern| pattern.to_owned()).collect();
+        Split::new(&ValidationSplit {
+            fraction,
+            patterns,
+            ids_file,
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn stars_stand_for_any_run_of_characters() {
+        for (pattern, text, expected) in [
+            ("C_5_*", "C_5_00188", true),
+            ("C_5_*", "C_50_00188", false),
+            ("C_5_*", "C_5_", true),
+            ("*_00188", "C_5_00188", true),
+            ("C*5*8", "C_5_00188", true),
+            ("C*5*8", "C_5_00187", false),
+            ("a", "ab", false),
+            ("ab", "a", false),
+            ("*", "", true),
+            ("**", "x", true),
+            ("*ab*ab", "xabab", true),
+            ("é*", "éa", true),
+        ] {
+            assert_eq!(matches(pattern, text), expected, "{pattern} {text}");
+        }
+    }
+
+    #[test]
+    fn the_fraction_is_met_and_adding_phrases_moves_none() {
+        let rule = split(0.1, &[], None);
+        let ids: Vec<String> = (0..5000).map(|i| format!("song_{i:05}")).collect();
+        let held = ids.iter().filter(|id| rule.holds_out(id)).count();
+        assert!((430..570).contains(&held), "{held}");
+        assert!(ids.iter().all(|id| !split(0.0, &[], None).holds_out(id)));
+        let more = split(0.3, &[], None);
+        assert!(
+            ids.iter()
+                .all(|id| !rule.holds_out(id) || more.holds_out(id))
+        );
+    }
+
+    #[test]
+    fn lists_replace_the_fraction_and_idle_entries_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("ids.txt").display().to_string();
+        fs::write(&file, "\u{feff}# held out\r\nW_1\r\n\r\n  X_*\n").unwrap();
+        let rule = split(0.99, &["C_5_*"], Some(file.clone()));
+        let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
+        assert_eq!(ids.map(|id| rule.holds_out(id)), [true, false, true, false]);
+        assert_eq!(
+            rule.idle_entries(&ids),
+            ["data.validation: `X_*` matches no phrase"]
+        );
+        fs::write(&file, "").unwrap();
+        assert!(!split(0.99, &[], Some(file)).holds_out("C_5_1"));
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let config = ValidationSplit {
+            ids_file: Some("/no/such/list".into()),
+            ..Default::default()
+        };
+        let message = Split::new(&config).unwrap_err().to_string();
+        assert!(
+            message.contains("/no/such/list") && message.contains("ids_file"),
+            "{message}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn a_pattern_made_from_an_id_matches_it(parts in proptest::collection::vec("[a-c]{0,3}", 1..6)) {
+            prop_assert!(matches(&parts.join("*"), &parts.join("ab")));
+            prop_assert!(matches(&parts.concat(), &parts.concat()));
+            let longer = format!("{}d", parts.concat());
+            prop_assert!(!matches(&parts.concat(), &longer));
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! The motion of a synthetic phrase: four moves danced to its music.
+
+use std::f64::consts::{PI, TAU};
+
+use kinegrad_motion::{FPS, Motion, Quaternion, derive};
+use kinegrad_random::Key;
+
+use super::music::{BEATS_PER_BAR, MOVES, Music};
+use super::style;
+
+/// Stream below a phrase's key.
+const DANCER: u64 = 3;
+
+/// Where the body is and how it is turned, in its own frame: metres and radians.
+#[derive(Clone, Copy, Default)]
+struct Pose {
+    /// Right, up, forward.
+    offset: [f64; 3],
+    yaw: f64,
+    /// Nodding forward.
+    pitch: f64,
+    /// Leaning sideways.
+    roll: f64,
+}
+
+/// Move number `kind` at a beat: sway from side to side, step to and fro, walk a circle, bounce.
+/// All are near their origin at a bar line, where moves change.
+fn pose(kind: usize, beat: f64) -> Pose {
+    let (bar, half, whole) = (0.5 * PI * beat, PI * beat, TAU * beat);
+    match kind {
+        0 => Pose {
+            offset: [0.16 * half.sin(), 0.012 * whole.cos(), 0.0],
+            yaw: 0.25 * half.sin(),
+            pitch: 0.05 * whole.cos(),
+            roll: -0.12 * half.sin(),
+        },
+        1 => Pose {
+            offset: [0.0, 0.018 * whole.cos(), 0.24 * bar.sin()],
+            yaw: 0.10 * bar.sin(),
+            pitch: 0.12 * bar.cos(),
+            roll: 0.04 * half.sin(),
+        },
+        2 => Pose {
+            offset: [
+                0.26 * bar.sin(),
+                0.012 * whole.cos(),
+                0.26 * (1.0 - bar.cos()),
+            ],
+            yaw: 0.60 * bar.sin(),
+            pitch: 0.06,
+            roll: -0.08 * bar.sin(),
+        },
+        _ => Pose {
+            offset: [0.06 * half.sin(), 0.042 * whole.cos(), 0.02 * half.cos()],
+            yaw: 0.12 * half.sin(),
+            pitch: 0.10 * whole.cos(),
+            roll: 0.0,
+        },
+    }
+}
+
+/// The dance to `music`, `frames` frames, standing at x = z = 0 in the first one.
+pub fn perform(music: &Music, phrase: Key, frames: usize) -> Motion {
+    assert!(frames > 0, "a phrase has at least one frame");
+    let draws = phrase.at(DANCER).normals(4);
+    let [heading, height, drift_x, drift_z] = [0, 1, 2, 3].map(|i| f64::from(draws[i]));
+    let heading = 0.3 * heading.clamp(-3.0, 3.0);
+    let height = 0.95 + 0.03 * height.clamp(-3.0, 3.0);
+    let facing = Quaternion::from_yaw(heading);
+
+    // Two frames more than asked for: the last ones have no differences of their own.
+    let posed = frames + 2;
+    let mut positions = Vec::with_capacity(posed);
+    let mut quaternions = Vec::with_capacity(posed);
+    let mut phase = Vec::with_capacity(posed);
+    for t in 0..posed {
+        let beat = music.beat(t);
+        let size = music.energy(beat);
+        let Pose {
+            offset,
+            yaw,
+            pitch,
+            roll,
+        } = blended(music.moves(beat), beat);
+        let [right, up, forward] = offset.map(|metres| size * metres);
+        // What no music tells: a slow drift, different in every phrase.
+        let slow = (TAU * 0.1 * t as f64 / FPS).sin();
+        let [x, y, z] = facing.rotate([right, up, forward]);
+        positions.push([
+            x + 0.05 * drift_x * slow,
+            y + height,
+            z + 0.05 * drift_z * slow,
+        ]);
+        let turn = Quaternion::from_yaw(heading + size * yaw)
+            * Quaternion::from_rotation_vector([size * pitch, 0.0, 0.0])
+            * Quaternion::from_rotation_vector([0.0, 0.0, size * roll]);
+        quaternions.push(turn);
+        phase.push((beat / BEATS_PER_BAR).fract());
+    }
+    let [x0, _, z0] = positions[0];
+    for position in &mut positions {
+        position[0] -= x0;
+        position[2] -= z0;
+    }
+    let style = style::describe(&positions, &quaternions);
+    derive(&positions, &quaternions, &phase, &style)
+        .expect("arrays of one length, at least one frame")
+        .slice(0..frames)
+}
+
+/// The moves in these shares.
+fn blended(shares: [f64; MOVES], beat: f64) -> Pose {
+    let mut sum = Pose::default();
+    for (kind, share) in shares.into_iter().enumerate() {
+        let pose = pose(kind, beat);
+        for (total, part) in sum.offset.iter_mut().zip(pose.offset) {
+            *total += share * part;
+        }
+        sum.yaw += share * pose.yaw;
+        sum.pitch += share * pose.pitch;
+        sum.roll += share * pose.roll;
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moves_repeat_every_bar_and_differ() {
+        for kind in 0..MOVES {
+            for step in 0..32 {
+                let beat = f64::from(step) / 8.0;
+                let (now, later) = (pose(kind, beat), pose(kind, beat + BEATS_PER_BAR));
+                for axis in 0..3 {
+                    assert!((now.offset[axis] - later.offset[axis]).abs() < 1e-12);
+                }
+            }
+            for other in 0..kind {
+                let apart = (0..32).any(|step| {
+                    let beat = f64::from(step) / 8.0;
+                    let (a, b) = (pose(kind, beat).offset, pose(other, beat).offset);
+                    (0..3).any(|axis| (a[axis] - b[axis]).abs() > 0.04)
+                });
+                assert!(apart, "moves {kind} and {other} look alike");
+            }
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Synthetic phrases: dances that follow a beat, with audio features that carry it.
+//!
+//! A phrase has a tempo, a place in the bar, an energy and one of four moves for each bar. All of
+//! it can be heard in the [features](music) and seen in the [motion](dance), so that a small model
+//! gains from listening. Motion is smooth, of human scale, and its velocity, acceleration and
+//! angular velocity are the forward differences of its pose by construction. Everything is a
+//! function of (seed, number of the phrase).
+
+mod dance;
+mod music;
+mod style;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::{fs, io};
+
+use kinegrad_random::{Key, Purpose};
+use rayon::prelude::*;
+
+use crate::phrase::{features_path, motion_path};
+use crate::{Error, Phrase, SyntheticConfig, write_features, write_motion};
+use music::Music;
+
+/// Id of synthetic phrase number `index`: `synthetic_00007`.
+pub fn id(index: usize) -> String {
+    format!("synthetic_{index:05}")
+}
+
+/// Phrase number `index` of this `seed`, `frames` frames at 30 per second.
+///
+/// # Panics
+/// Panics if `frames` is zero.
+pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
+    let key = Key::new(seed, Purpose::Synthetic).at(index as u64);
+    let music = Music::new(key);
+    let motion = dance::perform(&music, key, frames);
+    Phrase {
+        id: id(index),
+        motion,
+        audio: music.features(frames, key),
+    }
+}
+
+/// The first `phrases` phrases of this `seed`, made in parallel.
+///
+/// # Panics
+/// Panics if `frames` is zero.
+pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<Phrase>> {
+    (0..phrases)
+        .into_par_iter()
+        .map(|index| Arc::new(phrase(index, frames, seed)))
+        .collect()
+}
+
+/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3).
+///
+/// It is built under a temporary name inside `folder` and moved into place when complete.
+///
+/// # Errors
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Io`].
+pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) -> Result<(), Error> {
+    SyntheticConfig {
+        phrases,
+        frames,
+        seed,
+    }
+    .validate()?;
+    let parts = ["audio_features", "motion"];
+    if parts.iter().any(|part| folder.join(part).exists()) {
+        return Err(Error::Exists {
+            path: folder.to_owned(),
+        });
+    }
+    let staging = folder.join(format!(".synth-{}.tmp", std::process::id()));
+    let written = (0..phrases)
+        .into_par_iter()
+        .try_for_each(|index| {
+            let phrase = phrase(index, frames, seed);
+            write_motion(&motion_path(&staging, &phrase.id), &phrase.motion)?;
+            write_features(&features_path(&staging, &phrase.id), &phrase.audio)
+        })
+        .and_then(|()| {
+            parts
+                .iter()
+                .try_for_each(|part| fs::rename(staging.join(part), folder.join(part)))
+                .map_err(|reason| Error::io("write", folder, reason))
+        });
+    let cleared = match fs::remove_dir_all(&staging) {
+        Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
+            Err(Error::io("remove", &staging, reason))
+        }
+        _ => Ok(()),
+    };
+    written.and(cleared)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
+    use kinegrad_motion::{FPS, Profile, TrainingStatistics, check, kinematics};
+
+    #[test]
+    fn phrases_pass_the_strict_checks_and_are_of_human_scale() {
+        for (frames, seed) in [(120, 0), (120, 1), (40, 2), (300, 3)] {
+            let made = phrases(64, frames, seed);
+            let statistics =
+                TrainingStatistics::compute(made.iter().map(|phrase| &phrase.motion)).unwrap();
+            for phrase in &made {
+                for profile in [Profile::Document, Profile::Strict] {
+                    let report = check(&phrase.motion, profile, Some(&statistics)).unwrap();
+                    assert!(report.passed, "{}: {report:#?}", phrase.id);
+                }
+                let own = TrainingStatistics::compute([&phrase.motion]).unwrap();
+                assert!(
+                    (0.25..1.5).contains(&own.rms_speed),
+                    "{}: {}",
+                    phrase.id,
+                    own.rms_speed
+                );
+                assert!(own.jerk_p95 < 200.0, "{}: jerk {}", phrase.id, own.jerk_p95);
+                assert!(own.min[POSITION.start + 1] > 0.6 && own.max[POSITION.start + 1] < 1.4);
+            }
+            assert!(
+                (0.3..1.5).contains(&statistics.rms_speed),
+                "{}",
+                statistics.rms_speed
+            );
+            for channel in 0..25 {
+                assert!(
+                    statistics.max[channel] > statistics.min[channel],
+                    "channel {channel}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_are_the_differences_up_to_the_last_frame() {
+        for index in 0..16 {
+            let motion = phrase(index, 120, 4).motion;
+            for t in 0..119 {
+                for (explicit, base) in [(VELOCITY, POSITION), (ACCELERATION, VELOCITY)] {
+                    for axis in 0..3 {
+                        let (now, then) = (motion.frame(t), motion.frame(t + 1));
+                        let place = base.start + axis;
+                        let derived = FPS * (f64::from(then[place]) - f64::from(now[place]));
+                        let error = f64::from(now[explicit.start + axis]) - derived;
+                        assert!(error.abs() < 1e-3, "phrase {index}, frame {t}: {error}");
+                    }
+                }
+            }
+            // The last frame looks forward too: it does not stand still for want of a next one.
+            let jerk = kinematics::jerk(&motion);
+            assert!(jerk[118].iter().map(|value| value.powi(2)).sum::<f64>() < 1000f64.powi(2));
+            assert!(motion.vector(119, ACCELERATION) != motion.vector(118, ACCELERATION));
+        }
+    }
+
+    #[test]
+    fn phrases_start_at_the_origin_and_wrap_their_phase() {
+        for index in 0..16 {
+            let motion = phrase(index, 240, 4).motion;
+            let [x, _, z] = motion.vector(0, POSITION);
+            assert_eq!((x, z), (0.0, 0.0));
+            let phase: Vec<f32> = (0..240).map(|t| motion.frame(t)[PHASE]).collect();
+            let wraps = phase.windows(2).filter(|pair| pair[1] < pair[0]).count();
+            // 8 seconds of 84 to 132 beats a minute.
+            assert!((2..=5).contains(&wraps), "{wraps}");
+            let quaternion = &motion.frame(0)[QUATERNION];
+            assert!(quaternion[0] > 0.0);
+        }
+    }
+
+    #[test]
+    fn phrases_differ_by_number_and_by_seed_and_by_nothing_else() {
+        let one = phrase(0, 60, 0);
+        assert_eq!(one, phrase(0, 60, 0));
+        for other in [phrase(1, 60, 0), phrase(0, 60, 1)] {
+            assert_ne!(one.motion, other.motion);
+            assert_ne!(one.audio, other.audio);
+        }
+    }
+
+    #[test]
+    fn style_follows_the_motion() {
+        let motion = phrase(0, 120, 0).motion;
+        let speed = |t: usize| kinegrad_motion::rotation::length(motion.vector(t, VELOCITY));
+        let mean = (45..76).map(speed).sum::<f64>() / 31.0;
+        let style = f64::from(motion.frame(60)[STYLE.start]);
+        assert!((style - mean).abs() < 0.05, "{style} {mean}");
+        let step = (1..120)
+            .map(|t| (motion.frame(t)[STYLE.start] - motion.frame(t - 1)[STYLE.start]).abs())
+            .fold(0.0, f32::max);
+        assert!(step < 0.1, "style changes gradually: {step}");
+    }
+
+    #[test]
+    fn a_dataset_is_written_whole_and_never_over_another() {
+        let folder = tempfile::tempdir().unwrap();
+        write_dataset(folder.path(), 3, 8, 1).unwrap();
+        let mut names: Vec<String> = fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort_unstable();
+        assert_eq!(names, ["audio_features", "motion"]);
+        let again = write_dataset(folder.path(), 3, 8, 1).unwrap_err();
+        assert!(matches!(again, Error::Exists { .. }), "{again}");
+        let empty = write_dataset(&folder.path().join("new"), 0, 8, 1).unwrap_err();
+        assert!(matches!(empty, Error::Config { .. }), "{empty}");
+        assert!(!folder.path().join("new").exists());
+    }
+}

@@ -1,0 +1,315 @@
+//! The settings of a diffusion process.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::schedule::betas;
+
+/// How the betas grow with the timestep; the tables are in [`crate::NoiseSchedule`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BetaSchedule {
+    /// Equidistant betas from `beta_start` to `beta_end`.
+    Linear,
+    /// The squared cosine (Nichol and Dhariwal 2021, <https://arxiv.org/abs/2102.09672>,
+    /// equation 17), each beta clipped to `[beta_min, beta_max]`.
+    #[default]
+    #[serde(alias = "squaredcos_cap_v2")]
+    Cosine,
+    /// Squares of equidistant values from `sqrt(beta_start)` to `sqrt(beta_end)`.
+    #[serde(alias = "scaled_linear")]
+    Sqrt,
+}
+
+/// What the network's output stands for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PredictionType {
+    /// The noise that was added.
+    #[default]
+    Epsilon,
+    /// The clean motion.
+    #[serde(alias = "x0")]
+    Sample,
+    /// The velocity `sqrt(abar) noise - sqrt(1 - abar) x_start` (Salimans and Ho 2022,
+    /// <https://arxiv.org/abs/2202.00512>, section 4).
+    VPrediction,
+}
+
+/// The distance between the network's output and its target; formulas in [`crate::loss`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossType {
+    /// Squared difference.
+    #[default]
+    Mse,
+    /// Absolute difference.
+    L1,
+    /// Squared near zero, absolute beyond a difference of 1.
+    Huber,
+}
+
+/// The table `diffusion` of a config (CC-MotionGen documentation, section 3.2.1).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DiffusionConfig {
+    /// Number of noise levels T; timesteps run from 0 to T-1. At least 2.
+    pub num_train_timesteps: usize,
+    /// How the betas grow.
+    pub beta_schedule: BetaSchedule,
+    /// First beta of `linear` and `sqrt`; `cosine` does not use it.
+    pub beta_start: f64,
+    /// Last beta of `linear` and `sqrt`; `cosine` does not use it.
+    pub beta_end: f64,
+    /// Floor of the betas of `cosine`. The source has 1e-4; others have none, which is 0.
+    pub beta_min: f64,
+    /// Cap of the betas of `cosine`. The source has 0.9999; others have 0.999.
+    pub beta_max: f64,
+    /// What the network predicts.
+    pub prediction_type: PredictionType,
+    /// How the prediction is compared with its target.
+    pub loss_type: LossType,
+    /// Cap of the signal-to-noise ratio in the loss weights of
+    /// [`crate::GaussianDiffusion::loss_weights`] (Hang et al. 2023,
+    /// <https://arxiv.org/abs/2303.09556>, who use 5); without it every timestep weighs the same.
+    pub snr_gamma: Option<f64>,
+    /// Rescales the schedule so that the last timestep is pure noise (Lin et al. 2023,
+    /// <https://arxiv.org/abs/2305.08891>, algorithm 1). Not with `epsilon` prediction. Sample
+    /// with `trailing` or `linspace` spacing then: `leading` never visits the last timestep.
+    pub rescale_betas_zero_snr: bool,
+    /// Share of the training samples that see the null condition, which is what classifier-free
+    /// guidance needs (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
+    pub cond_drop_prob: f64,
+}
+
+impl Default for DiffusionConfig {
+    fn default() -> Self {
+        Self {
+            num_train_timesteps: 1000,
+            beta_schedule: BetaSchedule::default(),
+            beta_start: 1e-4,
+            beta_end: 0.02,
+            beta_min: 1e-4,
+            beta_max: 0.9999,
+            prediction_type: PredictionType::default(),
+            loss_type: LossType::default(),
+            snr_gamma: None,
+            rescale_betas_zero_snr: false,
+            cond_drop_prob: 0.1,
+        }
+    }
+}
+
+/// Tables of more timesteps than this are surely a slip of the pen.
+const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
+
+/// Least share of the motion's variance at the last timestep: below, the factors that undo the
+/// noising leave the range of single precision. The source's cosine schedule leaves 2.4e-10.
+const MIN_SIGNAL: f64 = 1e-30;
+
+impl DiffusionConfig {
+    /// Refuses values that no process can work with.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for the first bad key: what it is, what is allowed, how to mend it.
+    pub fn validate(&self) -> Result<(), Error> {
+        // Written so that NaN fails every one of them.
+        check(
+            (2..=MAX_TRAIN_TIMESTEPS).contains(&self.num_train_timesteps),
+            "num_train_timesteps",
+            self.num_train_timesteps,
+            "2 to 1000000",
+            "the source uses 1000",
+        )?;
+        check(
+            self.beta_start >= 1e-9 && self.beta_start < 1.0,
+            "beta_start",
+            self.beta_start,
+            "from 1e-9 to below 1",
+            "the source uses 1e-4",
+        )?;
+        check(
+            self.beta_end >= self.beta_start && self.beta_end < 1.0,
+            "beta_end",
+            self.beta_end,
+            "from diffusion.beta_start to below 1",
+            "the source uses 0.02",
+        )?;
+        check(
+            self.beta_min >= 0.0 && self.beta_min < 1.0,
+            "beta_min",
+            self.beta_min,
+            "from 0 to below 1",
+            "the source uses 1e-4; 0 means no floor",
+        )?;
+        check(
+            self.beta_max > self.beta_min && self.beta_max < 1.0,
+            "beta_max",
+            self.beta_max,
+            "above diffusion.beta_min and below 1",
+            "the source uses 0.9999, others 0.999",
+        )?;
+        if let Some(snr_gamma) = self.snr_gamma {
+            check(
+                snr_gamma > 0.0 && snr_gamma.is_finite(),
+                "snr_gamma",
+                snr_gamma,
+                "a number above 0, or no such key",
+                "the paper uses 5; leave the key out for equal weights",
+            )?;
+        }
+        check(
+            !(self.rescale_betas_zero_snr && self.prediction_type == PredictionType::Epsilon),
+            "rescale_betas_zero_snr",
+            self.rescale_betas_zero_snr,
+            "false when diffusion.prediction_type is \"epsilon\"",
+            "at the last timestep the input would be the noise itself, so that predicting it says \
+             nothing of the motion: use prediction_type \"v_prediction\" or \"sample\"",
+        )?;
+        check(
+            self.cond_drop_prob >= 0.0 && self.cond_drop_prob < 1.0,
+            "cond_drop_prob",
+            self.cond_drop_prob,
+            "from 0 to below 1",
+            "0.1 is usual; 0 trains without a null condition, and then only guidance_scale 1 works",
+        )?;
+        let left: f64 = betas(self).iter().map(|beta| 1.0 - beta).product();
+        check(
+            left >= MIN_SIGNAL,
+            "num_train_timesteps",
+            self.num_train_timesteps,
+            &format!(
+                "as many as leave {MIN_SIGNAL:e} of the motion's variance at the last timestep; \
+                 these betas leave {left:e}"
+            ),
+            "use fewer timesteps, or smaller betas: they do not shrink by themselves as the \
+             timesteps grow",
+        )
+    }
+}
+
+fn check(
+    holds: bool,
+    key: &str,
+    found: impl std::fmt::Debug,
+    allowed: &str,
+    hint: &str,
+) -> Result<(), Error> {
+    if holds {
+        return Ok(());
+    }
+    Err(Error::Config {
+        key: format!("diffusion.{key}"),
+        found: format!("{found:?}"),
+        allowed: allowed.to_string(),
+        hint: hint.to_string(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(json: &str) -> Result<DiffusionConfig, serde_json::Error> {
+        serde_json::from_str(json)
+    }
+
+    #[test]
+    fn an_empty_table_is_the_default_and_valid() {
+        let config = parse("{}").unwrap();
+        assert_eq!(config, DiffusionConfig::default());
+        config.validate().unwrap();
+    }
+
+    #[test]
+    fn aliases_are_the_names_of_other_projects() {
+        let config = parse(
+            r#"{"beta_schedule": "scaled_linear", "prediction_type": "x0", "loss_type": "l1"}"#,
+        )
+        .unwrap();
+        assert_eq!(config.beta_schedule, BetaSchedule::Sqrt);
+        assert_eq!(config.prediction_type, PredictionType::Sample);
+        assert_eq!(config.loss_type, LossType::L1);
+        let config = parse(r#"{"beta_schedule": "squaredcos_cap_v2"}"#).unwrap();
+        assert_eq!(config.beta_schedule, BetaSchedule::Cosine);
+        let config = parse(r#"{"prediction_type": "v_prediction"}"#).unwrap();
+        assert_eq!(config.prediction_type, PredictionType::VPrediction);
+    }
+
+    #[test]
+    fn saving_and_reading_gives_the_same_config() {
+        let config = DiffusionConfig {
+            beta_schedule: BetaSchedule::Sqrt,
+            prediction_type: PredictionType::VPrediction,
+            loss_type: LossType::Huber,
+            snr_gamma: Some(5.0),
+            rescale_betas_zero_snr: true,
+            beta_min: 0.1 + 0.2,
+            ..Default::default()
+        };
+        let text = serde_json::to_string(&config).unwrap();
+        assert_eq!(parse(&text).unwrap(), config);
+    }
+
+    #[test]
+    fn unknown_keys_and_names_are_refused() {
+        assert!(parse(r#"{"timesteps": 1000}"#).is_err());
+        assert!(parse(r#"{"beta_schedule": "cosin"}"#).is_err());
+        assert!(parse(r#"{"num_train_timesteps": -1}"#).is_err());
+    }
+
+    #[test]
+    fn every_bad_value_is_refused_by_name() {
+        let cases = [
+            (r#"{"num_train_timesteps": 1}"#, "num_train_timesteps", "1"),
+            (
+                r#"{"num_train_timesteps": 1000001}"#,
+                "num_train_timesteps",
+                "1000001",
+            ),
+            (r#"{"beta_start": 0.0}"#, "beta_start", "0.0"),
+            (
+                r#"{"beta_start": 1.0, "beta_end": 1.0}"#,
+                "beta_start",
+                "1.0",
+            ),
+            (
+                r#"{"beta_schedule": "linear", "num_train_timesteps": 9000}"#,
+                "num_train_timesteps",
+                "9000",
+            ),
+            (r#"{"beta_min": 0.5}"#, "num_train_timesteps", "1000"),
+            (r#"{"beta_end": 0.00001}"#, "beta_end", "1e-5"),
+            (r#"{"beta_end": 1.0}"#, "beta_end", "1.0"),
+            (r#"{"beta_min": -0.1}"#, "beta_min", "-0.1"),
+            (r#"{"beta_max": 1.0}"#, "beta_max", "1.0"),
+            (r#"{"beta_min": 0.5, "beta_max": 0.5}"#, "beta_max", "0.5"),
+            (r#"{"snr_gamma": 0.0}"#, "snr_gamma", "0.0"),
+            (
+                r#"{"rescale_betas_zero_snr": true}"#,
+                "rescale_betas_zero_snr",
+                "true",
+            ),
+            (r#"{"cond_drop_prob": 1.0}"#, "cond_drop_prob", "1.0"),
+            (r#"{"cond_drop_prob": -0.5}"#, "cond_drop_prob", "-0.5"),
+        ];
+        for (json, key, found) in cases {
+            let error = parse(json).unwrap().validate().unwrap_err();
+            let text = error.to_string();
+            assert!(
+                text.starts_with(&format!("`diffusion.{key}` is {found}, allowed: ")),
+                "{text}"
+            );
+        }
+        for set in [
+            |c: &mut DiffusionConfig| c.beta_end = f64::NAN,
+            |c: &mut DiffusionConfig| c.beta_min = f64::NAN,
+            |c: &mut DiffusionConfig| c.snr_gamma = Some(f64::NAN),
+            |c: &mut DiffusionConfig| c.cond_drop_prob = f64::NAN,
+        ] {
+            let mut config = DiffusionConfig::default();
+            set(&mut config);
+            config.validate().unwrap_err();
+        }
+    }
+}

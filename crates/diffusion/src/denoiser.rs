@@ -1,0 +1,115 @@
+//! The seam between a process and a network, and classifier-free guidance across it.
+
+use burn::tensor::Tensor;
+
+/// A network that answers a noisy motion with a prediction. What the prediction stands for is the
+/// process's `prediction_type`; the network does not know.
+pub trait Denoiser {
+    /// The condition, for the whole batch: audio features `[batch, channels, time]`, a text
+    /// embedding, or nothing.
+    type Cond;
+
+    /// The prediction at the given noise levels.
+    ///
+    /// # Shapes
+    /// - x_t, output: `[batch, channels, time]`
+    /// - timesteps: one per sample, 0 being the least noisy
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Self::Cond) -> Tensor<3>;
+
+    /// The condition that stands for none, of the same sizes as `cond`: the one that training
+    /// presents in place of a dropped condition.
+    fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
+}
+
+/// The prediction under classifier-free guidance (CC-MotionGen documentation, section 8.3; Ho and
+/// Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
+/// `uncond + guidance_scale (cond - uncond)`.
+///
+/// A scale of 1 is the conditional and a scale of 0 the unconditional prediction; both call the
+/// network once, every other scale twice.
+///
+/// The raw outputs are mixed, whatever they stand for: with `x_t` fixed, noise, clean motion and
+/// velocity are affine in each other, and the two factors `1 - scale` and `scale` add up to 1, so
+/// that mixing before or after a conversion is the same. (Not so after clipping.)
+///
+/// # Shapes
+/// - x_t, output: `[batch, channels, time]`
+pub fn guided<D: Denoiser + ?Sized>(
+    denoiser: &D,
+    x_t: Tensor<3>,
+    timesteps: &[usize],
+    cond: &D::Cond,
+    guidance_scale: f64,
+) -> Tensor<3> {
+    if guidance_scale == 1.0 {
+        return denoiser.predict(x_t, timesteps, cond);
+    }
+    let uncond = denoiser.predict(x_t.clone(), timesteps, &denoiser.null_cond(cond));
+    if guidance_scale == 0.0 {
+        return uncond;
+    }
+    let cond = denoiser.predict(x_t, timesteps, cond);
+    uncond.clone() + (cond - uncond) * guidance_scale
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use burn::tensor::{Device, TensorData};
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+    use crate::{DiffusionConfig, GaussianDiffusion, PredictionType};
+
+    /// Predicts `x_t cond + t` and counts its calls.
+    struct Scale(Cell<usize>);
+
+    impl Denoiser for Scale {
+        type Cond = f64;
+
+        fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &f64) -> Tensor<3> {
+            self.0.set(self.0.get() + 1);
+            x_t * *cond + timesteps[0] as f64
+        }
+
+        fn null_cond(&self, _: &f64) -> f64 {
+            0.0
+        }
+    }
+
+    fn ones() -> Tensor<3> {
+        Tensor::ones([1, 2, 3], &Device::flex())
+    }
+
+    #[test]
+    fn guidance_extrapolates_from_the_null_condition() {
+        // uncond = 7, cond = 2 + 7: 7 + scale 2.
+        for (scale, expected, calls) in [(1.0, 9.0, 1), (0.0, 7.0, 1), (3.0, 13.0, 2)] {
+            let network = Scale(Cell::new(0));
+            let found = guided(&network, ones(), &[7], &2.0, scale);
+            assert_eq!(
+                found.into_data().try_to_vec::<f32>().unwrap(),
+                [expected; 6]
+            );
+            assert_eq!(network.0.get(), calls, "calls at scale {scale}");
+        }
+    }
+
+    #[test]
+    fn mixing_before_or_after_a_conversion_is_the_same() {
+        let process = GaussianDiffusion::new(&DiffusionConfig::default()).unwrap();
+        let normal = |seed| {
+            let values = Key::new(seed, Purpose::Noise).normals(15);
+            Tensor::<3>::from_data(TensorData::new(values, [1, 3, 5]), &Device::flex())
+        };
+        let (uncond, cond, x_t) = (normal(1), normal(2), normal(3));
+        let mix = |u: Tensor<3>, c: Tensor<3>| u.clone() + (c - u) * 2.5;
+        let (from, to) = (PredictionType::Epsilon, PredictionType::VPrediction);
+        let convert = |x: Tensor<3>| process.convert(x, x_t.clone(), &[400], from, to);
+        let before = convert(mix(uncond.clone(), cond.clone()));
+        let after = mix(convert(uncond), convert(cond));
+        let error: f32 = (before - after).abs().max().into_scalar();
+        assert!(error < 1e-5, "{error}");
+    }
+}

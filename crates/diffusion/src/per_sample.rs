@@ -1,0 +1,16 @@
+//! Coefficients that differ from sample to sample, from the host's f64 tables to the device.
+
+use burn::tensor::{Tensor, TensorData};
+
+/// The `values`, one per sample, as `[batch, 1, 1]` on the device and in the precision of `like`
+/// `[batch, channels, time]`. Each value is rounded once, here.
+///
+/// # Panics
+/// Panics if there is not one value per sample.
+pub(crate) fn per_sample(values: &[f64], like: &Tensor<3>) -> Tensor<3> {
+    let [batch, ..] = like.dims();
+    assert_eq!(values.len(), batch, "one timestep per sample of the batch");
+    let rounded: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+    let data = TensorData::new(rounded, [batch, 1, 1]);
+    Tensor::from_data(data, (&like.device(), like.dtype()))
+}

@@ -1,0 +1,145 @@
+//! What a predicted clean motion is clipped to.
+
+use burn::tensor::{Tensor, TensorData};
+
+use crate::Error;
+
+/// Bounds of the predicted clean motion, in the units the network works in (normalised motion).
+///
+/// The source clips to [-1, 1] (CC-MotionGen documentation, sections 3.2.4 and 8.1). Normalised
+/// real motion leaves that range by far in single channels; bounds per channel, taken from the
+/// training data, keep the purpose without cutting motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Clip {
+    /// No bounds.
+    #[default]
+    None,
+    /// Every channel to `[-bound, bound]`.
+    Symmetric(f32),
+    /// Channel `c` to `[min[c], max[c]]`.
+    PerChannel {
+        /// Least value of each channel.
+        min: Vec<f32>,
+        /// Greatest value of each channel.
+        max: Vec<f32>,
+    },
+}
+
+impl Clip {
+    /// Refuses bounds that do not fit a motion of `channels` channels.
+    ///
+    /// # Errors
+    /// [`Error::ClipChannels`] for a wrong number of bounds, [`Error::ClipBounds`] for a minimum
+    /// above its maximum or a NaN.
+    pub fn validate(&self, channels: usize) -> Result<(), Error> {
+        match self {
+            Self::None => Ok(()),
+            Self::Symmetric(bound) => ordered(0, -bound, *bound),
+            Self::PerChannel { min, max } => {
+                if min.len() != channels || max.len() != channels {
+                    return Err(Error::ClipChannels {
+                        min: min.len(),
+                        max: max.len(),
+                        channels,
+                    });
+                }
+                let mut bounds = min.iter().zip(max).enumerate();
+                bounds.try_for_each(|(channel, (&min, &max))| ordered(channel, min, max))
+            }
+        }
+    }
+
+    /// `x` within the bounds.
+    ///
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    ///
+    /// # Errors
+    /// As [`Clip::validate`].
+    pub fn apply(&self, x: Tensor<3>) -> Result<Tensor<3>, Error> {
+        let shape = x.dims();
+        let channels = shape[1];
+        self.validate(channels)?;
+        Ok(match self {
+            Self::None => x,
+            Self::Symmetric(bound) => x.clamp(-bound, *bound),
+            Self::PerChannel { min, max } => {
+                let options = (&x.device(), x.dtype());
+                let bounds = |values: &[f32]| -> Tensor<3> {
+                    let data = TensorData::new(values.to_vec(), [1, channels, 1]);
+                    Tensor::<3>::from_data(data, options).expand(shape)
+                };
+                let (min, max) = (bounds(min), bounds(max));
+                x.max_pair(min).min_pair(max)
+            }
+        })
+    }
+}
+
+fn ordered(channel: usize, min: f32, max: f32) -> Result<(), Error> {
+    // NaN is not ordered, and is refused with it.
+    if min <= max {
+        Ok(())
+    } else {
+        Err(Error::ClipBounds { channel, min, max })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+
+    fn clipped(clip: &Clip) -> Vec<f32> {
+        let values = vec![-9.0f32, 0.5, 9.0, -9.0, 0.5, 9.0];
+        let x = Tensor::from_data(TensorData::new(values, [1, 2, 3]), &Device::flex());
+        clip.apply(x)
+            .unwrap()
+            .into_data()
+            .try_to_vec::<f32>()
+            .unwrap()
+    }
+
+    #[test]
+    fn each_channel_has_its_bounds() {
+        assert_eq!(clipped(&Clip::None), [-9.0, 0.5, 9.0, -9.0, 0.5, 9.0]);
+        assert_eq!(
+            clipped(&Clip::Symmetric(2.0)),
+            [-2.0, 0.5, 2.0, -2.0, 0.5, 2.0]
+        );
+        let clip = Clip::PerChannel {
+            min: vec![-1.0, 0.0],
+            max: vec![2.0, 0.25],
+        };
+        assert_eq!(clipped(&clip), [-1.0, 0.5, 2.0, 0.0, 0.25, 0.25]);
+    }
+
+    #[test]
+    fn bounds_that_cannot_be_are_refused() {
+        let clip = |min: &[f32], max: &[f32]| Clip::PerChannel {
+            min: min.into(),
+            max: max.into(),
+        };
+        assert!(matches!(
+            clip(&[0.0], &[1.0, 1.0]).validate(2),
+            Err(Error::ClipChannels {
+                min: 1,
+                max: 2,
+                channels: 2
+            })
+        ));
+        for bad in [
+            clip(&[0.0, 2.0], &[1.0, 1.0]),
+            clip(&[0.0, f32::NAN], &[1.0, 1.0]),
+        ] {
+            assert!(matches!(
+                bad.validate(2),
+                Err(Error::ClipBounds { channel: 1, .. })
+            ));
+        }
+        assert!(Clip::Symmetric(-1.0).validate(2).is_err());
+        assert!(Clip::Symmetric(f32::NAN).validate(2).is_err());
+        clip(&[0.0, 1.0], &[1.0, 1.0]).validate(2).unwrap();
+    }
+}

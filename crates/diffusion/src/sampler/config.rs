@@ -1,0 +1,223 @@
+//! The settings of a sampler.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Which step a sampler takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SamplerKind {
+    /// Deterministic at `eta` 0, and good with few steps: [`crate::ddim_step`].
+    #[default]
+    Ddim,
+    /// Draws from the posterior in every step: [`crate::ddpm_step`].
+    Ddpm,
+}
+
+/// Which timesteps a sampler of N steps visits out of T; entry i of 0..N, noisiest first.
+///
+/// `leading`, `linspace` and `trailing` are the names of table 2 of Lin et al. 2023,
+/// <https://arxiv.org/abs/2305.08891>. With N = T all four are T-1, T-2, ..., 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimestepSpacing {
+    /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen documentation, section 8.1). It
+    /// begins at T-1 and ends above 0; where N does not divide T the low end is left out.
+    #[default]
+    Document,
+    /// `(N-1-i) floor(T/N)`: ends at 0, does not reach T-1.
+    Leading,
+    /// `floor((T-1) (N-1-i) / (N-1))`, in integers; T-1 for N = 1. Both ends (section 7.3).
+    Linspace,
+    /// `round(T (N-i) / N) - 1`, ties to even: begins at T-1, ends near T/N.
+    Trailing,
+}
+
+/// Where the last step of DDIM lands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FinalAlpha {
+    /// On timestep 0, whose noise stays in the sample: `abar[0]` (section 8.1).
+    #[default]
+    First,
+    /// On the clean motion: `abar = 1` (section 7.3).
+    One,
+}
+
+/// A sampler (CC-MotionGen documentation, sections 3.2.1 and 8.1).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SamplerConfig {
+    /// The step.
+    pub kind: SamplerKind,
+    /// Number of steps N, from 1 to the process's number of timesteps T.
+    pub num_inference_steps: usize,
+    /// Share of the posterior's noise that DDIM draws, from 0 (none) to 1 (all: DDPM).
+    pub eta: f64,
+    /// Weight of the condition: 1 as trained, above 1 exaggerated ([`crate::guided`]).
+    pub guidance_scale: f64,
+    /// Which timesteps are visited.
+    pub timestep_spacing: TimestepSpacing,
+    /// Where DDIM's last step lands. DDPM's always lands on the clean motion.
+    pub final_alpha: FinalAlpha,
+    /// After clipping the predicted motion, DDIM goes on with the noise that belongs to the
+    /// clipped one; the source goes on with the network's, which then contradicts it.
+    pub recompute_epsilon: bool,
+}
+
+impl Default for SamplerConfig {
+    fn default() -> Self {
+        Self {
+            kind: SamplerKind::default(),
+            num_inference_steps: 20,
+            eta: 0.0,
+            guidance_scale: 1.0,
+            timestep_spacing: TimestepSpacing::default(),
+            final_alpha: FinalAlpha::default(),
+            recompute_epsilon: false,
+        }
+    }
+}
+
+impl SamplerConfig {
+    /// Refuses values that no sampler of a process with `num_train_timesteps` can work with.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for the first bad key: what it is, what is allowed, how to mend it.
+    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), Error> {
+        if !(1..=num_train_timesteps).contains(&self.num_inference_steps) {
+            return Err(bad(
+                "num_inference_steps",
+                self.num_inference_steps,
+                format!("1 to diffusion.num_train_timesteps ({num_train_timesteps})"),
+                "20 to 50 are usual for ddim",
+            ));
+        }
+        if !(0.0..=1.0).contains(&self.eta) {
+            let hint = "0 draws no noise, 1 as much as ddpm";
+            return Err(bad("eta", self.eta, "0 to 1".to_string(), hint));
+        }
+        if !(self.guidance_scale >= 0.0 && self.guidance_scale.is_finite()) {
+            let hint = "1 is the condition as trained; 2 to 3 exaggerate it";
+            return Err(bad(
+                "guidance_scale",
+                self.guidance_scale,
+                "0 or more".to_string(),
+                hint,
+            ));
+        }
+        Ok(())
+    }
+
+    /// Where the last step lands: a timestep, or `None` for the clean motion.
+    pub(super) fn last_landing(&self) -> Option<usize> {
+        match (self.kind, self.final_alpha) {
+            (SamplerKind::Ddim, FinalAlpha::First) => Some(0),
+            (SamplerKind::Ddim, FinalAlpha::One) | (SamplerKind::Ddpm, _) => None,
+        }
+    }
+}
+
+fn bad(key: &str, found: impl std::fmt::Debug, allowed: String, hint: &str) -> Error {
+    Error::Config {
+        key: format!("sampling.sampler.{key}"),
+        found: format!("{found:?}"),
+        allowed,
+        hint: hint.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_table_is_the_default_and_valid() {
+        let config: SamplerConfig = serde_json::from_str("{}").unwrap();
+        assert_eq!(config, SamplerConfig::default());
+        config.validate(1000).unwrap();
+    }
+
+    #[test]
+    fn names_are_read_as_documented() {
+        let config: SamplerConfig = serde_json::from_str(
+            r#"{"kind": "ddpm", "timestep_spacing": "linspace", "final_alpha": "one"}"#,
+        )
+        .unwrap();
+        assert_eq!(config.kind, SamplerKind::Ddpm);
+        assert_eq!(config.timestep_spacing, TimestepSpacing::Linspace);
+        assert_eq!(config.final_alpha, FinalAlpha::One);
+        assert!(serde_json::from_str::<SamplerConfig>(r#"{"steps": 20}"#).is_err());
+    }
+
+    #[test]
+    fn every_bad_value_is_refused_by_name() {
+        let base = SamplerConfig::default;
+        let cases = [
+            (
+                SamplerConfig {
+                    num_inference_steps: 0,
+                    ..base()
+                },
+                "num_inference_steps` is 0",
+            ),
+            (
+                SamplerConfig {
+                    num_inference_steps: 51,
+                    ..base()
+                },
+                "num_inference_steps` is 51",
+            ),
+            (
+                SamplerConfig {
+                    eta: -0.1,
+                    ..base()
+                },
+                "eta` is -0.1",
+            ),
+            (SamplerConfig { eta: 1.5, ..base() }, "eta` is 1.5"),
+            (
+                SamplerConfig {
+                    eta: f64::NAN,
+                    ..base()
+                },
+                "eta` is NaN",
+            ),
+            (
+                SamplerConfig {
+                    guidance_scale: -1.0,
+                    ..base()
+                },
+                "guidance_scale` is -1.0",
+            ),
+            (
+                SamplerConfig {
+                    guidance_scale: f64::INFINITY,
+                    ..base()
+                },
+                "guidance_scale` is inf",
+            ),
+        ];
+        for (config, start) in cases {
+            let text = config.validate(50).unwrap_err().to_string();
+            assert!(
+                text.starts_with(&format!("`sampling.sampler.{start}, allowed: ")),
+                "{text}"
+            );
+        }
+        SamplerConfig {
+            num_inference_steps: 50,
+            ..base()
+        }
+        .validate(50)
+        .unwrap();
+        SamplerConfig {
+            num_inference_steps: 1,
+            eta: 1.0,
+            ..base()
+        }
+        .validate(50)
+        .unwrap();
+    }
+}

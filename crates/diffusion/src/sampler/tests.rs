@@ -1,0 +1,379 @@
+//! Properties of the whole loop, with networks whose answer is known.
+
+use burn::tensor::Device;
+use kinegrad_random::Purpose;
+use proptest::prelude::*;
+
+use super::*;
+use crate::{BetaSchedule, DiffusionConfig, PredictionType};
+
+/// Answers as if every clean motion were `cond`: the best denoiser of a data set of one motion.
+struct Knows<'a>(&'a GaussianDiffusion);
+
+impl Denoiser for Knows<'_> {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+        let to = self.0.config.prediction_type;
+        self.0
+            .convert(cond.clone(), x_t, timesteps, PredictionType::Sample, to)
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}
+
+/// Answers with something that depends on everything and is not linear.
+struct Waves;
+
+impl Denoiser for Waves {
+    type Cond = ();
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], _: &()) -> Tensor<3> {
+        (x_t + timesteps[0] as f64 * 0.01).sin()
+    }
+
+    fn null_cond(&self, _: &()) {}
+}
+
+/// Drops a channel.
+struct Narrow;
+
+impl Denoiser for Narrow {
+    type Cond = ();
+
+    fn predict(&self, x_t: Tensor<3>, _: &[usize], _: &()) -> Tensor<3> {
+        x_t.narrow(1, 0, 1)
+    }
+
+    fn null_cond(&self, _: &()) {}
+}
+
+const SHAPE: [usize; 3] = [2, 3, 5];
+
+fn normal(seed: u64) -> Tensor<3> {
+    let values = Key::new(seed, Purpose::Noise).normals(SHAPE.iter().product());
+    Tensor::from_data(TensorData::new(values, SHAPE), &Device::flex())
+}
+
+fn key(seed: u64) -> Key {
+    Key::new(seed, Purpose::Sampling)
+}
+
+fn process(num_train_timesteps: usize, prediction_type: PredictionType) -> GaussianDiffusion {
+    let config = DiffusionConfig {
+        num_train_timesteps,
+        prediction_type,
+        beta_schedule: BetaSchedule::Linear,
+        ..Default::default()
+    };
+    GaussianDiffusion::new(&config).unwrap()
+}
+
+fn run<D: Denoiser>(
+    diffusion: &GaussianDiffusion,
+    denoiser: &D,
+    cond: &D::Cond,
+    config: &SamplerConfig,
+    key: Key,
+) -> Tensor<3> {
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    sample(
+        diffusion,
+        denoiser,
+        normal(1),
+        cond,
+        config,
+        &Clip::None,
+        key,
+        ignore,
+    )
+    .unwrap()
+}
+
+fn largest(x: Tensor<3>) -> f32 {
+    x.abs().max().into_scalar()
+}
+
+fn any_type() -> impl Strategy<Value = PredictionType> {
+    prop_oneof![
+        Just(PredictionType::Epsilon),
+        Just(PredictionType::Sample),
+        Just(PredictionType::VPrediction)
+    ]
+}
+
+fn any_config(total: usize) -> impl Strategy<Value = SamplerConfig> {
+    let spacing = prop_oneof![
+        Just(TimestepSpacing::Document),
+        Just(TimestepSpacing::Leading),
+        Just(TimestepSpacing::Linspace),
+        Just(TimestepSpacing::Trailing)
+    ];
+    let kind = prop_oneof![Just(SamplerKind::Ddim), Just(SamplerKind::Ddpm)];
+    (kind, 1..=total, 0.0..=1.0, spacing, any::<bool>()).prop_map(
+        |(kind, num_inference_steps, eta, timestep_spacing, recompute_epsilon)| SamplerConfig {
+            kind,
+            num_inference_steps,
+            eta,
+            timestep_spacing,
+            recompute_epsilon,
+            final_alpha: FinalAlpha::One,
+            ..Default::default()
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever the kind, spacing, number of steps and prediction type.
+    #[test]
+    fn a_network_that_knows_the_motion_leads_to_it(
+        config in any_config(50),
+        prediction_type in any_type(),
+    ) {
+        let diffusion = process(50, prediction_type);
+        let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
+        let error = largest(x - normal(7));
+        prop_assert!(error < 1e-4, "{error}");
+    }
+
+    #[test]
+    fn without_eta_ddim_is_deterministic(config in any_config(20), seed: u64) {
+        let config = SamplerConfig { kind: SamplerKind::Ddim, eta: 0.0, ..config };
+        let diffusion = process(20, PredictionType::Epsilon);
+        let [one, other] =
+            [seed, seed ^ 1].map(|seed| run(&diffusion, &Waves, &(), &config, key(seed)));
+        prop_assert_eq!(one.into_data(), other.into_data());
+    }
+
+    #[test]
+    fn ddpm_is_ddim_with_eta_one(total in 2usize..40, prediction_type in any_type()) {
+        let diffusion = process(total, prediction_type);
+        let config = SamplerConfig {
+            num_inference_steps: total,
+            eta: 1.0,
+            final_alpha: FinalAlpha::One,
+            ..Default::default()
+        };
+        let ddim = run(&diffusion, &Waves, &(), &config, key(3));
+        let config = SamplerConfig { kind: SamplerKind::Ddpm, ..config };
+        let ddpm = run(&diffusion, &Waves, &(), &config, key(3));
+        let scale = largest(ddpm.clone()).max(1.0);
+        let error = largest(ddim - ddpm) / scale;
+        prop_assert!(error < 2e-5, "{error}");
+    }
+}
+
+#[test]
+fn the_key_decides_the_noise_and_nothing_else_does() {
+    let diffusion = process(20, PredictionType::Epsilon);
+    for kind in [SamplerKind::Ddim, SamplerKind::Ddpm] {
+        let config = SamplerConfig {
+            kind,
+            num_inference_steps: 5,
+            eta: 1.0,
+            ..Default::default()
+        };
+        let [one, again, other] =
+            [1, 1, 2].map(|seed| run(&diffusion, &Waves, &(), &config, key(seed)).into_data());
+        assert_eq!(one, again);
+        assert_ne!(one, other);
+    }
+}
+
+#[test]
+fn a_sample_does_not_depend_on_its_batch() {
+    let diffusion = process(20, PredictionType::Epsilon);
+    let config = SamplerConfig {
+        kind: SamplerKind::Ddpm,
+        ..Default::default()
+    };
+    let both = run(&diffusion, &Waves, &(), &config, key(5));
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    let first = normal(1).narrow(0, 0, 1);
+    let alone = sample(
+        &diffusion,
+        &Waves,
+        first,
+        &(),
+        &config,
+        &Clip::None,
+        key(5),
+        ignore,
+    );
+    assert_eq!(both.narrow(0, 0, 1).into_data(), alone.unwrap().into_data());
+}
+
+#[test]
+fn guidance_scales_what_the_condition_adds() {
+    let diffusion = process(50, PredictionType::Sample);
+    let config = SamplerConfig {
+        guidance_scale: 3.0,
+        final_alpha: FinalAlpha::One,
+        ..Default::default()
+    };
+    let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
+    assert!(largest(x - normal(7) * 3.0) < 1e-4);
+}
+
+#[test]
+fn on_step_sees_every_state_and_the_last_is_the_sample() {
+    let diffusion = process(50, PredictionType::Epsilon);
+    let config = SamplerConfig {
+        num_inference_steps: 7,
+        ..Default::default()
+    };
+    let mut seen = Vec::new();
+    let on_step = &mut |step: usize, total: usize, x: &Tensor<3>| {
+        seen.push((step, total, x.to_data()));
+    };
+    let clip = Clip::Symmetric(1.0);
+    let x = sample(
+        &diffusion,
+        &Waves,
+        normal(1),
+        &(),
+        &config,
+        &clip,
+        key(1),
+        on_step,
+    )
+    .unwrap();
+    assert_eq!(
+        seen.iter().map(|s| (s.0, s.1)).collect::<Vec<_>>(),
+        (1..8).map(|i| (i, 7)).collect::<Vec<_>>()
+    );
+    assert_eq!(seen[6].2, x.into_data());
+    assert!(seen.windows(2).all(|pair| pair[0].2 != pair[1].2));
+}
+
+#[test]
+fn the_clipped_motion_is_what_the_last_step_lands_on() {
+    let diffusion = process(50, PredictionType::Epsilon);
+    let clip = Clip::PerChannel {
+        min: vec![-0.1, -0.2, -0.3],
+        max: vec![0.4, 0.5, 0.6],
+    };
+    for kind in [SamplerKind::Ddim, SamplerKind::Ddpm] {
+        let config = SamplerConfig {
+            kind,
+            final_alpha: FinalAlpha::One,
+            ..Default::default()
+        };
+        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+        let x = sample(
+            &diffusion,
+            &Waves,
+            normal(1),
+            &(),
+            &config,
+            &clip,
+            key(1),
+            ignore,
+        )
+        .unwrap();
+        let within = clip.apply(x.clone()).unwrap();
+        assert!(largest(within - x) < 1e-6);
+    }
+}
+
+/// After a clipped step the recomputed noise and the clipped motion make up x_t; the network's
+/// noise does not.
+#[test]
+fn recomputed_noise_belongs_to_the_clipped_motion() {
+    let diffusion = process(50, PredictionType::Epsilon);
+    let clip = Clip::Symmetric(0.1);
+    let step = |recompute_epsilon| {
+        let input = StepInput {
+            model_output: normal(2),
+            x_t: normal(1),
+            noise: None,
+            timesteps: &[30, 30],
+            // Staying where it is gives back x_t if motion and noise belong together.
+            prev_timesteps: &[Some(30), Some(30)],
+        };
+        let config = SamplerConfig {
+            recompute_epsilon,
+            ..Default::default()
+        };
+        ddim_step(&diffusion, input, &config, &clip)
+            .unwrap()
+            .prev_sample
+    };
+    assert!(largest(step(true) - normal(1)) < 1e-6);
+    assert!(largest(step(false) - normal(1)) > 0.1);
+}
+
+#[test]
+fn what_does_not_fit_is_an_error() {
+    let diffusion = process(50, PredictionType::Epsilon);
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    let good = SamplerConfig::default();
+    let many = SamplerConfig {
+        num_inference_steps: 51,
+        ..good.clone()
+    };
+    let clip = Clip::None;
+    let result = sample(
+        &diffusion,
+        &Waves,
+        normal(1),
+        &(),
+        &many,
+        &clip,
+        key(1),
+        ignore,
+    );
+    assert!(matches!(result, Err(Error::Config { .. })));
+    let narrow = Clip::PerChannel {
+        min: vec![0.0],
+        max: vec![1.0],
+    };
+    let result = sample(
+        &diffusion,
+        &Waves,
+        normal(1),
+        &(),
+        &good,
+        &narrow,
+        key(1),
+        ignore,
+    );
+    assert!(matches!(result, Err(Error::ClipChannels { .. })));
+    let result = sample(
+        &diffusion,
+        &Narrow,
+        normal(1),
+        &(),
+        &good,
+        &clip,
+        key(1),
+        ignore,
+    );
+    assert!(matches!(result, Err(Error::ModelOutput { .. })));
+}
+
+#[test]
+fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
+    let config = DiffusionConfig {
+        num_train_timesteps: 50,
+        rescale_betas_zero_snr: true,
+        prediction_type: PredictionType::VPrediction,
+        ..Default::default()
+    };
+    let diffusion = GaussianDiffusion::new(&config).unwrap();
+    for kind in [SamplerKind::Ddim, SamplerKind::Ddpm] {
+        let config = SamplerConfig {
+            kind,
+            eta: 0.5,
+            timestep_spacing: TimestepSpacing::Trailing,
+            final_alpha: FinalAlpha::One,
+            ..Default::default()
+        };
+        let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
+        assert!(largest(x - normal(7)) < 1e-4, "{kind:?}");
+    }
+}

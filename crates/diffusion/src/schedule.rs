@@ -1,0 +1,295 @@
+//! The noise schedule: how much of the motion is left at each timestep.
+
+use std::f64::consts::FRAC_PI_2;
+
+use crate::{BetaSchedule, DiffusionConfig, Error};
+
+/// Tables over the timesteps 0..T, in f64 on the host; built by [`NoiseSchedule::new`].
+///
+/// With `abar` for `alphas_cumprod` (CC-MotionGen documentation, sections 3.2.2, 5.1 and 5.2):
+///
+/// ```text
+/// linear   beta_t = T equidistant values from beta_start to beta_end
+/// sqrt     beta_t = squares of T equidistant values from sqrt(beta_start) to sqrt(beta_end)
+/// cosine   beta_t = clip(1 - f((t+1)/T) / f(t/T), beta_min, beta_max),
+///          f(u) = cos^2(pi/2 (u + 0.008) / 1.008)
+/// ```
+///
+/// Whoever uses a value rounds it to single precision once. Evaluated in single precision from a
+/// rounded `abar`, `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NoiseSchedule {
+    /// Variance of the noise that step t adds.
+    pub betas: Vec<f64>,
+    /// `1 - beta_t`.
+    pub alphas: Vec<f64>,
+    /// Running product of `alphas`: the share of the motion's variance left at t.
+    pub alphas_cumprod: Vec<f64>,
+    /// `abar` one timestep earlier; 1 at t = 0.
+    pub alphas_cumprod_prev: Vec<f64>,
+    /// `1 - abar`, without the cancellation of that subtraction near t = 0.
+    pub one_minus_alphas_cumprod: Vec<f64>,
+    /// `sqrt(abar)`, the factor of the motion in x_t.
+    pub sqrt_alphas_cumprod: Vec<f64>,
+    /// `sqrt(1 - abar)`, the factor of the noise in x_t.
+    pub sqrt_one_minus_alphas_cumprod: Vec<f64>,
+    /// `sqrt(1 / abar)`; infinite where `abar` is 0.
+    pub sqrt_recip_alphas_cumprod: Vec<f64>,
+    /// `sqrt(1 / abar - 1)`; infinite where `abar` is 0.
+    pub sqrt_recipm1_alphas_cumprod: Vec<f64>,
+    /// Factor of x_0 in the posterior mean: `beta sqrt(abar_prev) / (1 - abar)`.
+    pub posterior_mean_coef1: Vec<f64>,
+    /// Factor of x_t in the posterior mean: `(1 - abar_prev) sqrt(alpha) / (1 - abar)`.
+    pub posterior_mean_coef2: Vec<f64>,
+    /// Variance of the posterior: `beta (1 - abar_prev) / (1 - abar)`; 0 at t = 0. The source
+    /// names `beta` as an alternative and uses this one.
+    pub posterior_variance: Vec<f64>,
+}
+
+impl NoiseSchedule {
+    /// The tables of `config`.
+    ///
+    /// # Errors
+    /// If the config is not valid ([`DiffusionConfig::validate`]).
+    pub fn new(config: &DiffusionConfig) -> Result<Self, Error> {
+        config.validate()?;
+        let mut betas = betas(config);
+        if config.rescale_betas_zero_snr {
+            betas = rescale_zero_terminal_snr(&betas);
+        }
+        Ok(Self::from_betas(betas))
+    }
+
+    fn from_betas(betas: Vec<f64>) -> Self {
+        let steps = betas.len();
+        let mut schedule = Self {
+            alphas: betas.iter().map(|beta| 1.0 - beta).collect(),
+            betas,
+            alphas_cumprod: Vec::with_capacity(steps),
+            alphas_cumprod_prev: Vec::with_capacity(steps),
+            one_minus_alphas_cumprod: Vec::with_capacity(steps),
+            sqrt_alphas_cumprod: Vec::with_capacity(steps),
+            sqrt_one_minus_alphas_cumprod: Vec::with_capacity(steps),
+            sqrt_recip_alphas_cumprod: Vec::with_capacity(steps),
+            sqrt_recipm1_alphas_cumprod: Vec::with_capacity(steps),
+            posterior_mean_coef1: Vec::with_capacity(steps),
+            posterior_mean_coef2: Vec::with_capacity(steps),
+            posterior_variance: Vec::with_capacity(steps),
+        };
+        let (mut abar_prev, mut one_minus_prev) = (1.0, 0.0);
+        for t in 0..steps {
+            let (alpha, beta) = (schedule.alphas[t], schedule.betas[t]);
+            let abar: f64 = abar_prev * alpha;
+            // 1 - abar = (1 - abar_prev) + abar_prev beta: only positive terms, nothing cancels.
+            let one_minus: f64 = one_minus_prev + abar_prev * beta;
+            schedule.alphas_cumprod.push(abar);
+            schedule.alphas_cumprod_prev.push(abar_prev);
+            schedule.one_minus_alphas_cumprod.push(one_minus);
+            schedule.sqrt_alphas_cumprod.push(abar.sqrt());
+            schedule
+                .sqrt_one_minus_alphas_cumprod
+                .push(one_minus.sqrt());
+            schedule.sqrt_recip_alphas_cumprod.push((1.0 / abar).sqrt());
+            schedule
+                .sqrt_recipm1_alphas_cumprod
+                .push((one_minus / abar).sqrt());
+            schedule
+                .posterior_mean_coef1
+                .push(beta * abar_prev.sqrt() / one_minus);
+            schedule
+                .posterior_mean_coef2
+                .push(one_minus_prev * alpha.sqrt() / one_minus);
+            schedule
+                .posterior_variance
+                .push(beta * one_minus_prev / one_minus);
+            (abar_prev, one_minus_prev) = (abar, one_minus);
+        }
+        schedule
+    }
+
+    /// T, the number of timesteps.
+    pub fn num_train_timesteps(&self) -> usize {
+        self.betas.len()
+    }
+
+    /// Signal-to-noise ratio `abar / (1 - abar)` at `timestep`.
+    ///
+    /// # Panics
+    /// Panics if the timestep is not below T.
+    pub fn snr(&self, timestep: usize) -> f64 {
+        self.alphas_cumprod[timestep] / self.one_minus_alphas_cumprod[timestep]
+    }
+
+    /// `(abar, 1 - abar)` where a sampler's step lands; `None` is the clean motion, (1, 0).
+    ///
+    /// # Panics
+    /// Panics if the timestep is not below T.
+    pub fn landing(&self, prev_timestep: Option<usize>) -> (f64, f64) {
+        match prev_timestep {
+            Some(t) => (self.alphas_cumprod[t], self.one_minus_alphas_cumprod[t]),
+            None => (1.0, 0.0),
+        }
+    }
+}
+
+/// The betas of `config`, one per timestep, before any rescaling.
+pub(crate) fn betas(config: &DiffusionConfig) -> Vec<f64> {
+    let steps = config.num_train_timesteps;
+    match config.beta_schedule {
+        BetaSchedule::Linear => linspace(config.beta_start, config.beta_end, steps),
+        BetaSchedule::Sqrt => linspace(config.beta_start.sqrt(), config.beta_end.sqrt(), steps)
+            .into_iter()
+            .map(|root| root * root)
+            .collect(),
+        BetaSchedule::Cosine => (0..steps)
+            .map(|t| cosine_beta(t, steps).clamp(config.beta_min, config.beta_max))
+            .collect(),
+    }
+}
+
+/// `n` (at least 2) equidistant values, both ends exact.
+fn linspace(start: f64, end: f64, n: usize) -> Vec<f64> {
+    let step = (end - start) / (n - 1) as f64;
+    let mut values: Vec<f64> = (0..n).map(|i| start + i as f64 * step).collect();
+    values[n - 1] = end;
+    values
+}
+
+/// Offset that keeps the first betas of the cosine schedule from vanishing.
+const COSINE_OFFSET: f64 = 0.008;
+
+/// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as `sin(b-a) sin(b+a) /
+/// cos^2(a)`: the literal form loses most digits of the small betas at the start.
+fn cosine_beta(t: usize, steps: usize) -> f64 {
+    let scale = FRAC_PI_2 / (1.0 + COSINE_OFFSET);
+    let angle = |t: usize| scale * (t as f64 / steps as f64 + COSINE_OFFSET);
+    // cos(a) as a sine of the distance to the right angle, exact near the end.
+    let cos = (scale * (steps - t) as f64 / steps as f64).sin();
+    (scale / steps as f64).sin() * (angle(t) + angle(t + 1)).sin() / (cos * cos)
+}
+
+/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and scales it
+/// back to its old value at the first.
+fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
+    let mut product = 1.0;
+    let roots: Vec<f64> = betas
+        .iter()
+        .map(|beta| {
+            product *= 1.0 - beta;
+            f64::sqrt(product)
+        })
+        .collect();
+    let (first, last) = (roots[0], roots[roots.len() - 1]);
+    let mut abar_prev = 1.0;
+    roots
+        .iter()
+        .map(|root| {
+            let abar = ((root - last) * first / (first - last)).powi(2);
+            let beta = 1.0 - abar / abar_prev;
+            abar_prev = abar;
+            beta
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::PredictionType;
+
+    fn any_schedule() -> impl Strategy<Value = BetaSchedule> {
+        prop_oneof![
+            Just(BetaSchedule::Linear),
+            Just(BetaSchedule::Cosine),
+            Just(BetaSchedule::Sqrt)
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn alphas_cumprod_decreases_and_the_tables_agree(
+            beta_schedule in any_schedule(),
+            num_train_timesteps in 2usize..1200,
+            beta_min in prop_oneof![Just(0.0), 1e-6..1e-3],
+            rescale in any::<bool>(),
+        ) {
+            let config = DiffusionConfig {
+                num_train_timesteps,
+                beta_schedule,
+                beta_min,
+                rescale_betas_zero_snr: rescale,
+                prediction_type: PredictionType::Sample,
+                ..Default::default()
+            };
+            let schedule = NoiseSchedule::new(&config).unwrap();
+            prop_assert_eq!(schedule.num_train_timesteps(), num_train_timesteps);
+            let abar = &schedule.alphas_cumprod;
+            prop_assert!(abar[0] < 1.0);
+            prop_assert!(abar.windows(2).all(|pair| pair[1] < pair[0]));
+            for (t, share) in abar.iter().enumerate() {
+                let sum = share + schedule.one_minus_alphas_cumprod[t];
+                prop_assert!((sum - 1.0).abs() < 1e-12, "t {t}: {sum}");
+                // The posterior mean of x_t = sqrt(abar) x_0 is sqrt(abar_prev) x_0.
+                let mean = schedule.posterior_mean_coef1[t]
+                    + schedule.posterior_mean_coef2[t] * schedule.sqrt_alphas_cumprod[t];
+                let expected = schedule.alphas_cumprod_prev[t].sqrt();
+                prop_assert!((mean - expected).abs() < 1e-11, "t {t}: {mean} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn zero_terminal_snr_ends_in_pure_noise_and_keeps_the_start() {
+        let plain = DiffusionConfig {
+            beta_schedule: BetaSchedule::Linear,
+            prediction_type: PredictionType::VPrediction,
+            ..Default::default()
+        };
+        let rescaled = DiffusionConfig {
+            rescale_betas_zero_snr: true,
+            ..plain.clone()
+        };
+        let (plain, rescaled) = (
+            NoiseSchedule::new(&plain).unwrap(),
+            NoiseSchedule::new(&rescaled).unwrap(),
+        );
+        let last = plain.num_train_timesteps() - 1;
+        assert!(plain.snr(last) > 0.0);
+        assert_eq!(rescaled.snr(last), 0.0);
+        assert!((rescaled.sqrt_one_minus_alphas_cumprod[last] - 1.0).abs() < 1e-12);
+        assert!((rescaled.alphas_cumprod[0] - plain.alphas_cumprod[0]).abs() < 1e-15);
+        assert_eq!(rescaled.posterior_mean_coef2[last], 0.0);
+    }
+
+    #[test]
+    fn cosine_without_bounds_follows_its_curve() {
+        let config = DiffusionConfig {
+            num_train_timesteps: 400,
+            beta_min: 0.0,
+            beta_max: 0.999,
+            ..Default::default()
+        };
+        let schedule = NoiseSchedule::new(&config).unwrap();
+        let f = |u: f64| (FRAC_PI_2 * (u + 0.008) / 1.008).cos().powi(2);
+        // The cap acts on the last timestep alone.
+        for t in 0..399 {
+            let expected = f((t + 1) as f64 / 400.0) / f(0.0);
+            assert!(
+                (schedule.alphas_cumprod[t] - expected).abs() < 1e-13,
+                "t {t}"
+            );
+        }
+        assert_eq!(schedule.betas[399], 0.999);
+    }
+
+    #[test]
+    fn an_invalid_config_builds_nothing() {
+        let config = DiffusionConfig {
+            num_train_timesteps: 1,
+            ..Default::default()
+        };
+        NoiseSchedule::new(&config).unwrap_err();
+    }
+}

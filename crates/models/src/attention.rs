@@ -1,0 +1,82 @@
+//! Self-attention over time and cross-attention to the conditioning.
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use burn::tensor::activation::softmax;
+
+use crate::Initializer;
+use crate::layers::{Conv1d, GroupNorm};
+
+/// Self-attention with a residual, then cross-attention to the context with a residual
+/// (CC-MotionGen documentation, section 3.1.4).
+///
+/// The context keeps its own length: attention is over all its frames, whatever the level's
+/// length. There is no positional encoding and no mask.
+#[derive(Module, Debug)]
+pub struct AttentionBlock {
+    norm: GroupNorm,
+    qkv: Conv1d,
+    proj: Conv1d,
+    cross_norm: Option<GroupNorm>,
+    q_cross: Option<Conv1d>,
+    kv_cross: Option<Conv1d>,
+    proj_cross: Option<Conv1d>,
+    num_heads: usize,
+}
+
+impl AttentionBlock {
+    /// A block of `channels` with `num_heads` heads of `channels / num_heads` each; without a
+    /// `context_dim` it has no cross-attention.
+    pub fn new(
+        channels: usize,
+        num_heads: usize,
+        context_dim: Option<usize>,
+        init: &Initializer,
+    ) -> Self {
+        let pointwise =
+            |name: &str, inputs, outputs| Conv1d::new(inputs, outputs, 1, &init.at(name));
+        Self {
+            norm: GroupNorm::new(channels, &init.at("norm")),
+            qkv: pointwise("qkv", channels, 3 * channels),
+            proj: pointwise("proj", channels, channels),
+            cross_norm: context_dim.map(|_| GroupNorm::new(channels, &init.at("cross_norm"))),
+            q_cross: context_dim.map(|_| pointwise("q_cross", channels, channels)),
+            kv_cross: context_dim.map(|dim| pointwise("kv_cross", dim, 2 * channels)),
+            proj_cross: context_dim.map(|_| pointwise("proj_cross", channels, channels)),
+            num_heads,
+        }
+    }
+
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    /// - context: `[batch, context_dim, context_time]`; without it only self-attention runs
+    pub fn forward(&self, x: Tensor<3>, context: Option<Tensor<3>>) -> Tensor<3> {
+        let qkv = self.qkv.forward(self.norm.forward(x.clone()));
+        let [q, k, v] = qkv.chunk(3, 1).try_into().expect("three equal parts");
+        let x = x + self.proj.forward(self.attend(q, k, v));
+
+        let (Some(context), Some(norm), Some(q), Some(kv), Some(proj)) =
+            (context, &self.cross_norm, &self.q_cross, &self.kv_cross, &self.proj_cross)
+        else {
+            return x;
+        };
+        let q = q.forward(norm.forward(x.clone()));
+        let [k, v] = kv.forward(context).chunk(2, 1).try_into().expect("two equal parts");
+        x + proj.forward(self.attend(q, k, v))
+    }
+
+    /// Scaled dot-product attention; q `[batch, channels, time]`, k and v `[batch, channels,
+    /// keys]`, the channels of a head being contiguous.
+    fn attend(&self, q: Tensor<3>, k: Tensor<3>, v: Tensor<3>) -> Tensor<3> {
+        let [batch, channels, time] = q.dims();
+        let head_dim = channels / self.num_heads;
+        let heads = |x: Tensor<3>| {
+            let frames = x.dims()[2];
+            x.reshape([batch, self.num_heads, head_dim, frames])
+        };
+        let scale = (head_dim as f64).powf(-0.5);
+        let scores = heads(q).swap_dims(2, 3).matmul(heads(k)).mul_scalar(scale);
+        let attention = softmax(scores, 3);
+        heads(v).matmul(attention.swap_dims(2, 3)).reshape([batch, channels, time])
+    }
+}

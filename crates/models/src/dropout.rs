@@ -1,0 +1,39 @@
+//! Dropout whose masks are a function of a key, so that a resumed step drops the same elements.
+
+use burn::module::Module;
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_random::Key;
+
+/// Which masks a forward pass uses: `Some` in training, keyed by step, micro-batch and call;
+/// `None` switches dropout off (validation, sampling, rollouts).
+pub type DropoutKey = Option<Key>;
+
+/// Inverted dropout: elements are zeroed with probability `prob`, the rest scaled by
+/// `1 / (1 - prob)`.
+#[derive(Module, Debug)]
+pub struct Dropout {
+    prob: f64,
+    layer: usize,
+}
+
+impl Dropout {
+    /// Dropout of probability `prob`; `layer` tells its masks from those of the network's other
+    /// dropout layers.
+    pub fn new(prob: f64, layer: usize) -> Self {
+        Self { prob, layer }
+    }
+
+    /// Applies the mask of `key`, or returns `x` as it is without a key.
+    ///
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    pub fn forward(&self, x: Tensor<3>, key: DropoutKey) -> Tensor<3> {
+        let Some(key) = key.filter(|_| self.prob > 0.0) else {
+            return x;
+        };
+        let shape = x.dims();
+        let mask = key.at(self.layer as u64).dropout_mask(shape.iter().product(), self.prob);
+        let mask = Tensor::from_data(TensorData::new(mask, shape), &x.device());
+        x * mask
+    }
+}

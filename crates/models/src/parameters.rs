@@ -1,0 +1,195 @@
+//! Parameters by state-dict name: counting, reading, loading, gradients and updates in place.
+//!
+//! The order of all functions here is the order of the module tree, which is fixed by the model's
+//! code, so index `i` means the same parameter in each of them.
+
+use std::collections::HashMap;
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Gradients, Tensor, TensorData};
+
+use crate::Error;
+
+/// Where a parameter stands and how large it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParameterInfo {
+    /// State-dict name, for example `enc.0.res.1.conv1.weight`.
+    pub name: String,
+    /// Sizes, outermost first.
+    pub shape: Vec<usize>,
+}
+
+impl ParameterInfo {
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether it has no elements.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// A parameter's values on the host.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HostParameter {
+    /// Name and shape.
+    pub info: ParameterInfo,
+    /// Values in row-major order.
+    pub values: Vec<f32>,
+}
+
+/// Keeps the path of the module being visited.
+#[derive(Default)]
+struct Path(Vec<String>);
+
+impl Path {
+    /// A field `at_n` stands for child `n` of a torch `Sequential`.
+    fn enter(&mut self, name: &str) {
+        self.0.push(name.strip_prefix("at_").unwrap_or(name).to_string());
+    }
+
+    fn exit(&mut self) {
+        self.0.pop();
+    }
+
+    fn name(&self) -> String {
+        self.0.join(".")
+    }
+}
+
+/// Names and shapes of all parameters; initialises none.
+pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
+    struct Visitor {
+        path: Path,
+        infos: Vec<ParameterInfo>,
+    }
+    impl ModuleVisitor for Visitor {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.path.enter(name);
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.path.exit();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let shape = param.lazy_shape().iter().copied().collect();
+            self.infos.push(ParameterInfo { name: self.path.name(), shape });
+        }
+    }
+    let mut visitor = Visitor { path: Path::default(), infos: Vec::new() };
+    module.visit(&mut visitor);
+    visitor.infos
+}
+
+/// Copies all parameters to the host.
+pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
+    struct Visitor(Vec<Vec<f32>>);
+    impl ModuleVisitor for Visitor {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            self.0.push(to_host(param.val().inner()));
+        }
+    }
+    let mut visitor = Visitor(Vec::new());
+    module.visit(&mut visitor);
+    let pairs = infos(module).into_iter().zip(visitor.0);
+    pairs.map(|(info, values)| HostParameter { info, values }).collect()
+}
+
+/// Replaces every parameter by the one of its name in `weights`, which must hold all of them, with
+/// the right shapes, and nothing else.
+///
+/// # Errors
+/// Names the first parameter that is missing, superfluous or of another shape.
+pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Error> {
+    let infos = infos(&module);
+    let mut by_name: HashMap<String, HostParameter> =
+        weights.into_iter().map(|parameter| (parameter.info.name.clone(), parameter)).collect();
+    let mut ordered = Vec::with_capacity(infos.len());
+    for info in &infos {
+        let Some(parameter) = by_name.remove(&info.name) else {
+            return Err(Error::MissingParameter {
+                name: info.name.clone(),
+                shape: info.shape.clone(),
+            });
+        };
+        if parameter.info.shape != info.shape {
+            return Err(Error::Shape {
+                name: info.name.clone(),
+                found: parameter.info.shape,
+                expected: info.shape.clone(),
+            });
+        }
+        ordered.push(parameter.values);
+    }
+    if let Some(name) = by_name.into_keys().min() {
+        return Err(Error::UnexpectedParameter { name });
+    }
+    Ok(replace(module, ordered))
+}
+
+/// Replaces the values of all parameters, given in the module's order and with its sizes.
+pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
+    struct Mapper(std::vec::IntoIter<Vec<f32>>);
+    impl ModuleMapper for Mapper {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let values = self.0.next().expect("one value vector a parameter");
+            let shape: [usize; D] = param.lazy_shape().dims();
+            let tensor = Tensor::from_data(TensorData::new(values, shape), &param.lazy_device());
+            // Takes effect on an autodiff device only.
+            Param::initialized(param.id, tensor).set_require_grad(true)
+        }
+    }
+    module.map(&mut Mapper(values.into_iter()))
+}
+
+/// Takes the gradients of all parameters out of `gradients`; zeros where a parameter had no part
+/// in the loss.
+pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+    struct Visitor<'a> {
+        gradients: &'a mut Gradients,
+        values: Vec<Vec<f32>>,
+    }
+    impl ModuleVisitor for Visitor<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let values = match param.val().grad_remove(self.gradients) {
+                Some(gradient) => to_host(gradient),
+                None => vec![0.0; param.lazy_shape().num_elements()],
+            };
+            self.values.push(values);
+        }
+    }
+    let mut visitor = Visitor { gradients, values: Vec::new() };
+    module.visit(&mut visitor);
+    visitor.values
+}
+
+/// Hands every parameter's values to `change`, with its index, to be changed in place, and puts
+/// them back on the device.
+///
+/// On the CPU nothing is copied as long as no clone of the module is alive.
+pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M {
+    struct Mapper<F> {
+        change: F,
+        index: usize,
+    }
+    impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Mapper<F> {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let (id, tensor, mapper) = param.consume();
+            let (device, shape) = (tensor.device(), tensor.dims());
+            let require_grad = tensor.is_require_grad();
+            let mut data = tensor.inner().into_data();
+            let values = data.as_mut_slice::<f32>().expect("parameters are float32");
+            (self.change)(self.index, values);
+            self.index += 1;
+            let tensor = Tensor::from_data(data, &device).set_require_grad(require_grad);
+            debug_assert_eq!(tensor.dims(), shape);
+            Param::from_mapped_value(id, tensor, mapper)
+        }
+    }
+    module.map(&mut Mapper { change, index: 0 })
+}
+
+fn to_host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.try_into_vec_as::<f32>().expect("parameters are float32")
+}

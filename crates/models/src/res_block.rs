@@ -1,0 +1,95 @@
+//! The residual block with the timestep fed in.
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use burn::tensor::activation::silu;
+
+use crate::layers::{Conv1d, GroupNorm, Linear};
+use crate::{Dropout, DropoutKey, Initializer};
+
+/// What every [`ResBlock`] of one network shares.
+#[derive(Clone, Debug)]
+pub struct ResBlockConfig {
+    /// Width of the time embedding.
+    pub time_embed_dim: usize,
+    /// Feed the timestep in as scale and shift after the second normalisation (FiLM) instead of
+    /// adding it before.
+    pub use_scale_shift_norm: bool,
+    /// Dropout before the second convolution.
+    pub dropout: f64,
+}
+
+/// SiLU, then a linear layer: child 1 of a torch `Sequential`.
+#[derive(Module, Debug)]
+struct TimeMlp {
+    at_1: Linear,
+}
+
+/// Two convolutions with a shortcut (CC-MotionGen documentation, section 3.1.3):
+///
+/// ```text
+/// h   = conv1(silu(norm1(x)))
+/// e   = Linear(silu(time_emb))
+/// h   = norm2(h) (1 + scale) + shift    where (scale, shift) = e     (FiLM)
+/// h   = norm2(h + e)                                                 (additive)
+/// out = conv2(dropout(silu(h))) + skip(x)
+/// ```
+#[derive(Module, Debug)]
+pub struct ResBlock {
+    norm1: GroupNorm,
+    conv1: Conv1d,
+    time_mlp: TimeMlp,
+    norm2: GroupNorm,
+    dropout: Dropout,
+    conv2: Conv1d,
+    skip_conv: Option<Conv1d>,
+    use_scale_shift_norm: bool,
+}
+
+impl ResBlock {
+    /// A block from `inputs` to `outputs` channels; `layer` numbers its dropout within the
+    /// network.
+    pub fn new(
+        inputs: usize,
+        outputs: usize,
+        config: &ResBlockConfig,
+        layer: usize,
+        init: &Initializer,
+    ) -> Self {
+        let time_outputs = if config.use_scale_shift_norm { 2 * outputs } else { outputs };
+        let time_init = init.at("time_mlp").at("1");
+        Self {
+            norm1: GroupNorm::new(inputs, &init.at("norm1")),
+            conv1: Conv1d::new(inputs, outputs, 3, &init.at("conv1")),
+            time_mlp: TimeMlp {
+                at_1: Linear::new(config.time_embed_dim, time_outputs, &time_init),
+            },
+            norm2: GroupNorm::new(outputs, &init.at("norm2")),
+            dropout: Dropout::new(config.dropout, layer),
+            conv2: Conv1d::new(outputs, outputs, 3, &init.at("conv2")),
+            skip_conv: (inputs != outputs)
+                .then(|| Conv1d::new(inputs, outputs, 1, &init.at("skip_conv"))),
+            use_scale_shift_norm: config.use_scale_shift_norm,
+        }
+    }
+
+    /// # Shapes
+    /// - x: `[batch, in, time]`
+    /// - time_emb: `[batch, time_embed_dim]`
+    /// - output: `[batch, out, time]`
+    pub fn forward(&self, x: Tensor<3>, time_emb: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
+        let h = self.conv1.forward(silu(self.norm1.forward(x.clone())));
+        let e = self.time_mlp.at_1.forward(silu(time_emb)).unsqueeze_dim::<3>(2);
+        let h = if self.use_scale_shift_norm {
+            let [scale, shift] = e.chunk(2, 1).try_into().expect("an even width has two halves");
+            self.norm2.forward(h) * scale.add_scalar(1.0) + shift
+        } else {
+            self.norm2.forward(h + e)
+        };
+        let h = self.conv2.forward(self.dropout.forward(silu(h), dropout));
+        match &self.skip_conv {
+            Some(skip) => h + skip.forward(x),
+            None => h + x,
+        }
+    }
+}

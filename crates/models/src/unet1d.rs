@@ -1,0 +1,328 @@
+//! The audio-conditioned UNet over time (CC-MotionGen documentation, section 3.1).
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use kinegrad_diffusion::Denoiser;
+
+use crate::attention::AttentionBlock;
+use crate::layers::{Conv1d, GROUPS, Linear};
+use crate::res_block::{ResBlock, ResBlockConfig};
+use crate::time_embedding::TimeEmbedding;
+use crate::{DropoutKey, Error, Initializer};
+
+/// Every size of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs
+/// at the input's length divided by `2^i`, rounded up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UNet1dConfig {
+    /// Channels of the motion, in and out.
+    pub in_channels: usize,
+    /// Channels of the conditioning per frame.
+    pub cond_channels: usize,
+    /// Channels of level 0.
+    pub model_channels: usize,
+    /// Factor of each level's channels.
+    pub channel_mult: Vec<usize>,
+    /// Residual blocks of an encoder level.
+    pub num_res_blocks: usize,
+    /// Levels with attention.
+    pub attention_levels: Vec<usize>,
+    /// Attention heads, at every width.
+    pub num_heads: usize,
+    /// Feed the timestep in as scale and shift (FiLM).
+    pub use_scale_shift_norm: bool,
+    /// Width of the time embedding.
+    pub time_embed_dim: usize,
+    /// Width of the projected conditioning.
+    pub context_dim: usize,
+    /// Dropout inside the residual blocks.
+    pub dropout: f64,
+}
+
+impl UNet1dConfig {
+    /// Channels of each level.
+    pub fn channels(&self) -> Vec<usize> {
+        self.channel_mult.iter().map(|mult| self.model_channels * mult).collect()
+    }
+
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn validate(&self) -> Result<(), Error> {
+        let refuse = |key, found: String, allowed: &str, hint: &str| {
+            Err(Error::Config { key, found, allowed: allowed.into(), hint: hint.into() })
+        };
+        if self.channel_mult.is_empty() || self.channel_mult.contains(&0) {
+            let found = format!("{:?}", self.channel_mult);
+            return refuse("channel_mult", found, "one factor of at least 1 a level", "try [1, 2, 4, 8]");
+        }
+        if self.num_res_blocks == 0 {
+            return refuse("num_res_blocks", "0".into(), "1 or more", "the document has 2");
+        }
+        for channels in self.channels() {
+            if channels == 0 || channels % GROUPS != 0 {
+                return refuse(
+                    "model_channels",
+                    format!("{} (a level of {channels} channels)", self.model_channels),
+                    &format!("levels that divide into {GROUPS} groups for GroupNorm"),
+                    &format!("choose `model.model_channels` a multiple of {GROUPS}"),
+                );
+            }
+        }
+        for &level in &self.attention_levels {
+            let channels = self.channels();
+            if level >= channels.len() {
+                let found = format!("{:?}", self.attention_levels);
+                let allowed = format!("levels 0 to {}", channels.len() - 1);
+                return refuse("attention_levels", found, &allowed, "one entry a level that attends");
+            }
+        }
+        let attending = self.attention_levels.iter().copied().chain([self.channel_mult.len() - 1]);
+        for level in attending {
+            let channels = self.channels()[level];
+            if self.num_heads == 0 || channels % self.num_heads != 0 {
+                return refuse(
+                    "num_heads",
+                    self.num_heads.to_string(),
+                    &format!("a divisor of level {level}'s {channels} channels"),
+                    "the document has 8",
+                );
+            }
+        }
+        if self.time_embed_dim < 2 || !self.time_embed_dim.is_multiple_of(2) {
+            let found = self.time_embed_dim.to_string();
+            return refuse("time_embed_dim", found, "an even number", "half are cosines, half sines");
+        }
+        if self.context_dim == 0 {
+            return refuse("context_dim", "0".into(), "1 or more", "the document has 256");
+        }
+        if !(0.0..1.0).contains(&self.dropout) {
+            return refuse("dropout", self.dropout.to_string(), "0 to below 1", "the document has 0.1");
+        }
+        Ok(())
+    }
+
+    /// Builds the network; its parameters are drawn when they are first used.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate).
+    pub fn init(&self, init: &Initializer) -> Result<UNet1d, Error> {
+        self.validate()?;
+        Ok(Builder { config: self, init, dropout_layers: 0 }.build())
+    }
+}
+
+/// One level on the way down: residual blocks, attention, the skip, then halving the length.
+#[derive(Module, Debug)]
+struct EncoderLevel {
+    res: Vec<ResBlock>,
+    attn: Option<AttentionBlock>,
+    down: Option<Conv1d>,
+}
+
+/// The coarsest level's middle.
+#[derive(Module, Debug)]
+struct Bottleneck {
+    res1: ResBlock,
+    attn: AttentionBlock,
+    res2: ResBlock,
+}
+
+/// One level on the way up: the skip joined, residual blocks, attention, then doubling.
+#[derive(Module, Debug)]
+struct DecoderLevel {
+    res: Vec<ResBlock>,
+    attn: Option<AttentionBlock>,
+    up: Option<Conv1d>,
+}
+
+/// The denoiser. Should be created with [`UNet1dConfig::init`].
+///
+/// Decoder level `i` of the module tree is level `i` of the document's drawing, so the forward
+/// pass runs them backwards. As drawn, an inner decoder level has one residual block and
+/// attention; the coarsest and the finest have two residual blocks and none.
+#[derive(Module, Debug)]
+pub struct UNet1d {
+    time_embed: TimeEmbedding,
+    audio_proj: Linear,
+    input_conv: Conv1d,
+    enc: Vec<EncoderLevel>,
+    mid: Bottleneck,
+    dec: Vec<DecoderLevel>,
+    output_conv: Conv1d,
+}
+
+struct Builder<'a> {
+    config: &'a UNet1dConfig,
+    init: &'a Initializer,
+    dropout_layers: usize,
+}
+
+impl Builder<'_> {
+    fn res_block(&mut self, inputs: usize, outputs: usize, init: &Initializer) -> ResBlock {
+        let config = ResBlockConfig {
+            time_embed_dim: self.config.time_embed_dim,
+            use_scale_shift_norm: self.config.use_scale_shift_norm,
+            dropout: self.config.dropout,
+        };
+        self.dropout_layers += 1;
+        ResBlock::new(inputs, outputs, &config, self.dropout_layers - 1, init)
+    }
+
+    fn attention(&self, channels: usize, init: &Initializer) -> AttentionBlock {
+        AttentionBlock::new(channels, self.config.num_heads, Some(self.config.context_dim), init)
+    }
+
+    fn attends(&self, level: usize) -> bool {
+        self.config.attention_levels.contains(&level)
+    }
+
+    fn encoder_level(&mut self, level: usize) -> EncoderLevel {
+        let channels = self.config.channels();
+        let init = self.init.at("enc").at(&level.to_string());
+        let inputs = channels[level.saturating_sub(1)];
+        let width = channels[level];
+        EncoderLevel {
+            res: (0..self.config.num_res_blocks)
+                .map(|j| {
+                    let inputs = if j == 0 { inputs } else { width };
+                    self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
+                })
+                .collect(),
+            attn: self.attends(level).then(|| self.attention(width, &init.at("attn"))),
+            down: (level + 1 < channels.len())
+                .then(|| Conv1d::strided(width, width, 3, 2, &init.at("down"))),
+        }
+    }
+
+    fn decoder_level(&mut self, level: usize) -> DecoderLevel {
+        let channels = self.config.channels();
+        let init = self.init.at("dec").at(&level.to_string());
+        let coarsest = channels.len() - 1;
+        let attends = level != coarsest && self.attends(level);
+        // What comes from below has this level's width: a level is left at the width of the next
+        // finer one.
+        let inputs = 2 * channels[level];
+        let width = channels[level.saturating_sub(1)];
+        let blocks = if attends { 1 } else { 2 };
+        DecoderLevel {
+            res: (0..blocks)
+                .map(|j| {
+                    let inputs = if j == 0 { inputs } else { width };
+                    self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
+                })
+                .collect(),
+            attn: attends.then(|| self.attention(width, &init.at("attn"))),
+            up: (level > 0).then(|| Conv1d::new(width, width, 3, &init.at("up"))),
+        }
+    }
+
+    fn build(mut self) -> UNet1d {
+        let config = self.config;
+        let channels = config.channels();
+        let levels = channels.len();
+        let coarsest = channels[levels - 1];
+        let mid = self.init.at("mid");
+        UNet1d {
+            time_embed: TimeEmbedding::new(config.time_embed_dim, &self.init.at("time_embed")),
+            audio_proj: Linear::new(
+                config.cond_channels,
+                config.context_dim,
+                &self.init.at("audio_proj"),
+            ),
+            input_conv: Conv1d::new(
+                config.in_channels,
+                channels[0],
+                3,
+                &self.init.at("input_conv"),
+            ),
+            enc: (0..levels).map(|level| self.encoder_level(level)).collect(),
+            mid: Bottleneck {
+                res1: self.res_block(coarsest, coarsest, &mid.at("res1")),
+                attn: self.attention(coarsest, &mid.at("attn")),
+                res2: self.res_block(coarsest, coarsest, &mid.at("res2")),
+            },
+            dec: (0..levels).map(|level| self.decoder_level(level)).collect(),
+            output_conv: Conv1d::new(
+                channels[0],
+                config.in_channels,
+                3,
+                &self.init.at("output_conv"),
+            ),
+        }
+    }
+}
+
+impl UNet1d {
+    /// Predicts the network's target (noise, sample or velocity, as it was trained) for noisy
+    /// motion. Any length of at least one frame is allowed.
+    ///
+    /// # Shapes
+    /// - x_t, output: `[batch, in_channels, time]`
+    /// - timesteps: one per sample, raw integers `0..num_train_timesteps`
+    /// - cond: `[batch, cond_channels, time]`
+    pub fn forward(
+        &self,
+        x_t: Tensor<3>,
+        timesteps: &[usize],
+        cond: Tensor<3>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
+        let time_emb = self.time_embed.forward(timesteps, &x_t.device());
+        let context = self.audio_proj.forward_frames(cond);
+        let attend = |block: &Option<AttentionBlock>, h: Tensor<3>| match block {
+            Some(block) => block.forward(h, Some(context.clone())),
+            None => h,
+        };
+
+        let mut h = self.input_conv.forward(x_t);
+        let mut skips = Vec::with_capacity(self.enc.len());
+        for level in &self.enc {
+            for block in &level.res {
+                h = block.forward(h, time_emb.clone(), dropout);
+            }
+            h = attend(&level.attn, h);
+            skips.push(h.clone());
+            if let Some(down) = &level.down {
+                h = down.forward(h);
+            }
+        }
+
+        h = self.mid.res1.forward(h, time_emb.clone(), dropout);
+        h = self.mid.attn.forward(h, Some(context.clone()));
+        h = self.mid.res2.forward(h, time_emb.clone(), dropout);
+
+        for level in self.dec.iter().rev() {
+            let skip = skips.pop().expect("one skip a level");
+            h = Tensor::cat(vec![h, skip], 1);
+            for block in &level.res {
+                h = block.forward(h, time_emb.clone(), dropout);
+            }
+            h = attend(&level.attn, h);
+            if let (Some(up), Some(finer)) = (&level.up, skips.last()) {
+                h = up.forward(upsample_nearest(h, finer.dims()[2]));
+            }
+        }
+        self.output_conv.forward(h)
+    }
+}
+
+/// Repeats every frame twice and drops the last where the finer level has an odd length.
+fn upsample_nearest(x: Tensor<3>, length: usize) -> Tensor<3> {
+    let [batch, channels, time] = x.dims();
+    let doubled = x
+        .unsqueeze_dim::<4>(3)
+        .expand([batch, channels, time, 2])
+        .reshape([batch, channels, 2 * time]);
+    if length == 2 * time { doubled } else { doubled.narrow(2, 0, length) }
+}
+
+impl Denoiser for UNet1d {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+        self.forward(x_t, timesteps, cond.clone(), None)
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}

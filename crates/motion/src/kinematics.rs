@@ -1,0 +1,281 @@
+//! Derivatives of a phrase and how far its explicit channels agree with them.
+//!
+//! Everything is a forward difference: the value of frame t is taken from frames t and t + 1, and
+//! the last frame repeats the one before (CC-MotionGen documentation, section 2.3).
+
+use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
+use crate::rotation::length;
+use crate::{CHANNELS, Error, Motion, Quaternion};
+
+/// Forward differences of vectors `[frames, 3]` times `fps`, the last frame repeated: units per
+/// second. A single frame stands still.
+pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
+    repeat_last(differences(values, fps), values.len())
+}
+
+/// Angular velocity in radians per second, world frame, `[frames, 3]`: the rotation vector of
+/// `q[t+1] * conj(q[t])` times `fps`, the last frame repeated. The signs of the quaternions do not
+/// matter.
+pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
+    let turns = quaternions
+        .windows(2)
+        .map(|pair| {
+            (pair[1] * pair[0].conjugate())
+                .to_rotation_vector()
+                .map(|v| v * fps)
+        })
+        .collect();
+    repeat_last(turns, quaternions.len())
+}
+
+/// Negates quaternions so that each lies in the hemisphere of the one before. The first one stays;
+/// a quaternion that is not finite is passed over.
+pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
+    let mut previous: Option<Quaternion> = None;
+    for quaternion in quaternions {
+        if previous.is_some_and(|p| p.dot(*quaternion) < 0.0) {
+            *quaternion = quaternion.scale(-1.0);
+        }
+        if quaternion.norm().is_finite() {
+            previous = Some(*quaternion);
+        }
+    }
+}
+
+/// A phrase whose velocity, acceleration and angular velocity follow from its pose.
+///
+/// `positions` `[frames, 3]` in metres, `quaternions` of any norm and sign (stored with norm 1 and
+/// continuous sign), `phase` from 0 to 1, `style` `[frames, 8]`. The derivatives are taken from
+/// the values as stored in single precision, so that the phrase agrees with itself to the rounding
+/// of one subtraction. As the last velocity repeats, the acceleration before the last frame is
+/// zero; a caller that minds computes two frames more and slices them off.
+///
+/// # Errors
+/// [`Error::LengthMismatch`] if the arrays differ in length; [`Error::NotWholeFrames`] if they are
+/// empty.
+pub fn derive(
+    positions: &[[f64; 3]],
+    quaternions: &[Quaternion],
+    phase: &[f64],
+    style: &[[f64; 8]],
+) -> Result<Motion, Error> {
+    let frames = positions.len();
+    let lengths = [
+        ("quaternions", quaternions.len()),
+        ("phase", phase.len()),
+        ("style", style.len()),
+    ];
+    for (what, found) in lengths {
+        if found != frames {
+            return Err(Error::LengthMismatch {
+                what,
+                expected: frames,
+                found,
+            });
+        }
+    }
+    let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
+    let mut units: Vec<Quaternion> = quaternions.iter().map(|q| q.normalised()).collect();
+    make_sign_continuous(&mut units);
+    for t in 0..frames {
+        motion.set_vector(t, POSITION, positions[t]);
+        motion.set_quaternion(t, units[t]);
+        let frame = motion.frame_mut(t);
+        frame[PHASE] = phase[t] as f32;
+        for (channel, value) in frame[STYLE].iter_mut().zip(style[t]) {
+            *channel = value as f32;
+        }
+    }
+    rederive(&mut motion);
+    Ok(motion)
+}
+
+/// Replaces velocity, acceleration and angular velocity by those that follow from the stored
+/// positions and quaternions.
+pub fn rederive(motion: &mut Motion) {
+    let frames = motion.frames();
+    let vectors = |motion: &Motion, channels: std::ops::Range<usize>| -> Vec<[f64; 3]> {
+        (0..frames)
+            .map(|t| motion.vector(t, channels.clone()))
+            .collect()
+    };
+    let velocity = forward_differences(&vectors(motion, POSITION), FPS);
+    for (t, value) in velocity.into_iter().enumerate() {
+        motion.set_vector(t, VELOCITY, value);
+    }
+    // From the velocity as rounded to single precision: that is what the checks compare with.
+    let acceleration = forward_differences(&vectors(motion, VELOCITY), FPS);
+    let quaternions: Vec<Quaternion> = (0..frames).map(|t| motion.quaternion(t)).collect();
+    let turning = angular_velocity(&quaternions, FPS);
+    for (t, (a, w)) in acceleration.into_iter().zip(turning).enumerate() {
+        motion.set_vector(t, ACCELERATION, a);
+        motion.set_vector(t, ANGULAR_VELOCITY, w);
+    }
+}
+
+/// `v[t] - fps (p[t+1] - p[t])` in metres per second, `[frames - 1, 3]`.
+pub fn velocity_errors(motion: &Motion) -> Vec<[f64; 3]> {
+    errors(motion, POSITION, VELOCITY)
+}
+
+/// `a[t] - fps (v[t+1] - v[t])` in metres per second squared, `[frames - 1, 3]`.
+pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
+    errors(motion, VELOCITY, ACCELERATION)
+}
+
+/// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
+pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
+    let frames = 0..motion.frames();
+    let acceleration: Vec<[f64; 3]> = frames.map(|t| motion.vector(t, ACCELERATION)).collect();
+    differences(&acceleration, FPS)
+}
+
+/// Mean over frames of the Euclidean norm of the [`jerk`], in metres per second cubed; 0 for a
+/// single frame.
+pub fn mean_jerk_norm(motion: &Motion) -> f64 {
+    mean_norm(&jerk(motion))
+}
+
+/// Mean Euclidean norm of vectors; 0 for none.
+pub fn mean_norm(vectors: &[[f64; 3]]) -> f64 {
+    let total: f64 = vectors.iter().map(|v| length(*v)).sum();
+    total / vectors.len().max(1) as f64
+}
+
+/// Mean absolute component of vectors; 0 for none. Between 1/3 and 1/sqrt(3) of the mean norm.
+pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
+    let total: f64 = vectors
+        .iter()
+        .flatten()
+        .map(|component| component.abs())
+        .sum();
+    total / (3 * vectors.len()).max(1) as f64
+}
+
+fn errors(
+    motion: &Motion,
+    base: std::ops::Range<usize>,
+    explicit: std::ops::Range<usize>,
+) -> Vec<[f64; 3]> {
+    let base: Vec<[f64; 3]> = (0..motion.frames())
+        .map(|t| motion.vector(t, base.clone()))
+        .collect();
+    let derived = differences(&base, FPS);
+    derived
+        .into_iter()
+        .enumerate()
+        .map(|(t, derived)| {
+            let stored = motion.vector(t, explicit.clone());
+            [0, 1, 2].map(|axis| stored[axis] - derived[axis])
+        })
+        .collect()
+}
+
+fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
+    values
+        .windows(2)
+        .map(|pair| [0, 1, 2].map(|i| (pair[1][i] - pair[0][i]) * fps))
+        .collect()
+}
+
+fn repeat_last(mut values: Vec<[f64; 3]>, frames: usize) -> Vec<[f64; 3]> {
+    let last = values.last().copied().unwrap_or([0.0; 3]);
+    values.resize(frames, last);
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::wandering::wandering;
+
+    #[test]
+    fn differences_look_forward_and_repeat_the_last() {
+        let values = [[0.0, 1.0, 2.0], [1.0, 1.0, 0.0], [4.0, 1.0, 0.0]];
+        let expected = [[2.0, 0.0, -4.0], [6.0, 0.0, 0.0], [6.0, 0.0, 0.0]];
+        assert_eq!(forward_differences(&values, 2.0), expected);
+        assert_eq!(forward_differences(&values[..1], 2.0), [[0.0; 3]]);
+        assert_eq!(forward_differences(&[], 2.0), [[0.0; 3]; 0]);
+    }
+
+    #[test]
+    fn angular_velocity_is_in_the_world_frame() {
+        // A body lying on its side turns about the world's +y, whatever its own axes.
+        let side = Quaternion::from_rotation_vector([1.5, 0.3, 0.0]);
+        let mut spin: Vec<_> = (0..4)
+            .map(|t| Quaternion::from_yaw(0.1 * f64::from(t)) * side)
+            .collect();
+        spin[2] = spin[2].scale(-1.0);
+        for turning in angular_velocity(&spin, 30.0) {
+            assert!(
+                length([turning[0], turning[1] - 3.0, turning[2]]) < 1e-12,
+                "{turning:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn signs_become_continuous() {
+        let q = Quaternion::from_yaw(0.3);
+        let nan = Quaternion::new(f64::NAN, 0.0, 0.0, 0.0);
+        let mut signs = [q.scale(-1.0), q, q.scale(-1.0), nan, q];
+        make_sign_continuous(&mut signs);
+        for index in [0, 1, 2, 4] {
+            assert_eq!(signs[index], q.scale(-1.0), "{index}");
+        }
+    }
+
+    #[test]
+    fn derive_refuses_ragged_and_empty_input() {
+        let one = ([[0.0; 3]], [Quaternion::IDENTITY], [0.0], [[0.0; 8]]);
+        assert_eq!(derive(&one.0, &one.1, &one.2, &one.3).unwrap().frames(), 1);
+        assert!(derive(&one.0, &[], &one.2, &one.3).is_err());
+        assert!(derive(&one.0, &one.1, &[], &one.3).is_err());
+        assert!(derive(&one.0, &one.1, &one.2, &[]).is_err());
+        assert!(derive(&[], &[], &[], &[]).is_err());
+    }
+
+    #[test]
+    fn means_of_vectors() {
+        let vectors = [[3.0, -4.0, 0.0], [0.0, 0.0, 1.0]];
+        assert_eq!(mean_norm(&vectors), 3.0);
+        assert!((mean_absolute_component(&vectors) - 8.0 / 6.0).abs() < 1e-15);
+        assert_eq!(mean_norm(&[]), 0.0);
+        assert_eq!(mean_absolute_component(&[]), 0.0);
+    }
+
+    #[test]
+    fn errors_and_jerk_are_measured() {
+        let mut motion = wandering(3, 12);
+        for t in 0..12 {
+            let [x, y, z] = motion.vector(t, VELOCITY);
+            motion.set_vector(t, VELOCITY, [x + 3.0, y - 4.0, z]);
+            // Acceleration (0, 0, t) has a jerk of 30 m/s^3 along z.
+            motion.set_vector(t, ACCELERATION, [0.0, 0.0, t as f64]);
+        }
+        assert!((mean_norm(&velocity_errors(&motion)) - 5.0).abs() < 1e-5);
+        assert!((mean_absolute_component(&velocity_errors(&motion)) - 7.0 / 3.0).abs() < 1e-5);
+        assert_eq!(mean_jerk_norm(&motion), 30.0);
+        assert_eq!(mean_jerk_norm(&motion.slice(0..1)), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn derived_phrases_are_coherent(seed: u64, frames in 1usize..50) {
+            let motion = wandering(seed, frames);
+            prop_assert!(mean_norm(&velocity_errors(&motion)) < 1e-6);
+            prop_assert!(mean_norm(&acceleration_errors(&motion)) < 1e-5);
+            for t in 1..frames {
+                let turn = motion.quaternion(t) * motion.quaternion(t - 1).conjugate();
+                let stored = motion.vector(t - 1, ANGULAR_VELOCITY);
+                let moved = Quaternion::from_rotation_vector(stored.map(|w| w / FPS));
+                prop_assert!(turn.dot(moved).abs() > 1.0 - 1e-6);
+            }
+            let mut again = motion.clone();
+            rederive(&mut again);
+            prop_assert_eq!(again, motion);
+        }
+    }
+}

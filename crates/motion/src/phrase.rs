@@ -1,0 +1,290 @@
+//! The phrase: a row-major array `[frames, 25]` of single-precision values.
+//!
+//! Source: CC-MotionGen documentation, section 2.1.
+
+use std::ops::Range;
+
+use crate::{Error, Quaternion};
+
+/// Channels of one frame.
+pub const CHANNELS: usize = 25;
+
+/// Frames per second of every phrase.
+pub const FPS: f64 = 30.0;
+
+/// Position x, y, z in metres, +y up.
+pub const POSITION: Range<usize> = 0..3;
+
+/// Velocity in metres per second.
+pub const VELOCITY: Range<usize> = 3..6;
+
+/// Acceleration in metres per second squared.
+pub const ACCELERATION: Range<usize> = 6..9;
+
+/// Orientation as a unit quaternion (w, x, y, z) that takes body to world coordinates.
+pub const QUATERNION: Range<usize> = 9..13;
+
+/// Angular velocity in radians per second, world frame.
+pub const ANGULAR_VELOCITY: Range<usize> = 13..16;
+
+/// Position in the musical bar, from 0 to 1.
+pub const PHASE: usize = 16;
+
+/// Style descriptors, unbounded.
+pub const STYLE: Range<usize> = 17..25;
+
+/// The name of a channel, for messages and tables: `position.x`, `quaternion.w`, `phase`,
+/// `style.0`; `channel.{n}` beyond the last.
+pub fn channel_name(channel: usize) -> String {
+    const AXES: [&str; 3] = ["x", "y", "z"];
+    match channel {
+        c if POSITION.contains(&c) => format!("position.{}", AXES[c - POSITION.start]),
+        c if VELOCITY.contains(&c) => format!("velocity.{}", AXES[c - VELOCITY.start]),
+        c if ACCELERATION.contains(&c) => format!("acceleration.{}", AXES[c - ACCELERATION.start]),
+        c if QUATERNION.contains(&c) => {
+            format!("quaternion.{}", ["w", "x", "y", "z"][c - QUATERNION.start])
+        }
+        c if ANGULAR_VELOCITY.contains(&c) => {
+            format!("angular_velocity.{}", AXES[c - ANGULAR_VELOCITY.start])
+        }
+        PHASE => "phase".to_string(),
+        c if STYLE.contains(&c) => format!("style.{}", c - STYLE.start),
+        c => format!("channel.{c}"),
+    }
+}
+
+/// A phrase of motion, `[frames, 25]`, at least one frame long, in the dataset's units.
+///
+/// Values may be anything, NaN included: a sample that went wrong is still a `Motion`, and
+/// [`first_non_finite`](Self::first_non_finite) or the sanity checks say so.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motion {
+    data: Vec<f32>,
+}
+
+impl Motion {
+    /// A phrase from row-major `[frames, 25]` values.
+    ///
+    /// # Errors
+    /// [`Error::NotWholeFrames`] if the length is zero or no multiple of 25.
+    pub fn new(data: Vec<f32>) -> Result<Self, Error> {
+        if data.is_empty() || !data.len().is_multiple_of(CHANNELS) {
+            return Err(Error::NotWholeFrames {
+                values: data.len(),
+                channels: CHANNELS,
+            });
+        }
+        Ok(Self { data })
+    }
+
+    /// A phrase from channel-major `[25, frames]` values, the layout of the networks.
+    ///
+    /// # Errors
+    /// [`Error::LengthMismatch`] if there are not `25 * frames` values;
+    /// [`Error::NotWholeFrames`] if `frames` is zero.
+    pub fn from_channel_major(values: &[f32], frames: usize) -> Result<Self, Error> {
+        if values.len() != CHANNELS * frames {
+            return Err(Error::LengthMismatch {
+                what: "channel-major values",
+                expected: CHANNELS * frames,
+                found: values.len(),
+            });
+        }
+        let row_major = (0..frames).flat_map(|t| (0..CHANNELS).map(move |c| (t, c)));
+        Self::new(row_major.map(|(t, c)| values[c * frames + t]).collect())
+    }
+
+    /// The values as channel-major `[25, frames]`.
+    pub fn channel_major(&self) -> Vec<f32> {
+        let frames = self.frames();
+        let channel_major = (0..CHANNELS).flat_map(|c| (0..frames).map(move |t| (t, c)));
+        channel_major
+            .map(|(t, c)| self.data[t * CHANNELS + c])
+            .collect()
+    }
+
+    /// Number of frames, at least 1.
+    pub fn frames(&self) -> usize {
+        self.data.len() / CHANNELS
+    }
+
+    /// The 25 channels of frame `t`.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn frame(&self, t: usize) -> &[f32] {
+        &self.data[t * CHANNELS..(t + 1) * CHANNELS]
+    }
+
+    /// The 25 channels of frame `t`, to be changed.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
+        &mut self.data[t * CHANNELS..(t + 1) * CHANNELS]
+    }
+
+    /// All values, row-major `[frames, 25]`.
+    pub fn as_slice(&self) -> &[f32] {
+        &self.data
+    }
+
+    /// All values, row-major `[frames, 25]`, without a copy.
+    pub fn into_vec(self) -> Vec<f32> {
+        self.data
+    }
+
+    /// The first three channels of `channels` in frame `t`, widened: `vector(t, VELOCITY)`.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t` or the range is shorter than three channels.
+    pub fn vector(&self, t: usize, channels: Range<usize>) -> [f64; 3] {
+        let values = &self.frame(t)[channels];
+        [0, 1, 2].map(|axis| f64::from(values[axis]))
+    }
+
+    /// Writes `vector` into the first three channels of `channels` in frame `t`.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t` or the range is shorter than three channels.
+    pub fn set_vector(&mut self, t: usize, channels: Range<usize>, vector: [f64; 3]) {
+        let values = &mut self.frame_mut(t)[channels];
+        for (value, component) in values[..3].iter_mut().zip(vector) {
+            *value = component as f32;
+        }
+    }
+
+    /// The orientation in frame `t`, as stored (not normalised).
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn quaternion(&self, t: usize) -> Quaternion {
+        let values = &self.frame(t)[QUATERNION];
+        let [w, x, y, z] = [0, 1, 2, 3].map(|part| f64::from(values[part]));
+        Quaternion { w, x, y, z }
+    }
+
+    /// Writes the orientation of frame `t`.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn set_quaternion(&mut self, t: usize, orientation: Quaternion) {
+        let Quaternion { w, x, y, z } = orientation;
+        let values = &mut self.frame_mut(t)[QUATERNION];
+        for (value, part) in values.iter_mut().zip([w, x, y, z]) {
+            *value = part as f32;
+        }
+    }
+
+    /// A copy of some frames.
+    ///
+    /// # Panics
+    /// Panics if the range is empty or reaches beyond the last frame.
+    #[must_use]
+    pub fn slice(&self, frames: Range<usize>) -> Self {
+        assert!(!frames.is_empty(), "a phrase has at least one frame");
+        Self {
+            data: self.data[frames.start * CHANNELS..frames.end * CHANNELS].to_vec(),
+        }
+    }
+
+    /// Frame and channel of the first NaN or infinity, in reading order.
+    pub fn first_non_finite(&self) -> Option<(usize, usize)> {
+        let place = self.data.iter().position(|value| !value.is_finite())?;
+        Some((place / CHANNELS, place % CHANNELS))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counting(frames: usize) -> Motion {
+        Motion::new((0..frames * CHANNELS).map(|v| v as f32).collect()).unwrap()
+    }
+
+    #[test]
+    fn every_channel_has_a_name_of_its_own() {
+        let names: std::collections::BTreeSet<String> = (0..CHANNELS).map(channel_name).collect();
+        assert_eq!(names.len(), CHANNELS);
+        let expected = [
+            (0, "position.x"),
+            (5, "velocity.z"),
+            (7, "acceleration.y"),
+            (9, "quaternion.w"),
+            (12, "quaternion.z"),
+            (13, "angular_velocity.x"),
+            (16, "phase"),
+            (17, "style.0"),
+            (24, "style.7"),
+            (25, "channel.25"),
+        ];
+        for (channel, name) in expected {
+            assert_eq!(channel_name(channel), name);
+        }
+    }
+
+    #[test]
+    fn a_phrase_is_whole_frames() {
+        for values in [0, 1, 24, 26, 49] {
+            let error = Motion::new(vec![0.0; values]).unwrap_err();
+            assert_eq!(
+                error,
+                Error::NotWholeFrames {
+                    values,
+                    channels: CHANNELS
+                }
+            );
+        }
+        assert_eq!(Motion::new(vec![0.0; 50]).unwrap().frames(), 2);
+    }
+
+    #[test]
+    fn channel_major_is_the_transpose_and_comes_back() {
+        let motion = counting(3);
+        let transposed = motion.channel_major();
+        assert_eq!(transposed[..4], [0.0, 25.0, 50.0, 1.0]);
+        assert_eq!(Motion::from_channel_major(&transposed, 3).unwrap(), motion);
+        assert!(Motion::from_channel_major(&transposed, 4).is_err());
+        assert!(Motion::from_channel_major(&[], 0).is_err());
+    }
+
+    #[test]
+    fn readers_and_writers_name_the_same_channels() {
+        let mut motion = counting(2);
+        assert_eq!(motion.vector(1, VELOCITY), [28.0, 29.0, 30.0]);
+        assert_eq!(
+            motion.quaternion(0),
+            Quaternion {
+                w: 9.0,
+                x: 10.0,
+                y: 11.0,
+                z: 12.0
+            }
+        );
+        motion.set_vector(1, ACCELERATION, [-1.0, -2.0, -3.0]);
+        motion.set_quaternion(
+            1,
+            Quaternion {
+                w: -4.0,
+                x: -5.0,
+                y: -6.0,
+                z: -7.0,
+            },
+        );
+        assert_eq!(
+            motion.frame(1)[6..13],
+            [-1.0, -2.0, -3.0, -4.0, -5.0, -6.0, -7.0]
+        );
+        assert_eq!(motion.slice(1..2).as_slice(), motion.frame(1));
+    }
+
+    #[test]
+    fn the_first_non_finite_value_is_named() {
+        let mut motion = counting(3);
+        assert_eq!(motion.first_non_finite(), None);
+        motion.frame_mut(2)[0] = f32::NAN;
+        motion.frame_mut(1)[24] = f32::NEG_INFINITY;
+        assert_eq!(motion.first_non_finite(), Some((1, 24)));
+    }
+}

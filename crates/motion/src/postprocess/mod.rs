@@ -1,0 +1,341 @@
+//! Repairs of a generated phrase before it is written.
+//!
+//! Steps, in this order (CC-MotionGen documentation, section 9.2; steps 3, 5 (acceleration) and 6
+//! and the monotonic phase are only named there, and defined in the golden README, file 10):
+//!
+//! 1. values clamped
+//! 2. quaternions brought to unit norm and to one hemisphere
+//! 3. quaternions smoothed
+//! 4. phase clamped, then made monotonic
+//! 5. velocity, then acceleration, blended with the differences
+//! 6. vectors and style smoothed over time
+//!
+//! All steps work in double precision; the result is rounded once.
+
+mod config;
+mod orientation;
+
+pub use config::{ClampLimits, Hemisphere, PostProcessConfig};
+
+use crate::phrase::{
+    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
+};
+use crate::{Motion, TrainingStatistics};
+
+/// A phrase `[frames, 25]` in double precision.
+type Frames = Vec<[f64; CHANNELS]>;
+
+/// Post-processes a phrase. `statistics` widen the clamps to the training phrases' range where
+/// [`PostProcessConfig::widen_limits`] asks for it.
+///
+/// NaN stays NaN (the sanity checks find it); infinities are clamped like other large values where
+/// the channel has a clamp.
+pub fn process(
+    motion: &Motion,
+    config: &PostProcessConfig,
+    statistics: Option<&TrainingStatistics>,
+) -> Motion {
+    let mut frames: Frames = motion
+        .as_slice()
+        .chunks_exact(CHANNELS)
+        .map(|frame| std::array::from_fn(|channel| f64::from(frame[channel])))
+        .collect();
+
+    if config.clamp_values {
+        clamp_values(&mut frames, config, statistics);
+    }
+    if config.normalize_quaternions {
+        orientation::normalize(&mut frames, config.hemisphere);
+    }
+    if config.smooth_quaternions {
+        let window = config.quaternion_smoothing_window;
+        orientation::smooth(&mut frames, window, config.hemisphere);
+    }
+    if config.clamp_phase {
+        frames
+            .iter_mut()
+            .for_each(|frame| frame[PHASE] = clamp(frame[PHASE], 0.0, 1.0));
+    }
+    if config.enforce_phase_monotonic {
+        make_phase_monotonic(&mut frames);
+    }
+    if config.enforce_velocity_coherence {
+        blend_with_differences(&mut frames, POSITION.start, VELOCITY.start);
+    }
+    if config.enforce_accel_coherence {
+        blend_with_differences(&mut frames, VELOCITY.start, ACCELERATION.start);
+    }
+    if config.apply_smoothing {
+        smooth_over_time(&mut frames, config.smoothing_kernel_size);
+    }
+
+    let mut processed = motion.clone();
+    for (t, frame) in frames.iter().enumerate() {
+        for (stored, &value) in processed.frame_mut(t).iter_mut().zip(frame) {
+            *stored = value as f32;
+        }
+    }
+    processed
+}
+
+fn clamp_values(
+    frames: &mut Frames,
+    config: &PostProcessConfig,
+    statistics: Option<&TrainingStatistics>,
+) {
+    let widest = statistics.filter(|_| config.widen_limits);
+    let limits = &config.limits;
+    let groups = [
+        (POSITION, limits.position),
+        (VELOCITY, limits.velocity),
+        (ACCELERATION, limits.acceleration),
+        (ANGULAR_VELOCITY, limits.angular_velocity),
+    ];
+    for (channel, limit) in groups
+        .into_iter()
+        .flat_map(|(group, l)| group.map(move |c| (c, l)))
+    {
+        let low = widest.map_or(-limit, |training| training.min[channel].min(-limit));
+        let high = widest.map_or(limit, |training| training.max[channel].max(limit));
+        frames
+            .iter_mut()
+            .for_each(|frame| frame[channel] = clamp(frame[channel], low, high));
+    }
+}
+
+/// A drop of at most half a bar is a step back and is held; a larger one is the next bar.
+fn make_phase_monotonic(frames: &mut Frames) {
+    for t in 1..frames.len() {
+        let step = frames[t][PHASE] - frames[t - 1][PHASE];
+        if (-0.5..0.0).contains(&step) {
+            frames[t][PHASE] = frames[t - 1][PHASE];
+        }
+    }
+}
+
+/// Takes the mean of the explicit derivative at channel `explicit` and the backward difference of
+/// the vector at channel `base`. The checks look forward, so this does not reliably reduce what
+/// they measure (golden README, hazard 9).
+fn blend_with_differences(frames: &mut Frames, base: usize, explicit: usize) {
+    if frames.len() < 2 {
+        return; // A single frame has no difference to blend with.
+    }
+    for axis in 0..3 {
+        let values: Vec<f64> = frames.iter().map(|frame| frame[base + axis]).collect();
+        for (t, frame) in frames.iter_mut().enumerate() {
+            let t = t.max(1); // The first frame takes the difference of the second.
+            let difference = (values[t] - values[t - 1]) * FPS;
+            frame[explicit + axis] = 0.5 * (frame[explicit + axis] + difference);
+        }
+    }
+}
+
+/// A centred mean over `kernel_size` frames, the first and last frame repeated beyond the ends.
+/// Quaternion and phase are left out: a mean of components is no mean of theirs.
+fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
+    let original = frames.clone();
+    let channels = || {
+        POSITION
+            .chain(VELOCITY)
+            .chain(ACCELERATION)
+            .chain(ANGULAR_VELOCITY)
+            .chain(STYLE)
+    };
+    for (t, frame) in frames.iter_mut().enumerate() {
+        for channel in channels() {
+            let total: f64 = window(t, kernel_size, original.len())
+                .map(|s| original[s][channel])
+                .sum();
+            frame[channel] = total / (2 * (kernel_size / 2) + 1) as f64;
+        }
+    }
+}
+
+/// Indices of the `size` frames (odd) centred at `t`, those beyond an end replaced by the end.
+fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
+    let reach = size / 2;
+    (0..2 * reach + 1).map(move |offset| (t + offset).saturating_sub(reach).min(frames - 1))
+}
+
+/// The value within the bounds. Unlike `f64::max` it keeps NaN, and unlike `f64::clamp` it never
+/// panics.
+fn clamp(value: f64, low: f64, high: f64) -> f64 {
+    if value < low {
+        low
+    } else if value > high {
+        high
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wandering::wandering;
+    use crate::{Error, Quaternion};
+
+    fn wild(frames: usize) -> Motion {
+        let mut motion = wandering(8, frames);
+        for t in 0..frames {
+            motion.set_vector(t, POSITION, [150.0, -20.0, -101.0]);
+            motion.set_vector(t, VELOCITY, [49.0, 51.0, -1e9]);
+            motion.set_vector(t, ACCELERATION, [101.0, 0.0, f64::INFINITY]);
+            motion.set_vector(t, ANGULAR_VELOCITY, [-12.0, 9.0, 31.0]);
+            motion.frame_mut(t)[PHASE] = 1.5;
+        }
+        motion
+    }
+
+    #[test]
+    fn the_defaults_leave_a_sound_phrase_alone() {
+        let motion = wandering(1, 60);
+        let processed = process(&motion, &PostProcessConfig::default(), None);
+        for (after, before) in processed.as_slice().iter().zip(motion.as_slice()) {
+            assert!((after - before).abs() < 2e-7, "{after} {before}");
+        }
+    }
+
+    #[test]
+    fn clamps_are_never_tighter_than_the_training_range() {
+        let motion = wild(3);
+        let bare = process(&motion, &PostProcessConfig::default(), None);
+        assert_eq!(bare.vector(1, POSITION), [100.0, -20.0, -100.0]);
+        assert_eq!(bare.vector(1, VELOCITY), [49.0, 50.0, -50.0]);
+        assert_eq!(bare.vector(1, ACCELERATION), [100.0, 0.0, 100.0]);
+        assert_eq!(bare.vector(1, ANGULAR_VELOCITY), [-10.0, 9.0, 10.0]);
+        assert_eq!(bare.frame(1)[PHASE], 1.0);
+
+        let mut training = wandering(2, 3);
+        training.set_vector(0, ANGULAR_VELOCITY, [0.0, 0.0, 20.0]);
+        training.set_vector(1, ANGULAR_VELOCITY, [-30.0, 0.0, 0.0]);
+        let statistics = TrainingStatistics::compute([&training]).unwrap();
+        let wide = process(&motion, &PostProcessConfig::default(), Some(&statistics));
+        assert_eq!(wide.vector(1, ANGULAR_VELOCITY), [-12.0, 9.0, 20.0]);
+        assert_eq!(wide.vector(1, VELOCITY), [49.0, 50.0, -50.0]);
+        let literal = process(&motion, &PostProcessConfig::document(), Some(&statistics));
+        assert_eq!(literal.vector(1, ANGULAR_VELOCITY), [-10.0, 9.0, 10.0]);
+    }
+
+    #[test]
+    fn switched_off_is_untouched() {
+        let motion = wild(5);
+        assert_eq!(process(&motion, &PostProcessConfig::none(), None), motion);
+    }
+
+    #[test]
+    fn backward_phase_is_held_and_the_next_bar_begins() {
+        let mut motion = wandering(4, 6);
+        for (t, phase) in [0.8, 0.7, 0.75, 0.9, 0.2, 0.1].into_iter().enumerate() {
+            motion.frame_mut(t)[PHASE] = phase;
+        }
+        let config = PostProcessConfig {
+            enforce_phase_monotonic: true,
+            ..PostProcessConfig::default()
+        };
+        let processed = process(&motion, &config, None);
+        let phases: Vec<f32> = (0..6).map(|t| processed.frame(t)[PHASE]).collect();
+        assert_eq!(phases, [0.8, 0.8, 0.8, 0.9, 0.2, 0.2]);
+    }
+
+    #[test]
+    fn coherence_blends_half_of_the_backward_difference() {
+        let mut motion = wandering(4, 3);
+        for (t, x) in [0.0, 1.0, 3.0].into_iter().enumerate() {
+            motion.set_vector(t, POSITION, [x, 0.0, 0.0]);
+            motion.set_vector(t, VELOCITY, [10.0, 0.0, 0.0]);
+            motion.set_vector(t, ACCELERATION, [0.0; 3]);
+        }
+        let config = PostProcessConfig {
+            enforce_velocity_coherence: true,
+            enforce_accel_coherence: true,
+            ..PostProcessConfig::none()
+        };
+        let processed = process(&motion, &config, None);
+        let x = |channels: std::ops::Range<usize>| {
+            [0, 1, 2].map(|t| processed.vector(t, channels.clone())[0])
+        };
+        assert_eq!(x(VELOCITY), [20.0, 20.0, 35.0]);
+        assert_eq!(x(ACCELERATION), [0.0, 0.0, 225.0]);
+    }
+
+    #[test]
+    fn smoothing_is_a_centred_mean_of_vectors_and_style() {
+        let mut motion = wandering(4, 4);
+        for (t, value) in [0.0, 3.0, 6.0, 12.0].into_iter().enumerate() {
+            motion.set_vector(t, POSITION, [value; 3]);
+            motion.frame_mut(t)[STYLE.end - 1] = value as f32;
+        }
+        let config = PostProcessConfig {
+            apply_smoothing: true,
+            ..PostProcessConfig::none()
+        };
+        let processed = process(&motion, &config, None);
+        for (t, mean) in [1.0, 3.0, 7.0, 10.0].into_iter().enumerate() {
+            assert_eq!(processed.vector(t, POSITION), [mean; 3]);
+            assert_eq!(processed.frame(t)[STYLE.end - 1], mean as f32);
+            assert_eq!(processed.frame(t)[PHASE], motion.frame(t)[PHASE]);
+            assert_eq!(processed.quaternion(t), motion.quaternion(t));
+        }
+    }
+
+    #[test]
+    fn short_phrases_and_odd_settings_do_not_panic() {
+        let everything = PostProcessConfig {
+            smooth_quaternions: true,
+            enforce_phase_monotonic: true,
+            enforce_velocity_coherence: true,
+            enforce_accel_coherence: true,
+            apply_smoothing: true,
+            ..PostProcessConfig::default()
+        };
+        for frames in 1..4 {
+            let motion = wandering(6, frames);
+            for (kernel, limit) in [(0, -1.0), (1, f64::NAN), (8, 0.0)] {
+                let config = PostProcessConfig {
+                    quaternion_smoothing_window: kernel,
+                    smoothing_kernel_size: kernel,
+                    limits: ClampLimits {
+                        position: limit,
+                        ..ClampLimits::default()
+                    },
+                    ..everything.clone()
+                };
+                assert_eq!(process(&motion, &config, None).frames(), frames);
+                assert!(matches!(
+                    config.validate(),
+                    Err(Error::InvalidPostProcess { .. })
+                ));
+            }
+        }
+        assert_eq!(everything.validate(), Ok(()));
+    }
+
+    #[test]
+    fn nan_is_not_hidden() {
+        let mut motion = wandering(6, 5);
+        let channels = 0..CHANNELS;
+        channels
+            .clone()
+            .for_each(|channel| motion.frame_mut(2)[channel] = f32::NAN);
+        for config in [PostProcessConfig::default(), PostProcessConfig::document()] {
+            let processed = process(&motion, &config, None);
+            assert!(
+                channels
+                    .clone()
+                    .all(|channel| processed.frame(2)[channel].is_nan())
+            );
+            assert_eq!(processed.slice(0..2).first_non_finite(), None);
+            assert_eq!(processed.slice(3..5).first_non_finite(), None);
+        }
+    }
+
+    #[test]
+    fn a_lost_orientation_is_held() {
+        let mut motion = wandering(6, 3);
+        motion.set_quaternion(1, Quaternion::new(0.0, 1e-12, 0.0, 0.0));
+        let processed = process(&motion, &PostProcessConfig::default(), None);
+        assert_eq!(processed.quaternion(1), processed.quaternion(0));
+        assert!(processed.quaternion(1).dot(processed.quaternion(2)) > 0.9);
+    }
+}

@@ -1,0 +1,145 @@
+//! Steps 2 and 3 of the post-processor: quaternions.
+
+use super::{Frames, Hemisphere, window};
+use crate::Quaternion;
+use crate::kinematics::make_sign_continuous;
+use crate::phrase::{CHANNELS, QUATERNION};
+
+/// A norm below this carries no direction.
+const SMALLEST_NORM: f64 = 1e-8;
+
+/// Brings every quaternion to unit norm and to one hemisphere.
+pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
+    let mut quaternions: Vec<Quaternion> = frames.iter().map(read).collect();
+    finish(&mut quaternions, hemisphere);
+    write(frames, &quaternions);
+}
+
+/// Replaces each quaternion by the normalised mean of the `size` quaternions around it, each taken
+/// with the sign nearer to the centre.
+pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
+    let original: Vec<Quaternion> = frames.iter().map(read).collect();
+    let mut smoothed: Vec<Quaternion> = (0..original.len())
+        .map(|t| {
+            let mut sum = Quaternion::new(0.0, 0.0, 0.0, 0.0);
+            for neighbour in window(t, size, original.len()).map(|s| original[s]) {
+                let sign = if neighbour.dot(original[t]) < 0.0 {
+                    -1.0
+                } else {
+                    1.0
+                };
+                sum.w += sign * neighbour.w;
+                sum.x += sign * neighbour.x;
+                sum.y += sign * neighbour.y;
+                sum.z += sign * neighbour.z;
+            }
+            sum.scale(1.0 / (2 * (size / 2) + 1) as f64)
+        })
+        .collect();
+    finish(&mut smoothed, hemisphere);
+    write(frames, &smoothed);
+}
+
+/// Divides by the norm and picks the sign.
+fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
+    let mut previous = Quaternion::IDENTITY;
+    for quaternion in quaternions.iter_mut() {
+        let norm = quaternion.norm();
+        *quaternion = match hemisphere {
+            // The document's division leaves a vanishing quaternion short; here the unit norm is
+            // a promise, so the orientation before it is held.
+            Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
+            _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
+        };
+        if norm.is_finite() {
+            previous = *quaternion;
+        }
+    }
+    match hemisphere {
+        Hemisphere::Continuous => make_sign_continuous(quaternions),
+        Hemisphere::PositiveW => {
+            for quaternion in quaternions.iter_mut().filter(|q| q.w < 0.0) {
+                *quaternion = quaternion.scale(-1.0);
+            }
+        }
+    }
+}
+
+fn read(frame: &[f64; CHANNELS]) -> Quaternion {
+    let start = QUATERNION.start;
+    Quaternion::new(
+        frame[start],
+        frame[start + 1],
+        frame[start + 2],
+        frame[start + 3],
+    )
+}
+
+fn write(frames: &mut Frames, quaternions: &[Quaternion]) {
+    for (frame, &Quaternion { w, x, y, z }) in frames.iter_mut().zip(quaternions) {
+        frame[QUATERNION].copy_from_slice(&[w, x, y, z]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A body that turns steadily about +y, in 0.1 rad steps through w = 0, stored with alternating
+    /// signs and twice the unit norm.
+    fn turning() -> Frames {
+        let mut frames = vec![[0.0; CHANNELS]; 80];
+        let sign = |t: usize| if t.is_multiple_of(2) { 2.0 } else { -2.0 };
+        let quaternions: Vec<Quaternion> = (0..80)
+            .map(|t| Quaternion::from_yaw(0.1 * t as f64).scale(sign(t)))
+            .collect();
+        write(&mut frames, &quaternions);
+        frames
+    }
+
+    fn smallest_dot(frames: &Frames) -> f64 {
+        let dots = frames
+            .windows(2)
+            .map(|pair| read(&pair[0]).dot(read(&pair[1])));
+        dots.fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn continuous_signs_survive_the_passage_through_zero() {
+        let mut frames = turning();
+        normalize(&mut frames, Hemisphere::Continuous);
+        assert!(smallest_dot(&frames) > 0.99);
+        assert!(frames.iter().any(|frame| read(frame).w < 0.0));
+        assert!(
+            frames
+                .iter()
+                .all(|frame| (read(frame).norm() - 1.0).abs() < 1e-12)
+        );
+    }
+
+    #[test]
+    fn positive_w_jumps_there() {
+        let mut frames = turning();
+        normalize(&mut frames, Hemisphere::PositiveW);
+        assert!(smallest_dot(&frames) < -0.99);
+        assert!(frames.iter().all(|frame| read(frame).w >= 0.0));
+    }
+
+    #[test]
+    fn smoothing_does_not_depend_on_signs_and_keeps_a_steady_turn() {
+        for hemisphere in [Hemisphere::Continuous, Hemisphere::PositiveW] {
+            let (mut smoothed, mut plain) = (turning(), turning());
+            smooth(&mut smoothed, 5, hemisphere);
+            normalize(&mut plain, hemisphere);
+            // The mean of a symmetric neighbourhood on the arc is its centre.
+            for t in 2..78 {
+                assert!(
+                    read(&smoothed[t]).dot(read(&plain[t])).abs() > 1.0 - 1e-12,
+                    "{t}"
+                );
+            }
+            // At the end the window repeats the first frame: (3 * 0 + 0.1 + 0.2) / 5 rad.
+            assert!((read(&smoothed[0]).yaw() - 0.06).abs() < 1e-3);
+        }
+    }
+}

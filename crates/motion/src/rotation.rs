@@ -1,0 +1,292 @@
+//! Rotations as Hamilton quaternions in double precision.
+//!
+//! Convention (CC-MotionGen documentation, section 2.2): (w, x, y, z), right-handed, +y up;
+//! `a.product(b)` turns by `b` first, then by `a`.
+
+use std::ops::Mul;
+
+/// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quaternion {
+    /// Scalar part.
+    pub w: f64,
+    /// First imaginary part.
+    pub x: f64,
+    /// Second imaginary part.
+    pub y: f64,
+    /// Third imaginary part.
+    pub z: f64,
+}
+
+impl Quaternion {
+    /// No rotation.
+    pub const IDENTITY: Self = Self {
+        w: 1.0,
+        x: 0.0,
+        y: 0.0,
+        z: 0.0,
+    };
+
+    /// The quaternion (w, x, y, z).
+    pub fn new(w: f64, x: f64, y: f64, z: f64) -> Self {
+        Self { w, x, y, z }
+    }
+
+    /// The rotation about +y by `angle` radians: it turns +z towards +x.
+    pub fn from_yaw(angle: f64) -> Self {
+        let (sin, cos) = (0.5 * angle).sin_cos();
+        Self {
+            w: cos,
+            x: 0.0,
+            y: sin,
+            z: 0.0,
+        }
+    }
+
+    /// The rotation about the direction of `vector` by its length in radians.
+    pub fn from_rotation_vector(vector: [f64; 3]) -> Self {
+        let angle = length(vector);
+        // sin(angle / 2) / angle, by its series where the quotient loses digits.
+        let factor = if angle < 1e-4 {
+            0.5 - angle * angle / 48.0
+        } else {
+            (0.5 * angle).sin() / angle
+        };
+        let [x, y, z] = vector.map(|component| component * factor);
+        Self {
+            w: (0.5 * angle).cos(),
+            x,
+            y,
+            z,
+        }
+    }
+
+    /// The rotation vector in radians, the shortest way: its length is at most pi. The norm does
+    /// not matter; the zero quaternion gives the zero vector.
+    pub fn to_rotation_vector(self) -> [f64; 3] {
+        // Of q and -q, the one with w >= 0 turns by at most pi.
+        let Self { w, x, y, z } = if self.w < 0.0 { self.scale(-1.0) } else { self };
+        let sin = length([x, y, z]);
+        // The angle is 2 atan2(sin, w), well behaved at 0 and at pi where acos is not.
+        let factor = if sin > 1e-12 * w {
+            2.0 * sin.atan2(w) / sin
+        } else {
+            2.0 / w
+        };
+        if w == 0.0 && sin == 0.0 {
+            return [0.0; 3];
+        }
+        [x * factor, y * factor, z * factor]
+    }
+
+    /// The Hamilton product: first `other`, then `self`.
+    #[must_use]
+    pub fn product(self, other: Self) -> Self {
+        let (a, b) = (self, other);
+        Self {
+            w: a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+            x: a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+            y: a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
+            z: a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
+        }
+    }
+
+    /// The conjugate: the inverse of a unit quaternion.
+    #[must_use]
+    pub fn conjugate(self) -> Self {
+        Self {
+            w: self.w,
+            x: -self.x,
+            y: -self.y,
+            z: -self.z,
+        }
+    }
+
+    /// The inner product; negative where two neighbours in time lie in opposite hemispheres.
+    pub fn dot(self, other: Self) -> f64 {
+        self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    /// The Euclidean norm.
+    pub fn norm(self) -> f64 {
+        self.dot(self).sqrt()
+    }
+
+    /// All four parts times `factor`.
+    #[must_use]
+    pub fn scale(self, factor: f64) -> Self {
+        Self {
+            w: self.w * factor,
+            x: self.x * factor,
+            y: self.y * factor,
+            z: self.z * factor,
+        }
+    }
+
+    /// The same direction with norm 1; the identity where the norm is zero or not finite.
+    #[must_use]
+    pub fn normalised(self) -> Self {
+        // Scaled by the largest part first: the square of a tiny or huge part would leave f64.
+        let largest = self
+            .w
+            .abs()
+            .max(self.x.abs())
+            .max(self.y.abs())
+            .max(self.z.abs());
+        let scaled = self.scale(1.0 / largest);
+        let unit = scaled.scale(1.0 / scaled.norm());
+        if unit.dot(unit).is_finite() {
+            unit
+        } else {
+            Self::IDENTITY
+        }
+    }
+
+    /// The vector turned by this unit quaternion.
+    pub fn rotate(self, vector: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = vector;
+        let turned = self
+            .product(Self { w: 0.0, x, y, z })
+            .product(self.conjugate());
+        [turned.x, turned.y, turned.z]
+    }
+
+    /// Heading in radians, from -pi to pi: the angle about +y from +z to the turned +z, seen from
+    /// above. Zero where the turned +z is vertical.
+    pub fn yaw(self) -> f64 {
+        let [x, _, z] = self.rotate([0.0, 0.0, 1.0]);
+        x.atan2(z)
+    }
+}
+
+impl Mul for Quaternion {
+    type Output = Self;
+
+    fn mul(self, other: Self) -> Self {
+        self.product(other)
+    }
+}
+
+/// Euclidean length of a vector.
+pub fn length(vector: [f64; 3]) -> f64 {
+    vector
+        .iter()
+        .map(|component| component * component)
+        .sum::<f64>()
+        .sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn close(a: [f64; 3], b: [f64; 3], tolerance: f64) -> bool {
+        (0..3).all(|axis| (a[axis] - b[axis]).abs() <= tolerance)
+    }
+
+    fn unit() -> impl Strategy<Value = Quaternion> {
+        prop::array::uniform4(-1.0f64..1.0)
+            .prop_filter("not near zero", |q| {
+                q.iter().map(|v| v * v).sum::<f64>() > 1e-2
+            })
+            .prop_map(|[w, x, y, z]| Quaternion { w, x, y, z }.normalised())
+    }
+
+    fn vector(bound: f64) -> impl Strategy<Value = [f64; 3]> {
+        prop::array::uniform3(-bound..bound)
+    }
+
+    #[test]
+    fn quarter_turns_go_the_right_way() {
+        let quarter = 0.5 * PI;
+        let about = |axis: usize| {
+            let mut turn = [0.0; 3];
+            turn[axis] = quarter;
+            Quaternion::from_rotation_vector(turn)
+        };
+        let (x, y, z) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        assert!(close(about(0).rotate(y), z, 1e-15));
+        assert!(close(about(1).rotate(z), x, 1e-15));
+        assert!(close(about(2).rotate(x), y, 1e-15));
+        assert!(close(Quaternion::from_yaw(quarter).rotate(z), x, 1e-15));
+        // The right factor turns first: y to z, which the second turn takes to x.
+        assert!(close((about(1) * about(0)).rotate(y), x, 1e-15));
+    }
+
+    #[test]
+    fn rotation_vector_is_safe_at_zero_and_at_pi() {
+        assert_eq!(Quaternion::IDENTITY.to_rotation_vector(), [0.0; 3]);
+        assert_eq!(
+            Quaternion::new(0.0, 0.0, 0.0, 0.0).to_rotation_vector(),
+            [0.0; 3]
+        );
+        assert_eq!(
+            Quaternion::from_rotation_vector([0.0; 3]),
+            Quaternion::IDENTITY
+        );
+        let tiny = [1e-200, -2e-9, 3e-14];
+        let back = Quaternion::from_rotation_vector(tiny).to_rotation_vector();
+        assert!(close(back, tiny, 1e-24), "{back:?}");
+        let half = Quaternion::new(0.0, 0.0, -1.0, 0.0).to_rotation_vector();
+        assert!(close(half, [0.0, -PI, 0.0], 1e-15));
+        let beyond = Quaternion::from_rotation_vector([PI + 0.1, 0.0, 0.0]).to_rotation_vector();
+        assert!(close(beyond, [0.1 - PI, 0.0, 0.0], 1e-14));
+    }
+
+    #[test]
+    fn normalising_is_safe_everywhere() {
+        let zero = Quaternion::new(0.0, 0.0, 0.0, 0.0);
+        assert_eq!(zero.normalised(), Quaternion::IDENTITY);
+        assert_eq!(
+            Quaternion::new(f64::NAN, 0.0, 0.0, 0.0).normalised(),
+            Quaternion::IDENTITY
+        );
+        assert_eq!(
+            Quaternion::new(1.0, f64::INFINITY, 0.0, 0.0).normalised(),
+            Quaternion::IDENTITY
+        );
+        for size in [1e-300, 1e-9, 1.0, 1e300] {
+            let q = Quaternion::new(3.0 * size, 0.0, -4.0 * size, 0.0).normalised();
+            assert!(
+                (q.w - 0.6).abs() < 1e-15 && (q.y + 0.8).abs() < 1e-15,
+                "{size}: {q:?}"
+            );
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn rotation_vectors_come_back_up_to_pi(v in vector(1.8)) {
+            let back = Quaternion::from_rotation_vector(v).to_rotation_vector();
+            prop_assert!(close(back, v, 1e-12), "{:?}", back);
+        }
+
+        #[test]
+        fn rotation_vectors_do_not_depend_on_sign_or_norm(q in unit(), size in 0.01f64..100.0) {
+            let v = q.to_rotation_vector();
+            prop_assert!(length(v) <= PI + 1e-12);
+            prop_assert!(close(q.scale(size).to_rotation_vector(), v, 1e-12));
+            // At exactly half a turn both directions are the shortest.
+            prop_assume!(q.w.abs() > 1e-9);
+            prop_assert!(close(q.scale(-size).to_rotation_vector(), v, 1e-12));
+        }
+
+        #[test]
+        fn products_turn_one_after_the_other(a in unit(), b in unit(), v in vector(10.0)) {
+            let product = a * b;
+            prop_assert!((product.norm() - 1.0).abs() < 1e-12);
+            prop_assert!(close(product.rotate(v), a.rotate(b.rotate(v)), 1e-11));
+            prop_assert!((length(a.rotate(v)) - length(v)).abs() < 1e-11);
+            prop_assert!(close(a.conjugate().rotate(a.rotate(v)), v, 1e-11));
+        }
+
+        #[test]
+        fn yaw_is_read_back(angle in -3.1f64..3.1) {
+            prop_assert!((Quaternion::from_yaw(angle).yaw() - angle).abs() < 1e-12);
+        }
+    }
+}

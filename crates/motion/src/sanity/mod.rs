@@ -1,0 +1,177 @@
+//! Is a phrase plausible motion?
+//!
+//! Two profiles: [`Profile::Document`] makes the five checks of the CC-MotionGen documentation,
+//! section 10.1, as they stand. Most of them cannot fail where it matters (golden README,
+//! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
+//! through. [`Profile::Strict`] looks at every frame and compares with the training phrases.
+
+mod document;
+mod report;
+mod strict;
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+pub use document::SanityThresholds;
+pub use report::{Check, Report, Threshold, Value};
+
+use crate::{CHANNELS, Error, Motion, TrainingStatistics, channel_name};
+
+/// Which checks are made.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Profile {
+    /// The document's five checks, with its thresholds. A phrase that is not finite fails them
+    /// too, by a sixth line `finite` that appears only then.
+    #[default]
+    Document,
+    /// Every frame, against the training phrases' own speed, acceleration and jerk.
+    Strict,
+}
+
+impl std::fmt::Display for Profile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Document => "document",
+            Self::Strict => "strict",
+        })
+    }
+}
+
+impl FromStr for Profile {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        match name {
+            "document" => Ok(Self::Document),
+            "strict" => Ok(Self::Strict),
+            _ => Err(Error::UnknownProfile {
+                found: name.to_string(),
+            }),
+        }
+    }
+}
+
+/// Checks a phrase. The document's profile uses [`SanityThresholds::default`] and needs no
+/// `statistics`.
+///
+/// # Errors
+/// [`Error::StatisticsNeeded`] if the profile is strict and there are none. A phrase that fails is
+/// no error: see [`Report::passed`].
+pub fn check(
+    motion: &Motion,
+    profile: Profile,
+    statistics: Option<&TrainingStatistics>,
+) -> Result<Report, Error> {
+    match profile {
+        Profile::Document => Ok(SanityThresholds::default().check(motion)),
+        Profile::Strict => statistics
+            .map(|training| strict::check(motion, training))
+            .ok_or(Error::StatisticsNeeded),
+    }
+}
+
+/// No NaN and no infinity in any channel.
+fn finite(motion: &Motion) -> Check {
+    let bad = motion
+        .as_slice()
+        .iter()
+        .filter(|value| !value.is_finite())
+        .count();
+    let message = match motion.first_non_finite() {
+        None => "all values are finite".to_string(),
+        Some((frame, channel)) => format!(
+            "{bad} of {} values are not finite, the first in frame {frame}, channel `{}`",
+            motion.frames() * CHANNELS,
+            channel_name(channel)
+        ),
+    };
+    Check::new(
+        "finite",
+        Value::Number(bad as f64),
+        Threshold::AtMost(0.0),
+        message,
+    )
+}
+
+/// Smallest and largest value; both NaN if one of the values is.
+fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+        // `f64::min` would drop a NaN.
+        if value.is_nan() || low.is_nan() {
+            [f64::NAN; 2]
+        } else {
+            [low.min(value), high.max(value)]
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wandering::wandering;
+
+    #[test]
+    fn strict_without_statistics_says_where_to_take_them_from() {
+        let error = check(&wandering(1, 5), Profile::Strict, None).unwrap_err();
+        let help = miette::Diagnostic::help(&error).unwrap().to_string();
+        assert!(
+            help.contains("--run") && help.contains("--source"),
+            "{help}"
+        );
+    }
+
+    #[test]
+    fn one_bad_value_in_any_channel_fails_both_profiles() {
+        let good = wandering(2, 6);
+        let statistics = TrainingStatistics::compute([&good]).unwrap();
+        for profile in [Profile::Document, Profile::Strict] {
+            assert!(check(&good, profile, Some(&statistics)).unwrap().passed);
+            for place in 0..6 * CHANNELS {
+                for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                    let mut motion = good.clone();
+                    motion.frame_mut(place / CHANNELS)[place % CHANNELS] = value;
+                    let report = check(&motion, profile, Some(&statistics)).unwrap();
+                    assert!(!report.passed, "{profile}: {value} at {place}");
+                    assert!(!report.check("finite").unwrap().passed);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn nan_makes_the_measured_value_nan_and_the_check_fail() {
+        let mut motion = wandering(2, 6);
+        (0..CHANNELS).for_each(|channel| motion.frame_mut(3)[channel] = f32::NAN);
+        let statistics = TrainingStatistics::compute([&wandering(2, 6)]).unwrap();
+        for profile in [Profile::Document, Profile::Strict] {
+            let report = check(&motion, profile, Some(&statistics)).unwrap();
+            assert!(
+                report.checks.iter().all(|check| !check.passed),
+                "{report:#?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_shortest_phrases_are_checked() {
+        let statistics = TrainingStatistics::compute([&wandering(2, 40)]).unwrap();
+        for frames in [1, 2] {
+            let motion = wandering(2, frames);
+            for profile in [Profile::Document, Profile::Strict] {
+                let report = check(&motion, profile, Some(&statistics)).unwrap();
+                assert!(report.passed, "{profile}, {frames}: {report:#?}");
+            }
+        }
+    }
+
+    #[test]
+    fn profiles_have_the_names_of_the_command_line() {
+        for profile in [Profile::Document, Profile::Strict] {
+            assert_eq!(profile.to_string().parse::<Profile>().unwrap(), profile);
+            assert_eq!(serde_json::to_value(profile).unwrap(), profile.to_string());
+        }
+        assert!("lenient".parse::<Profile>().is_err());
+    }
+}

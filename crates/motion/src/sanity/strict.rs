@@ -1,0 +1,188 @@
+//! Checks of every frame, with bounds taken from the training phrases.
+
+use super::{Check, Report, Threshold, Value, finite, range};
+use crate::kinematics::{acceleration_errors, mean_jerk_norm, mean_norm, velocity_errors};
+use crate::phrase::PHASE;
+use crate::{Motion, TrainingStatistics};
+
+/// Largest deviation of a quaternion's norm from 1.
+const NORM_TOLERANCE: f64 = 1e-3;
+
+/// Share of the training phrases' root mean square at which an error of velocity or acceleration
+/// counts as incoherent.
+const COHERENCE_SHARE: f64 = 0.1;
+
+/// How many times the training phrases' 95th percentile the mean jerk may be.
+const JERK_FACTOR: f64 = 3.0;
+
+/// Makes the checks of [`Profile::Strict`](super::Profile::Strict).
+pub(super) fn check(motion: &Motion, training: &TrainingStatistics) -> Report {
+    Report::new(vec![
+        finite(motion),
+        quaternion_norm(motion),
+        quaternion_sign(motion),
+        phase(motion),
+        coherence(
+            "velocity_coherence",
+            "velocity error {error} m/s",
+            &velocity_errors(motion),
+            training.rms_speed,
+        ),
+        coherence(
+            "accel_coherence",
+            "acceleration error {error} m/s^2",
+            &acceleration_errors(motion),
+            training.rms_acceleration,
+        ),
+        jerk(motion, training),
+    ])
+}
+
+fn quaternion_norm(motion: &Motion) -> Check {
+    let deviations = (0..motion.frames()).map(|t| (motion.quaternion(t).norm() - 1.0).abs());
+    let [_, largest] = range(deviations);
+    Check::new(
+        "quaternion_norm",
+        Value::Number(largest),
+        Threshold::Below(NORM_TOLERANCE),
+        format!("largest deviation of a quaternion's norm from 1: {largest:.2e}"),
+    )
+}
+
+fn quaternion_sign(motion: &Motion) -> Check {
+    let neighbours = 1..motion.frames();
+    let [smallest, _] = if neighbours.is_empty() {
+        [1.0; 2] // A single frame has no neighbour to disagree with.
+    } else {
+        range(neighbours.map(|t| motion.quaternion(t - 1).dot(motion.quaternion(t))))
+    };
+    Check::new(
+        "quaternion_sign",
+        Value::Number(smallest),
+        Threshold::Above(0.0),
+        format!("smallest product of neighbouring quaternions: {smallest:.4}"),
+    )
+}
+
+fn phase(motion: &Motion) -> Check {
+    let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
+    Check::new(
+        "phase",
+        Value::Range([low, high]),
+        Threshold::Within([0.0, 1.0]),
+        format!("phase from {low:.4} to {high:.4}"),
+    )
+}
+
+fn coherence(name: &'static str, what: &str, errors: &[[f64; 3]], scale: f64) -> Check {
+    let error = mean_norm(errors);
+    Check::new(
+        name,
+        Value::Number(error),
+        Threshold::Below(COHERENCE_SHARE * scale),
+        format!(
+            "mean {}",
+            what.replace("{error}", &Value::Number(error).to_string())
+        ),
+    )
+}
+
+fn jerk(motion: &Motion, training: &TrainingStatistics) -> Check {
+    let mean = mean_jerk_norm(motion);
+    Check::new(
+        "jerk",
+        Value::Number(mean),
+        Threshold::AtMost(JERK_FACTOR * training.jerk_p95),
+        format!("mean jerk {mean:.1} m/s^3"),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::phrase::{ACCELERATION, VELOCITY};
+    use crate::wandering::wandering;
+
+    fn training() -> TrainingStatistics {
+        let phrases: Vec<Motion> = (0..20).map(|seed| wandering(seed, 60)).collect();
+        TrainingStatistics::compute(&phrases).unwrap()
+    }
+
+    /// Changes one frame of a good phrase, then names the checks that fail.
+    fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
+        let mut motion = wandering(7, 60);
+        change(&mut motion);
+        let report = check(&motion, &training());
+        report
+            .checks
+            .iter()
+            .filter(|check| !check.passed)
+            .map(|check| check.name)
+            .collect()
+    }
+
+    fn add_everywhere(motion: &mut Motion, channels: std::ops::Range<usize>, offset: [f64; 3]) {
+        for t in 0..motion.frames() {
+            let value = motion.vector(t, channels.clone());
+            motion.set_vector(
+                t,
+                channels.clone(),
+                [0, 1, 2].map(|axis| value[axis] + offset[axis]),
+            );
+        }
+    }
+
+    #[test]
+    fn coherent_phrases_pass() {
+        for seed in 0..20 {
+            let report = check(&wandering(seed, 60), &training());
+            assert!(report.passed, "{report:#?}");
+            assert_eq!(report.checks.len(), 7);
+        }
+    }
+
+    #[test]
+    fn a_single_frame_of_wrong_norm_or_sign_fails() {
+        let scale =
+            |factor: f64| failing(move |m| m.set_quaternion(30, m.quaternion(30).scale(factor)));
+        assert_eq!(scale(1.002), ["quaternion_norm"]);
+        assert_eq!(scale(0.998), ["quaternion_norm"]);
+        assert!(scale(1.0005).is_empty());
+        assert_eq!(scale(-1.0), ["quaternion_sign"]);
+    }
+
+    #[test]
+    fn phase_outside_the_bar_fails() {
+        assert_eq!(failing(|m| m.frame_mut(59)[PHASE] = 1.001), ["phase"]);
+        assert_eq!(failing(|m| m.frame_mut(0)[PHASE] = -0.001), ["phase"]);
+    }
+
+    #[test]
+    fn errors_beyond_a_tenth_of_the_training_scale_fail() {
+        let statistics = training();
+        // By its Euclidean norm, 0.6 / 0.8 of the offset along two axes.
+        let offset = |share: f64, scale: f64| [0.6 * share * scale, 0.0, -0.8 * share * scale];
+        let velocity =
+            |share| failing(|m| add_everywhere(m, VELOCITY, offset(share, statistics.rms_speed)));
+        assert!(velocity(0.099).is_empty());
+        assert_eq!(velocity(0.101), ["velocity_coherence"]);
+        let acceleration = |share| {
+            failing(|m| add_everywhere(m, ACCELERATION, offset(share, statistics.rms_acceleration)))
+        };
+        assert!(acceleration(0.099).is_empty());
+        assert_eq!(acceleration(0.101), ["accel_coherence"]);
+    }
+
+    #[test]
+    fn trembling_fails() {
+        let zigzag = |times: f64| {
+            let size = times * training().jerk_p95 / 30.0;
+            failing(move |m| {
+                (0..60)
+                    .for_each(|t| m.set_vector(t, ACCELERATION, [0.0, size * (t % 2) as f64, 0.0]))
+            })
+        };
+        assert!(zigzag(3.01).contains(&"jerk"));
+        assert!(!zigzag(2.99).contains(&"jerk"));
+    }
+}

@@ -1,0 +1,190 @@
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
+use super::{Checkpoint, CheckpointRef, State};
+use crate::Error;
+
+/// The folder `checkpoints` of a run.
+#[derive(Clone, Debug)]
+pub struct Checkpoints {
+    path: PathBuf,
+}
+
+/// `best.json`: the step with the lowest validation loss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Best {
+    /// Its checkpoint is `step-XXXXXXXX`.
+    pub step: u64,
+    /// Its loss.
+    pub val_loss: f64,
+}
+
+impl Checkpoints {
+    /// The checkpoints of the run in `run`.
+    pub fn of(run: &Path) -> Self {
+        Self { path: run.join("checkpoints") }
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where the checkpoint of `step` is or would be.
+    pub fn step_path(&self, step: u64) -> PathBuf {
+        self.path.join(format!("step-{step:08}"))
+    }
+
+    /// Steps that have a checkpoint, oldest first, whether it is good or not.
+    pub fn steps(&self) -> Vec<u64> {
+        let entries = fs::read_dir(&self.path).into_iter().flatten().flatten();
+        let mut steps: Vec<u64> = entries
+            .filter_map(|entry| entry.file_name().to_str()?.strip_prefix("step-")?.parse().ok())
+            .collect();
+        steps.sort_unstable();
+        steps
+    }
+
+    /// The newest checkpoint that is good, if there are any checkpoints at all; `skipped` is told
+    /// of each damaged one.
+    ///
+    /// # Errors
+    /// If there are checkpoints and none is good.
+    pub fn newest_good(
+        &self,
+        mut skipped: impl FnMut(&Error),
+    ) -> Result<Option<Checkpoint>, Error> {
+        let steps = self.steps();
+        let mut tried = Vec::new();
+        for &step in steps.iter().rev() {
+            match Checkpoint::read(&self.step_path(step)) {
+                Ok(checkpoint) => return Ok(Some(checkpoint)),
+                Err(error) => {
+                    skipped(&error);
+                    tried.push(format!("  {error}"));
+                }
+            }
+        }
+        if tried.is_empty() {
+            return Ok(None);
+        }
+        Err(Error::NoGoodCheckpoint { path: self.path.clone(), tried: tried.join("\n") })
+    }
+
+    /// The best step, if one is recorded.
+    pub fn best(&self) -> Option<Best> {
+        serde_json::from_slice(&fs::read(self.path.join("best.json")).ok()?).ok()
+    }
+
+    /// Writes a checkpoint; when this returns it survives a crash.
+    ///
+    /// # Errors
+    /// If it cannot be written; nothing is left of it then.
+    pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
+        let target = self.step_path(checkpoint.state.step);
+        let temporary = self.path.join(format!(".writing-{:08}", checkpoint.state.step));
+        fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
+        let written = remove(&temporary)
+            .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
+            .and_then(|()| write_files(&temporary, checkpoint))
+            // One of the same step can only be damaged, or from before a fall back to an older.
+            .and_then(|()| remove(&target))
+            .and_then(|()| {
+                fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
+            });
+        if let Err(error) = written {
+            // The error that matters is the first.
+            let _ = fs::remove_dir_all(&temporary);
+            return Err(error);
+        }
+        flush_folder(&self.path)?;
+        Ok(target)
+    }
+
+    /// Records the best step, or that there is none.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn set_best(&self, best: Option<&Best>) -> Result<(), Error> {
+        let target = self.path.join("best.json");
+        let Some(best) = best else {
+            return remove(&target);
+        };
+        let temporary = self.path.join(".writing-best.json");
+        let text = serde_json::to_string_pretty(best).expect("plain data") + "\n";
+        write_flushed(&temporary, text.as_bytes())?;
+        fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))?;
+        flush_folder(&self.path)
+    }
+
+    /// Removes what a crash left half-written, and all checkpoints but the newest `keep_last`, the
+    /// best one and those beyond `current`, which a resumed run has not reached again.
+    ///
+    /// # Errors
+    /// If something cannot be removed.
+    pub fn prune(&self, current: u64, keep_last: usize, best: Option<u64>) -> Result<(), Error> {
+        let entries = fs::read_dir(&self.path).map_err(Error::io("list", &self.path))?;
+        for entry in entries.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(".writing-") {
+                remove(&entry.path())?;
+            }
+        }
+        let reached: Vec<u64> = self.steps().into_iter().filter(|&s| s <= current).collect();
+        let superfluous = reached.iter().rev().skip(keep_last).filter(|&&s| Some(s) != best);
+        for &step in superfluous {
+            remove(&self.step_path(step))?;
+        }
+        Ok(())
+    }
+}
+
+fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error> {
+    let CheckpointRef { state, infos, model, ema, moments } = checkpoint;
+    let mut checksums = BTreeMap::new();
+    for (weights, values) in [(Weights::Model, model), (Weights::Ema, ema)] {
+        let tensors = infos
+            .iter()
+            .zip(values)
+            .map(|(info, values)| (info.name.clone(), info.shape.as_slice(), values.as_slice()));
+        let checksum = write(&folder.join(weights.file()), tensors)?;
+        checksums.insert(weights.file().to_string(), checksum);
+    }
+    let tensors = infos.iter().zip(moments).flat_map(|(info, moments)| {
+        let shape = info.shape.as_slice();
+        [
+            (format!("{}.exp_avg", info.name), shape, moments.exp_avg.as_slice()),
+            (format!("{}.exp_avg_sq", info.name), shape, moments.exp_avg_sq.as_slice()),
+        ]
+    });
+    checksums.insert(OPTIMIZER.to_string(), write(&folder.join(OPTIMIZER), tensors)?);
+    let state = State { checksums, ..state.clone() };
+    write_flushed(&folder.join("state.json"), state.to_text().as_bytes())?;
+    flush_folder(folder)
+}
+
+/// Removes a file or folder; one that is not there is fine. A folder is renamed first, so that a
+/// crash midway leaves no checkpoint with files missing.
+fn remove(path: &Path) -> Result<(), Error> {
+    let result = if path.is_dir() {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let doomed = path.with_file_name(format!(".writing-removed-{name}"));
+        fs::rename(path, &doomed).and_then(|()| fs::remove_dir_all(&doomed))
+    } else {
+        fs::remove_file(path)
+    };
+    match result {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(Error::io("remove", path)(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn flush_folder(path: &Path) -> Result<(), Error> {
+    let folder = fs::File::open(path).map_err(Error::io("open", path))?;
+    folder.sync_all().map_err(Error::io("flush", path))
+}

@@ -1,0 +1,62 @@
+//! Checkpoints: a folder of safetensors and one `state.json`, complete in itself.
+//!
+//! A checkpoint is written under a temporary name, flushed and renamed, so a crash at any instant
+//! leaves the earlier ones usable; what reads one verifies its checksums first.
+
+mod folder;
+mod state;
+mod tensors;
+
+pub use folder::{Best, Checkpoints};
+pub use state::{FORMAT, Progress, State};
+pub use tensors::{Weights, read_optimizer, read_weights};
+
+use std::path::Path;
+
+use kinegrad_models::parameters::{HostParameter, ParameterInfo};
+
+use crate::Error;
+use crate::optim::Moments;
+
+/// Everything that a run continues from.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    /// Config, step, statistics, progress.
+    pub state: State,
+    /// The weights being trained.
+    pub model: Vec<HostParameter>,
+    /// Their moving average.
+    pub ema: Vec<HostParameter>,
+    /// The optimiser's running means, in the order of `model`.
+    pub moments: Vec<Moments>,
+}
+
+impl Checkpoint {
+    /// Reads and verifies all of the checkpoint in `path`.
+    ///
+    /// # Errors
+    /// If a file is missing or damaged.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        let model = read_weights(path, &state, Weights::Model)?;
+        let ema = read_weights(path, &state, Weights::Ema)?;
+        let infos: Vec<ParameterInfo> = model.iter().map(|p| p.info.clone()).collect();
+        let moments = read_optimizer(path, &state, &infos)?;
+        Ok(Self { state, model, ema, moments })
+    }
+}
+
+/// Borrowed form of a [`Checkpoint`], for writing without copying the tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct CheckpointRef<'a> {
+    /// Config, step, statistics, progress; the checksums are filled in by the writer.
+    pub state: &'a State,
+    /// Names and shapes, in the order of the rest.
+    pub infos: &'a [ParameterInfo],
+    /// The weights being trained.
+    pub model: &'a [Vec<f32>],
+    /// Their moving average.
+    pub ema: &'a [Vec<f32>],
+    /// The optimiser's running means.
+    pub moments: &'a [Moments],
+}

@@ -1,0 +1,85 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use kinegrad_motion::TrainingStatistics;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::Error;
+use crate::config::Config;
+
+/// Version of the checkpoint's layout.
+pub const FORMAT: u32 = 1;
+
+/// Where the search for the best weights stands.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Progress {
+    /// Step of the best validation so far.
+    pub best_step: Option<u64>,
+    /// Its loss.
+    pub best_val_loss: Option<f64>,
+    /// Validations since then.
+    pub validations_since_best: u64,
+}
+
+/// `state.json`: what a checkpoint holds beside its tensors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct State {
+    /// Version of the layout, [`FORMAT`].
+    pub format: u32,
+    /// Version of kinegrad that wrote it.
+    pub kinegrad: String,
+    /// Optimiser steps done.
+    pub step: u64,
+    /// The resolved config of the run.
+    pub config: Config,
+    /// Normalisation, clipping and checking bounds of the training phrases.
+    pub statistics: TrainingStatistics,
+    /// Where the search for the best weights stands.
+    pub progress: Progress,
+    /// SHA-256 of each file of the checkpoint, in hexadecimal.
+    pub checksums: BTreeMap<String, String>,
+}
+
+/// Between the state and the checksum of the text before it.
+const SEAL: &str = ",\n  \"state_sha256\": \"";
+
+impl State {
+    /// The text of `state.json`; its last key is the checksum of everything before that key.
+    pub(super) fn to_text(&self) -> String {
+        let text = serde_json::to_string_pretty(self).expect("the state is plain data");
+        let body = text.strip_suffix("\n}").expect("a pretty JSON object ends so");
+        format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
+    }
+
+    /// Reads and verifies `state.json` of the checkpoint in `path`.
+    ///
+    /// # Errors
+    /// If it is missing, damaged, or of another layout.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let damaged =
+            |reason: String| Error::CheckpointDamaged { path: path.to_path_buf(), reason };
+        let text = std::fs::read_to_string(path.join("state.json"))
+            .map_err(|error| damaged(format!("state.json: {error}")))?;
+        let body = text.rfind(SEAL).map(|end| &text[..end]);
+        let sealed = |body: &str| format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes())) == text;
+        let Some(body) = body.filter(|body| sealed(body)) else {
+            return Err(damaged("state.json does not match its checksum".into()));
+        };
+        let state: Self = serde_json::from_str(&format!("{body}\n}}")).map_err(|error| {
+            damaged(format!("state.json is of another version of kinegrad: {error}"))
+        })?;
+        if state.format != FORMAT {
+            let reason = format!("layout {} is not {FORMAT}, this version's", state.format);
+            return Err(damaged(reason));
+        }
+        Ok(state)
+    }
+}
+
+/// SHA-256 in hexadecimal.
+pub(super) fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}

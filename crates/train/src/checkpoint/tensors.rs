@@ -1,0 +1,138 @@
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
+use kinegrad_models::parameters::{HostParameter, ParameterInfo};
+use safetensors::{Dtype, SafeTensors, View};
+
+use super::state::{State, sha256};
+use crate::Error;
+use crate::optim::Moments;
+
+/// Which weights of a checkpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// Those being trained.
+    Model,
+    /// Their moving average.
+    Ema,
+}
+
+impl Weights {
+    /// File name in a checkpoint.
+    pub fn file(self) -> &'static str {
+        match self {
+            Self::Model => "model.safetensors",
+            Self::Ema => "ema.safetensors",
+        }
+    }
+}
+
+pub(super) const OPTIMIZER: &str = "optimizer.safetensors";
+
+/// A float32 tensor that safetensors can write.
+struct HostView<'a> {
+    shape: &'a [usize],
+    values: &'a [f32],
+}
+
+impl View for HostView<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        self.shape
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(bytemuck::cast_slice(self.values))
+    }
+    fn data_len(&self) -> usize {
+        size_of_val(self.values)
+    }
+}
+
+/// Writes and flushes one file of tensors; returns its checksum.
+pub(super) fn write<'a>(
+    path: &Path,
+    tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
+) -> Result<String, Error> {
+    let views =
+        tensors.into_iter().map(|(name, shape, values)| (name, HostView { shape, values }));
+    // `format` is what the Python loaders of torch models look for.
+    let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
+    let bytes = safetensors::serialize(views, Some(metadata)).expect("names are unique");
+    write_flushed(path, &bytes)?;
+    Ok(sha256(&bytes))
+}
+
+/// Writes a file so that it survives a crash after this returns.
+pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let mut file = File::create(path).map_err(Error::io("create", path))?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    file.sync_all().map_err(Error::io("flush", path))
+}
+
+/// Reads the weights of the checkpoint in `path`, verified against `state`.
+///
+/// # Errors
+/// If the file is missing or damaged.
+pub fn read_weights(
+    path: &Path,
+    state: &State,
+    weights: Weights,
+) -> Result<Vec<HostParameter>, Error> {
+    read(path, state, weights.file())
+}
+
+/// Reads the optimiser's running means in the order of `infos`.
+///
+/// # Errors
+/// If the file is missing or damaged, or lacks a parameter.
+pub fn read_optimizer(
+    path: &Path,
+    state: &State,
+    infos: &[ParameterInfo],
+) -> Result<Vec<Moments>, Error> {
+    let mut by_name: HashMap<String, Vec<f32>> =
+        read(path, state, OPTIMIZER)?.into_iter().map(|p| (p.info.name, p.values)).collect();
+    let mut take = |name: String, len: usize| {
+        by_name.remove(&name).filter(|values| values.len() == len).ok_or_else(|| {
+            let reason = format!("{OPTIMIZER} lacks `{name}` of {len} elements");
+            Error::CheckpointDamaged { path: path.to_path_buf(), reason }
+        })
+    };
+    infos
+        .iter()
+        .map(|info| {
+            Ok(Moments {
+                exp_avg: take(format!("{}.exp_avg", info.name), info.len())?,
+                exp_avg_sq: take(format!("{}.exp_avg_sq", info.name), info.len())?,
+            })
+        })
+        .collect()
+}
+
+fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Error> {
+    let damaged = |reason: String| Error::CheckpointDamaged {
+        path: path.to_path_buf(),
+        reason: format!("{file}: {reason}"),
+    };
+    let bytes = std::fs::read(path.join(file)).map_err(|error| damaged(error.to_string()))?;
+    if state.checksums.get(file) != Some(&sha256(&bytes)) {
+        return Err(damaged("the checksum does not match".into()));
+    }
+    let parsed = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
+    parsed
+        .iter()
+        .map(|(name, view)| {
+            if view.dtype() != Dtype::F32 {
+                return Err(damaged(format!("`{name}` is {:?}, not F32", view.dtype())));
+            }
+            let values = bytemuck::pod_collect_to_vec(view.data());
+            let info = ParameterInfo { name: name.to_string(), shape: view.shape().to_vec() };
+            Ok(HostParameter { info, values })
+        })
+        .collect()
+}

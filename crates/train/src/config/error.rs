@@ -1,0 +1,79 @@
+use std::fmt::Display;
+use std::path::PathBuf;
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// What can be wrong with a config.
+#[derive(Debug, Error, Diagnostic)]
+pub enum ConfigError {
+    /// The file is not there or cannot be read.
+    #[error("cannot read the config {}: {source}", path.display())]
+    #[diagnostic(help("the configs that come with kinegrad are in the folder `configs`"))]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Text that is not TOML.
+    #[error("{place}: {message}")]
+    #[diagnostic(help("configs are TOML: tables in [brackets], `key = value` lines"))]
+    Syntax {
+        /// File and line.
+        place: String,
+        /// What the parser said.
+        message: String,
+    },
+    /// A key that does not exist.
+    #[error("{place}: unknown key `{key}`, allowed: {allowed}")]
+    #[diagnostic(help("{hint}"))]
+    UnknownKey {
+        /// File and line, or the override.
+        place: String,
+        /// The dotted key.
+        key: String,
+        /// The keys of that table.
+        allowed: String,
+        /// The nearest valid key, if one is near.
+        hint: String,
+    },
+    /// A value of the wrong type, or not among those allowed.
+    #[error("{place}: `{key}`: {message}")]
+    #[diagnostic(help("{hint}"))]
+    Value {
+        /// File and line, or the override.
+        place: String,
+        /// The dotted key.
+        key: String,
+        /// What was found and what was expected.
+        message: String,
+        /// How to mend it.
+        hint: String,
+    },
+    /// A value out of range.
+    #[error("`{key}` is {found}, allowed: {allowed}")]
+    #[diagnostic(help("`kinegrad config show CONFIG` prints every key with its value"))]
+    Range {
+        /// The dotted key.
+        key: String,
+        /// The value found.
+        found: String,
+        /// The values allowed.
+        allowed: String,
+    },
+    /// An override that is not `KEY=VALUE`.
+    #[error("`--set {argument}` is not KEY=VALUE")]
+    #[diagnostic(help("for example `--set optim.learning_rate=2e-4`"))]
+    Override {
+        /// The argument found.
+        argument: String,
+    },
+}
+
+impl ConfigError {
+    /// A value out of range.
+    pub fn range(key: impl Display, found: impl Display, allowed: impl Display) -> Self {
+        Self::Range { key: key.to_string(), found: found.to_string(), allowed: allowed.to_string() }
+    }
+}

@@ -1,0 +1,207 @@
+//! From a file and `KEY=VALUE` overrides to a [`Config`], with errors that name file, line, key,
+//! what was found and what is allowed.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+use super::{Config, ConfigError};
+
+/// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
+///
+/// # Errors
+/// Names file and line, or the override, of the first thing wrong.
+pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ConfigError::Read { path: path.to_path_buf(), source })?;
+    parse(&text, &path.display().to_string(), overrides)
+}
+
+/// [`load()`] from text; `origin` stands for the file in errors.
+///
+/// # Errors
+/// As [`load()`].
+pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, ConfigError> {
+    let deserializer = toml::Deserializer::parse(text).map_err(|error| ConfigError::Syntax {
+        place: place(text, origin, error.span()),
+        message: error.message().to_string(),
+    })?;
+    let config: Config = serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        let inner = error.inner();
+        explain(place(text, origin, inner.span()), &error.path().to_string(), inner.message())
+    })?;
+    if overrides.is_empty() {
+        return Ok(config);
+    }
+    let mut table: Table = text.parse().expect("text that was just parsed");
+    for argument in overrides {
+        apply(&mut table, argument)?;
+        // Deserialised after each one, so that an error belongs to it.
+        from_table::<Config>(&table, &format!("--set {argument}"))?;
+    }
+    from_table(&table, "--set")
+}
+
+/// The config as TOML text, every key written out.
+pub fn to_toml(config: &Config) -> String {
+    toml::to_string(config).expect("a config is a table of plain values")
+}
+
+fn from_table<T: DeserializeOwned>(table: &Table, origin: &str) -> Result<T, ConfigError> {
+    serde_path_to_error::deserialize(Value::Table(table.clone())).map_err(|error| {
+        explain(origin.to_string(), &error.path().to_string(), error.inner().message())
+    })
+}
+
+/// Sets one dotted key; a value that is not TOML is taken as text, so that `run.device=cpu` needs
+/// no quotes in a shell.
+fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
+    let wrong = || ConfigError::Override { argument: argument.to_string() };
+    let (key, text) = argument.split_once('=').ok_or_else(wrong)?;
+    let segments: Vec<&str> = key.trim().split('.').map(str::trim).collect();
+    if segments.iter().any(|segment| segment.is_empty()) {
+        return Err(wrong());
+    }
+    let value = format!("value = {text}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| Value::String(text.trim().to_string()));
+    let (last, parents) = segments.split_last().expect("split yields at least one segment");
+    let mut current = table;
+    for parent in parents {
+        let entry = current
+            .entry(parent.to_string())
+            .or_insert_with(|| Value::Table(Table::new()));
+        current = entry.as_table_mut().ok_or_else(|| ConfigError::Value {
+            place: format!("--set {argument}"),
+            key: key.to_string(),
+            message: format!("`{parent}` is a value, not a table"),
+            hint: "keys are written table.key".into(),
+        })?;
+    }
+    current.insert(last.to_string(), value);
+    Ok(())
+}
+
+/// Line of the error, counted from 1.
+fn place(text: &str, origin: &str, span: Option<std::ops::Range<usize>>) -> String {
+    match span {
+        Some(span) => {
+            let line = text[..span.start.min(text.len())].matches('\n').count() + 1;
+            format!("{origin}:{line}")
+        }
+        None => origin.to_string(),
+    }
+}
+
+/// Turns serde's words for an unknown key into an error with the nearest valid one.
+fn explain(place: String, path: &str, message: &str) -> ConfigError {
+    let message = message.trim().lines().next().unwrap_or_default();
+    let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_string);
+    if message.starts_with("unknown field") {
+        let found = quoted.next().unwrap_or_default();
+        let allowed: Vec<String> = quoted.collect();
+        let parent = match path {
+            "." => "",
+            path => path.strip_suffix(found.as_str()).unwrap_or(path).trim_end_matches('.'),
+        };
+        let join = |key: &str| match parent {
+            "" => key.to_string(),
+            parent => format!("{parent}.{key}"),
+        };
+        let hint = match nearest(&found, &allowed) {
+            Some(near) => format!("did you mean `{}`?", join(near)),
+            None => "`kinegrad config show CONFIG` prints every key with its value".into(),
+        };
+        return ConfigError::UnknownKey {
+            place,
+            key: join(&found),
+            allowed: allowed.join(", "),
+            hint,
+        };
+    }
+    let hint = if message.starts_with("unknown variant") {
+        let found = quoted.next().unwrap_or_default();
+        let allowed: Vec<String> = quoted.collect();
+        match nearest(&found, &allowed) {
+            Some(near) => format!("did you mean \"{near}\"?"),
+            None => format!("choose one of: {}", allowed.join(", ")),
+        }
+    } else {
+        "`kinegrad config show CONFIG` prints every key with its value".into()
+    };
+    ConfigError::Value { place, key: path.to_string(), message: message.to_string(), hint }
+}
+
+fn nearest<'a>(found: &str, allowed: &'a [String]) -> Option<&'a str> {
+    allowed
+        .iter()
+        .map(|candidate| (strsim::jaro_winkler(found, candidate), candidate.as_str()))
+        .filter(|(similarity, _)| *similarity > 0.75)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| candidate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str, overrides: &[&str]) -> String {
+        let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+        let error = parse(text, "c.toml", &overrides).expect_err("a bad config");
+        let help = miette::Diagnostic::help(&error).map(|h| h.to_string()).unwrap_or_default();
+        format!("{error}\nhint: {help}")
+    }
+
+    #[test]
+    fn an_unknown_key_names_line_table_and_neighbour() {
+        let text = error("[optim]\n\nlerning_rate = 1.0\n", &[]);
+        assert!(text.contains("c.toml:3: unknown key `optim.lerning_rate`"), "{text}");
+        assert!(text.contains("did you mean `optim.learning_rate`?"), "{text}");
+    }
+
+    #[test]
+    fn an_unknown_table_names_its_neighbour() {
+        let text = error("[optin]\nlearning_rate = 1.0\n", &[]);
+        assert!(text.contains("c.toml:1: unknown key `optin`"), "{text}");
+        assert!(text.contains("did you mean `optim`?"), "{text}");
+    }
+
+    #[test]
+    fn a_wrong_type_names_line_and_key() {
+        let text = error("[train]\nmax_steps = \"many\"\n", &[]);
+        assert!(text.contains("c.toml:2: `train.max_steps`: invalid type"), "{text}");
+        let text = error("[train]\nmax_steps = -5\n", &[]);
+        assert!(text.contains("c.toml:2: `train.max_steps`"), "{text}");
+    }
+
+    #[test]
+    fn an_unknown_choice_names_the_nearest() {
+        let text = error("[diffusion]\nbeta_schedule = \"cosin\"\n", &[]);
+        assert!(text.contains("did you mean \"cosine\"?"), "{text}");
+    }
+
+    #[test]
+    fn an_override_is_blamed_for_its_own_error() {
+        let text = error("", &["run.seed=3", "run.sead=3"]);
+        assert!(text.contains("--set run.sead=3: unknown key `run.sead`"), "{text}");
+        assert!(error("", &["run.seed"]).contains("is not KEY=VALUE"));
+    }
+
+    #[test]
+    fn overrides_win_in_order_and_text_needs_no_quotes() {
+        let overrides = ["run.seed=3", "run.device=cpu", "run.seed=4"].map(String::from);
+        let config = parse("[run]\nseed = 1\n", "c.toml", &overrides).expect("a good config");
+        assert_eq!((config.run.seed, config.run.device.as_str()), (4, "cpu"));
+    }
+
+    #[test]
+    fn the_written_config_reads_back_equal() {
+        let config = Config::default().resolved();
+        let again = parse(&to_toml(&config), "c.toml", &[]).expect("own output");
+        assert_eq!(again, config);
+        assert_eq!(again.resolved(), config);
+    }
+}

@@ -1,0 +1,83 @@
+//! The config of a run: plain data with a schema.
+//!
+//! Every key has a default, and the defaults are the source document's values where those are
+//! sound. [`load()`] reads a file with overrides, [`Config::validate`] refuses what cannot work
+//! before any work starts, and the resolved config is saved beside the run.
+
+mod difference;
+mod error;
+mod load;
+mod tables;
+
+pub use difference::{Difference, difference};
+pub use error::ConfigError;
+pub use load::{load, parse, to_toml};
+pub use tables::{
+    CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, Recipe, RunConfig, SamplingConfig,
+    TrainConfig, ValidationConfig,
+};
+
+use kinegrad_data::DataConfig;
+use kinegrad_diffusion::DiffusionConfig;
+use kinegrad_models::ModelConfig;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Everything a run is made from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Name, seed, device.
+    pub run: RunConfig,
+    /// Where the phrases come from and how batches are made of them.
+    pub data: DataConfig,
+    /// The network.
+    pub model: ModelConfig,
+    /// The diffusion process.
+    pub diffusion: DiffusionConfig,
+    /// AdamW and its learning rate.
+    pub optim: OptimConfig,
+    /// Which training, how long.
+    pub train: TrainConfig,
+    /// The moving average of the weights.
+    pub ema: EmaConfig,
+    /// When to save and what to keep.
+    pub checkpoint: CheckpointConfig,
+    /// When and how to measure on held-out phrases.
+    pub validation: ValidationConfig,
+    /// How to draw samples from the trained model.
+    pub sampling: SamplingConfig,
+}
+
+impl Config {
+    /// The config with every key that a named size implies written out.
+    #[must_use]
+    pub fn resolved(&self) -> Self {
+        Self { model: self.model.resolved(), ..self.clone() }
+    }
+
+    /// Refuses values that cannot work and returns what is doubtful.
+    ///
+    /// # Errors
+    /// Names the first key with a bad value, what it is, what is allowed and how to mend it.
+    pub fn validate(&self) -> Result<Vec<String>, Error> {
+        self.data.validate()?;
+        self.diffusion.validate()?;
+        self.model.unet1d(
+            kinegrad_motion::phrase::CHANNELS,
+            kinegrad_data::AUDIO_CHANNELS,
+        )?;
+        self.sampling.sampler.validate(self.diffusion.num_train_timesteps)?;
+        tables::validate(self)?;
+        let mut warnings = Vec::new();
+        if self.optim.warmup_steps > self.train.max_steps {
+            warnings.push(format!(
+                "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning \
+                 rate never reaches `optim.learning_rate`",
+                self.optim.warmup_steps, self.train.max_steps
+            ));
+        }
+        Ok(warnings)
+    }
+}

@@ -1,0 +1,234 @@
+//! The tables of a config that belong to training itself.
+
+use kinegrad_diffusion::SamplerConfig;
+use serde::{Deserialize, Serialize};
+
+use super::{Config, ConfigError};
+
+/// The table `run`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RunConfig {
+    /// Folder of the run under the runs directory; the config file's name when empty.
+    pub name: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// `auto`, `cpu`, or a device of this build (`kinegrad devices` lists them).
+    pub device: String,
+}
+
+impl Default for RunConfig {
+    fn default() -> Self {
+        Self { name: String::new(), seed: 42, device: "auto".into() }
+    }
+}
+
+/// How the learning rate falls after the warm-up, over the rest of `train.max_steps`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LrSchedule {
+    /// Half a cosine down to zero.
+    #[default]
+    Cosine,
+    /// A straight line down to zero.
+    Linear,
+    /// Not at all.
+    Constant,
+}
+
+/// The table `optim`: AdamW (CC-MotionGen documentation, section 6.3).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimConfig {
+    /// Rate after the warm-up.
+    pub learning_rate: f64,
+    /// Decoupled weight decay, scaled by the learning rate.
+    pub weight_decay: f64,
+    /// Decay of the running means of gradient and squared gradient.
+    pub betas: [f64; 2],
+    /// Added to the denominator.
+    pub eps: f64,
+    /// Steps in which the rate rises from 0.
+    pub warmup_steps: u64,
+    /// Form of the decay after the warm-up.
+    pub lr_schedule: LrSchedule,
+}
+
+impl Default for OptimConfig {
+    fn default() -> Self {
+        Self {
+            learning_rate: 1e-4,
+            weight_decay: 1e-4,
+            betas: [0.9, 0.999],
+            eps: 1e-8,
+            warmup_steps: 1000,
+            lr_schedule: LrSchedule::Cosine,
+        }
+    }
+}
+
+/// Kinds of training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Recipe {
+    /// A denoiser on noised motion: [`crate::recipes::diffusion`].
+    #[default]
+    Diffusion,
+}
+
+/// The table `train`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Kind of training.
+    pub recipe: Recipe,
+    /// Optimiser steps in all.
+    pub max_steps: u64,
+    /// Batches whose gradients are averaged into one step.
+    pub gradient_accumulation_steps: u64,
+    /// Gradients are scaled down to this global norm; 0 leaves them.
+    pub max_grad_norm: f64,
+    /// Steps between lines of metrics.
+    pub log_every_steps: u64,
+    /// Validations without a better loss after which training ends; 0 never ends it early.
+    pub patience: u64,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            recipe: Recipe::Diffusion,
+            max_steps: 16_400,
+            gradient_accumulation_steps: 1,
+            max_grad_norm: 1.0,
+            log_every_steps: 1,
+            patience: 0,
+        }
+    }
+}
+
+/// The table `ema`: the moving average of the weights that samples are drawn from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EmaConfig {
+    /// Share of the average that one update keeps; 0 makes the average a copy of the weights.
+    pub decay: f64,
+    /// Optimiser steps between updates.
+    pub update_every: u64,
+    /// With `power`, update n keeps at most `1 - (1 + n / inv_gamma)^-power`, so that the first
+    /// weights are forgotten early in training; 0 switches this warm-up off.
+    pub inv_gamma: f64,
+    /// See `inv_gamma`.
+    pub power: f64,
+}
+
+impl Default for EmaConfig {
+    fn default() -> Self {
+        // The document's 0.9999 every 10 steps keeps 85 % of the first weights after its whole
+        // training of 16400 steps, hence the warm-up.
+        Self { decay: 0.9999, update_every: 10, inv_gamma: 9.0, power: 1.0 }
+    }
+}
+
+/// The table `checkpoint`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CheckpointConfig {
+    /// Steps between checkpoints; one is also written at the end and at each best validation.
+    pub every_steps: u64,
+    /// Newest checkpoints that are kept, beside the best one.
+    pub keep_last: usize,
+}
+
+impl Default for CheckpointConfig {
+    fn default() -> Self {
+        Self { every_steps: 500, keep_last: 3 }
+    }
+}
+
+/// The table `validation`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValidationConfig {
+    /// Steps between validations; 0 never validates.
+    pub every_steps: u64,
+    /// Noise draws per held-out phrase.
+    pub draws: usize,
+    /// Phrases per forward pass; does not change the result beyond rounding.
+    pub batch_size: usize,
+}
+
+impl Default for ValidationConfig {
+    fn default() -> Self {
+        Self { every_steps: 500, draws: 8, batch_size: 27 }
+    }
+}
+
+/// What the predicted clean motion is clipped to in each sampling step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Clip {
+    /// Each channel to the range it has in the training phrases.
+    #[default]
+    TrainingRange,
+    /// The document's -1 to 1, in normalised units. Real motion reaches 21 standard deviations
+    /// in single channels, so this flattens it.
+    Unit,
+    /// Nothing is clipped.
+    None,
+}
+
+/// The table `sampling`: how the run's samples are drawn, at its end and by `kinegrad sample`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SamplingConfig {
+    /// Samples drawn, post-processed and checked when training ends; 0 draws none.
+    pub count_at_end: usize,
+    /// What the predicted clean motion is clipped to.
+    pub clip: Clip,
+    /// The sampler.
+    pub sampler: SamplerConfig,
+}
+
+/// Refuses bad values in the tables above.
+pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
+    let optim = &config.optim;
+    let train = &config.train;
+    let at_least_one = [
+        ("train.gradient_accumulation_steps", train.gradient_accumulation_steps),
+        ("train.max_steps", train.max_steps),
+        ("train.log_every_steps", train.log_every_steps),
+        ("ema.update_every", config.ema.update_every),
+        ("checkpoint.every_steps", config.checkpoint.every_steps),
+        ("checkpoint.keep_last", config.checkpoint.keep_last as u64),
+        ("validation.draws", config.validation.draws as u64),
+        ("validation.batch_size", config.validation.batch_size as u64),
+    ];
+    for (key, value) in at_least_one {
+        if value == 0 {
+            return Err(ConfigError::range(key, value, "1 or more"));
+        }
+    }
+    let unit = 0.0..1.0;
+    let ranges: [(&str, f64, bool, &str); 9] = [
+        ("optim.learning_rate", optim.learning_rate, optim.learning_rate >= 0.0, "0 or more"),
+        ("optim.weight_decay", optim.weight_decay, optim.weight_decay >= 0.0, "0 or more"),
+        ("optim.eps", optim.eps, optim.eps > 0.0, "more than 0"),
+        ("optim.betas", optim.betas[0], unit.contains(&optim.betas[0]), "0 to below 1"),
+        ("optim.betas", optim.betas[1], unit.contains(&optim.betas[1]), "0 to below 1"),
+        ("train.max_grad_norm", train.max_grad_norm, train.max_grad_norm >= 0.0, "0 or more"),
+        ("ema.decay", config.ema.decay, (0.0..=1.0).contains(&config.ema.decay), "0 to 1"),
+        ("ema.inv_gamma", config.ema.inv_gamma, config.ema.inv_gamma >= 0.0, "0 or more"),
+        ("ema.power", config.ema.power, config.ema.power > 0.0, "more than 0"),
+    ];
+    for (key, value, allowed, range) in ranges {
+        if !allowed || !value.is_finite() {
+            return Err(ConfigError::range(key, value, range));
+        }
+    }
+    let name = &config.run.name;
+    if name.contains(['/', '\\']) || name.starts_with('.') {
+        return Err(ConfigError::range("run.name", format!("\"{name}\""), "a plain folder name"));
+    }
+    Ok(())
+}

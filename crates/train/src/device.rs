@@ -1,0 +1,138 @@
+//! The one place where a device is made from its name.
+
+use burn::tensor::{Device, Tensor};
+
+use crate::Error;
+
+/// A device this build can run on.
+#[derive(Clone, Debug)]
+pub struct DeviceInfo {
+    /// The value of `run.device` that picks it.
+    pub name: String,
+    /// What it is, in words.
+    pub description: String,
+}
+
+/// A kind of device compiled into this build.
+struct Kind {
+    name: &'static str,
+    description: &'static str,
+    /// Takes part in `auto`, which takes the first that works.
+    automatic: bool,
+    open: fn(index: usize) -> Device,
+}
+
+/// Best first.
+const KINDS: &[Kind] = &[
+    #[cfg(feature = "cuda")]
+    Kind {
+        name: "cuda",
+        description: "NVIDIA GPU; cuda:1 is the second",
+        automatic: true,
+        open: |index| Device::cuda(index),
+    },
+    #[cfg(feature = "metal")]
+    Kind {
+        name: "metal",
+        description: "Apple GPU",
+        automatic: true,
+        open: |_| Device::metal(burn::tensor::DeviceKind::DefaultDevice),
+    },
+    #[cfg(feature = "vulkan")]
+    Kind {
+        name: "vulkan",
+        description: "GPU through Vulkan and SPIR-V",
+        automatic: true,
+        open: |_| Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
+    },
+    #[cfg(feature = "wgpu")]
+    Kind {
+        name: "wgpu",
+        description: "GPU through wgpu and WGSL",
+        automatic: true,
+        open: |_| Device::wgpu(burn::tensor::DeviceKind::DefaultDevice),
+    },
+    Kind {
+        name: "cpu",
+        description: "CPU, Burn's Flex backend",
+        automatic: true,
+        open: |_| Device::flex(),
+    },
+    #[cfg(feature = "ndarray")]
+    Kind {
+        name: "ndarray",
+        description: "CPU, Burn's NdArray backend (deprecated there)",
+        automatic: false,
+        open: |_| {
+            // Burn deprecates the backend; it stays for comparison as long as Burn has it.
+            #[allow(deprecated)]
+            Device::ndarray()
+        },
+    },
+];
+
+/// The devices compiled into this build, best first, with whether each works on this machine.
+pub fn list() -> Vec<(DeviceInfo, bool)> {
+    KINDS
+        .iter()
+        .map(|kind| {
+            let info = DeviceInfo {
+                name: kind.name.to_string(),
+                description: kind.description.to_string(),
+            };
+            (info, works(kind, 0).is_some())
+        })
+        .collect()
+}
+
+/// Opens the device called `name`: `auto` for the best that works, a kind, or a kind with an
+/// index such as `cuda:1`. Returns it with the name it goes by.
+///
+/// # Errors
+/// If this build has no such device, or the machine cannot run it.
+pub fn open(name: &str) -> Result<(Device, String), Error> {
+    let refuse = |reason: String| Error::Device {
+        found: name.to_string(),
+        reason,
+        allowed: KINDS.iter().map(|kind| kind.name).collect::<Vec<_>>().join(", "),
+    };
+    if name == "auto" {
+        return KINDS
+            .iter()
+            .filter(|kind| kind.automatic)
+            .find_map(|kind| Some((works(kind, 0)?, kind.name.to_string())))
+            .ok_or_else(|| refuse("no device works on this machine".into()));
+    }
+    let (kind_name, index) = match name.split_once(':') {
+        Some((kind, index)) => {
+            let index = index.parse::<usize>();
+            (kind, index.map_err(|_| refuse("the index after `:` is not a number".into()))?)
+        }
+        None => (name, 0),
+    };
+    let Some(kind) = KINDS.iter().find(|kind| kind.name == kind_name) else {
+        let features = ["ndarray", "wgpu", "vulkan", "metal", "cuda"];
+        return Err(refuse(if features.contains(&kind_name) {
+            format!("this build has no such device; build with `--features {kind_name}`")
+        } else {
+            "there is no such device".into()
+        }));
+    };
+    let device = works(kind, index)
+        .ok_or_else(|| refuse("the machine has no such device, or its driver fails".into()))?;
+    Ok((device, name.to_string()))
+}
+
+/// Opens a device and adds two numbers on it; drivers that are missing panic inside the backend.
+fn works(kind: &Kind, index: usize) -> Option<Device> {
+    let open = kind.open;
+    let quiet = std::panic::take_hook();
+    std::panic::set_hook(Box::new(|_| {}));
+    let opened = std::panic::catch_unwind(move || {
+        let device = open(index);
+        let sum = Tensor::<1>::ones([2], &device).add_scalar(1.0).try_into_vec_as::<f32>();
+        (sum.ok()? == [2.0, 2.0]).then_some(device)
+    });
+    std::panic::set_hook(quiet);
+    opened.ok().flatten()
+}

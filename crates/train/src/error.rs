@@ -1,0 +1,155 @@
+use std::path::PathBuf;
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+use crate::config::ConfigError;
+
+/// What can stop a run, or keep it from starting.
+#[derive(Debug, Error, Diagnostic)]
+pub enum Error {
+    /// The config is wrong.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Config(#[from] ConfigError),
+    /// The dataset is wrong.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Data(#[from] kinegrad_data::Error),
+    /// A motion or its statistics are wrong.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Motion(#[from] kinegrad_motion::Error),
+    /// The network cannot be built, or the weights do not fit it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Model(#[from] kinegrad_models::Error),
+    /// The diffusion process or a sampler is set up wrongly.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Diffusion(#[from] kinegrad_diffusion::Error),
+    /// A device that this build or machine does not have.
+    #[error("`run.device` is \"{found}\": {reason}")]
+    #[diagnostic(help("this build can run on: {allowed}"))]
+    Device {
+        /// What was asked for.
+        found: String,
+        /// Why it cannot be used.
+        reason: String,
+        /// Devices of this build.
+        allowed: String,
+    },
+    /// A new run in a folder that is taken.
+    #[error("the run `{name}` exists already: {}", path.display())]
+    #[diagnostic(help("add `--resume` to continue it, or choose another `--name`"))]
+    RunExists {
+        /// Name of the run.
+        name: String,
+        /// Its folder.
+        path: PathBuf,
+    },
+    /// A run or checkpoint that is not there.
+    #[error("there is no run or checkpoint at {}", path.display())]
+    #[diagnostic(help("{hint}"))]
+    RunMissing {
+        /// Where it was looked for.
+        path: PathBuf,
+        /// What to give instead.
+        hint: String,
+    },
+    /// Another process trains in the same folder.
+    #[error("another process is using the run folder {}", path.display())]
+    #[diagnostic(help("wait for it to end; the lock ends with its process"))]
+    RunLocked {
+        /// The run's folder.
+        path: PathBuf,
+    },
+    /// A resumed run whose config was changed.
+    #[error("`{key}` is {given}, but the run was started with {saved}")]
+    #[diagnostic(help(
+        "a resumed run continues as it was; only train.max_steps, run.device, checkpoint.* and \
+         validation.* may differ. For other settings start a new run"
+    ))]
+    ResumeDiffers {
+        /// Dotted key.
+        key: String,
+        /// Value of the saved config.
+        saved: String,
+        /// Value now.
+        given: String,
+    },
+    /// A checkpoint that cannot be used.
+    #[error("the checkpoint {} is damaged: {reason}", path.display())]
+    #[diagnostic(help("take another step of the run; its `checkpoints` folder lists them"))]
+    CheckpointDamaged {
+        /// The checkpoint's folder.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Checkpoints exist and none can be used.
+    #[error("no good checkpoint is left in {}:\n{tried}", path.display())]
+    #[diagnostic(help("start again under another `--name`"))]
+    NoGoodCheckpoint {
+        /// Folder of the checkpoints.
+        path: PathBuf,
+        /// One line for each checkpoint tried.
+        tried: String,
+    },
+    /// The loss or a gradient is not a number.
+    #[error("step {step}: {tensor} is not finite; last good checkpoint: {last_good}")]
+    #[diagnostic(help(
+        "lower `optim.learning_rate` or `train.max_grad_norm`, then start again, or resume from \
+         the checkpoint named above"
+    ))]
+    NotFinite {
+        /// The optimiser step that failed, from 1.
+        step: u64,
+        /// The first tensor found to hold an infinity or NaN.
+        tensor: String,
+        /// Path of the last good checkpoint, or that there is none.
+        last_good: String,
+    },
+    /// A file operation failed.
+    #[error("cannot {action} {}: {source}", path.display())]
+    #[diagnostic(help("{}", io_hint(source)))]
+    Io {
+        /// What was being done, as a verb.
+        action: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+fn io_hint(source: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind;
+    match source.kind() {
+        ErrorKind::StorageFull | ErrorKind::FileTooLarge | ErrorKind::QuotaExceeded => {
+            "free some space; the last good checkpoint is untouched, `--resume` continues from it"
+        }
+        ErrorKind::PermissionDenied => "check the folder's owner and rights",
+        _ => "check that the path exists and can be written",
+    }
+}
+
+impl Error {
+    /// Wraps an error of the file system.
+    pub fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { action, path, source }
+    }
+
+    /// The exit code of a program that ends with this error: 1 when the run failed, 2 when what
+    /// it was given is wrong.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::NotFinite { .. } | Self::NoGoodCheckpoint { .. } | Self::Io { .. } => 1,
+            _ => 2,
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! From a checkpoint to motion.
+
+use std::path::{Path, PathBuf};
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_diffusion::{Clip as ClipRange, GaussianDiffusion, SamplerConfig, sample};
+use kinegrad_models::{Initializer, UNet1d, parameters};
+use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_motion::postprocess::{PostProcessConfig, process};
+use kinegrad_motion::{Motion, TrainingStatistics};
+use kinegrad_random::{Key, Purpose};
+
+use crate::checkpoint::{Checkpoints, State, Weights, read_weights};
+use crate::config::{Clip, Config};
+use crate::error::Error;
+
+/// One sample, in physical units.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// As the model drew it, de-normalised.
+    pub raw: Motion,
+    /// Post-processed.
+    pub motion: Motion,
+}
+
+/// A trained model, ready to draw samples.
+pub struct Generator {
+    model: UNet1d,
+    diffusion: GaussianDiffusion,
+    state: State,
+    device: Device,
+}
+
+/// The checkpoint meant by a path: itself, or the best one of a run (the newest good one where no
+/// best is recorded). `skipped` is told of each damaged one.
+///
+/// # Errors
+/// If there is neither at the path.
+pub fn resolve_checkpoint(
+    path: &Path,
+    mut skipped: impl FnMut(&Error),
+) -> Result<PathBuf, Error> {
+    if path.join("state.json").exists() {
+        return Ok(path.to_path_buf());
+    }
+    let checkpoints = Checkpoints::of(path);
+    if let Some(best) = checkpoints.best() {
+        let path = checkpoints.step_path(best.step);
+        let readable = State::read(&path)
+            .and_then(|state| read_weights(&path, &state, Weights::Ema).map(|_| ()));
+        match readable {
+            Ok(()) => return Ok(path),
+            Err(error) => skipped(&error),
+        }
+    }
+    match checkpoints.newest_good(skipped)? {
+        Some(checkpoint) => Ok(checkpoints.step_path(checkpoint.state.step)),
+        None => Err(Error::RunMissing {
+            path: path.to_path_buf(),
+            hint: "give a run's folder, such as runs/quickstart, or one of its checkpoints".into(),
+        }),
+    }
+}
+
+impl Generator {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        let parameters = read_weights(path, &state, weights)?;
+        let config = &state.config;
+        let unet = config.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
+        let model = unet.init(&Initializer::new(config.run.seed, device))?;
+        let model = parameters::load(model, parameters)?.valid();
+        let diffusion = GaussianDiffusion::new(&config.diffusion)?;
+        Ok(Self { model, diffusion, state, device: device.clone() })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// The statistics of its training phrases.
+    pub fn statistics(&self) -> &TrainingStatistics {
+        &self.state.statistics
+    }
+
+    /// Steps it was trained for.
+    pub fn step(&self) -> u64 {
+        self.state.step
+    }
+
+    /// Draws one sample for each condition; all conditions have the same number of frames.
+    /// Sample i depends on `seed` and i alone, not on how many are drawn. `on_step` is told the
+    /// sampler's steps done and in all.
+    ///
+    /// # Errors
+    /// If the sampler's settings cannot work.
+    pub fn sample(
+        &self,
+        conditions: &[AudioFeatures],
+        sampler: &SamplerConfig,
+        clip: Clip,
+        seed: u64,
+        on_step: &mut dyn FnMut(usize, usize),
+    ) -> Result<Vec<Sample>, Error> {
+        let Some(frames) = conditions.first().map(AudioFeatures::frames) else {
+            return Ok(Vec::new());
+        };
+        let key = Key::new(seed, Purpose::Sampling);
+        let mut samples = Vec::with_capacity(conditions.len());
+        for (index, condition) in conditions.iter().enumerate() {
+            let key = key.at(index as u64);
+            let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
+                let data = TensorData::new(values, [1, channels, frames]);
+                Tensor::from_data(data, &self.device)
+            };
+            let start = on_device(key.at(0).normals(CHANNELS * frames), CHANNELS);
+            let cond = on_device(condition.as_slice().to_vec(), AUDIO_CHANNELS);
+            let (done, all) = (index, conditions.len());
+            let x = sample(
+                &self.diffusion,
+                &self.model,
+                start,
+                &cond,
+                sampler,
+                &self.clip_range(clip),
+                key.at(1),
+                &mut |step, total, _| on_step(done * total + step, all * total),
+            )?;
+            let values = x.try_into_vec_as::<f32>().expect("samples are float32");
+            let raw = self.statistics().denormalize_channel_major(&values, frames);
+            let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
+            samples.push(Sample { raw, motion });
+        }
+        Ok(samples)
+    }
+
+    fn clip_range(&self, clip: Clip) -> ClipRange {
+        match clip {
+            Clip::TrainingRange => {
+                let (min, max) = self.statistics().normalized_range();
+                ClipRange::PerChannel { min, max }
+            }
+            Clip::Unit => ClipRange::Symmetric(1.0),
+            Clip::None => ClipRange::None,
+        }
+    }
+}

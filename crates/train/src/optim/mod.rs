@@ -1,0 +1,12 @@
+//! The optimiser: AdamW over named parameters, on the host and in place.
+//!
+//! Burn's own keys its state by identifiers that are random in each process and clips each tensor
+//! by itself; resuming bit for bit needs names, and the source clips by the global norm.
+
+mod adamw;
+mod clip;
+mod learning_rate;
+
+pub use adamw::{AdamW, Moments};
+pub use clip::{clip_factor, global_norm};
+pub use learning_rate::learning_rate;

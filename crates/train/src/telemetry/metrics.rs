@@ -1,0 +1,168 @@
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use serde_json::{Map, Value};
+
+use super::EventFile;
+use crate::Error;
+
+/// One line of metrics: a step and named scalars, in the order they were added.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record {
+    /// Optimiser steps done.
+    pub step: u64,
+    scalars: Vec<(String, f64)>,
+}
+
+impl Record {
+    /// A record of `step` without scalars.
+    pub fn new(step: u64) -> Self {
+        Self { step, scalars: Vec::new() }
+    }
+
+    /// Adds a scalar.
+    #[must_use]
+    pub fn with(mut self, name: impl Into<String>, value: f64) -> Self {
+        self.scalars.push((name.into(), value));
+        self
+    }
+
+    /// The named scalar.
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.scalars.iter().find(|(n, _)| n == name).map(|(_, value)| *value)
+    }
+
+    /// All scalars.
+    pub fn scalars(&self) -> &[(String, f64)] {
+        &self.scalars
+    }
+}
+
+/// Writer of `metrics.jsonl` and of the event file beside it.
+///
+/// Of a line, only `time` (seconds since 1970), `elapsed_seconds` (of this process) and
+/// `steps_per_second` depend on the clock; the rest is a function of config, data and build.
+#[derive(Debug)]
+pub struct Metrics {
+    file: File,
+    path: PathBuf,
+    events: EventFile,
+    started: Instant,
+    first_step: u64,
+}
+
+impl Metrics {
+    /// Opens the metrics of the run in `folder`, cut back to `step`: later lines were written by
+    /// a process that died before its checkpoint.
+    ///
+    /// # Errors
+    /// If a file cannot be read or written.
+    pub fn open(folder: &Path, step: u64) -> Result<Self, Error> {
+        let path = folder.join("metrics.jsonl");
+        let kept = kept_bytes(&path, step)?;
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(Error::io("open", &path))?;
+        file.set_len(kept).map_err(Error::io("cut back", &path))?;
+        let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step)?;
+        Ok(Self { file, path, events, started: Instant::now(), first_step: step })
+    }
+
+    /// Appends one line.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&mut self, record: &Record) -> Result<(), Error> {
+        let time = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64());
+        let elapsed = self.started.elapsed().as_secs_f64();
+        let speed = (record.step - self.first_step) as f64 / elapsed.max(1e-9);
+        let clock =
+            [("time", time), ("elapsed_seconds", elapsed), ("steps_per_second", speed)];
+        let mut line = format!("{{\"step\":{}", record.step);
+        let scalars = record.scalars.iter().map(|(name, value)| (name.as_str(), *value));
+        for (name, value) in scalars.chain(clock) {
+            line.push_str(&format!(",{}:{}", Value::from(name), Value::from(value)));
+        }
+        line.push_str("}\n");
+        self.file.write_all(line.as_bytes()).map_err(Error::io("write", &self.path))?;
+        self.events.write(record.step, time, &record.scalars)
+    }
+
+    /// Makes sure that what was written survives a crash.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn sync(&mut self) -> Result<(), Error> {
+        self.file.sync_data().map_err(Error::io("flush", &self.path))?;
+        self.events.sync()
+    }
+}
+
+/// Length of the file's beginning whose lines are whole and not beyond `step`.
+fn kept_bytes(path: &Path, step: u64) -> Result<u64, Error> {
+    let file = match File::open(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(0),
+        Err(error) => return Err(Error::io("read", path)(error)),
+    };
+    let mut reader = BufReader::new(file);
+    let mut kept = 0;
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        let bytes = reader.read_until(b'\n', &mut line).map_err(Error::io("read", path))?;
+        let whole = line.last() == Some(&b'\n');
+        match parse(&line).filter(|record| whole && record.step <= step) {
+            Some(_) => kept += bytes as u64,
+            None => return Ok(kept),
+        }
+    }
+}
+
+fn parse(line: &[u8]) -> Option<Record> {
+    let mut object: Map<String, Value> = serde_json::from_slice(line).ok()?;
+    let step = object.remove("step")?.as_u64()?;
+    let scalars = object.into_iter().filter_map(|(name, value)| Some((name, value.as_f64()?)));
+    Some(Record { step, scalars: scalars.collect() })
+}
+
+/// Reads the metrics of the run in `folder`; broken lines are left out.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn read_metrics(folder: &Path) -> Result<Vec<Record>, Error> {
+    let path = folder.join("metrics.jsonl");
+    let text = std::fs::read(&path).map_err(Error::io("read", &path))?;
+    Ok(text.split(|&byte| byte == b'\n').filter_map(parse).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reopening_cuts_back_lines_beyond_the_step_and_a_torn_one() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut metrics = Metrics::open(folder.path(), 0).expect("metrics");
+        for step in 1..=5 {
+            metrics.write(&Record::new(step).with("loss", step as f64 / 3.0)).expect("a line");
+        }
+        drop(metrics);
+        let path = folder.path().join("metrics.jsonl");
+        let mut file = OpenOptions::new().append(true).open(&path).expect("file");
+        file.write_all(b"{\"step\":2,\"lo").expect("a torn line");
+        drop(file);
+
+        let mut metrics = Metrics::open(folder.path(), 3).expect("metrics");
+        metrics.write(&Record::new(4).with("loss", 9.0)).expect("a line");
+        let records = read_metrics(folder.path()).expect("records");
+        let steps: Vec<u64> = records.iter().map(|r| r.step).collect();
+        assert_eq!(steps, [1, 2, 3, 4]);
+        assert_eq!(records[0].get("loss"), Some(1.0 / 3.0));
+        assert_eq!(records[3].get("loss"), Some(9.0));
+    }
+}

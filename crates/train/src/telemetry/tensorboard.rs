@@ -1,0 +1,175 @@
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use crate::Error;
+
+/// A TensorBoard event file with scalars.
+///
+/// The file is a sequence of records: length (u64), masked CRC-32C of the length, the bytes,
+/// masked CRC-32C of the bytes; all little-endian. The bytes are a protocol-buffer `Event` with
+/// `wall_time` (field 1, double), `step` (2, varint), `file_version` (3, in the first record
+/// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float).
+#[derive(Debug)]
+pub struct EventFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl EventFile {
+    /// Opens the file at `path` for appending, cut back to events not beyond `step`; a new file
+    /// gets its first record.
+    ///
+    /// # Errors
+    /// If the file cannot be read or written.
+    pub fn open(path: &Path, step: u64) -> Result<Self, Error> {
+        let mut bytes = Vec::new();
+        if let Ok(mut file) = File::open(path) {
+            file.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
+        }
+        let kept = kept_bytes(&bytes, step);
+        let mut file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(path)
+            .map_err(Error::io("open", path))?;
+        file.set_len(kept as u64).map_err(Error::io("cut back", path))?;
+        if kept == 0 {
+            let mut event = Vec::new();
+            field_bytes(&mut event, 3, b"brain.Event:2");
+            file.write_all(&record(&event)).map_err(Error::io("write", path))?;
+        }
+        Ok(Self { file, path: path.to_path_buf() })
+    }
+
+    /// Appends the scalars of one step; `time` in seconds since 1970.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn write(
+        &mut self,
+        step: u64,
+        time: f64,
+        scalars: &[(String, f64)],
+    ) -> Result<(), Error> {
+        let mut summary = Vec::new();
+        for (tag, value) in scalars {
+            let mut entry = Vec::new();
+            field_bytes(&mut entry, 1, tag.as_bytes());
+            entry.push(2 << 3 | 5);
+            entry.extend((*value as f32).to_le_bytes());
+            field_bytes(&mut summary, 1, &entry);
+        }
+        let mut event = vec![1 << 3 | 1];
+        event.extend(time.to_le_bytes());
+        event.push(2 << 3);
+        varint(&mut event, step);
+        field_bytes(&mut event, 5, &summary);
+        self.file.write_all(&record(&event)).map_err(Error::io("write", &self.path))
+    }
+
+    /// Makes sure that what was written survives a crash.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn sync(&mut self) -> Result<(), Error> {
+        self.file.sync_data().map_err(Error::io("flush", &self.path))
+    }
+}
+
+fn varint(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+fn field_bytes(out: &mut Vec<u8>, field: u8, bytes: &[u8]) {
+    out.push(field << 3 | 2);
+    varint(out, bytes.len() as u64);
+    out.extend(bytes);
+}
+
+fn masked_crc(bytes: &[u8]) -> u32 {
+    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
+}
+
+fn record(event: &[u8]) -> Vec<u8> {
+    let length = (event.len() as u64).to_le_bytes();
+    let mut out = length.to_vec();
+    out.extend(masked_crc(&length).to_le_bytes());
+    out.extend(event);
+    out.extend(masked_crc(event).to_le_bytes());
+    out
+}
+
+/// Length of the beginning that holds whole records not beyond `step`.
+fn kept_bytes(bytes: &[u8], step: u64) -> usize {
+    let mut kept = 0;
+    while let Some((event, rest)) = split_record(&bytes[kept..]) {
+        if event_step(event) > step {
+            break;
+        }
+        kept = bytes.len() - rest.len();
+    }
+    kept
+}
+
+fn split_record(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<8>()?;
+    let (_, rest) = rest.split_first_chunk::<4>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (event, rest) = rest.split_at_checked(length)?;
+    let (crc, rest) = rest.split_first_chunk::<4>()?;
+    (u32::from_le_bytes(*crc) == masked_crc(event)).then_some((event, rest))
+}
+
+/// The step of an event as [`EventFile::write`] lays it out; 0 for the first record.
+fn event_step(event: &[u8]) -> u64 {
+    let Some(bytes) = event.get(10..).filter(|_| event[0] == 1 << 3 | 1) else {
+        return 0;
+    };
+    let mut step = 0;
+    for (index, byte) in bytes.iter().take(10).enumerate() {
+        step |= u64::from(byte & 0x7f) << (7 * index);
+        if byte & 0x80 == 0 {
+            break;
+        }
+    }
+    step
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn steps(path: &Path) -> Vec<u64> {
+        let bytes = std::fs::read(path).expect("an event file");
+        let mut rest = bytes.as_slice();
+        let mut steps = Vec::new();
+        while let Some((event, after)) = split_record(rest) {
+            steps.push(event_step(event));
+            rest = after;
+        }
+        assert!(rest.is_empty(), "whole records only");
+        steps
+    }
+
+    #[test]
+    fn reopening_cuts_back_events_beyond_the_step_and_a_torn_record() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("events");
+        let mut events = EventFile::open(&path, 0).expect("events");
+        for step in [1, 200, 70_000] {
+            events.write(step, 1.0e9, &[("loss".into(), 0.5)]).expect("an event");
+        }
+        drop(events);
+        assert_eq!(steps(&path), [0, 1, 200, 70_000]);
+        let mut torn = std::fs::read(&path).expect("bytes");
+        torn.truncate(torn.len() - 3);
+        std::fs::write(&path, torn).expect("torn");
+        EventFile::open(&path, 200).expect("events").write(201, 1.0e9, &[]).expect("an event");
+        assert_eq!(steps(&path), [0, 1, 200, 201]);
+    }
+}

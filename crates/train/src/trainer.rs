@@ -1,0 +1,375 @@
+//! The one training loop.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use burn::module::Module;
+use burn::tensor::Device;
+use kinegrad_data::{Batch, Loader};
+use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_motion::TrainingStatistics;
+
+use crate::checkpoint::{Best, Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
+use crate::config::Config;
+use crate::ema::Ema;
+use crate::error::Error;
+use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
+use crate::recipes::{Loss, Recipe, StepKey};
+use crate::telemetry::{Metrics, Record};
+
+/// What the trainer tells, and asks, whoever started it.
+pub trait Observer {
+    /// A step was done.
+    fn stepped(&mut self, report: &StepReport);
+    /// The held-out phrases were measured; `best` if no earlier loss was lower.
+    fn validated(&mut self, step: u64, val_loss: f64, best: bool);
+    /// A checkpoint was written.
+    fn saved(&mut self, path: &Path);
+    /// Something is doubtful and does not stop the run.
+    fn warning(&mut self, text: &str);
+    /// Whether the user wants the run to stop; it then writes a checkpoint.
+    fn stop_requested(&self) -> bool;
+}
+
+/// One optimiser step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepReport {
+    /// Steps done, this one included.
+    pub step: u64,
+    /// Steps in all.
+    pub max_steps: u64,
+    /// Loss, averaged over the micro-batches.
+    pub loss: f64,
+    /// Learning rate of the first group.
+    pub learning_rate: f64,
+    /// Global norm of the gradient before clipping.
+    pub grad_norm: f64,
+}
+
+/// How training ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// All steps are done.
+    Finished,
+    /// The validation loss stopped falling.
+    EarlyStopped,
+    /// The user asked for it.
+    Interrupted,
+}
+
+/// Trains the networks of one recipe.
+pub struct Trainer<R: Recipe> {
+    recipe: R,
+    /// `None` only while an update holds it.
+    model: Option<R::Model>,
+    infos: Vec<ParameterInfo>,
+    optimizer: AdamW,
+    ema: Ema,
+    config: Config,
+    statistics: Arc<TrainingStatistics>,
+    device: Device,
+    loader: Loader,
+    step: u64,
+    progress: Progress,
+    metrics: Metrics,
+    checkpoints: Checkpoints,
+    last_saved: Option<PathBuf>,
+}
+
+/// What a [`Trainer`] is made from.
+pub struct TrainerParts<R: Recipe> {
+    /// The kind of training.
+    pub recipe: R,
+    /// Networks on the autodiff device, with the weights to start from.
+    pub model: R::Model,
+    /// The resolved config.
+    pub config: Config,
+    /// Statistics of the training phrases.
+    pub statistics: Arc<TrainingStatistics>,
+    /// Autodiff device.
+    pub device: Device,
+    /// Batches from the next step's on.
+    pub loader: Loader,
+    /// The run's folder.
+    pub folder: PathBuf,
+}
+
+impl<R: Recipe> Trainer<R> {
+    /// A trainer at step 0, or at the step of `checkpoint`, whose weights `parts.model` holds.
+    ///
+    /// # Errors
+    /// If the run's files cannot be opened.
+    pub fn new(parts: TrainerParts<R>, checkpoint: Option<Checkpoint>) -> Result<Self, Error> {
+        let TrainerParts { recipe, model, config, statistics, device, loader, folder } = parts;
+        let infos = parameters::infos(&model);
+        let (step, progress, optimizer, ema) = match checkpoint {
+            Some(checkpoint) => {
+                let step = checkpoint.state.step;
+                // Files of tensors come back sorted by name; the module's order is another.
+                let order = order_of(&infos, &checkpoint);
+                let shadow = order.iter().map(|&i| checkpoint.ema[i].values.clone()).collect();
+                let moments = order.iter().map(|&i| checkpoint.moments[i].clone()).collect();
+                let optimizer = AdamW::restore(&config.optim, moments, step);
+                (step, checkpoint.state.progress, optimizer, Ema::new(&config.ema, shadow))
+            }
+            None => {
+                let optimizer = AdamW::new(&config.optim, infos.iter().map(ParameterInfo::len));
+                let first = parameters::export(&model).into_iter().map(|p| p.values).collect();
+                (0, Progress::default(), optimizer, Ema::new(&config.ema, first))
+            }
+        };
+        let checkpoints = Checkpoints::of(&folder);
+        let last_saved = (step > 0).then(|| checkpoints.step_path(step));
+        Ok(Self {
+            recipe,
+            model: Some(model),
+            infos,
+            optimizer,
+            ema,
+            metrics: Metrics::open(&folder, step)?,
+            config,
+            statistics,
+            device,
+            loader,
+            step,
+            progress,
+            checkpoints,
+            last_saved,
+        })
+    }
+
+    /// Steps done.
+    pub fn step(&self) -> u64 {
+        self.step
+    }
+
+    /// Where the search for the best weights stands.
+    pub fn progress(&self) -> &Progress {
+        &self.progress
+    }
+
+    /// Trains to the end, or until it is stopped. A checkpoint of the last step exists after it.
+    ///
+    /// # Errors
+    /// If a number stops being one, or a file cannot be written.
+    pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
+        let max_steps = self.config.train.max_steps;
+        let ending = loop {
+            if self.step >= max_steps {
+                break Ending::Finished;
+            }
+            if self.is_out_of_patience() {
+                break Ending::EarlyStopped;
+            }
+            if observer.stop_requested() {
+                break Ending::Interrupted;
+            }
+            let record = self.train_step(observer)?;
+            if self.step.is_multiple_of(self.config.train.log_every_steps) || self.step == max_steps
+            {
+                self.metrics.write(&record)?;
+            }
+            let best = self.is_due(self.config.validation.every_steps) && self.validate(observer)?;
+            if best || self.is_due(self.config.checkpoint.every_steps) {
+                self.save(observer)?;
+            }
+        };
+        if self.last_saved.as_ref() != Some(&self.checkpoints.step_path(self.step)) {
+            self.save(observer)?;
+        }
+        Ok(ending)
+    }
+
+    /// Whether something that happens every so many steps, and at the last one, happens now.
+    fn is_due(&self, every: u64) -> bool {
+        let last = self.step == self.config.train.max_steps;
+        every > 0 && (self.step.is_multiple_of(every) || last)
+    }
+
+    fn is_out_of_patience(&self) -> bool {
+        let patience = self.config.train.patience;
+        patience > 0 && self.progress.validations_since_best >= patience
+    }
+
+    fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Record, Error> {
+        let Config { train, optim, .. } = self.config.clone();
+        let micro_batches = train.gradient_accumulation_steps;
+        let mut gradients: Vec<Vec<f32>> = Vec::new();
+        let mut loss = 0.0;
+        let mut terms: Vec<(&'static str, f64)> = Vec::new();
+        for micro_batch in 0..micro_batches {
+            let batch = self.loader.next();
+            let key = StepKey { seed: self.config.run.seed, step: self.step, micro_batch };
+            let model = self.model.as_ref().expect("held between updates");
+            let computed = self.recipe.loss(model, &batch, key, &self.device);
+            let value = f64::from(computed.total.clone().into_scalar::<f32>());
+            if !value.is_finite() {
+                return Err(self.not_finite(find_not_finite(model, &batch, computed)));
+            }
+            loss += value / micro_batches as f64;
+            for (index, (name, term)) in computed.terms.iter().enumerate() {
+                let value = f64::from(term.clone().into_scalar::<f32>()) / micro_batches as f64;
+                match terms.get_mut(index) {
+                    Some((_, sum)) => *sum += value,
+                    None => terms.push((name, value)),
+                }
+            }
+            let total = computed.total.div_scalar(micro_batches as f64);
+            drop((computed.terms, computed.probes));
+            let mut tracked = total.backward();
+            accumulate(&mut gradients, parameters::gradients(model, &mut tracked));
+        }
+
+        let grad_norm = global_norm(&gradients);
+        if !grad_norm.is_finite() {
+            let broken = gradients.iter().position(|g| g.iter().any(|v| !v.is_finite()));
+            let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
+            return Err(self.not_finite(format!("the gradient of `{name}`")));
+        }
+        let rate = learning_rate(&optim, optim.learning_rate, self.step, train.max_steps);
+        self.update(&gradients, clip_factor(grad_norm, train.max_grad_norm), rate);
+        self.step += 1;
+
+        observer.stepped(&StepReport {
+            step: self.step,
+            max_steps: train.max_steps,
+            loss,
+            learning_rate: rate,
+            grad_norm,
+        });
+        let mut record = Record::new(self.step)
+            .with("loss", loss)
+            .with("lr", rate)
+            .with("lr_unet", rate)
+            .with("grad_norm", grad_norm);
+        for (name, value) in terms {
+            record = record.with(format!("loss_{name}"), value);
+        }
+        Ok(record)
+    }
+
+    /// AdamW and the moving average, parameter by parameter.
+    fn update(&mut self, gradients: &[Vec<f32>], gradient_scale: f64, learning_rate: f64) {
+        self.optimizer.begin_step();
+        let decay = self.ema.decay_at(self.step + 1);
+        let (optimizer, ema) = (&mut self.optimizer, &mut self.ema);
+        let model = self.model.take().expect("held between updates");
+        self.model = Some(parameters::update(model, |index, values| {
+            optimizer.update(index, values, &gradients[index], gradient_scale, learning_rate);
+            if let Some(decay) = decay {
+                ema.update(index, values, decay);
+            }
+        }));
+    }
+
+    /// Measures the averaged weights on the held-out phrases; true if they are the best so far.
+    fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
+        let device = self.device.clone().inner();
+        let model = self.model.as_ref().expect("held between updates").valid();
+        let averaged = parameters::replace(model, self.ema.shadow().to_vec());
+        let val_loss = self.recipe.validation_loss(&averaged, &device);
+        if !val_loss.is_finite() {
+            return Err(self.not_finite("the validation loss of the averaged weights".into()));
+        }
+        let best = self.progress.best_val_loss.is_none_or(|best| val_loss < best);
+        if best {
+            self.progress.best_step = Some(self.step);
+            self.progress.best_val_loss = Some(val_loss);
+            self.progress.validations_since_best = 0;
+        } else {
+            self.progress.validations_since_best += 1;
+        }
+        self.metrics.write(&Record::new(self.step).with("val_loss", val_loss))?;
+        observer.validated(self.step, val_loss, best);
+        Ok(best)
+    }
+
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
+        // The lines up to this step must not be lost once the checkpoint counts.
+        self.metrics.sync()?;
+        let state = State {
+            format: FORMAT,
+            kinegrad: env!("CARGO_PKG_VERSION").to_string(),
+            step: self.step,
+            config: self.config.clone(),
+            statistics: (*self.statistics).clone(),
+            progress: self.progress.clone(),
+            checksums: Default::default(),
+        };
+        let model = self.model.as_ref().expect("held between updates");
+        let weights: Vec<Vec<f32>> =
+            parameters::export(model).into_iter().map(|p| p.values).collect();
+        let path = self.checkpoints.save(CheckpointRef {
+            state: &state,
+            infos: &self.infos,
+            model: &weights,
+            ema: self.ema.shadow(),
+            moments: self.optimizer.moments(),
+        })?;
+        let best = match self.progress {
+            Progress { best_step: Some(step), best_val_loss: Some(val_loss), .. } => {
+                Some(Best { step, val_loss })
+            }
+            _ => None,
+        };
+        self.checkpoints.set_best(best.as_ref())?;
+        self.checkpoints.prune(
+            self.step,
+            self.config.checkpoint.keep_last,
+            self.progress.best_step,
+        )?;
+        observer.saved(&path);
+        self.last_saved = Some(path);
+        Ok(())
+    }
+
+    fn not_finite(&self, tensor: String) -> Error {
+        let last_good = match &self.last_saved {
+            Some(path) => path.display().to_string(),
+            None => "none yet".to_string(),
+        };
+        Error::NotFinite { step: self.step + 1, tensor, last_good }
+    }
+}
+
+/// For each parameter of the module, its index in the checkpoint.
+fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
+    let indices: std::collections::HashMap<&str, usize> =
+        checkpoint.model.iter().enumerate().map(|(i, p)| (p.info.name.as_str(), i)).collect();
+    infos.iter().map(|info| indices[info.name.as_str()]).collect()
+}
+
+fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
+    if sums.is_empty() {
+        *sums = gradients;
+        return;
+    }
+    for (sum, gradient) in sums.iter_mut().zip(gradients) {
+        for (s, g) in sum.iter_mut().zip(gradient) {
+            *s += g;
+        }
+    }
+}
+
+/// The first tensor, in the order of computation, that holds an infinity or NaN.
+fn find_not_finite<M: Module>(model: &M, batch: &Batch, loss: Loss) -> String {
+    let broken = |values: &[f32]| values.iter().any(|v| !v.is_finite());
+    if broken(&batch.x_start) {
+        return "the batch's motion".into();
+    }
+    if broken(&batch.cond) {
+        return "the batch's audio features".into();
+    }
+    for parameter in parameters::export(model) {
+        if broken(&parameter.values) {
+            return format!("parameter `{}`", parameter.info.name);
+        }
+    }
+    for (name, probe) in loss.probes {
+        let values = probe.inner().try_into_vec_as::<f32>().unwrap_or_default();
+        if broken(&values) {
+            return format!("`{name}`");
+        }
+    }
+    "the loss".into()
+}

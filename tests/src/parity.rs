@@ -1,0 +1,78 @@
+//! The same network on two devices.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_models::parameters;
+use kinegrad_models::{Initializer, UNet1dConfig};
+use kinegrad_random::{Key, Purpose};
+use kinegrad_train::device;
+
+/// A UNet as small as its 32 groups allow, with every kind of block.
+pub fn tiny() -> UNet1dConfig {
+    UNet1dConfig {
+        in_channels: 25,
+        cond_channels: 163,
+        model_channels: 32,
+        channel_mult: vec![1, 2],
+        num_res_blocks: 1,
+        attention_levels: vec![1],
+        num_heads: 8,
+        use_scale_shift_norm: true,
+        time_embed_dim: 32,
+        context_dim: 32,
+        dropout: 0.1,
+    }
+}
+
+/// Output, loss and gradient norms of the tiny network with fixed weights and inputs.
+struct Outcome {
+    output: Vec<f32>,
+    loss: f32,
+    gradients: Vec<(String, Vec<f32>)>,
+}
+
+fn run(device: &Device) -> Outcome {
+    let device = device.clone().autodiff();
+    let model = tiny().init(&Initializer::new(3, &device)).expect("a valid network");
+    let key = Key::new(5, Purpose::Noise);
+    let tensor = |index: u64, shape: [usize; 3]| -> Tensor<3> {
+        let values = key.at(index).normals(shape.iter().product());
+        Tensor::from_data(TensorData::new(values, shape), &device)
+    };
+    let (x, cond, target) = (tensor(0, [2, 25, 9]), tensor(1, [2, 163, 9]), tensor(2, [2, 25, 9]));
+    let dropout = Some(Key::new(5, Purpose::Dropout));
+    let y = model.forward(x, &[3, 700], cond, dropout);
+    let output = y.clone().inner().try_into_vec_as::<f32>().expect("float32");
+    let loss = (y - target).square().mean();
+    let mut tracked = loss.backward();
+    let names = parameters::infos(&model).into_iter().map(|info| info.name);
+    let gradients = names.zip(parameters::gradients(&model, &mut tracked)).collect();
+    Outcome { output, loss: loss.into_scalar::<f32>(), gradients }
+}
+
+fn error(actual: &[f32], reference: &[f32]) -> f32 {
+    let scale = reference.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+    let worst = actual.iter().zip(reference).fold(0.0f32, |m, (a, r)| m.max((a - r).abs()));
+    assert!(actual.iter().all(|v| v.is_finite()), "a value is not finite");
+    // Gradients that vanish by construction hold rounding noise alone.
+    if scale < 1e-6 { worst } else { worst / scale }
+}
+
+/// Asserts that forward pass and all gradients on the device called `name` agree with the CPU's.
+///
+/// # Panics
+/// Panics if the device cannot be opened or a value differs by more than single precision allows.
+pub fn assert_parity(name: &str) {
+    let (cpu, _) = device::open("cpu").expect("the CPU");
+    let (other, _) = device::open(name).unwrap_or_else(|error| panic!("{error}"));
+    let (reference, actual) = (run(&cpu), run(&other));
+    let forward = error(&actual.output, &reference.output);
+    assert!(forward < 2e-5, "{name}: the output differs by {forward:e}");
+    assert!((actual.loss - reference.loss).abs() < 1e-5 * reference.loss.abs());
+    let mut worst = 0.0f32;
+    for ((parameter, actual), (_, reference)) in actual.gradients.iter().zip(&reference.gradients) {
+        let difference = error(actual, reference);
+        assert!(difference < 2e-4, "{name}: the gradient of {parameter} differs by {difference:e}");
+        worst = worst.max(difference);
+    }
+    println!("{name}: output differs by {forward:.1e}, gradients by at most {worst:.1e}");
+}

@@ -1,0 +1,142 @@
+//! Running the binary in a folder of its own.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use tempfile::TempDir;
+
+/// A temporary folder in which the binary is run.
+pub struct Sandbox {
+    folder: TempDir,
+    binary: PathBuf,
+}
+
+/// What the binary left behind.
+#[derive(Clone, Debug)]
+pub struct Finished {
+    /// Exit code; `None` when a signal ended it.
+    pub code: Option<i32>,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+/// A config that trains a network of 95 thousand parameters in about a second: two levels, 24
+/// frames, dropout and condition dropout on.
+pub const SMALLEST: &str = r#"
+[run]
+name = "smallest"
+device = "cpu"
+[data]
+kind = "synthetic"
+target_frames = 24
+batch_size = 4
+num_workers = 0
+[data.synthetic]
+phrases = 12
+frames = 40
+[model]
+size = "tiny"
+channel_mult = [1, 1]
+num_res_blocks = 1
+time_embed_dim = 32
+context_dim = 32
+[optim]
+warmup_steps = 5
+learning_rate = 1e-3
+[train]
+max_steps = 40
+[ema]
+decay = 0.9
+update_every = 1
+[checkpoint]
+every_steps = 4
+[validation]
+every_steps = 10
+draws = 2
+"#;
+
+impl Sandbox {
+    /// An empty folder for the binary at `binary`.
+    pub fn new(binary: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        Self { folder, binary: PathBuf::from(binary) }
+    }
+
+    /// A path in the folder.
+    pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Writes a file in the folder.
+    pub fn write(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(name);
+        std::fs::create_dir_all(path.parent().expect("inside the folder")).expect("folders");
+        std::fs::write(&path, text).expect("a file");
+        path
+    }
+
+    /// The binary with these arguments, not started.
+    pub fn command<S: AsRef<OsStr>>(&self, arguments: impl IntoIterator<Item = S>) -> Command {
+        let mut command = Command::new(&self.binary);
+        command
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .env("NO_COLOR", "1")
+            .env_remove("RUST_BACKTRACE")
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// Runs the binary to its end; the arguments are separated by spaces.
+    pub fn run(&self, arguments: &str) -> Finished {
+        finish(self.command(arguments.split_whitespace()))
+    }
+
+    /// Starts the binary and returns at once.
+    pub fn start(&self, arguments: &str) -> Child {
+        let mut command = self.command(arguments.split_whitespace());
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the binary starts")
+    }
+
+    /// Names in a folder, sorted; empty where it does not exist.
+    pub fn list(&self, folder: &str) -> Vec<String> {
+        let entries = std::fs::read_dir(self.path(folder)).into_iter().flatten().flatten();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+}
+
+/// Runs a command to its end.
+pub fn finish(mut command: Command) -> Finished {
+    let output = command.output().expect("the binary runs");
+    Finished {
+        code: output.status.code(),
+        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+impl Finished {
+    /// Asserts success and returns the output.
+    #[track_caller]
+    pub fn succeeded(self) -> Self {
+        assert_eq!(self.code, Some(0), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+
+    /// Asserts the exit code, and that standard error holds each of the texts.
+    #[track_caller]
+    pub fn failed(self, code: i32, texts: &[&str]) -> Self {
+        assert_eq!(self.code, Some(code), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        for text in texts {
+            assert!(self.stderr.contains(text), "no `{text}` in:\n{}", self.stderr);
+        }
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
+        self
+    }
+}

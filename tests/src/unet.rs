@@ -1,0 +1,30 @@
+//! UNets described by golden files.
+
+use kinegrad_models::UNet1dConfig;
+use serde_json::Value;
+
+/// The network that a golden file's JSON describes, for 25 motion channels and without dropout.
+///
+/// # Panics
+/// Panics if the text is not such a description.
+pub fn config(json: &str) -> UNet1dConfig {
+    let json: Value = serde_json::from_str(json).expect("the description is JSON");
+    let number = |key: &str| json[key].as_u64().expect("a number") as usize;
+    let numbers = |key: &str| -> Vec<usize> {
+        let list = json[key].as_array().expect("a list");
+        list.iter().map(|n| n.as_u64().expect("a number") as usize).collect()
+    };
+    UNet1dConfig {
+        in_channels: 25,
+        cond_channels: number("cond_dim"),
+        model_channels: number("base"),
+        channel_mult: numbers("mult"),
+        num_res_blocks: number("nres"),
+        attention_levels: numbers("attn_levels"),
+        num_heads: number("heads"),
+        use_scale_shift_norm: true,
+        time_embed_dim: number("time_dim"),
+        context_dim: number("ctx_dim"),
+        dropout: 0.0,
+    }
+}

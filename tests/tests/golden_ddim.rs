@@ -1,0 +1,85 @@
+//! DDIM with 20 steps, with and without clipping and guidance, against golden file 08_ddim.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::{
+    BetaSchedule, Clip, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
+    SamplerConfig, SamplerKind, TimestepSpacing, sample,
+};
+use kinegrad_models::{Initializer, parameters};
+use kinegrad_random::{Key, Purpose};
+use kinegrad_tests::golden::Golden;
+use kinegrad_tests::{unet, weights};
+
+#[test]
+fn golden_ddim_sampling() {
+    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else { return };
+    let device = Device::flex();
+    let config = unet::config(golden.metadata("unet"));
+    let model = config.init(&Initializer::new(0, &device)).expect("a valid network");
+    let model = parameters::load(model, weights(&golden, "model.")).expect("the weights fit");
+    let model = model.valid();
+    let steps: usize = golden.metadata("num_steps").parse().expect("a number of steps");
+    let start = golden.tensor::<3>("in.x_T", &device);
+    let cond = golden.tensor::<3>("in.cond", &device);
+
+    let finals: Vec<String> = golden
+        .names_under("out.")
+        .into_iter()
+        .filter(|name| name.ends_with(".x_final") && !name.contains("alt."))
+        .collect();
+    assert!(!finals.is_empty());
+    for name in &finals {
+        // For example `cosine1000.clip.cfg3.x_final`.
+        let parts: Vec<&str> = name.split('.').collect();
+        let split = parts[0].find(|c: char| c.is_ascii_digit()).expect("steps after the name");
+        let (schedule, timesteps) = parts[0].split_at(split);
+        let diffusion = GaussianDiffusion::new(&DiffusionConfig {
+            num_train_timesteps: timesteps.parse().expect("a number"),
+            beta_schedule: match schedule {
+                "cosine" => BetaSchedule::Cosine,
+                "linear" => BetaSchedule::Linear,
+                other => panic!("schedule {other}"),
+            },
+            prediction_type: PredictionType::Epsilon,
+            ..DiffusionConfig::default()
+        })
+        .expect("a valid process");
+        let (clip, tolerance) = match parts[1] {
+            "clip" => (Clip::Symmetric(1.0), 2e-4),
+            "noclip" => (Clip::None, 2e-5),
+            other => panic!("clipping {other}"),
+        };
+        let sampler = SamplerConfig {
+            kind: SamplerKind::Ddim,
+            num_inference_steps: steps,
+            eta: 0.0,
+            guidance_scale: parts[2].trim_start_matches("cfg").parse().expect("a scale"),
+            timestep_spacing: TimestepSpacing::Document,
+            final_alpha: FinalAlpha::First,
+            recompute_epsilon: false,
+        };
+        let case = format!("out.{}.{}.{}", parts[0], parts[1], parts[2]);
+        let mut states: Vec<Tensor<3>> = Vec::new();
+        let key = Key::new(0, Purpose::Sampling);
+        let drawn = sample(
+            &diffusion,
+            &model,
+            start.clone(),
+            &cond,
+            &sampler,
+            &clip,
+            key,
+            &mut |_, _, x| states.push(x.clone()),
+        )
+        .expect("a sample");
+        assert_eq!(states.len(), steps);
+        for after in golden.names_under(&format!("{case}.x_after.")) {
+            let index: usize = after.parse().expect("a step");
+            golden
+                .reference(&format!("{case}.x_after.{after}"))
+                .assert_close_tensor(&format!("{case} after {after}"), states[index].clone(), tolerance);
+        }
+        golden.reference(&format!("{case}.x_final")).assert_close_tensor(&case, drawn, tolerance);
+    }
+}

@@ -1,0 +1,21 @@
+//! The tiny UNet, forward and backward, on every backend of this build beside Flex. wgpu has a
+//! package of its own, `tests/wgpu`.
+
+use kinegrad_tests::parity::assert_parity;
+
+#[test]
+fn flex_agrees_with_itself() {
+    assert_parity("cpu");
+}
+
+#[cfg(feature = "ndarray")]
+#[test]
+fn ndarray_agrees_with_flex() {
+    assert_parity("ndarray");
+}
+
+#[cfg(feature = "cuda")]
+#[test]
+fn cuda_agrees_with_flex() {
+    assert_parity("cuda");
+}
