@@ -15,8 +15,13 @@ fn sandbox() -> Sandbox {
 /// Asserts that training with `settings` is refused and leaves no run folder.
 #[track_caller]
 fn refused(sandbox: &Sandbox, settings: &str, texts: &[&str]) {
-    sandbox.run(&format!("train c.toml {settings}")).failed(2, texts);
-    assert!(!sandbox.path("runs").exists(), "a refused run wrote something");
+    sandbox
+        .run(&format!("train c.toml {settings}"))
+        .failed(2, texts);
+    assert!(
+        !sandbox.path("runs").exists(),
+        "a refused run wrote something"
+    );
 }
 
 #[test]
@@ -26,7 +31,11 @@ fn unknown_key_names_line_and_the_nearest_valid_one() {
     refused(
         &sandbox,
         "",
-        &["c.toml:3", "unknown key `optim.learning_rat`", "did you mean `optim.learning_rate`?"],
+        &[
+            "c.toml:3",
+            "unknown key `optim.learning_rat`",
+            "did you mean `optim.learning_rate`?",
+        ],
     );
 }
 
@@ -34,9 +43,15 @@ fn unknown_key_names_line_and_the_nearest_valid_one() {
 fn wrong_types_and_choices_name_the_key() {
     let sandbox = sandbox();
     let cases: [(&str, &[&str]); 4] = [
-        ("--set train.max_steps=many", &["--set train.max_steps=many", "`train.max_steps`", "u64"]),
+        (
+            "--set train.max_steps=many",
+            &["--set train.max_steps=many", "`train.max_steps`", "u64"],
+        ),
         ("--set train.max_steps=-1", &["`train.max_steps`"]),
-        ("--set diffusion.prediction_type=noise", &["`diffusion.prediction_type`", "epsilon"]),
+        (
+            "--set diffusion.prediction_type=noise",
+            &["`diffusion.prediction_type`", "epsilon"],
+        ),
         ("--set run", &["`--set run` is not KEY=VALUE"]),
     ];
     for (settings, texts) in cases {
@@ -48,15 +63,37 @@ fn wrong_types_and_choices_name_the_key() {
 fn values_out_of_range_name_key_value_and_range() {
     let sandbox = sandbox();
     let cases: [(&str, &[&str]); 9] = [
-        ("train.max_steps=0", &["`train.max_steps` is 0", "1 or more"]),
+        (
+            "train.max_steps=0",
+            &["`train.max_steps` is 0", "1 or more"],
+        ),
         ("optim.warmup_steps=-1", &["`optim.warmup_steps`"]),
-        ("optim.learning_rate=-1.0", &["`optim.learning_rate` is -1", "0 or more"]),
-        ("optim.betas=[0.9,1.0]", &["`optim.betas` is 1", "0 to below 1"]),
-        ("model.model_channels=48", &["`model.model_channels` is 48", "32 groups", "multiple of 32"]),
+        (
+            "optim.learning_rate=-1.0",
+            &["`optim.learning_rate` is -1", "0 or more"],
+        ),
+        (
+            "optim.betas=[0.9,1.0]",
+            &["`optim.betas` is 1", "0 to below 1"],
+        ),
+        (
+            "model.model_channels=48",
+            &[
+                "`model.model_channels` is 48",
+                "32 groups",
+                "multiple of 32",
+            ],
+        ),
         ("model.num_heads=7", &["`model.num_heads` is 7"]),
         ("data.batch_size=0", &["data.batch_size", "0"]),
-        ("sampling.sampler.num_inference_steps=2000", &["num_inference_steps", "2000", "1000"]),
-        ("diffusion.num_train_timesteps=1", &["num_train_timesteps", "1"]),
+        (
+            "sampling.sampler.num_inference_steps=2000",
+            &["num_inference_steps", "2000", "1000"],
+        ),
+        (
+            "diffusion.num_train_timesteps=1",
+            &["num_train_timesteps", "1"],
+        ),
     ];
     for (setting, texts) in cases {
         refused(&sandbox, &format!("--set {setting}"), texts);
@@ -68,14 +105,26 @@ fn a_warm_up_longer_than_the_run_only_warns() {
     let sandbox = sandbox();
     let settings = "--set train.max_steps=2 --set optim.warmup_steps=50";
     let finished = sandbox.run(&format!("train c.toml {settings}")).succeeded();
-    assert!(finished.stderr.contains("warning: `optim.warmup_steps` (50)"), "{}", finished.stderr);
+    assert!(
+        finished
+            .stderr
+            .contains("warning: `optim.warmup_steps` (50)"),
+        "{}",
+        finished.stderr
+    );
 }
 
 #[test]
 fn missing_config_and_device_are_named() {
     let sandbox = sandbox();
-    sandbox.run("train nowhere.toml").failed(2, &["nowhere.toml", "hint:"]);
-    refused(&sandbox, "--device warp", &["`run.device` is \"warp\"", "cpu"]);
+    sandbox
+        .run("train nowhere.toml")
+        .failed(2, &["nowhere.toml", "hint:"]);
+    refused(
+        &sandbox,
+        "--device warp",
+        &["`run.device` is \"warp\"", "cpu"],
+    );
     refused(&sandbox, "--device cuda:x", &["cuda:x"]);
 }
 
@@ -87,7 +136,11 @@ fn phrase(sandbox: &Sandbox, id: &str, frames: usize) {
     for kind in ["motion", "audio_features"] {
         fs::create_dir_all(sandbox.path(format!("set/{kind}/{id}"))).expect("folders");
     }
-    write_motion(&sandbox.path(format!("set/motion/{id}/trajectory.npy")), &motion).expect("npy");
+    write_motion(
+        &sandbox.path(format!("set/motion/{id}/trajectory.npy")),
+        &motion,
+    )
+    .expect("npy");
     let features = sandbox.path(format!("set/audio_features/{id}/features.npz"));
     write_features(&features, &AudioFeatures::zeros(frames)).expect("npz");
 }
@@ -129,15 +182,26 @@ fn bad_phrases_are_named_by_id_and_channel_or_skipped_and_counted() {
         phrase(&sandbox, id, 30);
         let header = format!(
             "{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({},), }}",
-            shape.iter().map(u64::to_string).collect::<Vec<_>>().join(", ")
+            shape
+                .iter()
+                .map(u64::to_string)
+                .collect::<Vec<_>>()
+                .join(", ")
         );
         let header = format!("{header:<117}\n");
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
         bytes.extend((header.len() as u16).to_le_bytes());
         bytes.extend(header.as_bytes());
         let size = dtype[2..].parse::<u64>().expect("a size");
-        bytes.resize(bytes.len() + (size * shape.iter().product::<u64>()) as usize, 0);
-        fs::write(sandbox.path(format!("set/motion/{id}/trajectory.npy")), bytes).expect("npy");
+        bytes.resize(
+            bytes.len() + (size * shape.iter().product::<u64>()) as usize,
+            0,
+        );
+        fs::write(
+            sandbox.path(format!("set/motion/{id}/trajectory.npy")),
+            bytes,
+        )
+        .expect("npy");
     };
     let remove = |id: &str| {
         for kind in ["motion", "audio_features"] {
@@ -159,6 +223,10 @@ fn bad_phrases_are_named_by_id_and_channel_or_skipped_and_counted() {
     // The same phrase, skipped.
     let skip = format!("train c.toml {train} --set data.on_bad_phrase=skip");
     let finished = sandbox.run(&skip).succeeded();
-    assert!(finished.stderr.contains("1 bad phrases skipped"), "{}", finished.stderr);
+    assert!(
+        finished.stderr.contains("1 bad phrases skipped"),
+        "{}",
+        finished.stderr
+    );
     assert!(finished.stderr.contains("torn:"), "{}", finished.stderr);
 }

@@ -35,15 +35,31 @@ fn truncate(path: &PathBuf) {
 
 #[test]
 fn a_damaged_checkpoint_is_skipped_for_the_one_before() {
-    let files = ["model.safetensors", "ema.safetensors", "optimizer.safetensors", "state.json"];
-    for (file, damage) in files.iter().flat_map(|f| [(f, flip as fn(&PathBuf)), (f, truncate)]) {
+    let files = [
+        "model.safetensors",
+        "ema.safetensors",
+        "optimizer.safetensors",
+        "state.json",
+    ];
+    for (file, damage) in files
+        .iter()
+        .flat_map(|f| [(f, flip as fn(&PathBuf)), (f, truncate)])
+    {
         let sandbox = sandbox();
         sandbox.run(TRAIN).succeeded();
         let whole = fs::read(checkpoint(&sandbox, 12).join("model.safetensors")).expect("bytes");
         damage(&checkpoint(&sandbox, 12).join(file));
         let finished = sandbox.run(&format!("{TRAIN} --resume")).succeeded();
-        assert!(finished.stderr.contains("step-00000012 is damaged"), "{}", finished.stderr);
-        assert!(finished.stderr.contains("continuing after step 10"), "{}", finished.stderr);
+        assert!(
+            finished.stderr.contains("step-00000012 is damaged"),
+            "{}",
+            finished.stderr
+        );
+        assert!(
+            finished.stderr.contains("continuing after step 10"),
+            "{}",
+            finished.stderr
+        );
         let again = fs::read(checkpoint(&sandbox, 12).join("model.safetensors")).expect("bytes");
         assert!(whole == again, "{file}: the steps repeated end the same");
     }
@@ -55,7 +71,11 @@ fn a_missing_file_makes_a_checkpoint_damaged_too() {
     sandbox.run(TRAIN).succeeded();
     fs::remove_file(checkpoint(&sandbox, 12).join("optimizer.safetensors")).expect("removed");
     let finished = sandbox.run(&format!("{TRAIN} --resume")).succeeded();
-    assert!(finished.stderr.contains("optimizer.safetensors"), "{}", finished.stderr);
+    assert!(
+        finished.stderr.contains("optimizer.safetensors"),
+        "{}",
+        finished.stderr
+    );
 }
 
 #[test]
@@ -68,9 +88,15 @@ fn no_good_checkpoint_left_exits_with_1() {
             flip(&path);
         }
     }
-    let texts = ["no good checkpoint is left", "step-00000012", "step-00000008"];
+    let texts = [
+        "no good checkpoint is left",
+        "step-00000012",
+        "step-00000008",
+    ];
     sandbox.run(&format!("{TRAIN} --resume")).failed(1, &texts);
-    sandbox.run("sample runs/smallest --out s").failed(1, &["no good checkpoint"]);
+    sandbox
+        .run("sample runs/smallest --out s")
+        .failed(1, &["no good checkpoint"]);
 }
 
 #[test]
@@ -87,13 +113,21 @@ fn a_run_killed_before_its_first_checkpoint_starts_again() {
 #[test]
 fn a_run_is_not_overwritten_and_a_changed_config_is_refused_by_name() {
     let sandbox = sandbox();
-    sandbox.run(&format!("{TRAIN} --resume")).failed(2, &["no run", "--resume"]);
+    sandbox
+        .run(&format!("{TRAIN} --resume"))
+        .failed(2, &["no run", "--resume"]);
     sandbox.run(TRAIN).succeeded();
-    sandbox.run(TRAIN).failed(2, &["`smallest` exists already", "--resume"]);
+    sandbox
+        .run(TRAIN)
+        .failed(2, &["`smallest` exists already", "--resume"]);
     let changed = format!("{TRAIN} --resume --set optim.weight_decay=0.5");
-    sandbox.run(&changed).failed(2, &["`optim.weight_decay` is 0.5", "0.0001"]);
+    sandbox
+        .run(&changed)
+        .failed(2, &["`optim.weight_decay` is 0.5", "0.0001"]);
     let architecture = format!("{TRAIN} --resume --set model.model_channels=64");
-    sandbox.run(&architecture).failed(2, &["`model.model_channels` is 64", "32"]);
+    sandbox
+        .run(&architecture)
+        .failed(2, &["`model.model_channels` is 64", "32"]);
     let allowed = "train c.toml --resume --set train.max_steps=14 --set checkpoint.keep_last=1 \
                    --set validation.draws=1";
     sandbox.run(allowed).succeeded();
@@ -103,7 +137,11 @@ fn a_run_is_not_overwritten_and_a_changed_config_is_refused_by_name() {
 fn weights_of_another_architecture_are_refused() {
     let sandbox = sandbox();
     sandbox.run(TRAIN).succeeded();
-    sandbox.run(&format!("{TRAIN} --name wide --set model.model_channels=64")).succeeded();
+    sandbox
+        .run(&format!(
+            "{TRAIN} --name wide --set model.model_channels=64"
+        ))
+        .succeeded();
     // The weights of one run under the state of the other, checksums and all.
     let state = fs::read_to_string(checkpoint(&sandbox, 12).join("state.json")).expect("state");
     let other = sandbox.path("runs/wide/checkpoints/step-00000012");
@@ -111,7 +149,9 @@ fn weights_of_another_architecture_are_refused() {
     fs::write(checkpoint(&sandbox, 12).join("ema.safetensors"), ema).expect("written");
     fs::write(checkpoint(&sandbox, 12).join("state.json"), state).expect("written");
     let path = "runs/smallest/checkpoints/step-00000012";
-    sandbox.run(&format!("sample {path} --out s")).failed(2, &["ema.safetensors", "checksum"]);
+    sandbox
+        .run(&format!("sample {path} --out s"))
+        .failed(2, &["ema.safetensors", "checksum"]);
 
     // A config that does not fit its own weights: the names and shapes are told.
     let out = sandbox.run(&format!("sample {path} --out s --no-ema"));
@@ -125,30 +165,56 @@ fn a_checkpoint_stands_alone() {
     sandbox.run(TRAIN).succeeded();
     fs::rename(checkpoint(&sandbox, 12), sandbox.path("moved")).expect("moved");
     fs::remove_dir_all(sandbox.path("runs")).expect("removed");
-    sandbox.run("sample moved --out s.npy --count 2 --seed 3").succeeded();
-    assert_eq!(sandbox.list("").iter().filter(|name| name.starts_with("s-")).count(), 4);
+    sandbox
+        .run("sample moved --out s.npy --count 2 --seed 3")
+        .succeeded();
+    assert_eq!(
+        sandbox
+            .list("")
+            .iter()
+            .filter(|name| name.starts_with("s-"))
+            .count(),
+        4
+    );
 }
 
 #[test]
 fn a_full_disk_leaves_the_last_good_checkpoint() {
     let sandbox = sandbox();
-    sandbox.run(&format!("{TRAIN} --set optim.lr_schedule=constant")).succeeded();
+    sandbox
+        .run(&format!("{TRAIN} --set optim.lr_schedule=constant"))
+        .succeeded();
     // A limit on the size of files stands for the disk: smaller than the weights, larger than
     // the metrics. The signal that would end the process is ignored, so writing fails instead.
-    let size = fs::metadata(checkpoint(&sandbox, 12).join("model.safetensors")).expect("size").len();
+    let size = fs::metadata(checkpoint(&sandbox, 12).join("model.safetensors"))
+        .expect("size")
+        .len();
     let blocks = size / 512 / 2;
     let binary = env!("CARGO_BIN_EXE_kinegrad");
     let more = "train c.toml --set optim.lr_schedule=constant --set train.max_steps=20 --resume";
     let mut command = Command::new("bash");
-    let script = format!("trap '' XFSZ; ulimit -f {}; exec {binary} {more}", blocks.div_ceil(2));
+    let script = format!(
+        "trap '' XFSZ; ulimit -f {}; exec {binary} {more}",
+        blocks.div_ceil(2)
+    );
     command.args(["-c", &script]).current_dir(sandbox.path(""));
     finish(command).failed(1, &["cannot write", "hint: free some space"]);
 
     let checkpoints = sandbox.list("runs/smallest/checkpoints");
-    assert!(checkpoints.contains(&"step-00000012".to_string()), "{checkpoints:?}");
-    assert!(!checkpoints.iter().any(|name| name.starts_with(".writing")), "{checkpoints:?}");
+    assert!(
+        checkpoints.contains(&"step-00000012".to_string()),
+        "{checkpoints:?}"
+    );
+    assert!(
+        !checkpoints.iter().any(|name| name.starts_with(".writing")),
+        "{checkpoints:?}"
+    );
     let finished = sandbox.run(more).succeeded();
-    assert!(finished.stderr.contains("continuing after step 12"), "{}", finished.stderr);
+    assert!(
+        finished.stderr.contains("continuing after step 12"),
+        "{}",
+        finished.stderr
+    );
 }
 
 #[test]
@@ -161,13 +227,18 @@ fn a_second_process_on_the_same_run_is_refused() {
     while !metrics.exists() && started.elapsed() < Duration::from_secs(60) {
         sleep(Duration::from_millis(20));
     }
-    sandbox.run(&format!("{long} --resume")).failed(2, &["another process is using"]);
+    sandbox
+        .run(&format!("{long} --resume"))
+        .failed(2, &["another process is using"]);
     child.kill().expect("a kill");
     child.wait().expect("an end");
     // The lock died with its process.
     let mut again = sandbox.start(&format!("{long} --resume"));
     sleep(Duration::from_millis(300));
-    assert!(again.try_wait().expect("a status").is_none(), "the resumed run trains");
+    assert!(
+        again.try_wait().expect("a status").is_none(),
+        "the resumed run trains"
+    );
     again.kill().expect("a kill");
     again.wait().expect("an end");
 }
@@ -178,10 +249,18 @@ fn a_loss_that_is_no_number_stops_with_step_tensor_and_last_good_checkpoint() {
     let wild = "train c.toml --set optim.learning_rate=1e30 --set optim.warmup_steps=6 \
                 --set train.max_grad_norm=0.0 --set validation.every_steps=0 \
                 --set checkpoint.every_steps=1";
-    let finished = sandbox.run(wild).failed(1, &["is not finite", "last good checkpoint"]);
+    let finished = sandbox
+        .run(wild)
+        .failed(1, &["is not finite", "last good checkpoint"]);
     let text = finished.stderr;
-    assert!(text.contains("step 2: ") || text.contains("step 3: "), "{text}");
-    assert!(text.contains("runs/smallest/checkpoints/step-0000000"), "{text}");
+    assert!(
+        text.contains("step 2: ") || text.contains("step 3: "),
+        "{text}"
+    );
+    assert!(
+        text.contains("runs/smallest/checkpoints/step-0000000"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -193,7 +272,12 @@ fn only_the_newest_and_the_best_checkpoints_are_kept() {
     let best = fs::read_to_string(sandbox.path("runs/smallest/checkpoints/best.json"));
     let best: serde_json::Value = serde_json::from_str(&best.expect("best.json")).expect("JSON");
     let best = format!("step-{:08}", best["step"].as_u64().expect("a step"));
-    let mut expected = vec!["best.json".to_string(), best, "step-00000036".into(), "step-00000040".into()];
+    let mut expected = vec![
+        "best.json".to_string(),
+        best,
+        "step-00000036".into(),
+        "step-00000040".into(),
+    ];
     expected.sort();
     expected.dedup();
     assert_eq!(names, expected);

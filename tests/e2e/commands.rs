@@ -37,10 +37,20 @@ fn devices_lists_the_cpu_and_what_auto_takes() {
 #[test]
 fn wrong_arguments_exit_with_2() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
-    sandbox.run("trian").failed(2, &["unrecognized subcommand", "train"]);
+    sandbox
+        .run("trian")
+        .failed(2, &["unrecognized subcommand", "train"]);
     sandbox.run("train").failed(2, &["CONFIG"]);
-    sandbox.run("sample nowhere --out s").failed(2, &["nowhere", "hint:"]);
-    sandbox.run("check nowhere.npy").failed(2, &["nowhere.npy", "hint:"]);
-    sandbox.run("plot nowhere --out p.svg").failed(2, &["nowhere", "hint:"]);
-    sandbox.run("data inspect nowhere").failed(2, &["nowhere", "hint:"]);
+    sandbox
+        .run("sample nowhere --out s")
+        .failed(2, &["nowhere", "hint:"]);
+    sandbox
+        .run("check nowhere.npy")
+        .failed(2, &["nowhere.npy", "hint:"]);
+    sandbox
+        .run("plot nowhere --out p.svg")
+        .failed(2, &["nowhere", "hint:"]);
+    sandbox
+        .run("data inspect nowhere")
+        .failed(2, &["nowhere", "hint:"]);
 }

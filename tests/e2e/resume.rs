@@ -35,7 +35,10 @@ fn result(run: &Path) -> Result {
     let tensors = ["model", "ema", "optimizer"].map(|name| {
         let file = format!("{name}.safetensors");
         let bytes = fs::read(last.join(&file)).expect("a file of tensors");
-        (format!("{}/{file}", last.file_name().expect("a name").display()), bytes)
+        (
+            format!("{}/{file}", last.file_name().expect("a name").display()),
+            bytes,
+        )
     });
     let text = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
     let metrics = text
@@ -46,7 +49,10 @@ fn result(run: &Path) -> Result {
             line
         })
         .collect();
-    Result { tensors: tensors.to_vec(), metrics }
+    Result {
+        tensors: tensors.to_vec(),
+        metrics,
+    }
 }
 
 #[track_caller]
@@ -60,7 +66,9 @@ fn assert_same(one: &Result, other: &Result) {
 
 /// A number in 0..1 that differs from run to run: when a run is killed is meant to be random.
 fn chance() -> f64 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("a clock");
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .expect("a clock");
     f64::from(now.subsec_nanos() % 1_000_003) / 1_000_003.0
 }
 
@@ -72,7 +80,11 @@ fn train_with_kills(sandbox: &Sandbox, arguments: &str, runs: &str, uninterrupte
         let mut kills = 0;
         while kills < KILLS {
             // The first kill may come before the folder exists; then the run starts afresh.
-            let resume = if sandbox.path(&runs).join("smallest").exists() { "--resume" } else { "" };
+            let resume = if sandbox.path(&runs).join("smallest").exists() {
+                "--resume"
+            } else {
+                ""
+            };
             let mut child = sandbox.start(&format!("{arguments} --runs-dir {runs} {resume}"));
             sleep(longest.mul_f64(chance()));
             if child.try_wait().expect("a status").is_some() {
@@ -86,7 +98,9 @@ fn train_with_kills(sandbox: &Sandbox, arguments: &str, runs: &str, uninterrupte
             longest = longest.mul_f64(0.7);
             continue;
         }
-        sandbox.run(&format!("{arguments} --runs-dir {runs} --resume")).succeeded();
+        sandbox
+            .run(&format!("{arguments} --runs-dir {runs} --resume"))
+            .succeeded();
         fs::rename(sandbox.path(&runs), sandbox.path("killed")).expect("a rename");
         return;
     }
@@ -97,7 +111,9 @@ fn check_kills(settings: &str) {
     let sandbox = sandbox();
     let arguments = format!("train c.toml {settings}");
     let started = Instant::now();
-    sandbox.run(&format!("{arguments} --runs-dir whole")).succeeded();
+    sandbox
+        .run(&format!("{arguments} --runs-dir whole"))
+        .succeeded();
     train_with_kills(&sandbox, &arguments, "attempt", started.elapsed());
     let whole = result(&sandbox.path("whole/smallest"));
     assert_same(&whole, &result(&sandbox.path("killed/smallest")));
@@ -132,7 +148,9 @@ fn the_number_of_workers_changes_nothing() {
     let sandbox = sandbox();
     let results = [0, 1, 4].map(|workers| {
         let settings = format!("--set data.num_workers={workers} --set train.max_steps=10");
-        sandbox.run(&format!("train c.toml {settings} --runs-dir w{workers}")).succeeded();
+        sandbox
+            .run(&format!("train c.toml {settings} --runs-dir w{workers}"))
+            .succeeded();
         result(&sandbox.path(format!("w{workers}/smallest")))
     });
     assert_same(&results[0], &results[1]);
@@ -144,25 +162,43 @@ fn the_seed_decides_the_weights() {
     let sandbox = sandbox();
     let train = |runs: &str, seed: u64| {
         let settings = format!("--set run.seed={seed} --set train.max_steps=6");
-        sandbox.run(&format!("train c.toml {settings} --runs-dir {runs}")).succeeded();
+        sandbox
+            .run(&format!("train c.toml {settings} --runs-dir {runs}"))
+            .succeeded();
         result(&sandbox.path(format!("{runs}/smallest")))
     };
     let (one, same, other) = (train("a", 1), train("b", 1), train("c", 2));
     assert_same(&one, &same);
-    assert!(one.tensors[0].1 != other.tensors[0].1, "another seed gives other weights");
+    assert!(
+        one.tensors[0].1 != other.tensors[0].1,
+        "another seed gives other weights"
+    );
 }
 
 #[test]
 fn a_longer_run_continues_a_finished_one() {
     let sandbox = sandbox();
     let constant = "--set optim.lr_schedule=\"constant\"";
-    sandbox.run(&format!("train c.toml {constant} --set train.max_steps=30 --runs-dir a"));
+    sandbox.run(&format!(
+        "train c.toml {constant} --set train.max_steps=30 --runs-dir a"
+    ));
     let again = format!("train c.toml {constant} --set train.max_steps=30 --runs-dir a --resume");
     let finished = sandbox.run(&again).succeeded();
-    assert!(finished.stdout.contains("finished before"), "{}", finished.stdout);
-    sandbox.run(&format!("train c.toml {constant} --runs-dir a --resume")).succeeded();
-    sandbox.run(&format!("train c.toml {constant} --runs-dir b")).succeeded();
-    let (continued, whole) = (result(&sandbox.path("a/smallest")), result(&sandbox.path("b/smallest")));
+    assert!(
+        finished.stdout.contains("finished before"),
+        "{}",
+        finished.stdout
+    );
+    sandbox
+        .run(&format!("train c.toml {constant} --runs-dir a --resume"))
+        .succeeded();
+    sandbox
+        .run(&format!("train c.toml {constant} --runs-dir b"))
+        .succeeded();
+    let (continued, whole) = (
+        result(&sandbox.path("a/smallest")),
+        result(&sandbox.path("b/smallest")),
+    );
     assert!(continued.tensors == whole.tensors);
 }
 
@@ -173,17 +209,28 @@ fn interrupt_writes_a_checkpoint_and_exits_with_130() {
                     --set validation.every_steps=0";
     let mut child = sandbox.start(&format!("train c.toml {settings}"));
     let metrics = sandbox.path("runs/smallest/metrics.jsonl");
-    let steps = || fs::read_to_string(&metrics).unwrap_or_default().lines().count();
+    let steps = || {
+        fs::read_to_string(&metrics)
+            .unwrap_or_default()
+            .lines()
+            .count()
+    };
     let started = Instant::now();
     while steps() < 3 && started.elapsed() < Duration::from_secs(60) {
         sleep(Duration::from_millis(20));
     }
     let id = child.id().to_string();
-    let sent = std::process::Command::new("kill").args(["-INT", &id]).status().expect("kill runs");
+    let sent = std::process::Command::new("kill")
+        .args(["-INT", &id])
+        .status()
+        .expect("kill runs");
     assert!(sent.success());
     assert_eq!(child.wait().expect("an end").code(), Some(130));
     let checkpoints = sandbox.list("runs/smallest/checkpoints");
     assert_eq!(checkpoints.len(), 1, "{checkpoints:?}");
-    let step: usize = checkpoints[0].trim_start_matches("step-").parse().expect("a step");
+    let step: usize = checkpoints[0]
+        .trim_start_matches("step-")
+        .parse()
+        .expect("a step");
     assert_eq!(step, steps(), "the checkpoint is of the last step");
 }

@@ -15,14 +15,28 @@ fn sandbox() -> Sandbox {
 #[test]
 fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     let sandbox = sandbox();
-    sandbox.run("data synth --out set --phrases 10 --frames 30 --seed 4").succeeded();
+    sandbox
+        .run("data synth --out set --phrases 10 --frames 30 --seed 4")
+        .succeeded();
     let inspected = sandbox.run("data inspect set").succeeded();
-    assert!(inspected.stdout.contains("position.x"), "{}", inspected.stdout);
+    assert!(
+        inspected.stdout.contains("position.x"),
+        "{}",
+        inspected.stdout
+    );
 
     let phrases = "--set data.kind=phrases --set data.source=set --set sampling.count_at_end=2";
     let trained = sandbox.run(&format!("train c.toml {phrases}")).succeeded();
-    assert!(trained.stdout.contains("best val_loss"), "{}", trained.stdout);
-    assert!(trained.stdout.contains("strict"), "a sanity table: {}", trained.stdout);
+    assert!(
+        trained.stdout.contains("best val_loss"),
+        "{}",
+        trained.stdout
+    );
+    assert!(
+        trained.stdout.contains("strict"),
+        "a sanity table: {}",
+        trained.stdout
+    );
     let run = sandbox.list("runs/smallest");
     for name in ["checkpoints", "config.toml", "metrics.jsonl", "samples"] {
         assert!(run.contains(&name.to_string()), "{run:?}");
@@ -30,11 +44,29 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     assert!(run.iter().any(|name| name.contains("tfevents")), "{run:?}");
 
     let metrics = fs::read_to_string(sandbox.path("runs/smallest/metrics.jsonl")).expect("metrics");
-    let lines: Vec<serde_json::Value> =
-        metrics.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
-    assert_eq!(lines.iter().filter(|line| line["loss"].is_number()).count(), 40);
-    assert_eq!(lines.iter().filter(|line| line["val_loss"].is_number()).count(), 4);
-    for key in ["step", "lr", "lr_unet", "grad_norm", "loss_diffusion", "time"] {
+    let lines: Vec<serde_json::Value> = metrics
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect();
+    assert_eq!(
+        lines.iter().filter(|line| line["loss"].is_number()).count(),
+        40
+    );
+    assert_eq!(
+        lines
+            .iter()
+            .filter(|line| line["val_loss"].is_number())
+            .count(),
+        4
+    );
+    for key in [
+        "step",
+        "lr",
+        "lr_unet",
+        "grad_norm",
+        "loss_diffusion",
+        "time",
+    ] {
         assert!(lines[0][key].is_number(), "{key} in {}", lines[0]);
     }
     let first = lines[0]["loss"].as_f64().expect("a loss");
@@ -43,34 +75,72 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
 
     let phrase = &sandbox.list("set/motion")[0];
     let sample = format!("sample runs/smallest --out dance --source set --phrase {phrase}");
-    sandbox.run(&format!("{sample} --steps 5 --frames 20 --seed 1")).succeeded();
+    sandbox
+        .run(&format!("{sample} --steps 5 --frames 20 --seed 1"))
+        .succeeded();
     let motion = read_motion(&sandbox.path("dance.npy")).expect("a motion");
     assert_eq!(motion.frames(), 20);
     let raw = read_motion(&sandbox.path("dance.raw.npy")).expect("a motion");
-    assert_ne!(motion, raw, "post-processing changes a young model's sample");
-    sandbox.run(&format!("{sample} --steps 5 --frames 20 --seed 1 --out again")).failed(2, &[]);
-    sandbox.run(&format!("{} --out again --phrase {phrase} --steps 5 --frames 20 --seed 1 --source set", "sample runs/smallest")).succeeded();
-    assert_eq!(read_motion(&sandbox.path("again.npy")).expect("a motion"), motion);
+    assert_ne!(
+        motion, raw,
+        "post-processing changes a young model's sample"
+    );
+    sandbox
+        .run(&format!(
+            "{sample} --steps 5 --frames 20 --seed 1 --out again"
+        ))
+        .failed(2, &[]);
+    sandbox
+        .run(&format!(
+            "{} --out again --phrase {phrase} --steps 5 --frames 20 --seed 1 --source set",
+            "sample runs/smallest"
+        ))
+        .succeeded();
+    assert_eq!(
+        read_motion(&sandbox.path("again.npy")).expect("a motion"),
+        motion
+    );
 
     let features = format!("set/audio_features/{phrase}/features.npz");
     let guided = "--guidance-scale 3 --sampler ddpm --eta 0.5 --count 2";
-    sandbox.run(&format!("sample runs/smallest --out d --cond {features} --steps 4 {guided}")).succeeded();
+    sandbox
+        .run(&format!(
+            "sample runs/smallest --out d --cond {features} --steps 4 {guided}"
+        ))
+        .succeeded();
     assert!(sandbox.path("d-001.raw.npy").exists());
 
     sandbox.run("plot dance.npy --out dance.svg").succeeded();
-    sandbox.run("plot runs/smallest --out losses.svg").succeeded();
+    sandbox
+        .run("plot runs/smallest --out losses.svg")
+        .succeeded();
     for picture in ["dance.svg", "losses.svg"] {
         let svg = fs::read_to_string(sandbox.path(picture)).expect("a picture");
-        assert!(svg.starts_with("<svg") && svg.contains("<polyline"), "{picture}");
+        assert!(
+            svg.starts_with("<svg") && svg.contains("<polyline"),
+            "{picture}"
+        );
     }
 
-    let checked = sandbox.run("check set/motion --profile strict --source set").succeeded();
-    assert!(checked.stdout.contains("10 of 10 pass"), "{}", checked.stdout);
-    let json = sandbox.run("check set/motion dance.npy --profile strict --run runs/smallest --json");
+    let checked = sandbox
+        .run("check set/motion --profile strict --source set")
+        .succeeded();
+    assert!(
+        checked.stdout.contains("10 of 10 pass"),
+        "{}",
+        checked.stdout
+    );
+    let json =
+        sandbox.run("check set/motion dance.npy --profile strict --run runs/smallest --json");
     let report: serde_json::Value = serde_json::from_str(&json.stdout).expect("JSON");
     assert_eq!(report["files"].as_array().expect("files").len(), 11);
-    assert_eq!(report["files"][10]["passed"].as_bool(), Some(json.code == Some(0)));
-    sandbox.run("check dance.npy --profile strict").failed(2, &["--run", "--source"]);
+    assert_eq!(
+        report["files"][10]["passed"].as_bool(),
+        Some(json.code == Some(0))
+    );
+    sandbox
+        .run("check dance.npy --profile strict")
+        .failed(2, &["--run", "--source"]);
 }
 
 #[test]
@@ -85,7 +155,10 @@ fn every_shipped_config_is_valid() {
         assert!(shown.stdout.starts_with("# model: "), "{}", shown.stdout);
         // What is shown is itself a config, and the same one.
         sandbox.write("shown.toml", &shown.stdout);
-        assert_eq!(sandbox.run("config show shown.toml").succeeded().stdout, shown.stdout);
+        assert_eq!(
+            sandbox.run("config show shown.toml").succeeded().stdout,
+            shown.stdout
+        );
         seen += 1;
     }
     assert!(seen >= 2);
@@ -99,8 +172,17 @@ fn the_named_sizes_have_the_documented_numbers_of_parameters() {
         ("base", "225,084,185"),
         ("cc116m", "104,436,505"),
     ] {
-        sandbox.write("size.toml", format!("[data]\nkind = \"synthetic\"\n[model]\nsize = \"{size}\"\n"));
+        sandbox.write(
+            "size.toml",
+            format!("[data]\nkind = \"synthetic\"\n[model]\nsize = \"{size}\"\n"),
+        );
         let shown = sandbox.run("config show size.toml").succeeded();
-        assert!(shown.stdout.starts_with(&format!("# model: {parameters} parameters")), "{size}: {}", shown.stdout);
+        assert!(
+            shown
+                .stdout
+                .starts_with(&format!("# model: {parameters} parameters")),
+            "{size}: {}",
+            shown.stdout
+        );
     }
 }

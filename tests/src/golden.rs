@@ -41,14 +41,25 @@ impl Golden {
         };
         let path = root.join(family).join(file);
         if !path.exists() {
-            assert!(set.is_none(), "KINEGRAD_GOLDEN is set and {} is missing", path.display());
-            eprintln!("{} is not among the small fixtures: nothing compared", path.display());
+            assert!(
+                set.is_none(),
+                "KINEGRAD_GOLDEN is set and {} is missing",
+                path.display()
+            );
+            eprintln!(
+                "{} is not among the small fixtures: nothing compared",
+                path.display()
+            );
             return None;
         }
         let bytes = std::fs::read(&path).expect("golden file is readable");
         let (_, header) = SafeTensors::read_metadata(&bytes).expect("golden file has a header");
         let metadata = header.metadata().clone().unwrap_or_default();
-        Some(Self { path, bytes, metadata })
+        Some(Self {
+            path,
+            bytes,
+            metadata,
+        })
     }
 
     /// A string of the file's metadata.
@@ -72,7 +83,12 @@ impl Golden {
 
     /// Names of all tensors, sorted.
     pub fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = self.parsed().names().iter().map(|n| n.to_string()).collect();
+        let mut names: Vec<String> = self
+            .parsed()
+            .names()
+            .iter()
+            .map(|n| n.to_string())
+            .collect();
         names.sort_unstable();
         names
     }
@@ -107,7 +123,10 @@ impl Golden {
             Dtype::U8 => bytes.iter().map(|&b| f64::from(b)).collect(),
             other => panic!("`{name}` has the unexpected type {other:?}"),
         };
-        Reference { shape: view.shape().to_vec(), values }
+        Reference {
+            shape: view.shape().to_vec(),
+            values,
+        }
     }
 
     /// The float64 twin of `out.{name}` or `grad.{name}` (the reference), or the entry itself
@@ -117,7 +136,11 @@ impl Golden {
             Some((kind, rest)) => format!("{kind}64.{rest}"),
             None => name.to_string(),
         };
-        if self.has(&twin) { self.get(&twin) } else { self.get(name) }
+        if self.has(&twin) {
+            self.get(&twin)
+        } else {
+            self.get(name)
+        }
     }
 
     /// The tensor `name` on `device`.
@@ -166,7 +189,10 @@ impl Reference {
             worst = worst.max((a - r).abs());
         }
         let error = if scale == 0.0 { worst } else { worst / scale };
-        assert!(error <= tolerance, "{what}: error {error:.3e} exceeds {tolerance:.1e}");
+        assert!(
+            error <= tolerance,
+            "{what}: error {error:.3e} exceeds {tolerance:.1e}"
+        );
         error
     }
 
@@ -193,7 +219,10 @@ impl Reference {
 
 fn each<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f64) -> Vec<f64> {
     let (chunks, rest) = bytes.as_chunks::<N>();
-    assert!(rest.is_empty(), "tensor length is a multiple of its element size");
+    assert!(
+        rest.is_empty(),
+        "tensor length is a multiple of its element size"
+    );
     chunks.iter().map(|chunk| convert(*chunk)).collect()
 }
 

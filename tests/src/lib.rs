@@ -13,7 +13,13 @@ pub fn weights(golden: &golden::Golden, prefix: &str) -> Vec<HostParameter> {
     let load = |name: String| {
         let tensor = golden.get(&format!("{prefix}{name}"));
         let values = tensor.f32s();
-        HostParameter { info: ParameterInfo { name, shape: tensor.shape }, values }
+        HostParameter {
+            info: ParameterInfo {
+                name,
+                shape: tensor.shape,
+            },
+            values,
+        }
     };
     names.into_iter().map(load).collect()
 }

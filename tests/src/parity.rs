@@ -32,27 +32,45 @@ struct Outcome {
 
 fn run(device: &Device) -> Outcome {
     let device = device.clone().autodiff();
-    let model = tiny().init(&Initializer::new(3, &device)).expect("a valid network");
+    let model = tiny()
+        .init(&Initializer::new(3, &device))
+        .expect("a valid network");
     let key = Key::new(5, Purpose::Noise);
     let tensor = |index: u64, shape: [usize; 3]| -> Tensor<3> {
         let values = key.at(index).normals(shape.iter().product());
         Tensor::from_data(TensorData::new(values, shape), &device)
     };
-    let (x, cond, target) = (tensor(0, [2, 25, 9]), tensor(1, [2, 163, 9]), tensor(2, [2, 25, 9]));
+    let (x, cond, target) = (
+        tensor(0, [2, 25, 9]),
+        tensor(1, [2, 163, 9]),
+        tensor(2, [2, 25, 9]),
+    );
     let dropout = Some(Key::new(5, Purpose::Dropout));
     let y = model.forward(x, &[3, 700], cond, dropout);
     let output = y.clone().inner().try_into_vec_as::<f32>().expect("float32");
     let loss = (y - target).square().mean();
     let mut tracked = loss.backward();
     let names = parameters::infos(&model).into_iter().map(|info| info.name);
-    let gradients = names.zip(parameters::gradients(&model, &mut tracked)).collect();
-    Outcome { output, loss: loss.into_scalar::<f32>(), gradients }
+    let gradients = names
+        .zip(parameters::gradients(&model, &mut tracked))
+        .collect();
+    Outcome {
+        output,
+        loss: loss.into_scalar::<f32>(),
+        gradients,
+    }
 }
 
 fn error(actual: &[f32], reference: &[f32]) -> f32 {
     let scale = reference.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-    let worst = actual.iter().zip(reference).fold(0.0f32, |m, (a, r)| m.max((a - r).abs()));
-    assert!(actual.iter().all(|v| v.is_finite()), "a value is not finite");
+    let worst = actual
+        .iter()
+        .zip(reference)
+        .fold(0.0f32, |m, (a, r)| m.max((a - r).abs()));
+    assert!(
+        actual.iter().all(|v| v.is_finite()),
+        "a value is not finite"
+    );
     // Gradients that vanish by construction hold rounding noise alone.
     if scale < 1e-6 { worst } else { worst / scale }
 }
@@ -71,7 +89,10 @@ pub fn assert_parity(name: &str) {
     let mut worst = 0.0f32;
     for ((parameter, actual), (_, reference)) in actual.gradients.iter().zip(&reference.gradients) {
         let difference = error(actual, reference);
-        assert!(difference < 2e-4, "{name}: the gradient of {parameter} differs by {difference:e}");
+        assert!(
+            difference < 2e-4,
+            "{name}: the gradient of {parameter} differs by {difference:e}"
+        );
         worst = worst.max(difference);
     }
     println!("{name}: output differs by {forward:.1e}, gradients by at most {worst:.1e}");

@@ -12,7 +12,9 @@ pub fn config(json: &str) -> UNet1dConfig {
     let number = |key: &str| json[key].as_u64().expect("a number") as usize;
     let numbers = |key: &str| -> Vec<usize> {
         let list = json[key].as_array().expect("a list");
-        list.iter().map(|n| n.as_u64().expect("a number") as usize).collect()
+        list.iter()
+            .map(|n| n.as_u64().expect("a number") as usize)
+            .collect()
     };
     UNet1dConfig {
         in_channels: 25,

@@ -75,8 +75,12 @@ fn golden_res_block() {
     let Some(golden) = open() else { return };
     let device = Device::flex().autodiff();
     for case in cases(&golden, "rb_") {
-        let x = golden.tensor::<3>(&format!("in.{case}.x"), &device).require_grad();
-        let temb = golden.tensor::<2>(&format!("in.{case}.temb"), &device).require_grad();
+        let x = golden
+            .tensor::<3>(&format!("in.{case}.x"), &device)
+            .require_grad();
+        let temb = golden
+            .tensor::<2>(&format!("in.{case}.temb"), &device)
+            .require_grad();
         let target = golden.tensor::<3>(&format!("in.{case}.target"), &device);
         let (inputs, outputs) = (x.dims()[1], target.dims()[1]);
         let time_rows = golden.get(&format!("model.{case}.time_mlp.1.weight")).shape[0];
@@ -90,12 +94,23 @@ fn golden_res_block() {
             .expect("the weights fit");
 
         let y = block.forward(x.clone(), temb.clone(), None);
-        golden.reference(&format!("out.{case}.y")).assert_close_tensor(&case, y.clone(), OUTPUT);
+        golden
+            .reference(&format!("out.{case}.y"))
+            .assert_close_tensor(&case, y.clone(), OUTPUT);
         let mut gradients = (y - target).square().mean().backward();
         let of = |g: Option<Vec<f32>>| g.expect("a gradient");
         let inputs = [
-            ("x", of(x.grad(&gradients).map(|g| g.try_into_vec_as().expect("float32")))),
-            ("temb", of(temb.grad(&gradients).map(|g| g.try_into_vec_as().expect("float32")))),
+            (
+                "x",
+                of(x.grad(&gradients)
+                    .map(|g| g.try_into_vec_as().expect("float32"))),
+            ),
+            (
+                "temb",
+                of(temb
+                    .grad(&gradients)
+                    .map(|g| g.try_into_vec_as().expect("float32"))),
+            ),
         ];
         let infos = parameters::infos(&block);
         let gradients = parameters::gradients(&block, &mut gradients);
@@ -113,10 +128,18 @@ fn golden_attention_block() {
         let owner = if own { case.as_str() } else { "attn_cross_len" };
         // The case without context has no input of its own either.
         let has_x = golden.has(&format!("in.{case}.x"));
-        let inputs = if has_x { case.as_str() } else { "attn_cross_eq" };
-        let x = golden.tensor::<3>(&format!("in.{inputs}.x"), &device).require_grad();
+        let inputs = if has_x {
+            case.as_str()
+        } else {
+            "attn_cross_eq"
+        };
+        let x = golden
+            .tensor::<3>(&format!("in.{inputs}.x"), &device)
+            .require_grad();
         let context = golden.has(&format!("in.{case}.context")).then(|| {
-            golden.tensor::<3>(&format!("in.{case}.context"), &device).require_grad()
+            golden
+                .tensor::<3>(&format!("in.{case}.context"), &device)
+                .require_grad()
         });
         let channels = x.dims()[1];
         let context_dim = golden
@@ -128,7 +151,9 @@ fn golden_attention_block() {
             .expect("the weights fit");
 
         let y = block.forward(x.clone(), context.clone());
-        golden.reference(&format!("out.{case}.y")).assert_close_tensor(&case, y.clone(), OUTPUT);
+        golden
+            .reference(&format!("out.{case}.y"))
+            .assert_close_tensor(&case, y.clone(), OUTPUT);
         if !golden.has(&format!("in.{case}.target")) {
             continue;
         }

@@ -13,13 +13,20 @@ use kinegrad_tests::{unet, weights};
 
 #[test]
 fn golden_ddim_sampling() {
-    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else { return };
+    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else {
+        return;
+    };
     let device = Device::flex();
     let config = unet::config(golden.metadata("unet"));
-    let model = config.init(&Initializer::new(0, &device)).expect("a valid network");
+    let model = config
+        .init(&Initializer::new(0, &device))
+        .expect("a valid network");
     let model = parameters::load(model, weights(&golden, "model.")).expect("the weights fit");
     let model = model.valid();
-    let steps: usize = golden.metadata("num_steps").parse().expect("a number of steps");
+    let steps: usize = golden
+        .metadata("num_steps")
+        .parse()
+        .expect("a number of steps");
     let start = golden.tensor::<3>("in.x_T", &device);
     let cond = golden.tensor::<3>("in.cond", &device);
 
@@ -32,7 +39,9 @@ fn golden_ddim_sampling() {
     for name in &finals {
         // For example `cosine1000.clip.cfg3.x_final`.
         let parts: Vec<&str> = name.split('.').collect();
-        let split = parts[0].find(|c: char| c.is_ascii_digit()).expect("steps after the name");
+        let split = parts[0]
+            .find(|c: char| c.is_ascii_digit())
+            .expect("steps after the name");
         let (schedule, timesteps) = parts[0].split_at(split);
         let diffusion = GaussianDiffusion::new(&DiffusionConfig {
             num_train_timesteps: timesteps.parse().expect("a number"),
@@ -78,8 +87,14 @@ fn golden_ddim_sampling() {
             let index: usize = after.parse().expect("a step");
             golden
                 .reference(&format!("{case}.x_after.{after}"))
-                .assert_close_tensor(&format!("{case} after {after}"), states[index].clone(), tolerance);
+                .assert_close_tensor(
+                    &format!("{case} after {after}"),
+                    states[index].clone(),
+                    tolerance,
+                );
         }
-        golden.reference(&format!("{case}.x_final")).assert_close_tensor(&case, drawn, tolerance);
+        golden
+            .reference(&format!("{case}.x_final"))
+            .assert_close_tensor(&case, drawn, tolerance);
     }
 }

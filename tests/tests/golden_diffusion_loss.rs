@@ -11,11 +11,17 @@ use kinegrad_tests::{unet, weights};
 
 #[test]
 fn golden_diffusion_loss() {
-    let Some(golden) = Golden::open("ccmotion", "05_diffusion_loss.safetensors") else { return };
-    let Some(network) = Golden::open("ccmotion", golden.metadata("weights")) else { return };
+    let Some(golden) = Golden::open("ccmotion", "05_diffusion_loss.safetensors") else {
+        return;
+    };
+    let Some(network) = Golden::open("ccmotion", golden.metadata("weights")) else {
+        return;
+    };
     let device = Device::flex().autodiff();
     let config = unet::config(network.metadata("config"));
-    let model = config.init(&Initializer::new(0, &device)).expect("a valid network");
+    let model = config
+        .init(&Initializer::new(0, &device))
+        .expect("a valid network");
     let model = parameters::load(model, weights(&network, "model.")).expect("the weights fit");
     let x_start = golden.tensor::<3>("in.x0", &device);
     let noise = golden.tensor::<3>("in.noise", &device);
@@ -40,19 +46,28 @@ fn golden_diffusion_loss() {
         })
         .expect("a valid process");
         let x_t: Tensor<3> = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-        golden.reference("out.x_t").assert_close_tensor("x_t", x_t.clone(), 1e-5);
+        golden
+            .reference("out.x_t")
+            .assert_close_tensor("x_t", x_t.clone(), 1e-5);
         let output = model.forward(x_t, &timesteps, cond.clone(), None);
-        golden.reference("out.model_out").assert_close_tensor("output", output.clone(), 2e-5);
+        golden
+            .reference("out.model_out")
+            .assert_close_tensor("output", output.clone(), 2e-5);
         let target = diffusion.target(x_start.clone(), noise.clone(), &timesteps);
         let loss = diffusion_loss(output, target, None, None, diffusion.config.loss_type);
         let value = f64::from(loss.clone().into_scalar::<f32>());
-        golden.reference(&format!("out.loss.{case}")).assert_close(&case, &[value], 1e-5);
+        golden
+            .reference(&format!("out.loss.{case}"))
+            .assert_close(&case, &[value], 1e-5);
 
         let mut tracked = loss.backward();
         let infos = parameters::infos(&model);
         let gradients = parameters::gradients(&model, &mut tracked);
         for name in golden.names_under(&format!("grad.{case}.model.")) {
-            let index = infos.iter().position(|info| info.name == name).expect("a parameter");
+            let index = infos
+                .iter()
+                .position(|info| info.name == name)
+                .expect("a parameter");
             golden
                 .reference(&format!("grad.{case}.model.{name}"))
                 .assert_close_f32(&format!("{case} d{name}"), &gradients[index], 1e-4);

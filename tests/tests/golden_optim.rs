@@ -9,7 +9,9 @@ const TOLERANCE: f64 = 2e-6;
 
 #[test]
 fn golden_ema() {
-    let Some(golden) = Golden::open("ccmotion", "09_ema.safetensors") else { return };
+    let Some(golden) = Golden::open("ccmotion", "09_ema.safetensors") else {
+        return;
+    };
     for name in golden.names_under("out.shadow.") {
         let (parameter, setting) = name.split_once(".decay").expect("parameter and decay");
         let (decay, every) = setting.split_once(".every").expect("decay and interval");
@@ -23,7 +25,10 @@ fn golden_ema() {
         let size: usize = given.shape[1..].iter().product();
         let values = given.f32s();
         let mut steps = values.chunks(size);
-        let mut ema = Ema::new(&config, vec![steps.next().expect("initial values").to_vec()]);
+        let mut ema = Ema::new(
+            &config,
+            vec![steps.next().expect("initial values").to_vec()],
+        );
         let mut shadows = ema.shadow()[0].clone();
         for (step, values) in (1..).zip(steps) {
             if let Some(decay) = ema.decay_at(step) {
@@ -31,13 +36,17 @@ fn golden_ema() {
             }
             shadows.extend(&ema.shadow()[0]);
         }
-        golden.reference(&format!("out.shadow.{name}")).assert_close_f32(&name, &shadows, 5e-6);
+        golden
+            .reference(&format!("out.shadow.{name}"))
+            .assert_close_f32(&name, &shadows, 5e-6);
     }
 }
 
 #[test]
 fn golden_adamw_with_clipping() {
-    let Some(golden) = Golden::open("ccmotion", "11_optim.safetensors") else { return };
+    let Some(golden) = Golden::open("ccmotion", "11_optim.safetensors") else {
+        return;
+    };
     let parameters = golden.names_under("in.param.");
     // The settings of the cases, as the golden README gives them.
     for (case, learning_rate, weight_decay, max_norm) in [
@@ -45,9 +54,15 @@ fn golden_adamw_with_clipping() {
         ("strong", 1e-2, 0.1, 1.0),
         ("strong_noclip", 1e-2, 0.1, 0.0),
     ] {
-        let config = OptimConfig { learning_rate, weight_decay, ..OptimConfig::default() };
-        let mut values: Vec<Vec<f32>> =
-            parameters.iter().map(|name| golden.get(&format!("in.param.{name}")).f32s()).collect();
+        let config = OptimConfig {
+            learning_rate,
+            weight_decay,
+            ..OptimConfig::default()
+        };
+        let mut values: Vec<Vec<f32>> = parameters
+            .iter()
+            .map(|name| golden.get(&format!("in.param.{name}")).f32s())
+            .collect();
         let mut adamw = AdamW::new(&config, values.iter().map(Vec::len));
         let steps = golden
             .names_under(&format!("out.adamw.{case}.step"))
@@ -63,15 +78,22 @@ fn golden_adamw_with_clipping() {
                 .collect();
             let norm = global_norm(&gradients);
             if golden.has(&key("total_norm")) {
-                golden.reference(&key("total_norm")).assert_close("norm", &[norm], TOLERANCE);
+                golden
+                    .reference(&key("total_norm"))
+                    .assert_close("norm", &[norm], TOLERANCE);
             }
             let scale = clip_factor(norm, max_norm);
             adamw.begin_step();
             for (index, name) in parameters.iter().enumerate() {
-                adamw.update(index, &mut values[index], &gradients[index], scale, learning_rate);
+                adamw.update(
+                    index,
+                    &mut values[index],
+                    &gradients[index],
+                    scale,
+                    learning_rate,
+                );
                 let moments = &adamw.moments()[index];
-                let clipped: Vec<f32> =
-                    gradients[index].iter().map(|g| g * scale as f32).collect();
+                let clipped: Vec<f32> = gradients[index].iter().map(|g| g * scale as f32).collect();
                 for (what, actual) in [
                     ("clipped_grad", &clipped),
                     ("param", &values[index]),
@@ -82,7 +104,9 @@ fn golden_adamw_with_clipping() {
                     if what == "clipped_grad" && !golden.has(&key) {
                         continue;
                     }
-                    golden.reference(&key).assert_close_f32(&key, actual, TOLERANCE);
+                    golden
+                        .reference(&key)
+                        .assert_close_f32(&key, actual, TOLERANCE);
                 }
             }
         }
@@ -91,19 +115,35 @@ fn golden_adamw_with_clipping() {
 
 #[test]
 fn golden_learning_rates() {
-    let Some(golden) = Golden::open("ccmotion", "11_optim.safetensors") else { return };
+    let Some(golden) = Golden::open("ccmotion", "11_optim.safetensors") else {
+        return;
+    };
     let base = golden.metadata("base_lr").parse().expect("a rate");
-    let warmup_steps = golden.metadata("warmup").parse().expect("a number of steps");
-    let max_steps = golden.metadata("total_steps").parse().expect("a number of steps");
+    let warmup_steps = golden
+        .metadata("warmup")
+        .parse()
+        .expect("a number of steps");
+    let max_steps = golden
+        .metadata("total_steps")
+        .parse()
+        .expect("a number of steps");
     let steps = golden.get("in.lr.steps").indices();
     for (name, lr_schedule) in [
         ("cosine", LrSchedule::Cosine),
         ("linear", LrSchedule::Linear),
         ("constant", LrSchedule::Constant),
     ] {
-        let config = OptimConfig { warmup_steps, lr_schedule, ..OptimConfig::default() };
-        let rates: Vec<f64> =
-            steps.iter().map(|&s| learning_rate(&config, base, s as u64, max_steps)).collect();
-        golden.get(&format!("out64.lr.{name}")).assert_close(name, &rates, 1e-12);
+        let config = OptimConfig {
+            warmup_steps,
+            lr_schedule,
+            ..OptimConfig::default()
+        };
+        let rates: Vec<f64> = steps
+            .iter()
+            .map(|&s| learning_rate(&config, base, s as u64, max_steps))
+            .collect();
+        golden
+            .get(&format!("out64.lr.{name}"))
+            .assert_close(name, &rates, 1e-12);
     }
 }

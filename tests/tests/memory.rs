@@ -11,17 +11,27 @@ use kinegrad_train::device;
 /// Resident memory of this process, in bytes.
 fn resident() -> Option<u64> {
     let pages = std::fs::read_to_string("/proc/self/statm").ok()?;
-    pages.split_whitespace().nth(1)?.parse::<u64>().ok().map(|pages| pages * 4096)
+    pages
+        .split_whitespace()
+        .nth(1)?
+        .parse::<u64>()
+        .ok()
+        .map(|pages| pages * 4096)
 }
 
 #[test]
 fn memory_stays_flat_over_200_sampler_calls() {
     let (cpu, _) = device::open("cpu").expect("the CPU");
     // The weights of a network in training, as validation and sampling take them.
-    let trained = tiny().init(&Initializer::new(0, &cpu.clone().autodiff())).expect("a network");
+    let trained = tiny()
+        .init(&Initializer::new(0, &cpu.clone().autodiff()))
+        .expect("a network");
     let model = trained.valid();
     let diffusion = GaussianDiffusion::new(&DiffusionConfig::default()).expect("a process");
-    let sampler = SamplerConfig { num_inference_steps: 2, ..SamplerConfig::default() };
+    let sampler = SamplerConfig {
+        num_inference_steps: 2,
+        ..SamplerConfig::default()
+    };
     let key = Key::new(0, Purpose::Sampling);
     let draw = |index: u64| {
         let tensor = |channels: usize| -> Tensor<3> {
@@ -44,5 +54,9 @@ fn memory_stays_flat_over_200_sampler_calls() {
     let Some(before) = resident() else { return };
     (20..220).for_each(|index| drop(draw(index)));
     let grown = resident().expect("as before").saturating_sub(before);
-    assert!(grown < 8 << 20, "resident memory grew by {} KiB", grown >> 10);
+    assert!(
+        grown < 8 << 20,
+        "resident memory grew by {} KiB",
+        grown >> 10
+    );
 }

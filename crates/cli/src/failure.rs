@@ -24,7 +24,10 @@ impl fmt::Display for Failure {
 
 impl From<kinegrad_train::Error> for Failure {
     fn from(error: kinegrad_train::Error) -> Self {
-        Self { exit_code: error.exit_code(), diagnostic: Box::new(error) }
+        Self {
+            exit_code: error.exit_code(),
+            diagnostic: Box::new(error),
+        }
     }
 }
 
@@ -36,7 +39,10 @@ impl From<kinegrad_data::Error> for Failure {
 
 impl From<kinegrad_data::FileError> for Failure {
     fn from(error: kinegrad_data::FileError) -> Self {
-        Self { exit_code: 2, diagnostic: Box::new(error) }
+        Self {
+            exit_code: 2,
+            diagnostic: Box::new(error),
+        }
     }
 }
 
@@ -48,7 +54,10 @@ impl From<kinegrad_motion::Error> for Failure {
 
 impl From<UsageError> for Failure {
     fn from(error: UsageError) -> Self {
-        Self { exit_code: 2, diagnostic: Box::new(error) }
+        Self {
+            exit_code: 2,
+            diagnostic: Box::new(error),
+        }
     }
 }
 
@@ -66,6 +75,9 @@ pub struct UsageError {
 impl UsageError {
     /// An error with its hint.
     pub fn new(message: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { message: message.into(), hint: hint.into() }
+        Self {
+            message: message.into(),
+            hint: hint.into(),
+        }
     }
 }

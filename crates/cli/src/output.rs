@@ -10,7 +10,9 @@ pub fn table(rows: impl IntoIterator<Item = Vec<String>>) -> String {
         builder.push_record(row);
     }
     let mut table = builder.build();
-    table.with(Style::psql()).modify(Columns::new(1..), Alignment::right());
+    table
+        .with(Style::psql())
+        .modify(Columns::new(1..), Alignment::right());
     table.to_string()
 }
 
@@ -33,7 +35,12 @@ mod tests {
 
     #[test]
     fn thousands_are_grouped() {
-        let cases = [(0, "0"), (999, "999"), (1000, "1,000"), (16_342_361, "16,342,361")];
+        let cases = [
+            (0, "0"),
+            (999, "999"),
+            (1000, "1,000"),
+            (16_342_361, "16,342,361"),
+        ];
         for (n, text) in cases {
             assert_eq!(grouped(n), text);
         }

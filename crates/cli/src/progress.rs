@@ -37,7 +37,13 @@ impl TrainProgress {
         };
         // Fails only if a handler is set already; then that one decides.
         let _ = ctrlc::set_handler(handler);
-        Self { bar: None, smoothed: None, started: Instant::now(), steps_here: 0, stop }
+        Self {
+            bar: None,
+            smoothed: None,
+            started: Instant::now(),
+            steps_here: 0,
+            stop,
+        }
     }
 
     /// Shows the bar, at `step` of `max_steps`.
@@ -46,7 +52,9 @@ impl TrainProgress {
         if std::io::stderr().is_terminal() {
             let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
             let style = ProgressStyle::with_template(template).expect("a valid template");
-            let bar = ProgressBar::new(max_steps).with_style(style).with_position(step);
+            let bar = ProgressBar::new(max_steps)
+                .with_style(style)
+                .with_position(step);
             bar.reset_eta();
             self.bar = Some(bar);
         }

@@ -55,13 +55,21 @@ impl AttentionBlock {
         let [q, k, v] = qkv.chunk(3, 1).try_into().expect("three equal parts");
         let x = x + self.proj.forward(self.attend(q, k, v));
 
-        let (Some(context), Some(norm), Some(q), Some(kv), Some(proj)) =
-            (context, &self.cross_norm, &self.q_cross, &self.kv_cross, &self.proj_cross)
-        else {
+        let (Some(context), Some(norm), Some(q), Some(kv), Some(proj)) = (
+            context,
+            &self.cross_norm,
+            &self.q_cross,
+            &self.kv_cross,
+            &self.proj_cross,
+        ) else {
             return x;
         };
         let q = q.forward(norm.forward(x.clone()));
-        let [k, v] = kv.forward(context).chunk(2, 1).try_into().expect("two equal parts");
+        let [k, v] = kv
+            .forward(context)
+            .chunk(2, 1)
+            .try_into()
+            .expect("two equal parts");
         x + proj.forward(self.attend(q, k, v))
     }
 
@@ -77,6 +85,8 @@ impl AttentionBlock {
         let scale = (head_dim as f64).powf(-0.5);
         let scores = heads(q).swap_dims(2, 3).matmul(heads(k)).mul_scalar(scale);
         let attention = softmax(scores, 3);
-        heads(v).matmul(attention.swap_dims(2, 3)).reshape([batch, channels, time])
+        heads(v)
+            .matmul(attention.swap_dims(2, 3))
+            .reshape([batch, channels, time])
     }
 }

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::unet1d::UNet1dConfig;
 use crate::Error;
+use crate::unet1d::UNet1dConfig;
 
 /// Kinds of denoiser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,8 +71,10 @@ impl ModelConfig {
             ModelSize::Cc116m => (256, &[1, 2, 4, 4], 256),
         };
         let channel_mult = self.channel_mult.clone().unwrap_or_else(|| mult.to_vec());
-        let attention_levels =
-            self.attention_levels.clone().unwrap_or_else(|| (1..channel_mult.len()).collect());
+        let attention_levels = self
+            .attention_levels
+            .clone()
+            .unwrap_or_else(|| (1..channel_mult.len()).collect());
         Self {
             kind: self.kind,
             size: self.size,

@@ -32,7 +32,9 @@ impl Dropout {
             return x;
         };
         let shape = x.dims();
-        let mask = key.at(self.layer as u64).dropout_mask(shape.iter().product(), self.prob);
+        let mask = key
+            .at(self.layer as u64)
+            .dropout_mask(shape.iter().product(), self.prob);
         let mask = Tensor::from_data(TensorData::new(mask, shape), &x.device());
         x * mask
     }

@@ -17,13 +17,19 @@ pub struct Initializer {
 impl Initializer {
     /// The root of a network on `device`; pass an autodiff device to train.
     pub fn new(seed: u64, device: &Device) -> Self {
-        Self { key: Key::new(seed, Purpose::Init), device: device.clone() }
+        Self {
+            key: Key::new(seed, Purpose::Init),
+            device: device.clone(),
+        }
     }
 
     /// The place `name` below this one.
     #[must_use]
     pub fn at(&self, name: &str) -> Self {
-        Self { key: self.key.named(name), device: self.device.clone() }
+        Self {
+            key: self.key.named(name),
+            device: self.device.clone(),
+        }
     }
 
     /// A parameter drawn uniformly from `+-1 / sqrt(fan_in)`, the default of PyTorch's linear and
@@ -38,7 +44,10 @@ impl Initializer {
         let bound = 1.0 / (fan_in as f64).sqrt();
         self.parameter(shape, move |n| {
             let uniforms = key.uniforms(n);
-            uniforms.into_iter().map(|u| ((2.0 * f64::from(u) - 1.0) * bound) as f32).collect()
+            uniforms
+                .into_iter()
+                .map(|u| ((2.0 * f64::from(u) - 1.0) * bound) as f32)
+                .collect()
         })
     }
 

@@ -47,7 +47,8 @@ struct Path(Vec<String>);
 impl Path {
     /// A field `at_n` stands for child `n` of a torch `Sequential`.
     fn enter(&mut self, name: &str) {
-        self.0.push(name.strip_prefix("at_").unwrap_or(name).to_string());
+        self.0
+            .push(name.strip_prefix("at_").unwrap_or(name).to_string());
     }
 
     fn exit(&mut self) {
@@ -74,10 +75,16 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let shape = param.lazy_shape().iter().copied().collect();
-            self.infos.push(ParameterInfo { name: self.path.name(), shape });
+            self.infos.push(ParameterInfo {
+                name: self.path.name(),
+                shape,
+            });
         }
     }
-    let mut visitor = Visitor { path: Path::default(), infos: Vec::new() };
+    let mut visitor = Visitor {
+        path: Path::default(),
+        infos: Vec::new(),
+    };
     module.visit(&mut visitor);
     visitor.infos
 }
@@ -93,7 +100,9 @@ pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
     let mut visitor = Visitor(Vec::new());
     module.visit(&mut visitor);
     let pairs = infos(module).into_iter().zip(visitor.0);
-    pairs.map(|(info, values)| HostParameter { info, values }).collect()
+    pairs
+        .map(|(info, values)| HostParameter { info, values })
+        .collect()
 }
 
 /// Replaces every parameter by the one of its name in `weights`, which must hold all of them, with
@@ -103,8 +112,10 @@ pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
 /// Names the first parameter that is missing, superfluous or of another shape.
 pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Error> {
     let infos = infos(&module);
-    let mut by_name: HashMap<String, HostParameter> =
-        weights.into_iter().map(|parameter| (parameter.info.name.clone(), parameter)).collect();
+    let mut by_name: HashMap<String, HostParameter> = weights
+        .into_iter()
+        .map(|parameter| (parameter.info.name.clone(), parameter))
+        .collect();
     let mut ordered = Vec::with_capacity(infos.len());
     for info in &infos {
         let Some(parameter) = by_name.remove(&info.name) else {
@@ -159,7 +170,10 @@ pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f3
             self.values.push(values);
         }
     }
-    let mut visitor = Visitor { gradients, values: Vec::new() };
+    let mut visitor = Visitor {
+        gradients,
+        values: Vec::new(),
+    };
     module.visit(&mut visitor);
     visitor.values
 }
@@ -191,5 +205,7 @@ pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M 
 }
 
 fn to_host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.try_into_vec_as::<f32>().expect("parameters are float32")
+    tensor
+        .try_into_vec_as::<f32>()
+        .expect("parameters are float32")
 }

@@ -56,7 +56,11 @@ impl ResBlock {
         layer: usize,
         init: &Initializer,
     ) -> Self {
-        let time_outputs = if config.use_scale_shift_norm { 2 * outputs } else { outputs };
+        let time_outputs = if config.use_scale_shift_norm {
+            2 * outputs
+        } else {
+            outputs
+        };
         let time_init = init.at("time_mlp").at("1");
         Self {
             norm1: GroupNorm::new(inputs, &init.at("norm1")),
@@ -79,9 +83,16 @@ impl ResBlock {
     /// - output: `[batch, out, time]`
     pub fn forward(&self, x: Tensor<3>, time_emb: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
         let h = self.conv1.forward(silu(self.norm1.forward(x.clone())));
-        let e = self.time_mlp.at_1.forward(silu(time_emb)).unsqueeze_dim::<3>(2);
+        let e = self
+            .time_mlp
+            .at_1
+            .forward(silu(time_emb))
+            .unsqueeze_dim::<3>(2);
         let h = if self.use_scale_shift_norm {
-            let [scale, shift] = e.chunk(2, 1).try_into().expect("an even width has two halves");
+            let [scale, shift] = e
+                .chunk(2, 1)
+                .try_into()
+                .expect("an even width has two halves");
             self.norm2.forward(h) * scale.add_scalar(1.0) + shift
         } else {
             self.norm2.forward(h + e)

@@ -17,13 +17,17 @@ use crate::layers::Linear;
 /// - output: `[batch, dim]`
 pub fn sinusoidal(timesteps: &[usize], dim: usize, device: &Device) -> Tensor<2> {
     let half = dim / 2;
-    let frequencies: Vec<f64> =
-        (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64)).collect();
+    let frequencies: Vec<f64> = (0..half)
+        .map(|i| 10_000f64.powf(-(i as f64) / half as f64))
+        .collect();
     let values: Vec<f32> = timesteps
         .iter()
         .flat_map(|&t| {
             let angles = frequencies.iter().map(move |f| t as f64 * f);
-            angles.clone().map(|a| a.cos() as f32).chain(angles.map(|a| a.sin() as f32))
+            angles
+                .clone()
+                .map(|a| a.cos() as f32)
+                .chain(angles.map(|a| a.sin() as f32))
         })
         .collect();
     Tensor::from_data(TensorData::new(values, [timesteps.len(), 2 * half]), device)

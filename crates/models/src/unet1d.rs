@@ -41,21 +41,39 @@ pub struct UNet1dConfig {
 impl UNet1dConfig {
     /// Channels of each level.
     pub fn channels(&self) -> Vec<usize> {
-        self.channel_mult.iter().map(|mult| self.model_channels * mult).collect()
+        self.channel_mult
+            .iter()
+            .map(|mult| self.model_channels * mult)
+            .collect()
     }
 
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), Error> {
         let refuse = |key, found: String, allowed: &str, hint: &str| {
-            Err(Error::Config { key, found, allowed: allowed.into(), hint: hint.into() })
+            Err(Error::Config {
+                key,
+                found,
+                allowed: allowed.into(),
+                hint: hint.into(),
+            })
         };
         if self.channel_mult.is_empty() || self.channel_mult.contains(&0) {
             let found = format!("{:?}", self.channel_mult);
-            return refuse("channel_mult", found, "one factor of at least 1 a level", "try [1, 2, 4, 8]");
+            return refuse(
+                "channel_mult",
+                found,
+                "one factor of at least 1 a level",
+                "try [1, 2, 4, 8]",
+            );
         }
         if self.num_res_blocks == 0 {
-            return refuse("num_res_blocks", "0".into(), "1 or more", "the document has 2");
+            return refuse(
+                "num_res_blocks",
+                "0".into(),
+                "1 or more",
+                "the document has 2",
+            );
         }
         for channels in self.channels() {
             if channels == 0 || channels % GROUPS != 0 {
@@ -72,10 +90,19 @@ impl UNet1dConfig {
             if level >= channels.len() {
                 let found = format!("{:?}", self.attention_levels);
                 let allowed = format!("levels 0 to {}", channels.len() - 1);
-                return refuse("attention_levels", found, &allowed, "one entry a level that attends");
+                return refuse(
+                    "attention_levels",
+                    found,
+                    &allowed,
+                    "one entry a level that attends",
+                );
             }
         }
-        let attending = self.attention_levels.iter().copied().chain([self.channel_mult.len() - 1]);
+        let attending = self
+            .attention_levels
+            .iter()
+            .copied()
+            .chain([self.channel_mult.len() - 1]);
         for level in attending {
             let channels = self.channels()[level];
             if self.num_heads == 0 || channels % self.num_heads != 0 {
@@ -89,13 +116,28 @@ impl UNet1dConfig {
         }
         if self.time_embed_dim < 2 || !self.time_embed_dim.is_multiple_of(2) {
             let found = self.time_embed_dim.to_string();
-            return refuse("time_embed_dim", found, "an even number", "half are cosines, half sines");
+            return refuse(
+                "time_embed_dim",
+                found,
+                "an even number",
+                "half are cosines, half sines",
+            );
         }
         if self.context_dim == 0 {
-            return refuse("context_dim", "0".into(), "1 or more", "the document has 256");
+            return refuse(
+                "context_dim",
+                "0".into(),
+                "1 or more",
+                "the document has 256",
+            );
         }
         if !(0.0..1.0).contains(&self.dropout) {
-            return refuse("dropout", self.dropout.to_string(), "0 to below 1", "the document has 0.1");
+            return refuse(
+                "dropout",
+                self.dropout.to_string(),
+                "0 to below 1",
+                "the document has 0.1",
+            );
         }
         Ok(())
     }
@@ -106,7 +148,12 @@ impl UNet1dConfig {
     /// As [`validate`](Self::validate).
     pub fn init(&self, init: &Initializer) -> Result<UNet1d, Error> {
         self.validate()?;
-        Ok(Builder { config: self, init, dropout_layers: 0 }.build())
+        Ok(Builder {
+            config: self,
+            init,
+            dropout_layers: 0,
+        }
+        .build())
     }
 }
 
@@ -168,7 +215,12 @@ impl Builder<'_> {
     }
 
     fn attention(&self, channels: usize, init: &Initializer) -> AttentionBlock {
-        AttentionBlock::new(channels, self.config.num_heads, Some(self.config.context_dim), init)
+        AttentionBlock::new(
+            channels,
+            self.config.num_heads,
+            Some(self.config.context_dim),
+            init,
+        )
     }
 
     fn attends(&self, level: usize) -> bool {
@@ -187,7 +239,9 @@ impl Builder<'_> {
                     self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
                 })
                 .collect(),
-            attn: self.attends(level).then(|| self.attention(width, &init.at("attn"))),
+            attn: self
+                .attends(level)
+                .then(|| self.attention(width, &init.at("attn"))),
             down: (level + 1 < channels.len())
                 .then(|| Conv1d::strided(width, width, 3, 2, &init.at("down"))),
         }
@@ -312,7 +366,11 @@ fn upsample_nearest(x: Tensor<3>, length: usize) -> Tensor<3> {
         .unsqueeze_dim::<4>(3)
         .expand([batch, channels, time, 2])
         .reshape([batch, channels, 2 * time]);
-    if length == 2 * time { doubled } else { doubled.narrow(2, 0, length) }
+    if length == 2 * time {
+        doubled
+    } else {
+        doubled.narrow(2, 0, length)
+    }
 }
 
 impl Denoiser for UNet1d {

@@ -92,8 +92,9 @@ impl Key {
     /// The key one level below, named by text (a parameter's name, a phrase's id).
     #[must_use]
     pub fn named(self, name: &str) -> Self {
-        name.bytes()
-            .fold(self.at(name.len() as u64), |key, byte| key.at(u64::from(byte)))
+        name.bytes().fold(self.at(name.len() as u64), |key, byte| {
+            key.at(u64::from(byte))
+        })
     }
 
     /// A fresh generator at the start of this key's stream.
@@ -144,7 +145,13 @@ impl Key {
         let threshold = (prob * 2f64.powi(32)) as u64;
         let kept = (1.0 / (1.0 - prob)) as f32;
         (0..n)
-            .map(|_| if u64::from(rng.next_u32()) < threshold { 0.0 } else { kept })
+            .map(|_| {
+                if u64::from(rng.next_u32()) < threshold {
+                    0.0
+                } else {
+                    kept
+                }
+            })
             .collect()
     }
 }

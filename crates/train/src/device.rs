@@ -94,7 +94,11 @@ pub fn open(name: &str) -> Result<(Device, String), Error> {
     let refuse = |reason: String| Error::Device {
         found: name.to_string(),
         reason,
-        allowed: KINDS.iter().map(|kind| kind.name).collect::<Vec<_>>().join(", "),
+        allowed: KINDS
+            .iter()
+            .map(|kind| kind.name)
+            .collect::<Vec<_>>()
+            .join(", "),
     };
     if name == "auto" {
         return KINDS
@@ -106,7 +110,10 @@ pub fn open(name: &str) -> Result<(Device, String), Error> {
     let (kind_name, index) = match name.split_once(':') {
         Some((kind, index)) => {
             let index = index.parse::<usize>();
-            (kind, index.map_err(|_| refuse("the index after `:` is not a number".into()))?)
+            (
+                kind,
+                index.map_err(|_| refuse("the index after `:` is not a number".into()))?,
+            )
         }
         None => (name, 0),
     };
@@ -130,7 +137,9 @@ fn works(kind: &Kind, index: usize) -> Option<Device> {
     std::panic::set_hook(Box::new(|_| {}));
     let opened = std::panic::catch_unwind(move || {
         let device = open(index);
-        let sum = Tensor::<1>::ones([2], &device).add_scalar(1.0).try_into_vec_as::<f32>();
+        let sum = Tensor::<1>::ones([2], &device)
+            .add_scalar(1.0)
+            .try_into_vec_as::<f32>();
         (sum.ok()? == [2.0, 2.0]).then_some(device)
     });
     std::panic::set_hook(quiet);

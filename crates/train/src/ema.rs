@@ -17,7 +17,10 @@ pub struct Ema {
 impl Ema {
     /// An average whose current values are `shadow`: the first weights, or saved ones.
     pub fn new(config: &EmaConfig, shadow: Vec<Vec<f32>>) -> Self {
-        Self { config: config.clone(), shadow }
+        Self {
+            config: config.clone(),
+            shadow,
+        }
     }
 
     /// The averaged weights, in the parameters' order.
@@ -30,7 +33,12 @@ impl Ema {
     ///
     /// Update n keeps `min(decay, 1 - (1 + n / inv_gamma)^-power)`.
     pub fn decay_at(&self, step: u64) -> Option<f64> {
-        let EmaConfig { decay, update_every, inv_gamma, power } = self.config;
+        let EmaConfig {
+            decay,
+            update_every,
+            inv_gamma,
+            power,
+        } = self.config;
         if !step.is_multiple_of(update_every) {
             return None;
         }
@@ -50,15 +58,20 @@ impl Ema {
     /// Panics if the lengths differ.
     pub fn update(&mut self, index: usize, parameter: &[f32], decay: f64) {
         let shadow = &mut self.shadow[index];
-        assert_eq!(shadow.len(), parameter.len(), "average of parameter {index}");
+        assert_eq!(
+            shadow.len(),
+            parameter.len(),
+            "average of parameter {index}"
+        );
         let rate = (1.0 - decay) as f32;
-        shadow.par_chunks_mut(CHUNK).zip(parameter.par_chunks(CHUNK)).for_each(
-            |(shadow, parameter)| {
+        shadow
+            .par_chunks_mut(CHUNK)
+            .zip(parameter.par_chunks(CHUNK))
+            .for_each(|(shadow, parameter)| {
                 for (s, p) in shadow.iter_mut().zip(parameter) {
                     *s += rate * (p - *s);
                 }
-            },
-        );
+            });
     }
 }
 
@@ -67,7 +80,12 @@ mod tests {
     use super::*;
 
     fn ema(decay: f64, inv_gamma: f64) -> Ema {
-        let config = EmaConfig { decay, update_every: 1, inv_gamma, power: 1.0 };
+        let config = EmaConfig {
+            decay,
+            update_every: 1,
+            inv_gamma,
+            power: 1.0,
+        };
         Ema::new(&config, vec![vec![1.0, 2.0]])
     }
 

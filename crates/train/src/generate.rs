@@ -38,10 +38,7 @@ pub struct Generator {
 ///
 /// # Errors
 /// If there is neither at the path.
-pub fn resolve_checkpoint(
-    path: &Path,
-    mut skipped: impl FnMut(&Error),
-) -> Result<PathBuf, Error> {
+pub fn resolve_checkpoint(path: &Path, mut skipped: impl FnMut(&Error)) -> Result<PathBuf, Error> {
     if path.join("state.json").exists() {
         return Ok(path.to_path_buf());
     }
@@ -77,7 +74,12 @@ impl Generator {
         let model = unet.init(&Initializer::new(config.run.seed, device))?;
         let model = parameters::load(model, parameters)?.valid();
         let diffusion = GaussianDiffusion::new(&config.diffusion)?;
-        Ok(Self { model, diffusion, state, device: device.clone() })
+        Ok(Self {
+            model,
+            diffusion,
+            state,
+            device: device.clone(),
+        })
     }
 
     /// The config the model was trained with.

@@ -86,7 +86,8 @@ pub fn train(
         observer.warning(&warning);
     }
     let folder = request.runs_dir.join(&config.run.name);
-    let exists = folder.join("config.toml").exists() || !Checkpoints::of(&folder).steps().is_empty();
+    let exists =
+        folder.join("config.toml").exists() || !Checkpoints::of(&folder).steps().is_empty();
     let name = config.run.name.clone();
     match (exists, request.resume) {
         (true, false) => return Err(Error::RunExists { name, path: folder }),
@@ -124,13 +125,21 @@ pub fn train(
     let device = training_device(&config, device);
     let model = build_model(&config, checkpoint.as_ref(), &device)?;
 
-    let step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.state.step);
-    let progress = checkpoint.as_ref().map(|c| c.state.progress.clone()).unwrap_or_default();
+    let step = checkpoint
+        .as_ref()
+        .map_or(0, |checkpoint| checkpoint.state.step);
+    let progress = checkpoint
+        .as_ref()
+        .map(|c| c.state.progress.clone())
+        .unwrap_or_default();
     let summary = RunSummary {
         name,
         folder: folder.clone(),
         device: device_name,
-        parameters: parameters::infos(&model).iter().map(|info| info.len()).sum(),
+        parameters: parameters::infos(&model)
+            .iter()
+            .map(|info| info.len())
+            .sum(),
         train_phrases: dataset.train.len(),
         validation_phrases: dataset.validation.len(),
         skipped: dataset.skipped.clone(),
@@ -141,7 +150,13 @@ pub fn train(
     let stopped = patience > 0 && progress.validations_since_best >= patience;
     if step > 0 && (step >= config.train.max_steps || stopped) {
         started(&summary);
-        return Ok(Outcome { folder, ending: None, step, progress, config });
+        return Ok(Outcome {
+            folder,
+            ending: None,
+            step,
+            progress,
+            config,
+        });
     }
 
     // Everything that can be refused has been: only now is something written.
@@ -184,7 +199,13 @@ pub fn train(
     let ending = trainer.run(observer)?;
     drop(lock);
     let (step, progress) = (trainer.step(), trainer.progress().clone());
-    Ok(Outcome { folder, ending: Some(ending), step, progress, config })
+    Ok(Outcome {
+        folder,
+        ending: Some(ending),
+        step,
+        progress,
+        config,
+    })
 }
 
 /// Number of parameters of the networks that `config` trains.
@@ -194,13 +215,20 @@ pub fn train(
 pub fn parameter_count(config: &Config) -> Result<usize, Error> {
     // Parameters are lazy: no weight is drawn and no memory taken.
     let model = build_model(config, None, &Device::flex())?;
-    Ok(parameters::infos(&model).iter().map(|info| info.len()).sum())
+    Ok(parameters::infos(&model)
+        .iter()
+        .map(|info| info.len())
+        .sum())
 }
 
 /// The device gradients are computed on.
 fn training_device(config: &Config, device: Device) -> Device {
     let device = device.autodiff();
-    if config.model.activation_checkpointing { device.gradient_checkpointing() } else { device }
+    if config.model.activation_checkpointing {
+        device.gradient_checkpointing()
+    } else {
+        device
+    }
 }
 
 fn build_model(
@@ -225,8 +253,15 @@ fn may_change(key: &str) -> bool {
 }
 
 fn may_resume(saved: &Config, given: &Config) -> Result<(), Error> {
-    match config::difference(saved, given).into_iter().find(|d| !may_change(&d.key)) {
-        Some(d) => Err(Error::ResumeDiffers { key: d.key, saved: d.left, given: d.right }),
+    match config::difference(saved, given)
+        .into_iter()
+        .find(|d| !may_change(&d.key))
+    {
+        Some(d) => Err(Error::ResumeDiffers {
+            key: d.key,
+            saved: d.left,
+            given: d.right,
+        }),
         None => Ok(()),
     }
 }
@@ -254,7 +289,9 @@ fn lock(folder: &Path) -> Result<File, Error> {
         .map_err(Error::io("open", &path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(Error::RunLocked { path: folder.to_path_buf() }),
+        Err(TryLockError::WouldBlock) => Err(Error::RunLocked {
+            path: folder.to_path_buf(),
+        }),
         Err(TryLockError::Error(error)) => Err(Error::io("lock", &path)(error)),
     }
 }

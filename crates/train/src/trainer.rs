@@ -100,22 +100,49 @@ impl<R: Recipe> Trainer<R> {
     /// # Errors
     /// If the run's files cannot be opened.
     pub fn new(parts: TrainerParts<R>, checkpoint: Option<Checkpoint>) -> Result<Self, Error> {
-        let TrainerParts { recipe, model, config, statistics, device, loader, folder } = parts;
+        let TrainerParts {
+            recipe,
+            model,
+            config,
+            statistics,
+            device,
+            loader,
+            folder,
+        } = parts;
         let infos = parameters::infos(&model);
         let (step, progress, optimizer, ema) = match checkpoint {
             Some(checkpoint) => {
                 let step = checkpoint.state.step;
                 // Files of tensors come back sorted by name; the module's order is another.
                 let order = order_of(&infos, &checkpoint);
-                let shadow = order.iter().map(|&i| checkpoint.ema[i].values.clone()).collect();
-                let moments = order.iter().map(|&i| checkpoint.moments[i].clone()).collect();
+                let shadow = order
+                    .iter()
+                    .map(|&i| checkpoint.ema[i].values.clone())
+                    .collect();
+                let moments = order
+                    .iter()
+                    .map(|&i| checkpoint.moments[i].clone())
+                    .collect();
                 let optimizer = AdamW::restore(&config.optim, moments, step);
-                (step, checkpoint.state.progress, optimizer, Ema::new(&config.ema, shadow))
+                (
+                    step,
+                    checkpoint.state.progress,
+                    optimizer,
+                    Ema::new(&config.ema, shadow),
+                )
             }
             None => {
                 let optimizer = AdamW::new(&config.optim, infos.iter().map(ParameterInfo::len));
-                let first = parameters::export(&model).into_iter().map(|p| p.values).collect();
-                (0, Progress::default(), optimizer, Ema::new(&config.ema, first))
+                let first = parameters::export(&model)
+                    .into_iter()
+                    .map(|p| p.values)
+                    .collect();
+                (
+                    0,
+                    Progress::default(),
+                    optimizer,
+                    Ema::new(&config.ema, first),
+                )
             }
         };
         let checkpoints = Checkpoints::of(&folder);
@@ -169,7 +196,8 @@ impl<R: Recipe> Trainer<R> {
             {
                 self.metrics.write(&record)?;
             }
-            let best = self.is_due(self.config.validation.every_steps) && self.validate(observer)?;
+            let best =
+                self.is_due(self.config.validation.every_steps) && self.validate(observer)?;
             if best || self.is_due(self.config.checkpoint.every_steps) {
                 self.save(observer)?;
             }
@@ -199,7 +227,11 @@ impl<R: Recipe> Trainer<R> {
         let mut terms: Vec<(&'static str, f64)> = Vec::new();
         for micro_batch in 0..micro_batches {
             let batch = self.loader.next();
-            let key = StepKey { seed: self.config.run.seed, step: self.step, micro_batch };
+            let key = StepKey {
+                seed: self.config.run.seed,
+                step: self.step,
+                micro_batch,
+            };
             let model = self.model.as_ref().expect("held between updates");
             let computed = self.recipe.loss(model, &batch, key, &self.device);
             let value = f64::from(computed.total.clone().into_scalar::<f32>());
@@ -222,12 +254,18 @@ impl<R: Recipe> Trainer<R> {
 
         let grad_norm = global_norm(&gradients);
         if !grad_norm.is_finite() {
-            let broken = gradients.iter().position(|g| g.iter().any(|v| !v.is_finite()));
+            let broken = gradients
+                .iter()
+                .position(|g| g.iter().any(|v| !v.is_finite()));
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(format!("the gradient of `{name}`")));
         }
         let rate = learning_rate(&optim, optim.learning_rate, self.step, train.max_steps);
-        self.update(&gradients, clip_factor(grad_norm, train.max_grad_norm), rate);
+        self.update(
+            &gradients,
+            clip_factor(grad_norm, train.max_grad_norm),
+            rate,
+        );
         self.step += 1;
 
         observer.stepped(&StepReport {
@@ -255,7 +293,13 @@ impl<R: Recipe> Trainer<R> {
         let (optimizer, ema) = (&mut self.optimizer, &mut self.ema);
         let model = self.model.take().expect("held between updates");
         self.model = Some(parameters::update(model, |index, values| {
-            optimizer.update(index, values, &gradients[index], gradient_scale, learning_rate);
+            optimizer.update(
+                index,
+                values,
+                &gradients[index],
+                gradient_scale,
+                learning_rate,
+            );
             if let Some(decay) = decay {
                 ema.update(index, values, decay);
             }
@@ -271,7 +315,10 @@ impl<R: Recipe> Trainer<R> {
         if !val_loss.is_finite() {
             return Err(self.not_finite("the validation loss of the averaged weights".into()));
         }
-        let best = self.progress.best_val_loss.is_none_or(|best| val_loss < best);
+        let best = self
+            .progress
+            .best_val_loss
+            .is_none_or(|best| val_loss < best);
         if best {
             self.progress.best_step = Some(self.step);
             self.progress.best_val_loss = Some(val_loss);
@@ -279,7 +326,8 @@ impl<R: Recipe> Trainer<R> {
         } else {
             self.progress.validations_since_best += 1;
         }
-        self.metrics.write(&Record::new(self.step).with("val_loss", val_loss))?;
+        self.metrics
+            .write(&Record::new(self.step).with("val_loss", val_loss))?;
         observer.validated(self.step, val_loss, best);
         Ok(best)
     }
@@ -297,8 +345,10 @@ impl<R: Recipe> Trainer<R> {
             checksums: Default::default(),
         };
         let model = self.model.as_ref().expect("held between updates");
-        let weights: Vec<Vec<f32>> =
-            parameters::export(model).into_iter().map(|p| p.values).collect();
+        let weights: Vec<Vec<f32>> = parameters::export(model)
+            .into_iter()
+            .map(|p| p.values)
+            .collect();
         let path = self.checkpoints.save(CheckpointRef {
             state: &state,
             infos: &self.infos,
@@ -307,9 +357,11 @@ impl<R: Recipe> Trainer<R> {
             moments: self.optimizer.moments(),
         })?;
         let best = match self.progress {
-            Progress { best_step: Some(step), best_val_loss: Some(val_loss), .. } => {
-                Some(Best { step, val_loss })
-            }
+            Progress {
+                best_step: Some(step),
+                best_val_loss: Some(val_loss),
+                ..
+            } => Some(Best { step, val_loss }),
             _ => None,
         };
         self.checkpoints.set_best(best.as_ref())?;
@@ -328,15 +380,26 @@ impl<R: Recipe> Trainer<R> {
             Some(path) => path.display().to_string(),
             None => "none yet".to_string(),
         };
-        Error::NotFinite { step: self.step + 1, tensor, last_good }
+        Error::NotFinite {
+            step: self.step + 1,
+            tensor,
+            last_good,
+        }
     }
 }
 
 /// For each parameter of the module, its index in the checkpoint.
 fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
-    let indices: std::collections::HashMap<&str, usize> =
-        checkpoint.model.iter().enumerate().map(|(i, p)| (p.info.name.as_str(), i)).collect();
-    infos.iter().map(|info| indices[info.name.as_str()]).collect()
+    let indices: std::collections::HashMap<&str, usize> = checkpoint
+        .model
+        .iter()
+        .enumerate()
+        .map(|(i, p)| (p.info.name.as_str(), i))
+        .collect();
+    infos
+        .iter()
+        .map(|info| indices[info.name.as_str()])
+        .collect()
 }
 
 fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {

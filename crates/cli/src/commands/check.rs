@@ -35,7 +35,10 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
                 json!({ "path": path, "passed": report.passed, "checks": report.checks })
             })
             .collect();
-        println!("{}", json!({ "files": files, "passed": passed, "pass_rate": rate }));
+        println!(
+            "{}",
+            json!({ "files": files, "passed": passed, "pass_rate": rate })
+        );
     } else {
         for (path, report) in &reports {
             println!("{path}\n{}\n", report_table(report));
@@ -45,7 +48,11 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
             println!("{}", rates_table(reports.iter().map(|(_, report)| report)));
         }
     }
-    Ok(if passed == reports.len() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if passed == reports.len() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(1)
+    })
 }
 
 /// The statistics that `--run` or `--source` names.
@@ -57,8 +64,15 @@ fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, 
     let Some(source) = &arguments.source else {
         return Ok(None);
     };
-    let dataset = Dataset::open(&DataConfig { source: Some(source.clone()), ..Default::default() })?;
-    let motions = dataset.train.iter().chain(&dataset.validation).map(|phrase| &phrase.motion);
+    let dataset = Dataset::open(&DataConfig {
+        source: Some(source.clone()),
+        ..Default::default()
+    })?;
+    let motions = dataset
+        .train
+        .iter()
+        .chain(&dataset.validation)
+        .map(|phrase| &phrase.motion);
     Ok(Some(TrainingStatistics::compute(motions)?))
 }
 
@@ -99,9 +113,16 @@ fn verdict(passed: bool) -> String {
 fn report_table(report: &Report) -> String {
     let rows = report.checks.iter().map(|check| {
         let (value, threshold) = (check.value.to_string(), check.threshold.to_string());
-        vec![check.name.to_string(), verdict(check.passed), value, threshold]
+        vec![
+            check.name.to_string(),
+            verdict(check.passed),
+            value,
+            threshold,
+        ]
     });
-    let header = ["check", "result", "value", "allowed"].map(String::from).to_vec();
+    let header = ["check", "result", "value", "allowed"]
+        .map(String::from)
+        .to_vec();
     table(std::iter::once(header).chain(rows))
 }
 
@@ -117,7 +138,10 @@ fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
     }
     let header = ["check", "pass"].map(String::from).to_vec();
     let rows = counts.into_iter().map(|(name, all, good)| {
-        vec![name.to_string(), format!("{:.0} %", 100.0 * good as f64 / all as f64)]
+        vec![
+            name.to_string(),
+            format!("{:.0} %", 100.0 * good as f64 / all as f64),
+        ]
     });
     table(std::iter::once(header).chain(rows))
 }
@@ -127,11 +151,19 @@ pub fn sanity_table(
     samples: &[(String, Motion)],
     statistics: &TrainingStatistics,
 ) -> Result<String, Failure> {
-    let mut rows = vec![["sample", "document", "strict", "fails"].map(String::from).to_vec()];
+    let mut rows = vec![
+        ["sample", "document", "strict", "fails"]
+            .map(String::from)
+            .to_vec(),
+    ];
     for (name, motion) in samples {
         let document = check(motion, Profile::Document, None)?;
         let strict = check(motion, Profile::Strict, Some(statistics))?;
-        let failed = document.checks.iter().chain(&strict.checks).filter(|check| !check.passed);
+        let failed = document
+            .checks
+            .iter()
+            .chain(&strict.checks)
+            .filter(|check| !check.passed);
         let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
         failed.dedup();
         rows.push(vec![

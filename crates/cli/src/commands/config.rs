@@ -16,7 +16,10 @@ pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
     for warning in config.validate()? {
         eprintln!("warning: {warning}");
     }
-    println!("# model: {} parameters", grouped(run::parameter_count(&config)?));
+    println!(
+        "# model: {} parameters",
+        grouped(run::parameter_count(&config)?)
+    );
     print!("{}", config::to_toml(&config));
     Ok(ExitCode::SUCCESS)
 }

@@ -10,7 +10,12 @@ use crate::output::{grouped, table};
 
 /// Writes a synthetic dataset.
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
-    let SynthArguments { out, phrases, frames, seed } = arguments;
+    let SynthArguments {
+        out,
+        phrases,
+        frames,
+        seed,
+    } = arguments;
     synthetic::write_dataset(&out, phrases, frames, seed)?;
     println!("{phrases} phrases of {frames} frames in {}", out.display());
     Ok(ExitCode::SUCCESS)
@@ -18,10 +23,16 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
 
 /// Prints what a dataset holds; exit code 1 if phrases cannot be used.
 pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
-    let config = DataConfig { source: Some(arguments.source), ..Default::default() };
+    let config = DataConfig {
+        source: Some(arguments.source),
+        ..Default::default()
+    };
     let inspection = kinegrad_data::inspect(&config)?;
     if arguments.json {
-        println!("{}", serde_json::to_string(&inspection).expect("plain data"));
+        println!(
+            "{}",
+            serde_json::to_string(&inspection).expect("plain data")
+        );
     } else {
         print(&inspection);
     }
@@ -32,18 +43,41 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
 }
 
 fn print(inspection: &Inspection) {
-    let Inspection { phrases, bad_phrases, frames, hours, fps, .. } = inspection;
+    let Inspection {
+        phrases,
+        bad_phrases,
+        frames,
+        hours,
+        fps,
+        ..
+    } = inspection;
     let (shortest, longest) = (inspection.shortest_frames, inspection.longest_frames);
     let facts = [
         ("source", inspection.source.clone()),
         ("phrases", grouped(*phrases)),
         ("unusable phrases", grouped(*bad_phrases)),
-        ("frames", format!("{} ({:.2} minutes at {fps} fps)", grouped(*frames), hours * 60.0)),
+        (
+            "frames",
+            format!(
+                "{} ({:.2} minutes at {fps} fps)",
+                grouped(*frames),
+                hours * 60.0
+            ),
+        ),
         ("frames a phrase", format!("{shortest} to {longest}")),
-        ("motion", format!("[frames, {}]", inspection.motion_channels)),
-        ("audio features", format!("[{}, frames]", inspection.audio_channels)),
+        (
+            "motion",
+            format!("[frames, {}]", inspection.motion_channels),
+        ),
+        (
+            "audio features",
+            format!("[{}, frames]", inspection.audio_channels),
+        ),
     ];
-    println!("{}\n", table(facts.map(|(name, value)| vec![name.to_string(), value])));
+    println!(
+        "{}\n",
+        table(facts.map(|(name, value)| vec![name.to_string(), value]))
+    );
     println!("{}\n", channels(&inspection.motion));
     println!("{}", channels(&inspection.audio));
     for warning in &inspection.warnings {
@@ -53,15 +87,27 @@ fn print(inspection: &Inspection) {
         println!("\nproblems:");
     }
     for problem in &inspection.problems {
-        let grade = if problem.unusable { "unusable" } else { "usable" };
+        let grade = if problem.unusable {
+            "unusable"
+        } else {
+            "usable"
+        };
         println!("  {} ({grade}): {}", problem.id, problem.problem);
     }
 }
 
 fn channels(summaries: &[ChannelSummary]) -> String {
-    let header = ["channel", "min", "max", "mean", "std"].map(String::from).to_vec();
+    let header = ["channel", "min", "max", "mean", "std"]
+        .map(String::from)
+        .to_vec();
     let rows = summaries.iter().map(|channel| {
-        let ChannelSummary { name, min, max, mean, std } = channel;
+        let ChannelSummary {
+            name,
+            min,
+            max,
+            mean,
+            std,
+        } = channel;
         let numbers = [min, max, mean, std].map(|number| format!("{number:.4}"));
         std::iter::once(name.clone()).chain(numbers).collect()
     });

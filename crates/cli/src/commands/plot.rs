@@ -32,7 +32,10 @@ pub fn run(arguments: PlotArguments) -> Result<ExitCode, Failure> {
     } else if input.is_file() {
         motion_panels(&read_motion(&input)?)
     } else {
-        let message = format!("there is neither a motion file nor a run at {}", input.display());
+        let message = format!(
+            "there is neither a motion file nor a run at {}",
+            input.display()
+        );
         let hint = "give a .npy file of [T, 25], or a folder such as runs/quickstart";
         return Err(UsageError::new(message, hint).into());
     };
@@ -55,14 +58,24 @@ struct Panel {
 
 impl Panel {
     fn over_time(title: &'static str, series: Vec<Series>) -> Self {
-        Self { title, x_label: "s", series, is_map: false }
+        Self {
+            title,
+            x_label: "s",
+            series,
+            is_map: false,
+        }
     }
 }
 
 fn motion_panels(motion: &Motion) -> Vec<Panel> {
     let seconds = |t: usize| t as f64 / FPS;
     let curve = |name: String, value: &dyn Fn(usize) -> f64| -> Series {
-        (name, (0..motion.frames()).map(|t| (seconds(t), value(t))).collect())
+        (
+            name,
+            (0..motion.frames())
+                .map(|t| (seconds(t), value(t)))
+                .collect(),
+        )
     };
     let channels = |range: Range<usize>, names: &[&str]| -> Vec<Series> {
         range
@@ -78,8 +91,11 @@ fn motion_panels(motion: &Motion) -> Vec<Panel> {
         // Seen from above, with +z, towards the viewer, downwards.
         .map(|[x, _, z]| (x, -z))
         .collect();
-    let jerk: Vec<(f64, f64)> =
-        jerk(motion).into_iter().enumerate().map(|(t, j)| (seconds(t), length(j))).collect();
+    let jerk: Vec<(f64, f64)> = jerk(motion)
+        .into_iter()
+        .enumerate()
+        .map(|(t, j)| (seconds(t), length(j)))
+        .collect();
     let norm = curve("|q|".into(), &|t| motion.quaternion(t).norm());
     vec![
         Panel {
@@ -94,7 +110,10 @@ fn motion_panels(motion: &Motion) -> Vec<Panel> {
         Panel::over_time("quaternion", channels(QUATERNION, &["w", "x", "y", "z"])),
         Panel::over_time("angular velocity (rad/s)", channels(ANGULAR_VELOCITY, &xyz)),
         Panel::over_time("phase", channels(PHASE..PHASE + 1, &["phase"])),
-        Panel::over_time("style", channels(STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"])),
+        Panel::over_time(
+            "style",
+            channels(STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
+        ),
         Panel::over_time("quaternion norm", vec![norm]),
         Panel::over_time("jerk (m/s³)", vec![("|jerk|".into(), jerk)]),
     ]
@@ -102,13 +121,22 @@ fn motion_panels(motion: &Motion) -> Vec<Panel> {
 
 fn loss_panels(records: &[Record]) -> Vec<Panel> {
     let curve = |name: &str| -> Series {
-        let points = records.iter().filter_map(|r| Some((r.step as f64, r.get(name)?)));
+        let points = records
+            .iter()
+            .filter_map(|r| Some((r.step as f64, r.get(name)?)));
         (name.to_string(), points.collect())
     };
-    let losses: Vec<Series> =
-        ["loss", "val_loss"].map(curve).into_iter().filter(|(_, points)| !points.is_empty()).collect();
-    let panel =
-        |title, series| Panel { title, x_label: "step", series, is_map: false };
+    let losses: Vec<Series> = ["loss", "val_loss"]
+        .map(curve)
+        .into_iter()
+        .filter(|(_, points)| !points.is_empty())
+        .collect();
+    let panel = |title, series| Panel {
+        title,
+        x_label: "step",
+        series,
+        is_map: false,
+    };
     vec![
         panel("loss", losses),
         panel("gradient norm", vec![curve("grad_norm")]),
@@ -161,7 +189,10 @@ fn draw_panel(panel: &Panel, area: &Area<'_>) -> Result<(), Box<dyn Error>> {
     for (index, (name, points)) in panel.series.iter().enumerate() {
         let style = Palette99::pick(index).stroke_width(2);
         let key = Palette99::pick(index).stroke_width(2);
-        let finite = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite());
+        let finite = points
+            .iter()
+            .copied()
+            .filter(|(x, y)| x.is_finite() && y.is_finite());
         chart
             .draw_series(LineSeries::new(finite, style))?
             .label(name)
@@ -170,9 +201,10 @@ fn draw_panel(panel: &Panel, area: &Area<'_>) -> Result<(), Box<dyn Error>> {
     if panel.is_map {
         let start = points().next().copied();
         let mark = start.map(|point| Circle::new(point, 4, BLACK.filled()));
-        chart.draw_series(mark)?.label("start").legend(|(x, y)| {
-            Circle::new((x + 6, y), 4, BLACK.filled())
-        });
+        chart
+            .draw_series(mark)?
+            .label("start")
+            .legend(|(x, y)| Circle::new((x + 6, y), 4, BLACK.filled()));
     }
     if panel.series.len() > 1 || panel.is_map {
         chart
@@ -187,8 +219,9 @@ fn draw_panel(panel: &Panel, area: &Area<'_>) -> Result<(), Box<dyn Error>> {
 
 /// The range of the values with a small margin; never empty.
 fn bounds(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let (low, high) =
-        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+        (l.min(v), h.max(v))
+    });
     if low > high {
         return 0.0..1.0;
     }
@@ -203,5 +236,9 @@ fn equal_scale(x: Range<f64>, y: Range<f64>, ratio: f64) -> (Range<f64>, Range<f
         let middle = (range.start + range.end) / 2.0;
         middle - to / 2.0..middle + to / 2.0
     };
-    if width / height < ratio { (widen(x, height * ratio), y) } else { (x, widen(y, width / ratio)) }
+    if width / height < ratio {
+        (widen(x, height * ratio), y)
+    } else {
+        (x, widen(y, width / ratio))
+    }
 }

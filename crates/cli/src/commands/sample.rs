@@ -26,7 +26,11 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         .validate(config.diffusion.num_train_timesteps)
         .map_err(kinegrad_train::Error::from)?;
     let conditions = conditions(&arguments, &config)?;
-    let weights = if arguments.no_ema { Weights::Model } else { Weights::Ema };
+    let weights = if arguments.no_ema {
+        Weights::Model
+    } else {
+        Weights::Ema
+    };
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = Generator::load(&path, weights, &device)?;
     let clip = match arguments.clip {
@@ -41,11 +45,16 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         let stem = stem(&arguments.out, several.then_some(id.as_str()));
         let repeated = vec![condition; arguments.count];
         let bar = progress_bar();
-        let samples =
-            generator.sample(&repeated, &sampler, clip, arguments.seed, &mut |step, total| {
+        let samples = generator.sample(
+            &repeated,
+            &sampler,
+            clip,
+            arguments.seed,
+            &mut |step, total| {
                 bar.set_length(total as u64);
                 bar.set_position(step as u64);
-            })?;
+            },
+        )?;
         bar.finish_and_clear();
         for (index, sample) in samples.iter().enumerate() {
             let stem = match arguments.count {
@@ -126,16 +135,21 @@ fn phrases(
     let all = dataset.validation.iter().chain(&dataset.train);
     let found: Vec<_> = match &arguments.phrase {
         None => all.take(1).collect(),
-        Some(pattern) => {
-            all.filter(|phrase| kinegrad_data::matches(pattern, &phrase.id)).collect()
-        }
+        Some(pattern) => all
+            .filter(|phrase| kinegrad_data::matches(pattern, &phrase.id))
+            .collect(),
     };
     if found.is_empty() {
         let wanted = arguments.phrase.as_deref().unwrap_or_default();
         let message = format!("the dataset has no phrase `{wanted}`");
-        return Err(UsageError::new(message, "`kinegrad data inspect URI` lists the phrases").into());
+        return Err(
+            UsageError::new(message, "`kinegrad data inspect URI` lists the phrases").into(),
+        );
     }
-    Ok(found.into_iter().map(|phrase| (phrase.id.clone(), phrase.audio.clone())).collect())
+    Ok(found
+        .into_iter()
+        .map(|phrase| (phrase.id.clone(), phrase.audio.clone()))
+        .collect())
 }
 
 /// PATH without its ending `.npy`, with the phrase's id where there are several.

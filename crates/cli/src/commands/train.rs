@@ -19,7 +19,10 @@ use crate::progress::{TrainProgress, duration};
 /// Trains, then draws the samples that the config asks for.
 pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
     let mut overrides = arguments.overrides;
-    for (key, value) in [("run.name", arguments.name), ("run.device", arguments.device)] {
+    for (key, value) in [
+        ("run.name", arguments.name),
+        ("run.device", arguments.device),
+    ] {
         if let Some(value) = value {
             // Quoted, so that a name of digits stays a name.
             overrides.push(format!("{key}={}", serde_json::Value::from(value)));
@@ -66,7 +69,10 @@ fn describe(summary: &RunSummary) {
         }
     }
     if summary.step > 0 {
-        eprintln!("continuing after step {} of {}", summary.step, summary.max_steps);
+        eprintln!(
+            "continuing after step {} of {}",
+            summary.step, summary.max_steps
+        );
     }
 }
 
@@ -83,9 +89,15 @@ fn summarise(outcome: &Outcome, started: Instant) {
         vec!["steps".to_string(), outcome.step.to_string()],
     ];
     if let (Some(step), Some(loss)) = (outcome.progress.best_step, outcome.progress.best_val_loss) {
-        rows.push(vec!["best val_loss".to_string(), format!("{loss:.5} at step {step}")]);
+        rows.push(vec![
+            "best val_loss".to_string(),
+            format!("{loss:.5} at step {step}"),
+        ]);
     }
-    rows.push(vec!["time".to_string(), duration(started.elapsed().as_secs_f64())]);
+    rows.push(vec![
+        "time".to_string(),
+        duration(started.elapsed().as_secs_f64()),
+    ]);
     println!("{}", table(rows));
 }
 
@@ -104,8 +116,13 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let seed = outcome.config.run.seed;
-    let samples =
-        generator.sample(&conditions, &sampling.sampler, sampling.clip, seed, &mut |_, _| {})?;
+    let samples = generator.sample(
+        &conditions,
+        &sampling.sampler,
+        sampling.clip,
+        seed,
+        &mut |_, _| {},
+    )?;
     let folder = outcome.folder.join("samples");
     let mut named = Vec::new();
     for (phrase, sample) in chosen.iter().zip(samples) {
@@ -113,7 +130,12 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
         write(&folder, &format!("{}.npy", phrase.id), &sample.motion)?;
         named.push((phrase.id.clone(), sample.motion));
     }
-    println!("\n{} samples of step {} in {}", named.len(), generator.step(), folder.display());
+    println!(
+        "\n{} samples of step {} in {}",
+        named.len(),
+        generator.step(),
+        folder.display()
+    );
     println!("{}", sanity_table(&named, generator.statistics())?);
     Ok(())
 }

@@ -1,6 +1,4 @@
 use burn::module::{Module, Param};
-use burn::tensor::module::conv1d;
-use burn::tensor::ops::ConvOptions;
 use burn::tensor::Tensor;
 
 use crate::Initializer;
@@ -12,11 +10,10 @@ pub struct Conv1d {
     weight: Param<Tensor<3>>,
     bias: Param<Tensor<1>>,
     stride: usize,
-    padding: usize,
 }
 
 impl Conv1d {
-    /// A convolution that keeps the length.
+    /// A convolution that keeps the length; `kernel_size` is odd.
     pub fn new(inputs: usize, outputs: usize, kernel_size: usize, init: &Initializer) -> Self {
         Self::strided(inputs, outputs, kernel_size, 1, init)
     }
@@ -34,7 +31,6 @@ impl Conv1d {
             weight: init.uniform("weight", [outputs, inputs, kernel_size], fan_in),
             bias: init.uniform("bias", [outputs], fan_in),
             stride,
-            padding: kernel_size / 2,
         }
     }
 
@@ -42,12 +38,71 @@ impl Conv1d {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, ceil(time / stride)]`
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let options = ConvOptions::new([self.stride], [self.padding], [1], 1);
-        conv1d(x, self.weight.val(), Some(self.bias.val()), options)
+        convolve(x, self.weight.val(), self.bias.val(), self.stride)
     }
 }
 
-/// A convolution of kernel 1: a linear map of every frame.
-pub(super) fn pointwise(x: Tensor<3>, weight: Tensor<3>, bias: Tensor<1>) -> Tensor<3> {
-    conv1d(x, weight, Some(bias), ConvOptions::new([1], [0], [1], 1))
+/// A convolution as one matrix product over batch and time together.
+///
+/// The CPU backend computes the weight gradient of its own convolution as a convolution with a
+/// kernel as long as the sequence; as matrix products all three of output, input gradient and
+/// weight gradient are large and fast.
+///
+/// # Shapes
+/// - x: `[batch, in, time]`
+/// - weight: `[out, in, kernel]`, kernel odd; bias: `[out]`
+/// - output: `[batch, out, ceil(time / stride)]`
+pub(super) fn convolve(
+    x: Tensor<3>,
+    weight: Tensor<3>,
+    bias: Tensor<1>,
+    stride: usize,
+) -> Tensor<3> {
+    let [batch, inputs, time] = x.dims();
+    let [outputs, _, kernel] = weight.dims();
+    let frames = time.div_ceil(stride);
+
+    // Frames become rows: row (b, t) holds the inputs that output frame t of sample b sees.
+    let rows = x.swap_dims(1, 2);
+    let columns = if kernel == 1 && stride == 1 {
+        rows
+    } else {
+        let half = kernel / 2;
+        let edge = Tensor::zeros([batch, half, inputs], &rows.device());
+        let padded = Tensor::cat(vec![edge.clone(), rows, edge], 1);
+        let tap = |k: usize| {
+            let window = padded.clone().narrow(1, k, time);
+            if stride == 1 {
+                window
+            } else {
+                every(window, stride)
+            }
+        };
+        Tensor::cat((0..kernel).map(tap).collect(), 2)
+    };
+    let columns = columns.reshape([batch * frames, kernel * inputs]);
+    let weight = weight
+        .permute([2, 1, 0])
+        .reshape([kernel * inputs, outputs]);
+    let y = columns.matmul(weight) + bias.unsqueeze();
+    y.reshape([batch, frames, outputs]).swap_dims(1, 2)
+}
+
+/// Every `stride`-th frame, the first included.
+///
+/// # Shapes
+/// - rows: `[batch, time, channels]`
+/// - output: `[batch, ceil(time / stride), channels]`
+fn every(rows: Tensor<3>, stride: usize) -> Tensor<3> {
+    let [batch, time, channels] = rows.dims();
+    let frames = time.div_ceil(stride);
+    let missing = frames * stride - time;
+    let rows = if missing == 0 {
+        rows
+    } else {
+        let edge = Tensor::zeros([batch, missing, channels], &rows.device());
+        Tensor::cat(vec![rows, edge], 1)
+    };
+    rows.reshape([batch, frames, stride * channels])
+        .narrow(2, 0, channels)
 }

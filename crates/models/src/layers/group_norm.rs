@@ -20,7 +20,10 @@ pub struct GroupNorm {
 impl GroupNorm {
     /// A normalisation of `channels`, which must be a multiple of [`GROUPS`].
     pub fn new(channels: usize, init: &Initializer) -> Self {
-        Self { weight: init.constant([channels], 1.0), bias: init.constant([channels], 0.0) }
+        Self {
+            weight: init.constant([channels], 1.0),
+            bias: init.constant([channels], 0.0),
+        }
     }
 
     /// # Shapes

@@ -32,6 +32,6 @@ impl Linear {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, time]`
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
-        super::conv1d::pointwise(x, self.weight.val().unsqueeze_dim(2), self.bias.val())
+        super::conv1d::convolve(x, self.weight.val().unsqueeze_dim(2), self.bias.val(), 1)
     }
 }

@@ -26,7 +26,9 @@ pub struct Best {
 impl Checkpoints {
     /// The checkpoints of the run in `run`.
     pub fn of(run: &Path) -> Self {
-        Self { path: run.join("checkpoints") }
+        Self {
+            path: run.join("checkpoints"),
+        }
     }
 
     /// The folder itself.
@@ -43,7 +45,14 @@ impl Checkpoints {
     pub fn steps(&self) -> Vec<u64> {
         let entries = fs::read_dir(&self.path).into_iter().flatten().flatten();
         let mut steps: Vec<u64> = entries
-            .filter_map(|entry| entry.file_name().to_str()?.strip_prefix("step-")?.parse().ok())
+            .filter_map(|entry| {
+                entry
+                    .file_name()
+                    .to_str()?
+                    .strip_prefix("step-")?
+                    .parse()
+                    .ok()
+            })
             .collect();
         steps.sort_unstable();
         steps
@@ -72,7 +81,10 @@ impl Checkpoints {
         if tried.is_empty() {
             return Ok(None);
         }
-        Err(Error::NoGoodCheckpoint { path: self.path.clone(), tried: tried.join("\n") })
+        Err(Error::NoGoodCheckpoint {
+            path: self.path.clone(),
+            tried: tried.join("\n"),
+        })
     }
 
     /// The best step, if one is recorded.
@@ -86,7 +98,9 @@ impl Checkpoints {
     /// If it cannot be written; nothing is left of it then.
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
         let target = self.step_path(checkpoint.state.step);
-        let temporary = self.path.join(format!(".writing-{:08}", checkpoint.state.step));
+        let temporary = self
+            .path
+            .join(format!(".writing-{:08}", checkpoint.state.step));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
         let written = remove(&temporary)
             .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
@@ -134,7 +148,11 @@ impl Checkpoints {
             }
         }
         let reached: Vec<u64> = self.steps().into_iter().filter(|&s| s <= current).collect();
-        let superfluous = reached.iter().rev().skip(keep_last).filter(|&&s| Some(s) != best);
+        let superfluous = reached
+            .iter()
+            .rev()
+            .skip(keep_last)
+            .filter(|&&s| Some(s) != best);
         for &step in superfluous {
             remove(&self.step_path(step))?;
         }
@@ -143,7 +161,13 @@ impl Checkpoints {
 }
 
 fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error> {
-    let CheckpointRef { state, infos, model, ema, moments } = checkpoint;
+    let CheckpointRef {
+        state,
+        infos,
+        model,
+        ema,
+        moments,
+    } = checkpoint;
     let mut checksums = BTreeMap::new();
     for (weights, values) in [(Weights::Model, model), (Weights::Ema, ema)] {
         let tensors = infos
@@ -156,12 +180,26 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
     let tensors = infos.iter().zip(moments).flat_map(|(info, moments)| {
         let shape = info.shape.as_slice();
         [
-            (format!("{}.exp_avg", info.name), shape, moments.exp_avg.as_slice()),
-            (format!("{}.exp_avg_sq", info.name), shape, moments.exp_avg_sq.as_slice()),
+            (
+                format!("{}.exp_avg", info.name),
+                shape,
+                moments.exp_avg.as_slice(),
+            ),
+            (
+                format!("{}.exp_avg_sq", info.name),
+                shape,
+                moments.exp_avg_sq.as_slice(),
+            ),
         ]
     });
-    checksums.insert(OPTIMIZER.to_string(), write(&folder.join(OPTIMIZER), tensors)?);
-    let state = State { checksums, ..state.clone() };
+    checksums.insert(
+        OPTIMIZER.to_string(),
+        write(&folder.join(OPTIMIZER), tensors)?,
+    );
+    let state = State {
+        checksums,
+        ..state.clone()
+    };
     write_flushed(&folder.join("state.json"), state.to_text().as_bytes())?;
     flush_folder(folder)
 }

@@ -42,7 +42,12 @@ impl Checkpoint {
         let ema = read_weights(path, &state, Weights::Ema)?;
         let infos: Vec<ParameterInfo> = model.iter().map(|p| p.info.clone()).collect();
         let moments = read_optimizer(path, &state, &infos)?;
-        Ok(Self { state, model, ema, moments })
+        Ok(Self {
+            state,
+            model,
+            ema,
+            moments,
+        })
     }
 }
 

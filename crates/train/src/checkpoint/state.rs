@@ -50,7 +50,9 @@ impl State {
     /// The text of `state.json`; its last key is the checksum of everything before that key.
     pub(super) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("the state is plain data");
-        let body = text.strip_suffix("\n}").expect("a pretty JSON object ends so");
+        let body = text
+            .strip_suffix("\n}")
+            .expect("a pretty JSON object ends so");
         format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
     }
 
@@ -59,17 +61,22 @@ impl State {
     /// # Errors
     /// If it is missing, damaged, or of another layout.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let damaged =
-            |reason: String| Error::CheckpointDamaged { path: path.to_path_buf(), reason };
+        let damaged = |reason: String| Error::CheckpointDamaged {
+            path: path.to_path_buf(),
+            reason,
+        };
         let text = std::fs::read_to_string(path.join("state.json"))
             .map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
-        let sealed = |body: &str| format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes())) == text;
+        let sealed =
+            |body: &str| format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes())) == text;
         let Some(body) = body.filter(|body| sealed(body)) else {
             return Err(damaged("state.json does not match its checksum".into()));
         };
         let state: Self = serde_json::from_str(&format!("{body}\n}}")).map_err(|error| {
-            damaged(format!("state.json is of another version of kinegrad: {error}"))
+            damaged(format!(
+                "state.json is of another version of kinegrad: {error}"
+            ))
         })?;
         if state.format != FORMAT {
             let reason = format!("layout {} is not {FORMAT}, this version's", state.format);
@@ -81,5 +88,8 @@ impl State {
 
 /// SHA-256 in hexadecimal.
 pub(super) fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }

@@ -58,8 +58,9 @@ pub(super) fn write<'a>(
     path: &Path,
     tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
 ) -> Result<String, Error> {
-    let views =
-        tensors.into_iter().map(|(name, shape, values)| (name, HostView { shape, values }));
+    let views = tensors
+        .into_iter()
+        .map(|(name, shape, values)| (name, HostView { shape, values }));
     // `format` is what the Python loaders of torch models look for.
     let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
     let bytes = safetensors::serialize(views, Some(metadata)).expect("names are unique");
@@ -95,13 +96,21 @@ pub fn read_optimizer(
     state: &State,
     infos: &[ParameterInfo],
 ) -> Result<Vec<Moments>, Error> {
-    let mut by_name: HashMap<String, Vec<f32>> =
-        read(path, state, OPTIMIZER)?.into_iter().map(|p| (p.info.name, p.values)).collect();
+    let mut by_name: HashMap<String, Vec<f32>> = read(path, state, OPTIMIZER)?
+        .into_iter()
+        .map(|p| (p.info.name, p.values))
+        .collect();
     let mut take = |name: String, len: usize| {
-        by_name.remove(&name).filter(|values| values.len() == len).ok_or_else(|| {
-            let reason = format!("{OPTIMIZER} lacks `{name}` of {len} elements");
-            Error::CheckpointDamaged { path: path.to_path_buf(), reason }
-        })
+        by_name
+            .remove(&name)
+            .filter(|values| values.len() == len)
+            .ok_or_else(|| {
+                let reason = format!("{OPTIMIZER} lacks `{name}` of {len} elements");
+                Error::CheckpointDamaged {
+                    path: path.to_path_buf(),
+                    reason,
+                }
+            })
     };
     infos
         .iter()
@@ -131,7 +140,10 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
                 return Err(damaged(format!("`{name}` is {:?}, not F32", view.dtype())));
             }
             let values = bytemuck::pod_collect_to_vec(view.data());
-            let info = ParameterInfo { name: name.to_string(), shape: view.shape().to_vec() };
+            let info = ParameterInfo {
+                name: name.to_string(),
+                shape: view.shape().to_vec(),
+            };
             Ok(HostParameter { info, values })
         })
         .collect()

@@ -28,7 +28,11 @@ fn compare(key: String, left: &Value, right: &Value, found: &mut Vec<Difference>
         names.sort_unstable();
         names.dedup();
         for name in names {
-            let child = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+            let child = if key.is_empty() {
+                name.clone()
+            } else {
+                format!("{key}.{name}")
+            };
             let side = |table: &serde_json::Map<String, Value>| {
                 table.get(name).cloned().unwrap_or(Value::Null)
             };
@@ -39,6 +43,10 @@ fn compare(key: String, left: &Value, right: &Value, found: &mut Vec<Difference>
             Value::Null => "unset".to_string(),
             value => value.to_string(),
         };
-        found.push(Difference { key, left: show(left), right: show(right) });
+        found.push(Difference {
+            key,
+            left: show(left),
+            right: show(right),
+        });
     }
 }

@@ -74,6 +74,10 @@ pub enum ConfigError {
 impl ConfigError {
     /// A value out of range.
     pub fn range(key: impl Display, found: impl Display, allowed: impl Display) -> Self {
-        Self::Range { key: key.to_string(), found: found.to_string(), allowed: allowed.to_string() }
+        Self::Range {
+            key: key.to_string(),
+            found: found.to_string(),
+            allowed: allowed.to_string(),
+        }
     }
 }

@@ -13,8 +13,10 @@ use super::{Config, ConfigError};
 /// # Errors
 /// Names file and line, or the override, of the first thing wrong.
 pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| ConfigError::Read { path: path.to_path_buf(), source })?;
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        path: path.to_path_buf(),
+        source,
+    })?;
     parse(&text, &path.display().to_string(), overrides)
 }
 
@@ -29,7 +31,11 @@ pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, C
     })?;
     let config: Config = serde_path_to_error::deserialize(deserializer).map_err(|error| {
         let inner = error.inner();
-        explain(place(text, origin, inner.span()), &error.path().to_string(), inner.message())
+        explain(
+            place(text, origin, inner.span()),
+            &error.path().to_string(),
+            inner.message(),
+        )
     })?;
     if overrides.is_empty() {
         return Ok(config);
@@ -50,14 +56,20 @@ pub fn to_toml(config: &Config) -> String {
 
 fn from_table<T: DeserializeOwned>(table: &Table, origin: &str) -> Result<T, ConfigError> {
     serde_path_to_error::deserialize(Value::Table(table.clone())).map_err(|error| {
-        explain(origin.to_string(), &error.path().to_string(), error.inner().message())
+        explain(
+            origin.to_string(),
+            &error.path().to_string(),
+            error.inner().message(),
+        )
     })
 }
 
 /// Sets one dotted key; a value that is not TOML is taken as text, so that `run.device=cpu` needs
 /// no quotes in a shell.
 fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
-    let wrong = || ConfigError::Override { argument: argument.to_string() };
+    let wrong = || ConfigError::Override {
+        argument: argument.to_string(),
+    };
     let (key, text) = argument.split_once('=').ok_or_else(wrong)?;
     let segments: Vec<&str> = key.trim().split('.').map(str::trim).collect();
     if segments.iter().any(|segment| segment.is_empty()) {
@@ -68,7 +80,9 @@ fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
         .ok()
         .and_then(|mut parsed| parsed.remove("value"))
         .unwrap_or_else(|| Value::String(text.trim().to_string()));
-    let (last, parents) = segments.split_last().expect("split yields at least one segment");
+    let (last, parents) = segments
+        .split_last()
+        .expect("split yields at least one segment");
     let mut current = table;
     for parent in parents {
         let entry = current
@@ -105,7 +119,10 @@ fn explain(place: String, path: &str, message: &str) -> ConfigError {
         let allowed: Vec<String> = quoted.collect();
         let parent = match path {
             "." => "",
-            path => path.strip_suffix(found.as_str()).unwrap_or(path).trim_end_matches('.'),
+            path => path
+                .strip_suffix(found.as_str())
+                .unwrap_or(path)
+                .trim_end_matches('.'),
         };
         let join = |key: &str| match parent {
             "" => key.to_string(),
@@ -132,7 +149,12 @@ fn explain(place: String, path: &str, message: &str) -> ConfigError {
     } else {
         "`kinegrad config show CONFIG` prints every key with its value".into()
     };
-    ConfigError::Value { place, key: path.to_string(), message: message.to_string(), hint }
+    ConfigError::Value {
+        place,
+        key: path.to_string(),
+        message: message.to_string(),
+        hint,
+    }
 }
 
 fn nearest<'a>(found: &str, allowed: &'a [String]) -> Option<&'a str> {
@@ -151,15 +173,23 @@ mod tests {
     fn error(text: &str, overrides: &[&str]) -> String {
         let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
         let error = parse(text, "c.toml", &overrides).expect_err("a bad config");
-        let help = miette::Diagnostic::help(&error).map(|h| h.to_string()).unwrap_or_default();
+        let help = miette::Diagnostic::help(&error)
+            .map(|h| h.to_string())
+            .unwrap_or_default();
         format!("{error}\nhint: {help}")
     }
 
     #[test]
     fn an_unknown_key_names_line_table_and_neighbour() {
         let text = error("[optim]\n\nlerning_rate = 1.0\n", &[]);
-        assert!(text.contains("c.toml:3: unknown key `optim.lerning_rate`"), "{text}");
-        assert!(text.contains("did you mean `optim.learning_rate`?"), "{text}");
+        assert!(
+            text.contains("c.toml:3: unknown key `optim.lerning_rate`"),
+            "{text}"
+        );
+        assert!(
+            text.contains("did you mean `optim.learning_rate`?"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -172,7 +202,10 @@ mod tests {
     #[test]
     fn a_wrong_type_names_line_and_key() {
         let text = error("[train]\nmax_steps = \"many\"\n", &[]);
-        assert!(text.contains("c.toml:2: `train.max_steps`: invalid type"), "{text}");
+        assert!(
+            text.contains("c.toml:2: `train.max_steps`: invalid type"),
+            "{text}"
+        );
         let text = error("[train]\nmax_steps = -5\n", &[]);
         assert!(text.contains("c.toml:2: `train.max_steps`"), "{text}");
     }
@@ -186,7 +219,10 @@ mod tests {
     #[test]
     fn an_override_is_blamed_for_its_own_error() {
         let text = error("", &["run.seed=3", "run.sead=3"]);
-        assert!(text.contains("--set run.sead=3: unknown key `run.sead`"), "{text}");
+        assert!(
+            text.contains("--set run.sead=3: unknown key `run.sead`"),
+            "{text}"
+        );
         assert!(error("", &["run.seed"]).contains("is not KEY=VALUE"));
     }
 

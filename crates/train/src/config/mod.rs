@@ -54,7 +54,10 @@ impl Config {
     /// The config with every key that a named size implies written out.
     #[must_use]
     pub fn resolved(&self) -> Self {
-        Self { model: self.model.resolved(), ..self.clone() }
+        Self {
+            model: self.model.resolved(),
+            ..self.clone()
+        }
     }
 
     /// Refuses values that cannot work and returns what is doubtful.
@@ -68,7 +71,9 @@ impl Config {
             kinegrad_motion::phrase::CHANNELS,
             kinegrad_data::AUDIO_CHANNELS,
         )?;
-        self.sampling.sampler.validate(self.diffusion.num_train_timesteps)?;
+        self.sampling
+            .sampler
+            .validate(self.diffusion.num_train_timesteps)?;
         tables::validate(self)?;
         let mut warnings = Vec::new();
         if self.optim.warmup_steps > self.train.max_steps {

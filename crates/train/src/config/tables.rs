@@ -19,7 +19,11 @@ pub struct RunConfig {
 
 impl Default for RunConfig {
     fn default() -> Self {
-        Self { name: String::new(), seed: 42, device: "auto".into() }
+        Self {
+            name: String::new(),
+            seed: 42,
+            device: "auto".into(),
+        }
     }
 }
 
@@ -126,7 +130,12 @@ impl Default for EmaConfig {
     fn default() -> Self {
         // The document's 0.9999 every 10 steps keeps 85 % of the first weights after its whole
         // training of 16400 steps, hence the warm-up.
-        Self { decay: 0.9999, update_every: 10, inv_gamma: 9.0, power: 1.0 }
+        Self {
+            decay: 0.9999,
+            update_every: 10,
+            inv_gamma: 9.0,
+            power: 1.0,
+        }
     }
 }
 
@@ -142,7 +151,10 @@ pub struct CheckpointConfig {
 
 impl Default for CheckpointConfig {
     fn default() -> Self {
-        Self { every_steps: 500, keep_last: 3 }
+        Self {
+            every_steps: 500,
+            keep_last: 3,
+        }
     }
 }
 
@@ -160,7 +172,11 @@ pub struct ValidationConfig {
 
 impl Default for ValidationConfig {
     fn default() -> Self {
-        Self { every_steps: 500, draws: 8, batch_size: 27 }
+        Self {
+            every_steps: 500,
+            draws: 8,
+            batch_size: 27,
+        }
     }
 }
 
@@ -195,7 +211,10 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     let optim = &config.optim;
     let train = &config.train;
     let at_least_one = [
-        ("train.gradient_accumulation_steps", train.gradient_accumulation_steps),
+        (
+            "train.gradient_accumulation_steps",
+            train.gradient_accumulation_steps,
+        ),
         ("train.max_steps", train.max_steps),
         ("train.log_every_steps", train.log_every_steps),
         ("ema.update_every", config.ema.update_every),
@@ -211,15 +230,55 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     }
     let unit = 0.0..1.0;
     let ranges: [(&str, f64, bool, &str); 9] = [
-        ("optim.learning_rate", optim.learning_rate, optim.learning_rate >= 0.0, "0 or more"),
-        ("optim.weight_decay", optim.weight_decay, optim.weight_decay >= 0.0, "0 or more"),
+        (
+            "optim.learning_rate",
+            optim.learning_rate,
+            optim.learning_rate >= 0.0,
+            "0 or more",
+        ),
+        (
+            "optim.weight_decay",
+            optim.weight_decay,
+            optim.weight_decay >= 0.0,
+            "0 or more",
+        ),
         ("optim.eps", optim.eps, optim.eps > 0.0, "more than 0"),
-        ("optim.betas", optim.betas[0], unit.contains(&optim.betas[0]), "0 to below 1"),
-        ("optim.betas", optim.betas[1], unit.contains(&optim.betas[1]), "0 to below 1"),
-        ("train.max_grad_norm", train.max_grad_norm, train.max_grad_norm >= 0.0, "0 or more"),
-        ("ema.decay", config.ema.decay, (0.0..=1.0).contains(&config.ema.decay), "0 to 1"),
-        ("ema.inv_gamma", config.ema.inv_gamma, config.ema.inv_gamma >= 0.0, "0 or more"),
-        ("ema.power", config.ema.power, config.ema.power > 0.0, "more than 0"),
+        (
+            "optim.betas",
+            optim.betas[0],
+            unit.contains(&optim.betas[0]),
+            "0 to below 1",
+        ),
+        (
+            "optim.betas",
+            optim.betas[1],
+            unit.contains(&optim.betas[1]),
+            "0 to below 1",
+        ),
+        (
+            "train.max_grad_norm",
+            train.max_grad_norm,
+            train.max_grad_norm >= 0.0,
+            "0 or more",
+        ),
+        (
+            "ema.decay",
+            config.ema.decay,
+            (0.0..=1.0).contains(&config.ema.decay),
+            "0 to 1",
+        ),
+        (
+            "ema.inv_gamma",
+            config.ema.inv_gamma,
+            config.ema.inv_gamma >= 0.0,
+            "0 or more",
+        ),
+        (
+            "ema.power",
+            config.ema.power,
+            config.ema.power > 0.0,
+            "more than 0",
+        ),
     ];
     for (key, value, allowed, range) in ranges {
         if !allowed || !value.is_finite() {
@@ -228,7 +287,11 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     }
     let name = &config.run.name;
     if name.contains(['/', '\\']) || name.starts_with('.') {
-        return Err(ConfigError::range("run.name", format!("\"{name}\""), "a plain folder name"));
+        return Err(ConfigError::range(
+            "run.name",
+            format!("\"{name}\""),
+            "a plain folder name",
+        ));
     }
     Ok(())
 }

@@ -36,13 +36,24 @@ pub struct AdamW {
 impl AdamW {
     /// An optimiser before its first step, for parameters of these numbers of elements.
     pub fn new(config: &OptimConfig, lengths: impl IntoIterator<Item = usize>) -> Self {
-        let zero = |n| Moments { exp_avg: vec![0.0; n], exp_avg_sq: vec![0.0; n] };
-        Self { config: config.clone(), moments: lengths.into_iter().map(zero).collect(), steps: 0 }
+        let zero = |n| Moments {
+            exp_avg: vec![0.0; n],
+            exp_avg_sq: vec![0.0; n],
+        };
+        Self {
+            config: config.clone(),
+            moments: lengths.into_iter().map(zero).collect(),
+            steps: 0,
+        }
     }
 
     /// An optimiser after `steps` steps.
     pub fn restore(config: &OptimConfig, moments: Vec<Moments>, steps: u64) -> Self {
-        Self { config: config.clone(), moments, steps }
+        Self {
+            config: config.clone(),
+            moments,
+            steps,
+        }
     }
 
     /// The running means, in the parameters' order.
@@ -67,8 +78,15 @@ impl AdamW {
         gradient_scale: f64,
         learning_rate: f64,
     ) {
-        let Moments { exp_avg, exp_avg_sq } = &mut self.moments[index];
-        assert_eq!(parameter.len(), gradient.len(), "gradient of parameter {index}");
+        let Moments {
+            exp_avg,
+            exp_avg_sq,
+        } = &mut self.moments[index];
+        assert_eq!(
+            parameter.len(),
+            gradient.len(),
+            "gradient of parameter {index}"
+        );
         assert_eq!(parameter.len(), exp_avg.len(), "state of parameter {index}");
         let [beta1, beta2] = self.config.betas;
         let steps = self.steps as i32;
@@ -87,8 +105,11 @@ impl AdamW {
             .zip(exp_avg.par_chunks_mut(CHUNK))
             .zip(exp_avg_sq.par_chunks_mut(CHUNK))
             .for_each(|(((parameter, gradient), exp_avg), exp_avg_sq)| {
-                for (((p, g), m), v) in
-                    parameter.iter_mut().zip(gradient).zip(exp_avg).zip(exp_avg_sq)
+                for (((p, g), m), v) in parameter
+                    .iter_mut()
+                    .zip(gradient)
+                    .zip(exp_avg)
+                    .zip(exp_avg_sq)
                 {
                     let g = g * scale;
                     *m = b1 * *m + c1 * g;

@@ -13,13 +13,21 @@ pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
             .collect();
         partial.iter().sum::<f64>()
     };
-    gradients.iter().map(|values| sum(values)).sum::<f64>().sqrt()
+    gradients
+        .iter()
+        .map(|values| sum(values))
+        .sum::<f64>()
+        .sqrt()
 }
 
 /// What gradients of global norm `norm` are multiplied by to keep it at most `max_norm`; 1 when
 /// `max_norm` is 0, which switches clipping off.
 pub fn clip_factor(norm: f64, max_norm: f64) -> f64 {
-    if max_norm == 0.0 { 1.0 } else { (max_norm / (norm + 1e-6)).min(1.0) }
+    if max_norm == 0.0 {
+        1.0
+    } else {
+        (max_norm / (norm + 1e-6)).min(1.0)
+    }
 }
 
 #[cfg(test)]
@@ -28,10 +36,15 @@ mod tests {
 
     #[test]
     fn the_norm_is_the_same_with_any_number_of_threads() {
-        let gradients: Vec<Vec<f32>> =
-            vec![(0..300_000).map(|i| (i as f32 * 0.37).sin()).collect(), vec![2.0; 10]];
+        let gradients: Vec<Vec<f32>> = vec![
+            (0..300_000).map(|i| (i as f32 * 0.37).sin()).collect(),
+            vec![2.0; 10],
+        ];
         let with = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("pool");
             pool.install(|| global_norm(&gradients)).to_bits()
         };
         assert_eq!(with(1), with(2));

@@ -44,7 +44,10 @@ impl Inputs {
     fn new(batch: &Batch, device: &Device) -> Self {
         let (size, time) = (batch.batch_size, batch.frames);
         let on_device = |values: &[f32], channels: usize| {
-            Tensor::from_data(TensorData::new(values.to_vec(), [size, channels, time]), device)
+            Tensor::from_data(
+                TensorData::new(values.to_vec(), [size, channels, time]),
+                device,
+            )
         };
         Self {
             x_start: on_device(&batch.x_start, CHANNELS),
@@ -63,7 +66,13 @@ impl DiffusionRecipe {
         statistics: Arc<TrainingStatistics>,
         target_frames: usize,
     ) -> Self {
-        Self { diffusion, validation: validation.clone(), held_out, statistics, target_frames }
+        Self {
+            diffusion,
+            validation: validation.clone(),
+            held_out,
+            statistics,
+            target_frames,
+        }
     }
 
     /// Zeros the condition of samples chosen by `key`.
@@ -73,8 +82,11 @@ impl DiffusionRecipe {
             return cond;
         }
         let [batch, ..] = cond.dims();
-        let keep: Vec<f32> =
-            key.uniforms(batch).iter().map(|&u| f32::from(f64::from(u) >= prob)).collect();
+        let keep: Vec<f32> = key
+            .uniforms(batch)
+            .iter()
+            .map(|&u| f32::from(f64::from(u) >= prob))
+            .collect();
         let keep = Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), &cond.device());
         cond * keep
     }
@@ -84,13 +96,20 @@ impl Recipe for DiffusionRecipe {
     type Model = UNet1d;
 
     fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        let Inputs { x_start, cond, mask } = Inputs::new(batch, device);
+        let Inputs {
+            x_start,
+            cond,
+            mask,
+        } = Inputs::new(batch, device);
         let num_train_timesteps = self.diffusion.config.num_train_timesteps;
-        let timesteps =
-            key.of(Purpose::Timesteps).integers(batch.batch_size, num_train_timesteps);
+        let timesteps = key
+            .of(Purpose::Timesteps)
+            .integers(batch.batch_size, num_train_timesteps);
         let noise = noise(key.of(Purpose::Noise), x_start.dims(), device);
 
-        let x_t = self.diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
+        let x_t = self
+            .diffusion
+            .add_noise(x_start.clone(), noise.clone(), &timesteps);
         let cond = self.drop_cond(cond, key.of(Purpose::CondDropout));
         let dropout = Some(key.of(Purpose::Dropout));
         let model_output = model.forward(x_t.clone(), &timesteps, cond.clone(), dropout);
@@ -129,7 +148,11 @@ impl Recipe for DiffusionRecipe {
                 let end = (start + self.validation.batch_size).min(phrases);
                 let chunk = &self.held_out[start..end];
                 let batch = collate_validation(chunk, &self.statistics, self.target_frames);
-                let Inputs { x_start, cond, mask } = Inputs::new(&batch, device);
+                let Inputs {
+                    x_start,
+                    cond,
+                    mask,
+                } = Inputs::new(&batch, device);
                 let timesteps: Vec<usize> = (start..end)
                     .map(|p| {
                         let twice = 2 * (draw * phrases + p) + 1;
@@ -145,7 +168,9 @@ impl Recipe for DiffusionRecipe {
                     })
                     .collect();
                 let noise = Tensor::from_data(TensorData::new(values, x_start.dims()), device);
-                let x_t = self.diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
+                let x_t = self
+                    .diffusion
+                    .add_noise(x_start.clone(), noise.clone(), &timesteps);
                 let model_output = model.forward(x_t, &timesteps, cond, None);
                 let target = self.diffusion.target(x_start, noise, &timesteps);
                 let loss_type = self.diffusion.config.loss_type;
@@ -158,5 +183,8 @@ impl Recipe for DiffusionRecipe {
 }
 
 fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
-    Tensor::from_data(TensorData::new(key.normals(shape.iter().product()), shape), device)
+    Tensor::from_data(
+        TensorData::new(key.normals(shape.iter().product()), shape),
+        device,
+    )
 }

@@ -26,7 +26,9 @@ pub struct StepKey {
 impl StepKey {
     /// The stream of `purpose` in this micro-batch.
     pub fn of(self, purpose: Purpose) -> Key {
-        Key::new(self.seed, purpose).at(self.step).at(self.micro_batch)
+        Key::new(self.seed, purpose)
+            .at(self.step)
+            .at(self.micro_batch)
     }
 }
 

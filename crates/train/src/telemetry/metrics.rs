@@ -19,7 +19,10 @@ pub struct Record {
 impl Record {
     /// A record of `step` without scalars.
     pub fn new(step: u64) -> Self {
-        Self { step, scalars: Vec::new() }
+        Self {
+            step,
+            scalars: Vec::new(),
+        }
     }
 
     /// Adds a scalar.
@@ -31,7 +34,10 @@ impl Record {
 
     /// The named scalar.
     pub fn get(&self, name: &str) -> Option<f64> {
-        self.scalars.iter().find(|(n, _)| n == name).map(|(_, value)| *value)
+        self.scalars
+            .iter()
+            .find(|(n, _)| n == name)
+            .map(|(_, value)| *value)
     }
 
     /// All scalars.
@@ -69,7 +75,13 @@ impl Metrics {
             .map_err(Error::io("open", &path))?;
         file.set_len(kept).map_err(Error::io("cut back", &path))?;
         let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step)?;
-        Ok(Self { file, path, events, started: Instant::now(), first_step: step })
+        Ok(Self {
+            file,
+            path,
+            events,
+            started: Instant::now(),
+            first_step: step,
+        })
     }
 
     /// Appends one line.
@@ -77,18 +89,28 @@ impl Metrics {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&mut self, record: &Record) -> Result<(), Error> {
-        let time = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64());
+        let time = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0.0, |t| t.as_secs_f64());
         let elapsed = self.started.elapsed().as_secs_f64();
         let speed = (record.step - self.first_step) as f64 / elapsed.max(1e-9);
-        let clock =
-            [("time", time), ("elapsed_seconds", elapsed), ("steps_per_second", speed)];
+        let clock = [
+            ("time", time),
+            ("elapsed_seconds", elapsed),
+            ("steps_per_second", speed),
+        ];
         let mut line = format!("{{\"step\":{}", record.step);
-        let scalars = record.scalars.iter().map(|(name, value)| (name.as_str(), *value));
+        let scalars = record
+            .scalars
+            .iter()
+            .map(|(name, value)| (name.as_str(), *value));
         for (name, value) in scalars.chain(clock) {
             line.push_str(&format!(",{}:{}", Value::from(name), Value::from(value)));
         }
         line.push_str("}\n");
-        self.file.write_all(line.as_bytes()).map_err(Error::io("write", &self.path))?;
+        self.file
+            .write_all(line.as_bytes())
+            .map_err(Error::io("write", &self.path))?;
         self.events.write(record.step, time, &record.scalars)
     }
 
@@ -97,7 +119,9 @@ impl Metrics {
     /// # Errors
     /// If the file system refuses.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.file.sync_data().map_err(Error::io("flush", &self.path))?;
+        self.file
+            .sync_data()
+            .map_err(Error::io("flush", &self.path))?;
         self.events.sync()
     }
 }
@@ -114,7 +138,9 @@ fn kept_bytes(path: &Path, step: u64) -> Result<u64, Error> {
     let mut line = Vec::new();
     loop {
         line.clear();
-        let bytes = reader.read_until(b'\n', &mut line).map_err(Error::io("read", path))?;
+        let bytes = reader
+            .read_until(b'\n', &mut line)
+            .map_err(Error::io("read", path))?;
         let whole = line.last() == Some(&b'\n');
         match parse(&line).filter(|record| whole && record.step <= step) {
             Some(_) => kept += bytes as u64,
@@ -126,8 +152,13 @@ fn kept_bytes(path: &Path, step: u64) -> Result<u64, Error> {
 fn parse(line: &[u8]) -> Option<Record> {
     let mut object: Map<String, Value> = serde_json::from_slice(line).ok()?;
     let step = object.remove("step")?.as_u64()?;
-    let scalars = object.into_iter().filter_map(|(name, value)| Some((name, value.as_f64()?)));
-    Some(Record { step, scalars: scalars.collect() })
+    let scalars = object
+        .into_iter()
+        .filter_map(|(name, value)| Some((name, value.as_f64()?)));
+    Some(Record {
+        step,
+        scalars: scalars.collect(),
+    })
 }
 
 /// Reads the metrics of the run in `folder`; broken lines are left out.
@@ -137,7 +168,10 @@ fn parse(line: &[u8]) -> Option<Record> {
 pub fn read_metrics(folder: &Path) -> Result<Vec<Record>, Error> {
     let path = folder.join("metrics.jsonl");
     let text = std::fs::read(&path).map_err(Error::io("read", &path))?;
-    Ok(text.split(|&byte| byte == b'\n').filter_map(parse).collect())
+    Ok(text
+        .split(|&byte| byte == b'\n')
+        .filter_map(parse)
+        .collect())
 }
 
 #[cfg(test)]
@@ -149,7 +183,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let mut metrics = Metrics::open(folder.path(), 0).expect("metrics");
         for step in 1..=5 {
-            metrics.write(&Record::new(step).with("loss", step as f64 / 3.0)).expect("a line");
+            metrics
+                .write(&Record::new(step).with("loss", step as f64 / 3.0))
+                .expect("a line");
         }
         drop(metrics);
         let path = folder.path().join("metrics.jsonl");
@@ -158,7 +194,9 @@ mod tests {
         drop(file);
 
         let mut metrics = Metrics::open(folder.path(), 3).expect("metrics");
-        metrics.write(&Record::new(4).with("loss", 9.0)).expect("a line");
+        metrics
+            .write(&Record::new(4).with("loss", 9.0))
+            .expect("a line");
         let records = read_metrics(folder.path()).expect("records");
         let steps: Vec<u64> = records.iter().map(|r| r.step).collect();
         assert_eq!(steps, [1, 2, 3, 4]);

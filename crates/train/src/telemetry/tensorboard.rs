@@ -25,7 +25,8 @@ impl EventFile {
     pub fn open(path: &Path, step: u64) -> Result<Self, Error> {
         let mut bytes = Vec::new();
         if let Ok(mut file) = File::open(path) {
-            file.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
+            file.read_to_end(&mut bytes)
+                .map_err(Error::io("read", path))?;
         }
         let kept = kept_bytes(&bytes, step);
         let mut file = OpenOptions::new()
@@ -33,25 +34,25 @@ impl EventFile {
             .append(true)
             .open(path)
             .map_err(Error::io("open", path))?;
-        file.set_len(kept as u64).map_err(Error::io("cut back", path))?;
+        file.set_len(kept as u64)
+            .map_err(Error::io("cut back", path))?;
         if kept == 0 {
             let mut event = Vec::new();
             field_bytes(&mut event, 3, b"brain.Event:2");
-            file.write_all(&record(&event)).map_err(Error::io("write", path))?;
+            file.write_all(&record(&event))
+                .map_err(Error::io("write", path))?;
         }
-        Ok(Self { file, path: path.to_path_buf() })
+        Ok(Self {
+            file,
+            path: path.to_path_buf(),
+        })
     }
 
     /// Appends the scalars of one step; `time` in seconds since 1970.
     ///
     /// # Errors
     /// If they cannot be written.
-    pub fn write(
-        &mut self,
-        step: u64,
-        time: f64,
-        scalars: &[(String, f64)],
-    ) -> Result<(), Error> {
+    pub fn write(&mut self, step: u64, time: f64, scalars: &[(String, f64)]) -> Result<(), Error> {
         let mut summary = Vec::new();
         for (tag, value) in scalars {
             let mut entry = Vec::new();
@@ -65,7 +66,9 @@ impl EventFile {
         event.push(2 << 3);
         varint(&mut event, step);
         field_bytes(&mut event, 5, &summary);
-        self.file.write_all(&record(&event)).map_err(Error::io("write", &self.path))
+        self.file
+            .write_all(&record(&event))
+            .map_err(Error::io("write", &self.path))
     }
 
     /// Makes sure that what was written survives a crash.
@@ -73,7 +76,9 @@ impl EventFile {
     /// # Errors
     /// If the file system refuses.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.file.sync_data().map_err(Error::io("flush", &self.path))
+        self.file
+            .sync_data()
+            .map_err(Error::io("flush", &self.path))
     }
 }
 
@@ -92,7 +97,9 @@ fn field_bytes(out: &mut Vec<u8>, field: u8, bytes: &[u8]) {
 }
 
 fn masked_crc(bytes: &[u8]) -> u32 {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
+    crc32c::crc32c(bytes)
+        .rotate_right(15)
+        .wrapping_add(0xa282_ead8)
 }
 
 fn record(event: &[u8]) -> Vec<u8> {
@@ -162,14 +169,19 @@ mod tests {
         let path = folder.path().join("events");
         let mut events = EventFile::open(&path, 0).expect("events");
         for step in [1, 200, 70_000] {
-            events.write(step, 1.0e9, &[("loss".into(), 0.5)]).expect("an event");
+            events
+                .write(step, 1.0e9, &[("loss".into(), 0.5)])
+                .expect("an event");
         }
         drop(events);
         assert_eq!(steps(&path), [0, 1, 200, 70_000]);
         let mut torn = std::fs::read(&path).expect("bytes");
         torn.truncate(torn.len() - 3);
         std::fs::write(&path, torn).expect("torn");
-        EventFile::open(&path, 200).expect("events").write(201, 1.0e9, &[]).expect("an event");
+        EventFile::open(&path, 200)
+            .expect("events")
+            .write(201, 1.0e9, &[])
+            .expect("an event");
         assert_eq!(steps(&path), [0, 1, 200, 201]);
     }
 }
