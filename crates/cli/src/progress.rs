@@ -7,7 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use kinegrad_train::run::RunSummary;
 use kinegrad_train::{Observer, StepReport};
+
+use crate::output::grouped;
 
 /// Share of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
@@ -46,20 +49,6 @@ impl TrainProgress {
         }
     }
 
-    /// Shows the bar, at `step` of `max_steps`.
-    pub fn start(&mut self, step: u64, max_steps: u64) {
-        self.started = Instant::now();
-        if std::io::stderr().is_terminal() {
-            let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
-            let style = ProgressStyle::with_template(template).expect("a valid template");
-            let bar = ProgressBar::new(max_steps)
-                .with_style(style)
-                .with_position(step);
-            bar.reset_eta();
-            self.bar = Some(bar);
-        }
-    }
-
     /// A line that stays, above the bar.
     pub fn line(&self, text: &str) {
         match &self.bar {
@@ -77,6 +66,38 @@ impl TrainProgress {
 }
 
 impl Observer for TrainProgress {
+    fn started(&mut self, summary: &RunSummary) {
+        eprintln!(
+            "run {}: {} parameters on {}, {} phrases to train on, {} held out",
+            summary.name,
+            grouped(summary.parameters),
+            summary.device,
+            summary.train_phrases,
+            summary.validation_phrases,
+        );
+        if !summary.skipped.is_empty() {
+            eprintln!("warning: {} bad phrases skipped:", summary.skipped.len());
+            for (id, reason) in &summary.skipped {
+                eprintln!("  {id}: {reason}");
+            }
+        }
+        if summary.step > 0 {
+            eprintln!(
+                "continuing after step {} of {}",
+                summary.step, summary.max_steps
+            );
+        }
+        self.started = Instant::now();
+        if std::io::stderr().is_terminal() {
+            let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
+            let style = ProgressStyle::with_template(template).expect("a valid template");
+            let bar = ProgressBar::new(summary.max_steps);
+            let bar = bar.with_style(style).with_position(summary.step);
+            bar.reset_eta();
+            self.bar = Some(bar);
+        }
+    }
+
     fn stepped(&mut self, report: &StepReport) {
         let smoothed = match self.smoothed {
             Some(old) => SMOOTHING * old + (1.0 - SMOOTHING) * report.loss,

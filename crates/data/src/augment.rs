@@ -5,14 +5,17 @@ use std::ops::Range;
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
-use crate::features::AudioFeatures;
-use crate::{AugmentConfig, Crop, DataConfig, Phrase};
+use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::passage::Passage;
+use crate::{AugmentConfig, Crop, DataConfig};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.
 const WINDOW: u64 = 0;
 const MIRROR: u64 = 1;
 const YAW: u64 = 2;
 const AUDIO_NOISE: u64 = 3;
+const FLIP: u64 = 4;
+const AUDIO_MASKS: u64 = 5;
 
 /// Makes training samples. Sample n of a seed is the same whoever makes it, and whenever.
 #[derive(Clone, Debug)]
@@ -34,49 +37,80 @@ impl Sampler {
         }
     }
 
-    /// Motion and audio of sample `n`, taken from `phrase`: at most `target_frames` frames, in the
-    /// dataset's units.
-    pub fn sample(&self, phrase: &Phrase, n: u64) -> (Motion, AudioFeatures) {
+    /// Motion and audio of sample `n`, taken from `passage`: at most `target_frames` frames, in
+    /// the dataset's units.
+    pub fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
         let AugmentConfig {
             rotate_yaw: turn,
             mirror: reflect,
+            flip_quaternion: flip,
             min_frames,
             audio_noise,
+            audio_masks,
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
-        let mut window = self.crop(phrase.frames(), n);
+        let mut window = self.crop(passage, n);
         if let Some(min_frames) = min_frames {
             window = sub_window(window, min_frames, key.at(WINDOW));
         }
-        let mut motion = phrase.motion.slice(window.clone());
+        let mut motion = passage.take.motion.slice(window.clone());
         if reflect && key.at(MIRROR).uniform() < 0.5 {
             mirror(&mut motion);
         }
         if turn {
             rotate_yaw(&mut motion, std::f64::consts::TAU * key.at(YAW).uniform());
         }
+        if flip && key.at(FLIP).uniform() < 0.5 {
+            negate_quaternions(&mut motion);
+        }
         // A leading crop without any of these stays as stored.
         if window.start > 0 || reflect || turn || min_frames.is_some() {
             anchor_floor(&mut motion);
         }
-        let mut audio = phrase.audio.slice(window);
+        let mut audio = passage.take.audio.slice(window);
         if audio_noise > 0.0 {
             audio = with_noise(audio, audio_noise, key.at(AUDIO_NOISE));
+        }
+        for mask in 0..audio_masks {
+            mask_audio(&mut audio, key.at(AUDIO_MASKS).at(mask as u64));
         }
         (motion, audio)
     }
 
-    /// The `target_frames` that sample `n` sees of a phrase, or all of a shorter one.
-    fn crop(&self, frames: usize, n: u64) -> Range<usize> {
-        let length = frames.min(self.target_frames);
+    /// The `target_frames` that sample `n` sees of a passage, or all of a shorter take.
+    fn crop(&self, passage: &Passage, n: u64) -> Range<usize> {
+        let starts = passage.starts(self.target_frames);
+        let length = passage.take.frames().min(self.target_frames);
         let start = match self.crop {
-            Crop::Random if frames > length => below(
-                frames - length + 1,
-                Key::new(self.seed, Purpose::Crop).at(n),
-            ),
-            Crop::Random | Crop::Leading => 0,
+            Crop::Random if starts.len() > 1 => {
+                starts.start + below(starts.len(), Key::new(self.seed, Purpose::Crop).at(n))
+            }
+            Crop::Random | Crop::Leading => passage.own.start.min(starts.end - 1),
         };
         start..start + length
+    }
+}
+
+/// The same orientations, written with the other sign.
+fn negate_quaternions(motion: &mut Motion) {
+    for t in 0..motion.frames() {
+        motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
+    }
+}
+
+/// Sets one stretch of time and one band of adjoining features to zero.
+fn mask_audio(audio: &mut AudioFeatures, key: Key) {
+    let range = |length: usize, longest: usize, key: Key| {
+        let start = below(length, key.at(0));
+        start..(start + below(longest + 1, key.at(1))).min(length)
+    };
+    let time = range(audio.frames(), audio.frames() / 5, key.at(0));
+    let band = range(AUDIO_CHANNELS, AUDIO_CHANNELS / 4, key.at(1));
+    for channel in 0..AUDIO_CHANNELS {
+        audio.channel_mut(channel)[time.clone()].fill(0.0);
+    }
+    for channel in band {
+        audio.channel_mut(channel).fill(0.0);
     }
 }
 
@@ -107,10 +141,12 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Phrase;
     use crate::synthetic;
     use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
+    use std::sync::Arc;
 
     fn sampler(change: impl Fn(&mut DataConfig)) -> Sampler {
         let mut config = DataConfig {
@@ -119,6 +155,11 @@ mod tests {
         };
         change(&mut config);
         Sampler::new(&config, 3)
+    }
+
+    /// A phrase that is a take of its own.
+    fn alone(phrase: &Phrase) -> Passage {
+        Passage::alone(Arc::new(phrase.clone()))
     }
 
     /// The first frame of `phrase` whose audio is that of the sample.
@@ -132,7 +173,7 @@ mod tests {
     fn without_crop_and_augmentation_a_sample_is_the_phrase_as_stored() {
         for (frames, crop) in [(20, Crop::Random), (12, Crop::Random), (50, Crop::Leading)] {
             let phrase = synthetic::phrase(0, frames, 1);
-            let (motion, audio) = sampler(|config| config.crop = crop).sample(&phrase, 7);
+            let (motion, audio) = sampler(|config| config.crop = crop).sample(&alone(&phrase), 7);
             assert_eq!(motion, phrase.motion.slice(0..frames.min(20)));
             assert_eq!(audio, phrase.audio.slice(0..frames.min(20)));
         }
@@ -144,7 +185,7 @@ mod tests {
         let sampler = sampler(|_| {});
         let mut starts = BTreeSet::new();
         for n in 0..100 {
-            let (motion, audio) = sampler.sample(&phrase, n);
+            let (motion, audio) = sampler.sample(&alone(&phrase), n);
             let s = start(&phrase, &audio);
             starts.insert(s);
             let mut expected = phrase.motion.slice(s..s + 20);
@@ -153,7 +194,7 @@ mod tests {
             }
             assert_eq!(motion, expected);
             assert_eq!(motion.vector(0, POSITION)[0], 0.0);
-            assert_eq!(sampler.sample(&phrase, n), (motion, audio));
+            assert_eq!(sampler.sample(&alone(&phrase), n), (motion, audio));
         }
         assert_eq!(starts, (0..=4).collect());
     }
@@ -164,7 +205,7 @@ mod tests {
         let sampler = sampler(|config| config.augment.min_frames = Some(15));
         let mut seen = BTreeSet::new();
         for n in 0..300 {
-            let (motion, audio) = sampler.sample(&phrase, n);
+            let (motion, audio) = sampler.sample(&alone(&phrase), n);
             assert_eq!(motion.frames(), audio.frames());
             assert!((15..=20).contains(&motion.frames()));
             let [x, _, z] = motion.vector(0, POSITION);
@@ -180,7 +221,7 @@ mod tests {
         );
         assert!(seen.len() > 60, "{}", seen.len());
         let short = synthetic::phrase(0, 10, 1);
-        assert_eq!(sampler.sample(&short, 0).0.frames(), 10);
+        assert_eq!(sampler.sample(&alone(&short), 0).0.frames(), 10);
     }
 
     #[test]
@@ -193,11 +234,11 @@ mod tests {
         let mirrored = sampler(|config| config.augment.mirror = true);
         let mut kinds = BTreeSet::new();
         for n in 0..40 {
-            let (motion, audio) = both.sample(&phrase, n);
+            let (motion, audio) = both.sample(&alone(&phrase), n);
             assert_eq!(audio, phrase.audio);
             assert_ne!(motion, phrase.motion);
             assert!(mean_norm(&velocity_errors(&motion)) < 1e-4);
-            kinds.insert(mirrored.sample(&phrase, n).0 == phrase.motion);
+            kinds.insert(mirrored.sample(&alone(&phrase), n).0 == phrase.motion);
         }
         assert_eq!(kinds.len(), 2, "both sides come up");
     }
@@ -206,7 +247,7 @@ mod tests {
     fn audio_noise_has_its_deviation_and_leaves_the_motion() {
         let phrase = synthetic::phrase(0, 20, 1);
         let (motion, audio) =
-            sampler(|config| config.augment.audio_noise = 0.25).sample(&phrase, 4);
+            sampler(|config| config.augment.audio_noise = 0.25).sample(&alone(&phrase), 4);
         assert_eq!(motion, phrase.motion);
         let differences = audio.as_slice().iter().zip(phrase.audio.as_slice());
         let square: f64 = differences.map(|(a, b)| f64::from(a - b).powi(2)).sum();
@@ -223,7 +264,10 @@ mod tests {
             config.augment.rotate_yaw = true;
         });
         for n in 0..20 {
-            assert_eq!(one.sample(&phrase, n).1, two.sample(&phrase, n).1);
+            assert_eq!(
+                one.sample(&alone(&phrase), n).1,
+                two.sample(&alone(&phrase), n).1
+            );
         }
     }
 }

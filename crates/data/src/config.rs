@@ -22,6 +22,10 @@ pub struct DataConfig {
     pub target_frames: usize,
     /// Which part of a longer phrase a sample takes.
     pub crop: Crop,
+    /// Joins training phrases of one recording that follow each other, which are known by ids of
+    /// the form `NAME_FIRSTFRAME`, so that random crops may begin anywhere up to half a phrase
+    /// before or after a phrase's own first frame.
+    pub join_neighbours: bool,
     /// Samples in a batch; may exceed the number of phrases.
     pub batch_size: usize,
     /// Threads that prepare batches ahead; 0 prepares them in the trainer's own thread.
@@ -46,6 +50,7 @@ impl Default for DataConfig {
             source: None,
             target_frames: 120,
             crop: Crop::Random,
+            join_neighbours: false,
             batch_size: 32,
             num_workers: 4,
             on_bad_phrase: OnBadPhrase::Error,
@@ -121,12 +126,19 @@ pub struct AugmentConfig {
     pub rotate_yaw: bool,
     /// Mirror the motion left to right in half of the samples.
     pub mirror: bool,
+    /// Negate the whole quaternion sequence in half of the samples: q and -q are the same
+    /// orientation, and a recording's choice between them says nothing.
+    pub flip_quaternion: bool,
     /// Cut a random window of at least so many frames out of the crop; the rest of the sample is
     /// padding.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_frames: Option<usize>,
     /// Standard deviation of Gaussian noise added to the audio features.
     pub audio_noise: f64,
+    /// So many stretches of time, each up to a fifth of the sample, and as many bands of adjoining
+    /// features, each up to a quarter of them, are set to zero (SpecAugment, Park et al. 2019,
+    /// <https://arxiv.org/abs/1904.08779>).
+    pub audio_masks: usize,
 }
 
 /// Size and seed of the synthetic dataset.
@@ -270,6 +282,13 @@ impl AugmentConfig {
             self.audio_noise,
             "a number from 0 to 100",
             "most features lie in [0, 1]: try 0.05",
+        )?;
+        require(
+            self.audio_masks <= 16,
+            "data.augment.audio_masks",
+            self.audio_masks,
+            "a whole number from 0 to 16",
+            "1 or 2 are usual",
         )
     }
 }

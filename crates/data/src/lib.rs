@@ -30,6 +30,7 @@ mod loader;
 mod npy;
 mod npz;
 mod order;
+mod passage;
 mod phrase;
 mod prefetch;
 mod source;

@@ -6,6 +6,7 @@ use kinegrad_motion::TrainingStatistics;
 
 use crate::augment::Sampler;
 use crate::order::Order;
+use crate::passage::{Passage, join_neighbours};
 use crate::prefetch::Prefetch;
 use crate::{Batch, DataConfig, Phrase};
 
@@ -38,10 +39,15 @@ impl Loader {
     ) -> Self {
         assert!(!phrases.is_empty(), "a loader needs at least one phrase");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
+        let passages: Vec<Passage> = if config.join_neighbours {
+            join_neighbours(&phrases)
+        } else {
+            phrases.into_iter().map(Passage::alone).collect()
+        };
         let maker = BatchMaker {
-            order: Order::new(phrases.len(), seed),
+            order: Order::new(passages.len(), seed),
             sampler: Sampler::new(config, seed),
-            phrases: phrases.into(),
+            passages: passages.into(),
             statistics,
             batch_size: config.batch_size,
             frames: config.target_frames,
@@ -86,7 +92,7 @@ impl Loader {
 /// Makes any batch from its number. A clone makes the same batches.
 #[derive(Clone)]
 struct BatchMaker {
-    phrases: Arc<[Arc<Phrase>]>,
+    passages: Arc<[Passage]>,
     statistics: Arc<TrainingStatistics>,
     order: Order,
     sampler: Sampler,
@@ -99,9 +105,9 @@ impl BatchMaker {
         let mut batch = Batch::with_capacity(self.batch_size, self.frames);
         let first = number.wrapping_mul(self.batch_size as u64);
         for n in (0..self.batch_size as u64).map(|i| first.wrapping_add(i)) {
-            let phrase = &self.phrases[self.order.phrase(n)];
-            let (motion, audio) = self.sampler.sample(phrase, n);
-            batch.push(&phrase.id, &motion, &audio, &self.statistics);
+            let passage = &self.passages[self.order.phrase(n)];
+            let (motion, audio) = self.sampler.sample(passage, n);
+            batch.push(&passage.id, &motion, &audio, &self.statistics);
         }
         batch
     }

@@ -8,7 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::mean_jerk_norm;
-use crate::phrase::{ACCELERATION, PHASE, QUATERNION, VELOCITY};
+use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, VELOCITY};
 use crate::{CHANNELS, ChannelMoments, Error, Motion};
 
 /// A channel whose deviation is below this counts as constant.
@@ -127,6 +127,23 @@ impl TrainingStatistics {
             self.denormalize(motion.frame_mut(t));
         }
         motion
+    }
+
+    /// Widens the ranges to what the phrases reach when they are turned about the vertical by any
+    /// angle: horizontal vectors by their length (at most), quaternions to +-1. A model trained on
+    /// turned phrases draws motion in all directions, which the phrases' own ranges would clip.
+    pub fn widen_ranges_for_yaw(&mut self) {
+        for vector in [POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY] {
+            let (x, z) = (vector.start, vector.start + 2);
+            let reach = |c: usize| self.min[c].abs().max(self.max[c].abs());
+            let length = reach(x).hypot(reach(z));
+            for channel in [x, z] {
+                (self.min[channel], self.max[channel]) = (-length, length);
+            }
+        }
+        for channel in QUATERNION {
+            (self.min[channel], self.max[channel]) = (-1.0, 1.0);
+        }
     }
 
     /// Smallest and largest value of each channel in the training phrases in normalised units,

@@ -68,15 +68,11 @@ pub struct Outcome {
     pub config: Config,
 }
 
-/// Trains as asked. `started` is told about the run before its first step.
+/// Trains as asked.
 ///
 /// # Errors
 /// If the request is wrong, before anything is written; or if the run fails.
-pub fn train(
-    request: &TrainRequest,
-    observer: &mut dyn Observer,
-    started: &mut dyn FnMut(&RunSummary),
-) -> Result<Outcome, Error> {
+pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut config = config::load(&request.config, &request.overrides)?.resolved();
     if config.run.name.is_empty() {
         let stem = request.config.file_stem().unwrap_or_default();
@@ -119,7 +115,7 @@ pub fn train(
     }
     let statistics = match &checkpoint {
         Some(checkpoint) => checkpoint.state.statistics.clone(),
-        None => TrainingStatistics::compute(dataset.train.iter().map(|phrase| &phrase.motion))?,
+        None => statistics_of(&dataset, &config)?,
     };
     let statistics = Arc::new(statistics);
     let device = training_device(&config, device);
@@ -149,7 +145,7 @@ pub fn train(
     let patience = config.train.patience;
     let stopped = patience > 0 && progress.validations_since_best >= patience;
     if step > 0 && (step >= config.train.max_steps || stopped) {
-        started(&summary);
+        observer.started(&summary);
         return Ok(Outcome {
             folder,
             ending: None,
@@ -166,7 +162,7 @@ pub fn train(
         None => crate::run::lock(&folder)?,
     };
     write_config(&folder, &config)?;
-    started(&summary);
+    observer.started(&summary);
 
     if config.validation.every_steps > 0 && dataset.validation.is_empty() {
         observer.warning("no phrase is held out: there is no validation and no best step");
@@ -219,6 +215,16 @@ pub fn parameter_count(config: &Config) -> Result<usize, Error> {
         .iter()
         .map(|info| info.len())
         .sum())
+}
+
+/// Statistics of the training phrases as stored; augmentation widens their ranges only.
+fn statistics_of(dataset: &Dataset, config: &Config) -> Result<TrainingStatistics, Error> {
+    let motions = dataset.train.iter().map(|phrase| &phrase.motion);
+    let mut statistics = TrainingStatistics::compute(motions)?;
+    if config.data.augment.rotate_yaw {
+        statistics.widen_ranges_for_yaw();
+    }
+    Ok(statistics)
 }
 
 /// The device gradients are computed on.

@@ -15,10 +15,13 @@ use crate::ema::Ema;
 use crate::error::Error;
 use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
 use crate::recipes::{Loss, Recipe, StepKey};
+use crate::run::RunSummary;
 use crate::telemetry::{Metrics, Record};
 
 /// What the trainer tells, and asks, whoever started it.
 pub trait Observer {
+    /// The run was set up and trains from now on (or was finished before).
+    fn started(&mut self, summary: &RunSummary);
     /// A step was done.
     fn stepped(&mut self, report: &StepReport);
     /// The held-out phrases were measured; `best` if no earlier loss was lower.

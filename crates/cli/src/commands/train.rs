@@ -8,12 +8,12 @@ use kinegrad_data::{Dataset, write_motion};
 use kinegrad_train::Ending;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::generate::{Generator, resolve_checkpoint};
-use kinegrad_train::run::{self, Outcome, RunSummary, TrainRequest};
+use kinegrad_train::run::{self, Outcome, TrainRequest};
 
 use super::check::sanity_table;
 use crate::args::TrainArguments;
 use crate::failure::Failure;
-use crate::output::{grouped, table};
+use crate::output::table;
 use crate::progress::{TrainProgress, duration};
 
 /// Trains, then draws the samples that the config asks for.
@@ -36,11 +36,7 @@ pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
     };
     let started = Instant::now();
     let mut progress = TrainProgress::new();
-    let mut bar_at = None;
-    let outcome = run::train(&request, &mut progress, &mut |summary| {
-        describe(summary);
-        bar_at = Some((summary.step, summary.max_steps));
-    });
+    let outcome = run::train(&request, &mut progress);
     progress.finish();
     let outcome = outcome?;
     summarise(&outcome, started);
@@ -51,29 +47,6 @@ pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
         draw_samples(&outcome)?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn describe(summary: &RunSummary) {
-    eprintln!(
-        "run {}: {} parameters on {}, {} phrases to train on, {} held out",
-        summary.name,
-        grouped(summary.parameters),
-        summary.device,
-        summary.train_phrases,
-        summary.validation_phrases,
-    );
-    if !summary.skipped.is_empty() {
-        eprintln!("warning: {} bad phrases skipped:", summary.skipped.len());
-        for (id, reason) in &summary.skipped {
-            eprintln!("  {id}: {reason}");
-        }
-    }
-    if summary.step > 0 {
-        eprintln!(
-            "continuing after step {} of {}",
-            summary.step, summary.max_steps
-        );
-    }
 }
 
 fn summarise(outcome: &Outcome, started: Instant) {

@@ -24,11 +24,11 @@ pub enum SamplerKind {
 pub enum TimestepSpacing {
     /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen documentation, section 8.1). It
     /// begins at T-1 and ends above 0; where N does not divide T the low end is left out.
-    #[default]
     Document,
     /// `(N-1-i) floor(T/N)`: ends at 0, does not reach T-1.
     Leading,
     /// `floor((T-1) (N-1-i) / (N-1))`, in integers; T-1 for N = 1. Both ends (section 7.3).
+    #[default]
     Linspace,
     /// `round(T (N-i) / N) - 1`, ties to even: begins at T-1, ends near T/N.
     Trailing,
@@ -39,9 +39,9 @@ pub enum TimestepSpacing {
 #[serde(rename_all = "snake_case")]
 pub enum FinalAlpha {
     /// On timestep 0, whose noise stays in the sample: `abar[0]` (section 8.1).
-    #[default]
     First,
     /// On the clean motion: `abar = 1` (section 7.3).
+    #[default]
     One,
 }
 
@@ -75,7 +75,7 @@ impl Default for SamplerConfig {
             guidance_scale: 1.0,
             timestep_spacing: TimestepSpacing::default(),
             final_alpha: FinalAlpha::default(),
-            recompute_epsilon: false,
+            recompute_epsilon: true,
         }
     }
 }
