@@ -240,6 +240,7 @@ fn golden_ddim_step() {
         let (from, to): (usize, usize) = (from.parse().unwrap(), to.parse().unwrap());
         let config = SamplerConfig {
             eta: eta.parse().unwrap(),
+            recompute_epsilon: false,
             ..Default::default()
         };
         let x_t = input("x");

@@ -133,7 +133,7 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
         return Err(damaged("the checksum does not match".into()));
     }
     let parsed = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
-    parsed
+    let mut parameters = parsed
         .iter()
         .map(|(name, view)| {
             if view.dtype() != Dtype::F32 {
@@ -146,5 +146,8 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
             };
             Ok(HostParameter { info, values })
         })
-        .collect()
+        .collect::<Result<Vec<_>, Error>>()?;
+    // The library hands them out in any order.
+    parameters.sort_by(|a, b| a.info.name.cmp(&b.info.name));
+    Ok(parameters)
 }
