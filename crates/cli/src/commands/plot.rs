@@ -225,7 +225,8 @@ fn bounds(values: impl Iterator<Item = f64>) -> Range<f64> {
     if low > high {
         return 0.0..1.0;
     }
-    let margin = (0.05 * (high - low)).max(1e-3);
+    // Rounding noise around a constant is not worth filling the panel with.
+    let margin = (0.05 * (high - low)).max(1e-3 * high.abs().max(low.abs()).max(1e-6));
     low - margin..high + margin
 }
 
