@@ -144,6 +144,10 @@ pub struct SampleArguments {
     /// Signal level after the last step [default: the run's, else one]
     #[arg(long, value_name = "LEVEL")]
     pub final_alpha: Option<FinalAlphaName>,
+    /// After clipping, go on with the noise that belongs to the clipped motion [default: the
+    /// run's, else true]
+    #[arg(long, value_name = "BOOL")]
+    pub recompute_epsilon: Option<bool>,
     /// What the predicted clean motion is clipped to [default: the run's, else training-range]
     #[arg(long, value_name = "RANGE")]
     pub clip: Option<ClipName>,

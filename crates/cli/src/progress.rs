@@ -7,8 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use kinegrad_train::run::RunSummary;
-use kinegrad_train::{Observer, StepReport};
+use kinegrad_train::{Observer, RunSummary, StepReport};
 
 use crate::output::grouped;
 

@@ -256,6 +256,59 @@ mod tests {
     }
 
     #[test]
+    fn flipped_quaternions_are_the_same_orientations() {
+        let phrase = synthetic::phrase(0, 20, 1);
+        let flipping = sampler(|config| config.augment.flip_quaternion = true);
+        let mut flipped = 0;
+        for n in 0..40 {
+            let (motion, audio) = flipping.sample(&alone(&phrase), n);
+            assert_eq!(audio, phrase.audio);
+            let sign = motion
+                .quaternion(0)
+                .dot(phrase.motion.quaternion(0))
+                .signum();
+            flipped += usize::from(sign < 0.0);
+            for t in 0..20 {
+                let (a, b) = (
+                    motion.quaternion(t),
+                    phrase.motion.quaternion(t).scale(sign),
+                );
+                assert_eq!((a.w, a.x, a.y, a.z), (b.w, b.x, b.y, b.z));
+            }
+        }
+        assert!((10..30).contains(&flipped), "{flipped} of 40");
+    }
+
+    #[test]
+    fn audio_masks_zero_stretches_and_bands_and_leave_the_rest() {
+        let phrase = Phrase {
+            audio: AudioFeatures::new(20, vec![1.0; AUDIO_CHANNELS * 20]).expect("a size"),
+            ..synthetic::phrase(0, 20, 1)
+        };
+        let masking = sampler(|config| config.augment.audio_masks = 1);
+        let mut masked = 0.0;
+        for n in 0..100 {
+            let (motion, audio) = masking.sample(&alone(&phrase), n);
+            assert_eq!(motion, phrase.motion);
+            let silent = |t: usize| (0..AUDIO_CHANNELS).all(|c| audio.channel(c)[t] == 0.0);
+            let frames = (0..20).filter(|&t| silent(t)).count();
+            let dark = (0..AUDIO_CHANNELS).filter(|&c| audio.channel(c).iter().all(|v| *v == 0.0));
+            let channels = dark.count();
+            assert!(
+                frames <= 4 && channels <= AUDIO_CHANNELS / 4,
+                "{frames} {channels}"
+            );
+            let kept = audio.as_slice().iter().filter(|v| **v == 1.0).count();
+            assert_eq!(kept, (20 - frames) * (AUDIO_CHANNELS - channels));
+            masked += 1.0 - kept as f64 / (20 * AUDIO_CHANNELS) as f64;
+        }
+        assert!(
+            (5.0..40.0).contains(&masked),
+            "{masked} % masked on average"
+        );
+    }
+
+    #[test]
     fn switching_one_augmentation_on_moves_no_other() {
         let phrase = synthetic::phrase(0, 40, 1);
         let one = sampler(|config| config.augment.min_frames = Some(8));

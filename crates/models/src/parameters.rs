@@ -209,3 +209,70 @@ fn to_host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
         .try_into_vec_as::<f32>()
         .expect("parameters are float32")
 }
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+    use crate::Initializer;
+    use crate::layers::Linear;
+
+    fn layer() -> Linear {
+        Linear::new(3, 2, &Initializer::new(1, &Device::flex()))
+    }
+
+    #[test]
+    fn what_is_exported_loads_again() {
+        let weights = export(&layer());
+        let names: Vec<&str> = weights.iter().map(|p| p.info.name.as_str()).collect();
+        assert_eq!(names, ["weight", "bias"]);
+        let other = Linear::new(3, 2, &Initializer::new(2, &Device::flex()));
+        assert_ne!(export(&other), weights);
+        let loaded = load(other, weights.clone()).expect("the weights fit");
+        assert_eq!(export(&loaded), weights);
+    }
+
+    #[test]
+    fn weights_of_another_architecture_are_refused_by_name() {
+        let weights = export(&layer());
+        let missing = load(layer(), weights[..1].to_vec()).expect_err("no bias");
+        assert!(
+            missing
+                .to_string()
+                .contains("no parameter `bias` (shape [2])"),
+            "{missing}"
+        );
+
+        let mut more = weights.clone();
+        more.push(weights[0].clone());
+        more[2].info.name = "gain".into();
+        let unexpected = load(layer(), more).expect_err("a gain");
+        assert!(unexpected.to_string().contains("`gain`"), "{unexpected}");
+
+        let mut turned = weights.clone();
+        turned[0].info.shape = vec![3, 2];
+        let shape = load(layer(), turned)
+            .expect_err("a turned weight")
+            .to_string();
+        assert!(
+            shape.contains("`weight` has shape [3, 2]") && shape.contains("[2, 3]"),
+            "{shape}"
+        );
+    }
+
+    #[test]
+    fn updates_reach_the_parameters_in_order() {
+        let before = export(&layer());
+        let after = export(&update(layer(), |index, values| {
+            values
+                .iter_mut()
+                .for_each(|value| *value += index as f32 + 1.0);
+        }));
+        for (index, (before, after)) in before.iter().zip(&after).enumerate() {
+            for (b, a) in before.values.iter().zip(&after.values) {
+                assert_eq!(*a, b + index as f32 + 1.0);
+            }
+        }
+    }
+}

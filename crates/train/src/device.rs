@@ -104,7 +104,8 @@ pub fn open(name: &str) -> Result<(Device, String), Error> {
         return KINDS
             .iter()
             .filter(|kind| kind.automatic)
-            .find_map(|kind| Some((works(kind, 0)?, kind.name.to_string())))
+            .filter_map(|kind| Some((works(kind, 0)?, kind.name.to_string())))
+            .find(|(device, _)| !is_software(device))
             .ok_or_else(|| refuse("no device works on this machine".into()));
     }
     let (kind_name, index) = match name.split_once(':') {
@@ -128,6 +129,35 @@ pub fn open(name: &str) -> Result<(Device, String), Error> {
     let device = works(kind, index)
         .ok_or_else(|| refuse("the machine has no such device, or its driver fails".into()))?;
     Ok((device, name.to_string()))
+}
+
+/// Whether the device is a graphics driver that computes on the CPU, far slower than Flex does.
+#[cfg(any(
+    feature = "wgpu",
+    feature = "vulkan",
+    feature = "metal",
+    feature = "cuda"
+))]
+fn is_software(device: &Device) -> bool {
+    let name = device
+        .identity()
+        .map(|identity| identity.name.to_lowercase());
+    name.is_some_and(|name| {
+        ["llvmpipe", "swiftshader", "software"]
+            .iter()
+            .any(|s| name.contains(s))
+    })
+}
+
+/// Without a graphics backend there is no such device.
+#[cfg(not(any(
+    feature = "wgpu",
+    feature = "vulkan",
+    feature = "metal",
+    feature = "cuda"
+)))]
+fn is_software(_: &Device) -> bool {
+    false
 }
 
 /// Opens a device and adds two numbers on it; drivers that are missing panic inside the backend.

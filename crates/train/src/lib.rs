@@ -10,6 +10,7 @@ pub mod device;
 pub mod ema;
 mod error;
 pub mod generate;
+mod observer;
 pub mod optim;
 pub mod recipes;
 pub mod run;
@@ -18,4 +19,5 @@ mod trainer;
 
 pub use config::Config;
 pub use error::Error;
-pub use trainer::{Ending, Observer, StepReport, Trainer, TrainerParts};
+pub use observer::{Observer, RunSummary, StepReport};
+pub use trainer::{Ending, Trainer, TrainerParts};

@@ -14,8 +14,9 @@ use kinegrad_motion::phrase::CHANNELS;
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::{self, Config};
 use crate::error::Error;
+use crate::observer::{Observer, RunSummary};
 use crate::recipes::DiffusionRecipe;
-use crate::trainer::{Ending, Observer, Trainer, TrainerParts};
+use crate::trainer::{Ending, Trainer, TrainerParts};
 
 /// What `kinegrad train` is asked to do.
 #[derive(Clone, Debug)]
@@ -28,29 +29,6 @@ pub struct TrainRequest {
     pub runs_dir: PathBuf,
     /// Continue the run instead of starting it.
     pub resume: bool,
-}
-
-/// What a run is about, told before its first step.
-#[derive(Clone, Debug)]
-pub struct RunSummary {
-    /// Name of the run.
-    pub name: String,
-    /// Its folder.
-    pub folder: PathBuf,
-    /// Name of the device.
-    pub device: String,
-    /// Number of parameters.
-    pub parameters: usize,
-    /// Phrases trained on.
-    pub train_phrases: usize,
-    /// Phrases held out.
-    pub validation_phrases: usize,
-    /// Phrases left out as unusable, with the reason.
-    pub skipped: Vec<(String, String)>,
-    /// Steps done before.
-    pub step: u64,
-    /// Steps in all.
-    pub max_steps: u64,
 }
 
 /// How a request ended.

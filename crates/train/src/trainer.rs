@@ -1,6 +1,6 @@
 //! The one training loop.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use burn::module::Module;
@@ -13,41 +13,10 @@ use crate::checkpoint::{Best, Checkpoint, CheckpointRef, Checkpoints, FORMAT, Pr
 use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;
+use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
 use crate::recipes::{Loss, Recipe, StepKey};
-use crate::run::RunSummary;
 use crate::telemetry::{Metrics, Record};
-
-/// What the trainer tells, and asks, whoever started it.
-pub trait Observer {
-    /// The run was set up and trains from now on (or was finished before).
-    fn started(&mut self, summary: &RunSummary);
-    /// A step was done.
-    fn stepped(&mut self, report: &StepReport);
-    /// The held-out phrases were measured; `best` if no earlier loss was lower.
-    fn validated(&mut self, step: u64, val_loss: f64, best: bool);
-    /// A checkpoint was written.
-    fn saved(&mut self, path: &Path);
-    /// Something is doubtful and does not stop the run.
-    fn warning(&mut self, text: &str);
-    /// Whether the user wants the run to stop; it then writes a checkpoint.
-    fn stop_requested(&self) -> bool;
-}
-
-/// One optimiser step.
-#[derive(Clone, Copy, Debug)]
-pub struct StepReport {
-    /// Steps done, this one included.
-    pub step: u64,
-    /// Steps in all.
-    pub max_steps: u64,
-    /// Loss, averaged over the micro-batches.
-    pub loss: f64,
-    /// Learning rate of the first group.
-    pub learning_rate: f64,
-    /// Global norm of the gradient before clipping.
-    pub grad_norm: f64,
-}
 
 /// How training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -223,7 +192,7 @@ impl<R: Recipe> Trainer<R> {
     }
 
     fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Record, Error> {
-        let Config { train, optim, .. } = self.config.clone();
+        let (train, optim) = (self.config.train.clone(), self.config.optim.clone());
         let micro_batches = train.gradient_accumulation_steps;
         let mut gradients: Vec<Vec<f32>> = Vec::new();
         let mut loss = 0.0;
@@ -281,7 +250,7 @@ impl<R: Recipe> Trainer<R> {
         let mut record = Record::new(self.step)
             .with("loss", loss)
             .with("lr", rate)
-            .with("lr_unet", rate)
+            .with(format!("lr_{}", self.recipe.group()), rate)
             .with("grad_norm", grad_norm);
         for (name, value) in terms {
             record = record.with(format!("loss_{name}"), value);

@@ -88,6 +88,9 @@ fn sampler(arguments: &SampleArguments, config: &Config) -> SamplerConfig {
         None => {}
     }
     sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
+    sampler.recompute_epsilon = arguments
+        .recompute_epsilon
+        .unwrap_or(sampler.recompute_epsilon);
     sampler.eta = arguments.eta.unwrap_or(sampler.eta);
     sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
     sampler

@@ -95,6 +95,10 @@ impl DiffusionRecipe {
 impl Recipe for DiffusionRecipe {
     type Model = UNet1d;
 
+    fn group(&self) -> &'static str {
+        "unet"
+    }
+
     fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let Inputs {
             x_start,

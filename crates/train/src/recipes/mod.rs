@@ -48,6 +48,9 @@ pub trait Recipe {
     /// The networks that are trained.
     type Model: Module;
 
+    /// Name of the optimiser group, as in the metric `lr_<group>`.
+    fn group(&self) -> &'static str;
+
     /// The loss of a training batch.
     fn loss(&self, model: &Self::Model, batch: &Batch, key: StepKey, device: &Device) -> Loss;
 
