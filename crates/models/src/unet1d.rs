@@ -76,7 +76,7 @@ impl UNet1dConfig {
             );
         }
         for channels in self.channels() {
-            if channels == 0 || channels % GROUPS != 0 {
+            if channels == 0 || !channels.is_multiple_of(GROUPS) {
                 return refuse(
                     "model_channels",
                     format!("{} (a level of {channels} channels)", self.model_channels),
@@ -105,7 +105,7 @@ impl UNet1dConfig {
             .chain([self.channel_mult.len() - 1]);
         for level in attending {
             let channels = self.channels()[level];
-            if self.num_heads == 0 || channels % self.num_heads != 0 {
+            if self.num_heads == 0 || !channels.is_multiple_of(self.num_heads) {
                 return refuse(
                     "num_heads",
                     self.num_heads.to_string(),
