@@ -32,6 +32,7 @@ mod error;
 pub mod loss;
 mod per_sample;
 pub mod process;
+pub mod rollout;
 pub mod sampler;
 pub mod schedule;
 
@@ -40,6 +41,7 @@ pub use denoiser::{Denoiser, guided};
 pub use error::Error;
 pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
+pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
     Clip, FinalAlpha, SamplerConfig, SamplerKind, StepInput, StepOutput, TimestepSpacing,
     ddim_step, ddpm_step, sample, timesteps,

@@ -26,8 +26,8 @@ impl Dropout {
     /// Applies the mask of `key`, or returns `x` as it is without a key.
     ///
     /// # Shapes
-    /// - x, output: `[batch, channels, time]`
-    pub fn forward(&self, x: Tensor<3>, key: DropoutKey) -> Tensor<3> {
+    /// - x, output: any
+    pub fn forward<const D: usize>(&self, x: Tensor<D>, key: DropoutKey) -> Tensor<D> {
         let Some(key) = key.filter(|_| self.prob > 0.0) else {
             return x;
         };

@@ -5,11 +5,11 @@ use thiserror::Error;
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A setting that no network can be built from.
-    #[error("`model.{key}` is {found}, allowed: {allowed}")]
+    #[error("`{key}` is {found}, allowed: {allowed}")]
     #[diagnostic(help("{hint}"))]
     Config {
-        /// Key under the table `model`.
-        key: &'static str,
+        /// The key, with the table it stands in.
+        key: String,
         /// The value found.
         found: String,
         /// What is allowed.

@@ -6,17 +6,23 @@
 
 pub mod attention;
 pub mod config;
+pub mod decoder;
 pub mod dropout;
 mod error;
+pub mod gradients;
 pub mod init;
 pub mod layers;
+pub mod motion_model;
 pub mod parameters;
 pub mod res_block;
 pub mod time_embedding;
 pub mod unet1d;
 
 pub use config::{ModelConfig, ModelKind, ModelSize};
+pub use decoder::{DecoderConfig, MotionDecoder};
 pub use dropout::{Dropout, DropoutKey};
 pub use error::Error;
+pub use gradients::GradientSum;
 pub use init::Initializer;
+pub use motion_model::MotionModel;
 pub use unet1d::{UNet1d, UNet1dConfig};

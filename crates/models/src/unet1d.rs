@@ -50,9 +50,9 @@ impl UNet1dConfig {
     /// # Errors
     /// Names the key that no network can be built from.
     pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key, found: String, allowed: &str, hint: &str| {
+        let refuse = |key: &str, found: String, allowed: &str, hint: &str| {
             Err(Error::Config {
-                key,
+                key: format!("model.{key}"),
                 found,
                 allowed: allowed.into(),
                 hint: hint.into(),

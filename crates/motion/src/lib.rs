@@ -17,6 +17,7 @@
 //! ```
 
 pub mod augment;
+pub mod coherence;
 pub mod error;
 pub mod kinematics;
 pub mod moments;

@@ -49,6 +49,12 @@ pub enum Purpose {
     Synthetic = 11,
     /// Train and validation split.
     Split = 12,
+    /// Start timesteps of a rollout in training, keyed by step and micro-batch.
+    RolloutTimesteps = 13,
+    /// Start noise of a rollout in training, keyed by step and micro-batch.
+    RolloutNoise = 14,
+    /// Dropout masks of the decoder, keyed by step, micro-batch, call and layer.
+    DecoderDropout = 15,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -10,6 +10,7 @@ pub mod device;
 pub mod ema;
 mod error;
 pub mod generate;
+pub mod losses;
 mod observer;
 pub mod optim;
 pub mod recipes;

@@ -15,7 +15,7 @@ use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
-use crate::recipes::{Loss, Recipe, StepKey};
+use crate::recipes::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{Metrics, Record};
 
 /// How training ended.
@@ -35,6 +35,8 @@ pub struct Trainer<R: Recipe> {
     /// `None` only while an update holds it.
     model: Option<R::Model>,
     infos: Vec<ParameterInfo>,
+    /// Optimiser group of each parameter.
+    groups: Vec<usize>,
     optimizer: AdamW,
     ema: Ema,
     config: Config,
@@ -120,8 +122,12 @@ impl<R: Recipe> Trainer<R> {
         let checkpoints = Checkpoints::of(&folder);
         let last_saved = (step > 0).then(|| checkpoints.step_path(step));
         Ok(Self {
-            recipe,
             model: Some(model),
+            groups: infos
+                .iter()
+                .map(|info| recipe.group_of(&info.name))
+                .collect(),
+            recipe,
             infos,
             optimizer,
             ema,
@@ -153,6 +159,11 @@ impl<R: Recipe> Trainer<R> {
     /// If a number stops being one, or a file cannot be written.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.config.train.max_steps;
+        let validates = self.config.validation.every_steps > 0;
+        if self.step == 0 && validates && self.recipe.measures_first() {
+            let val_loss = self.measure()?;
+            observer.validated(0, val_loss, false);
+        }
         let ending = loop {
             if self.step >= max_steps {
                 break Ending::Finished;
@@ -218,10 +229,14 @@ impl<R: Recipe> Trainer<R> {
                     None => terms.push((name, value)),
                 }
             }
-            let total = computed.total.div_scalar(micro_batches as f64);
+            let share = Loss {
+                total: computed.total.div_scalar(micro_batches as f64),
+                terms: Vec::new(),
+                probes: Vec::new(),
+                rollout: computed.rollout,
+            };
             drop((computed.terms, computed.probes));
-            let mut tracked = total.backward();
-            accumulate(&mut gradients, parameters::gradients(model, &mut tracked));
+            accumulate(&mut gradients, self.recipe.backward(model, share));
         }
 
         let grad_norm = global_norm(&gradients);
@@ -232,11 +247,16 @@ impl<R: Recipe> Trainer<R> {
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(format!("the gradient of `{name}`")));
         }
-        let rate = learning_rate(&optim, optim.learning_rate, self.step, train.max_steps);
+        let names = train.recipe.groups();
+        let rates: Vec<f64> = names
+            .iter()
+            .map(|name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps))
+            .collect();
+        let rate = rates[0];
         self.update(
             &gradients,
             clip_factor(grad_norm, train.max_grad_norm),
-            rate,
+            &rates,
         );
         self.step += 1;
 
@@ -250,8 +270,10 @@ impl<R: Recipe> Trainer<R> {
         let mut record = Record::new(self.step)
             .with("loss", loss)
             .with("lr", rate)
-            .with(format!("lr_{}", self.recipe.group()), rate)
             .with("grad_norm", grad_norm);
+        for (name, rate) in names.iter().zip(rates) {
+            record = record.with(format!("lr_{name}"), rate);
+        }
         for (name, value) in terms {
             record = record.with(format!("loss_{name}"), value);
         }
@@ -259,8 +281,9 @@ impl<R: Recipe> Trainer<R> {
     }
 
     /// AdamW and the moving average, parameter by parameter.
-    fn update(&mut self, gradients: &[Vec<f32>], gradient_scale: f64, learning_rate: f64) {
+    fn update(&mut self, gradients: &[Vec<f32>], gradient_scale: f64, rates: &[f64]) {
         self.optimizer.begin_step();
+        let groups = &self.groups;
         let decay = self.ema.decay_at(self.step + 1);
         let (optimizer, ema) = (&mut self.optimizer, &mut self.ema);
         let model = self.model.take().expect("held between updates");
@@ -270,7 +293,7 @@ impl<R: Recipe> Trainer<R> {
                 values,
                 &gradients[index],
                 gradient_scale,
-                learning_rate,
+                rates[groups[index]],
             );
             if let Some(decay) = decay {
                 ema.update(index, values, decay);
@@ -278,15 +301,30 @@ impl<R: Recipe> Trainer<R> {
         }));
     }
 
-    /// Measures the averaged weights on the held-out phrases; true if they are the best so far.
-    fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
+    /// Measures the averaged weights on the held-out phrases and records it.
+    fn measure(&mut self) -> Result<f64, Error> {
         let device = self.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
         let averaged = parameters::replace(model, self.ema.shadow().to_vec());
-        let val_loss = self.recipe.validation_loss(&averaged, &device);
-        if !val_loss.is_finite() {
-            return Err(self.not_finite("the validation loss of the averaged weights".into()));
+        let Measured { total, terms } = self.recipe.validation_loss(&averaged, &device);
+        if !total.is_finite() {
+            let broken = terms.iter().find(|(_, value)| !value.is_finite());
+            let what = broken.map_or("the validation loss".into(), |(name, _)| {
+                format!("the validation term `{name}`")
+            });
+            return Err(self.not_finite(format!("{what} of the averaged weights")));
         }
+        let mut record = Record::new(self.step).with("val_loss", total);
+        for (name, value) in terms {
+            record = record.with(format!("val_loss_{name}"), value);
+        }
+        self.metrics.write(&record)?;
+        Ok(total)
+    }
+
+    /// Measures and keeps count of the best; true if the weights are the best so far.
+    fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
+        let val_loss = self.measure()?;
         let best = self
             .progress
             .best_val_loss
@@ -298,8 +336,6 @@ impl<R: Recipe> Trainer<R> {
         } else {
             self.progress.validations_since_best += 1;
         }
-        self.metrics
-            .write(&Record::new(self.step).with("val_loss", val_loss))?;
         observer.validated(self.step, val_loss, best);
         Ok(best)
     }

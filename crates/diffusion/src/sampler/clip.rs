@@ -23,6 +23,10 @@ pub enum Clip {
         /// Greatest value of each channel.
         max: Vec<f32>,
     },
+    /// To the bounds within, but gradients pass as if nothing were clipped (the straight-through
+    /// estimator, Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>): a rollout whose early
+    /// steps leave the bounds everywhere would else lose its gradient there.
+    StraightThrough(Box<Clip>),
 }
 
 impl Clip {
@@ -34,6 +38,7 @@ impl Clip {
     pub fn validate(&self, channels: usize) -> Result<(), Error> {
         match self {
             Self::None => Ok(()),
+            Self::StraightThrough(bounds) => bounds.validate(channels),
             Self::Symmetric(bound) => ordered(0, -bound, *bound),
             Self::PerChannel { min, max } => {
                 if min.len() != channels || max.len() != channels {
@@ -63,6 +68,10 @@ impl Clip {
         Ok(match self {
             Self::None => x,
             Self::Symmetric(bound) => x.clamp(-bound, *bound),
+            Self::StraightThrough(bounds) => {
+                let value = x.clone().without_autodiff();
+                bounds.apply(value.clone())? + (x - value)
+            }
             Self::PerChannel { min, max } => {
                 let options = (&x.device(), x.dtype());
                 let bounds = |values: &[f32]| -> Tensor<3> {

@@ -5,8 +5,10 @@
 
 mod conv1d;
 mod group_norm;
+mod layer_norm;
 mod linear;
 
 pub use conv1d::Conv1d;
 pub use group_norm::{GROUP_NORM_EPS, GROUPS, GroupNorm};
+pub use layer_norm::{LAYER_NORM_EPS, LayerNorm};
 pub use linear::Linear;

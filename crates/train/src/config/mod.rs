@@ -5,11 +5,16 @@
 //! before any work starts, and the resolved config is saved beside the run.
 
 mod difference;
+mod end_to_end;
 mod error;
 mod load;
 mod tables;
 
 pub use difference::{Difference, difference};
+pub use end_to_end::{
+    InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode,
+    RolloutStart,
+};
 pub use error::ConfigError;
 pub use load::{load, parse, to_toml};
 pub use tables::{
@@ -19,7 +24,7 @@ pub use tables::{
 
 use kinegrad_data::DataConfig;
 use kinegrad_diffusion::DiffusionConfig;
-use kinegrad_models::ModelConfig;
+use kinegrad_models::{DecoderConfig, ModelConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -32,10 +37,18 @@ pub struct Config {
     pub run: RunConfig,
     /// Where the phrases come from and how batches are made of them.
     pub data: DataConfig,
-    /// The network.
+    /// What a fine-tuning starts from.
+    pub init: InitConfig,
+    /// The denoiser.
     pub model: ModelConfig,
+    /// The motion decoder, in recipes that have one.
+    pub decoder: DecoderConfig,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
+    /// The sampler that gradients pass through, in recipes that have one.
+    pub rollout: RolloutConfig,
+    /// The losses on decoded motion, in recipes that have one.
+    pub loss: LossConfig,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,
     /// Which training, how long.
@@ -75,6 +88,10 @@ impl Config {
             .sampler
             .validate(self.diffusion.num_train_timesteps)?;
         tables::validate(self)?;
+        if self.train.recipe.rolls_out() {
+            self.decoder.validate()?;
+            end_to_end::validate(self)?;
+        }
         let mut warnings = Vec::new();
         if self.optim.warmup_steps > self.train.max_steps {
             warnings.push(format!(

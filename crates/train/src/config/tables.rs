@@ -1,6 +1,9 @@
 //! The tables of a config that belong to training itself.
 
-use kinegrad_diffusion::SamplerConfig;
+use std::collections::BTreeMap;
+
+use kinegrad_diffusion::{Clip as ClipRange, SamplerConfig};
+use kinegrad_motion::TrainingStatistics;
 use serde::{Deserialize, Serialize};
 
 use super::{Config, ConfigError};
@@ -56,6 +59,15 @@ pub struct OptimConfig {
     pub warmup_steps: u64,
     /// Form of the decay after the warm-up.
     pub lr_schedule: LrSchedule,
+    /// Rates of single groups of parameters (`unet`, `decoder`) in place of `learning_rate`.
+    pub groups: BTreeMap<String, f64>,
+}
+
+impl OptimConfig {
+    /// The rate after the warm-up of the group called `name`.
+    pub fn rate_of(&self, name: &str) -> f64 {
+        self.groups.get(name).copied().unwrap_or(self.learning_rate)
+    }
 }
 
 impl Default for OptimConfig {
@@ -67,6 +79,7 @@ impl Default for OptimConfig {
             eps: 1e-8,
             warmup_steps: 1000,
             lr_schedule: LrSchedule::Cosine,
+            groups: BTreeMap::new(),
         }
     }
 }
@@ -78,6 +91,26 @@ pub enum Recipe {
     /// A denoiser on noised motion: [`crate::recipes::diffusion`].
     #[default]
     Diffusion,
+    /// A motion decoder on latents of a frozen denoiser: [`crate::recipes::decoder`].
+    Decoder,
+    /// Denoiser and decoder together, through the sampler: [`crate::recipes::e2e`].
+    E2e,
+}
+
+impl Recipe {
+    /// The groups of parameters it trains, each with a learning rate of its own.
+    pub fn groups(self) -> &'static [&'static str] {
+        match self {
+            Self::Diffusion => &["unet"],
+            Self::Decoder => &["decoder"],
+            Self::E2e => &["unet", "decoder"],
+        }
+    }
+
+    /// Whether it runs the sampler in training, so that `rollout` and `loss` matter.
+    pub fn rolls_out(self) -> bool {
+        self != Self::Diffusion
+    }
 }
 
 /// The table `train`.
@@ -194,6 +227,20 @@ pub enum Clip {
     None,
 }
 
+impl Clip {
+    /// The bounds in normalised units.
+    pub fn range(self, statistics: &TrainingStatistics) -> ClipRange {
+        match self {
+            Self::TrainingRange => {
+                let (min, max) = statistics.normalized_range();
+                ClipRange::PerChannel { min, max }
+            }
+            Self::Unit => ClipRange::Symmetric(1.0),
+            Self::None => ClipRange::None,
+        }
+    }
+}
+
 /// The table `sampling`: how the run's samples are drawn, at its end and by `kinegrad sample`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -283,6 +330,17 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     for (key, value, allowed, range) in ranges {
         if !allowed || !value.is_finite() {
             return Err(ConfigError::range(key, value, range));
+        }
+    }
+    let groups = train.recipe.groups();
+    for (name, &rate) in &optim.groups {
+        let key = format!("optim.groups.{name}");
+        if !groups.contains(&name.as_str()) {
+            let allowed = format!("groups of this recipe: {}", groups.join(", "));
+            return Err(ConfigError::range(key, rate, allowed));
+        }
+        if !(rate >= 0.0 && rate.is_finite()) {
+            return Err(ConfigError::range(key, rate, "0 or more"));
         }
     }
     let name = &config.run.name;

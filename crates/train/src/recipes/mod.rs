@@ -3,14 +3,24 @@
 //! A recipe turns a batch into a loss and knows nothing of files, steps or devices' names; the
 //! [`crate::Trainer`] does the rest.
 
+pub mod decoder;
 pub mod diffusion;
+pub mod e2e;
+mod held_out;
+mod inputs;
+mod sampler;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
+use kinegrad_models::GradientSum;
 use kinegrad_random::{Key, Purpose};
 
+pub use decoder::DecoderRecipe;
 pub use diffusion::DiffusionRecipe;
+pub use e2e::{E2eRecipe, PendingRollout};
+pub use held_out::HeldOut;
+pub(crate) use sampler::Sampler;
 
 /// Which draws a training step uses.
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +51,28 @@ pub struct Loss {
     pub terms: Vec<(&'static str, Tensor<1>)>,
     /// Tensors on the way, in the order of computation: where a NaN is looked for.
     pub probes: Vec<(&'static str, Tensor<3>)>,
+    /// The rollout whose backward pass begins where that of `total` ends.
+    pub rollout: Option<PendingRollout>,
+}
+
+/// A loss measured on held-out phrases.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// The whole.
+    pub total: f64,
+    /// The weighted terms it is the sum of, where there are several.
+    pub terms: Vec<(&'static str, f64)>,
+}
+
+impl Measured {
+    /// Adds to the term `name`, and to the whole.
+    pub fn add(&mut self, name: &'static str, value: f64) {
+        self.total += value;
+        match self.terms.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, sum)) => *sum += value,
+            None => self.terms.push((name, value)),
+        }
+    }
 }
 
 /// A kind of training.
@@ -48,13 +80,28 @@ pub trait Recipe {
     /// The networks that are trained.
     type Model: Module;
 
-    /// Name of the optimiser group, as in the metric `lr_<group>`.
-    fn group(&self) -> &'static str;
+    /// The optimiser group of a parameter, an index into [`crate::config::Recipe::groups`].
+    fn group_of(&self, _parameter: &str) -> usize {
+        0
+    }
+
+    /// Whether the held-out phrases are measured before the first step too, because training
+    /// starts from weights that are worth something.
+    fn measures_first(&self) -> bool {
+        false
+    }
 
     /// The loss of a training batch.
     fn loss(&self, model: &Self::Model, batch: &Batch, key: StepKey, device: &Device) -> Loss;
 
+    /// The gradients of a loss, in the module's order; zeros for frozen parameters.
+    fn backward(&self, model: &Self::Model, loss: Loss) -> Vec<Vec<f32>> {
+        let mut sum = GradientSum::default();
+        sum.add(model, &mut loss.total.backward());
+        sum.into_host(model)
+    }
+
     /// The mean loss over held-out phrases, with fixed noise so that runs compare; `model` is on
     /// the plain `device`.
-    fn validation_loss(&self, model: &Self::Model, device: &Device) -> f64;
+    fn validation_loss(&self, model: &Self::Model, device: &Device) -> Measured;
 }

@@ -1,0 +1,195 @@
+//! The table `decoder` of a training config.
+
+use kinegrad_motion::CHANNELS;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// What bounds one component of the decoded motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutputActivation {
+    /// Nothing.
+    #[default]
+    None,
+    /// `range tanh(y)`: the component's entry of `output_ranges` is the range.
+    TanhScaled,
+    /// `1 / (1 + exp(-y))`.
+    Sigmoid,
+    /// Divided by its Euclidean norm over the component's channels.
+    Normalize,
+}
+
+/// One activation a component. The document's configuration and its code disagree
+/// (CC-MotionGen documentation, sections 3.3.1 and 3.3.2); these are the code's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutputActivations {
+    /// Metres.
+    pub position: OutputActivation,
+    /// Metres per second.
+    pub velocity: OutputActivation,
+    /// Metres per second squared.
+    pub acceleration: OutputActivation,
+    /// Unit norm.
+    pub quaternion: OutputActivation,
+    /// Radians per second.
+    pub angular_velocity: OutputActivation,
+    /// 0 to 1.
+    pub phase: OutputActivation,
+    /// Unbounded.
+    pub style: OutputActivation,
+}
+
+impl Default for OutputActivations {
+    fn default() -> Self {
+        use OutputActivation::{None, Normalize, Sigmoid, TanhScaled};
+        Self {
+            position: None,
+            velocity: TanhScaled,
+            acceleration: None,
+            quaternion: Normalize,
+            angular_velocity: None,
+            phase: Sigmoid,
+            style: None,
+        }
+    }
+}
+
+/// The ranges of `tanh_scaled`, in each component's unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutputRanges {
+    /// Metres.
+    pub position: f64,
+    /// Metres per second.
+    pub velocity: f64,
+    /// Metres per second squared.
+    pub acceleration: f64,
+    /// Radians per second.
+    pub angular_velocity: f64,
+    /// The dataset's units.
+    pub style: f64,
+}
+
+impl Default for OutputRanges {
+    fn default() -> Self {
+        Self {
+            position: 100.0,
+            velocity: 20.0,
+            acceleration: 100.0,
+            angular_velocity: 10.0,
+            style: 10.0,
+        }
+    }
+}
+
+/// How position, velocity and acceleration of the decoded motion agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Coherence {
+    /// As the heads say: only the losses pull them together (the document's decoder).
+    #[default]
+    None,
+    /// The heads' position, velocity and acceleration are replaced by those of the nearest
+    /// trajectory that has all three ([`kinegrad_motion::coherence`]), and the quaternion keeps
+    /// its sign from frame to frame.
+    Projection,
+}
+
+/// What the weights of a decoder start as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DecoderInit {
+    /// The inverse of the normalisation, as near as the output activations allow.
+    #[default]
+    Identity,
+    /// Uniform, as PyTorch's layers.
+    Random,
+}
+
+/// Which decoder to build.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DecoderConfig {
+    /// Width of the residual stream.
+    pub hidden_dim: usize,
+    /// Residual blocks.
+    pub num_layers: usize,
+    /// Dropout inside the residual blocks.
+    pub dropout: f64,
+    /// What bounds each component.
+    pub output_activations: OutputActivations,
+    /// The bounds of `tanh_scaled`.
+    pub output_ranges: OutputRanges,
+    /// How position, velocity and acceleration agree.
+    pub coherence: Coherence,
+    /// What the weights start as.
+    pub init: DecoderInit,
+}
+
+impl Default for DecoderConfig {
+    fn default() -> Self {
+        Self {
+            hidden_dim: 256,
+            num_layers: 3,
+            dropout: 0.1,
+            output_activations: OutputActivations::default(),
+            output_ranges: OutputRanges::default(),
+            coherence: Coherence::default(),
+            init: DecoderInit::default(),
+        }
+    }
+}
+
+impl DecoderConfig {
+    /// # Errors
+    /// Names the key that no decoder can be built from.
+    pub fn validate(&self) -> Result<(), Error> {
+        let least = match self.init {
+            DecoderInit::Identity => CHANNELS,
+            DecoderInit::Random => 1,
+        };
+        let ranges = &self.output_ranges;
+        let ranges = [
+            ("position", ranges.position),
+            ("velocity", ranges.velocity),
+            ("acceleration", ranges.acceleration),
+            ("angular_velocity", ranges.angular_velocity),
+            ("style", ranges.style),
+        ];
+        let bad_range = ranges
+            .iter()
+            .find(|(_, range)| !(*range > 0.0 && range.is_finite()));
+        let (key, found, allowed, hint) = if self.hidden_dim < least {
+            (
+                "hidden_dim".to_string(),
+                self.hidden_dim.to_string(),
+                format!("{least} or more"),
+                "the document has 256; `decoder.init = \"random\"` allows fewer than 25",
+            )
+        } else if !(0.0..1.0).contains(&self.dropout) {
+            (
+                "dropout".to_string(),
+                self.dropout.to_string(),
+                "0 to below 1".to_string(),
+                "the document has 0.1",
+            )
+        } else if let Some((component, range)) = bad_range {
+            (
+                format!("output_ranges.{component}"),
+                range.to_string(),
+                "more than 0".to_string(),
+                "a velocity of 20 m/s is the document's",
+            )
+        } else {
+            return Ok(());
+        };
+        Err(Error::Config {
+            key: format!("decoder.{key}"),
+            found,
+            allowed,
+            hint: hint.into(),
+        })
+    }
+}

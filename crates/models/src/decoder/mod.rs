@@ -1,0 +1,265 @@
+//! From a sampler's latent to motion in physical units (CC-MotionGen documentation, section 3.3).
+
+mod config;
+mod identity;
+
+use burn::module::Module;
+use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
+use kinegrad_motion::phrase::{ACCELERATION, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY};
+
+pub use config::{
+    Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
+};
+
+use crate::layers::{LayerNorm, Linear};
+use crate::{Dropout, DropoutKey, Error, Initializer};
+
+/// A quaternion of a smaller norm is not divided by it.
+const LEAST_NORM: f64 = 1e-12;
+
+/// Mean and deviation of each channel, by which the latent is normalised: `[25]` each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Normalization {
+    /// What was subtracted.
+    pub mean: Vec<f64>,
+    /// What was divided by.
+    pub std: Vec<f64>,
+}
+
+/// A torch `Sequential`: LayerNorm, Linear, GELU, Dropout, Linear, Dropout.
+#[derive(Module, Debug)]
+struct Layers {
+    at_0: LayerNorm,
+    at_1: Linear,
+    at_4: Linear,
+}
+
+/// `h + Linear(GELU(Linear(LayerNorm(h))))`, four times as wide inside.
+#[derive(Module, Debug)]
+struct DecoderBlock {
+    layers: Layers,
+    dropout: Dropout,
+    dropout_out: Dropout,
+}
+
+impl DecoderBlock {
+    fn forward(&self, h: Tensor<2>, dropout: DropoutKey) -> Tensor<2> {
+        let inner = gelu(
+            self.layers
+                .at_1
+                .forward(self.layers.at_0.forward(h.clone())),
+        );
+        let inner = self
+            .layers
+            .at_4
+            .forward(self.dropout.forward(inner, dropout));
+        h + self.dropout_out.forward(inner, dropout)
+    }
+}
+
+/// Decodes each frame by itself: an input projection, residual blocks, one linear head a
+/// component, the component's activation; then, if configured, the projection onto coherent
+/// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
+///
+/// The latent is the normalised motion that a sampler draws; the output is in metres, seconds and
+/// radians.
+#[derive(Module, Debug)]
+pub struct MotionDecoder {
+    input_proj: Linear,
+    blocks: Vec<DecoderBlock>,
+    position_head: Linear,
+    velocity_head: Linear,
+    acceleration_head: Linear,
+    quaternion_head: Linear,
+    angular_velocity_head: Linear,
+    phase_head: Linear,
+    style_head: Linear,
+    #[module(skip)]
+    activations: OutputActivations,
+    #[module(skip)]
+    ranges: OutputRanges,
+    #[module(skip)]
+    coherence: Coherence,
+    #[module(skip)]
+    normalization: Normalization,
+}
+
+impl DecoderConfig {
+    /// Builds the decoder of latents that were normalised as `normalization` says.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate).
+    ///
+    /// # Panics
+    /// Panics if the normalisation has not 25 channels.
+    pub fn init(
+        &self,
+        normalization: Normalization,
+        init: &Initializer,
+    ) -> Result<MotionDecoder, Error> {
+        self.validate()?;
+        assert_eq!(normalization.mean.len(), CHANNELS, "means");
+        assert_eq!(normalization.std.len(), CHANNELS, "deviations");
+        let hidden = self.hidden_dim;
+        let head =
+            |name: &str, outputs| Linear::new(hidden, outputs, &init.at(&format!("{name}_head")));
+        let decoder = MotionDecoder {
+            input_proj: Linear::new(CHANNELS, hidden, &init.at("input_proj")),
+            blocks: (0..self.num_layers)
+                .map(|i| {
+                    let init = init.at("blocks").at(&i.to_string()).at("layers");
+                    DecoderBlock {
+                        layers: Layers {
+                            at_0: LayerNorm::new(hidden, &init.at("0")),
+                            at_1: Linear::new(hidden, 4 * hidden, &init.at("1")),
+                            at_4: Linear::new(4 * hidden, hidden, &init.at("4")),
+                        },
+                        dropout: Dropout::new(self.dropout, 2 * i),
+                        dropout_out: Dropout::new(self.dropout, 2 * i + 1),
+                    }
+                })
+                .collect(),
+            position_head: head("position", 3),
+            velocity_head: head("velocity", 3),
+            acceleration_head: head("acceleration", 3),
+            quaternion_head: head("quaternion", 4),
+            angular_velocity_head: head("angular_velocity", 3),
+            phase_head: head("phase", 1),
+            style_head: head("style", 8),
+            activations: self.output_activations,
+            ranges: self.output_ranges,
+            coherence: self.coherence,
+            normalization,
+        };
+        Ok(match self.init {
+            DecoderInit::Random => decoder,
+            DecoderInit::Identity => identity::identity(decoder),
+        })
+    }
+}
+
+impl MotionDecoder {
+    /// # Shapes
+    /// - latent: `[batch, 25, time]`, normalised
+    /// - output: `[batch, 25, time]`, physical units
+    pub fn forward(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let [batch, channels, time] = latent.dims();
+        let rows = latent.swap_dims(1, 2).reshape([batch * time, channels]);
+        let mut h = self.input_proj.forward(rows);
+        for block in &self.blocks {
+            h = block.forward(h, dropout);
+        }
+        let (bounds, ranges) = (&self.activations, &self.ranges);
+        let heads = [
+            (&self.position_head, bounds.position, ranges.position),
+            (&self.velocity_head, bounds.velocity, ranges.velocity),
+            (
+                &self.acceleration_head,
+                bounds.acceleration,
+                ranges.acceleration,
+            ),
+            (&self.quaternion_head, bounds.quaternion, 1.0),
+            (
+                &self.angular_velocity_head,
+                bounds.angular_velocity,
+                ranges.angular_velocity,
+            ),
+            (&self.phase_head, bounds.phase, 1.0),
+            (&self.style_head, bounds.style, ranges.style),
+        ];
+        let components = heads
+            .into_iter()
+            .map(|(head, activation, range)| bounded(head.forward(h.clone()), activation, range))
+            .collect();
+        let motion = Tensor::cat(components, 1)
+            .reshape([batch, time, CHANNELS])
+            .swap_dims(1, 2);
+        match self.coherence {
+            Coherence::None => motion,
+            Coherence::Projection => self.project(motion),
+        }
+    }
+
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, and makes the
+    /// quaternion's sign continuous.
+    fn project(&self, motion: Tensor<3>) -> Tensor<3> {
+        let [batch, _, time] = motion.dims();
+        let device = motion.device();
+        let std = &self.normalization.std;
+        // One column of estimates per sample and axis: [3, 3 time, batch].
+        let estimates = [POSITION, VELOCITY, ACCELERATION].map(|component| {
+            let scales: Vec<f32> = std[component.clone()].iter().map(|s| *s as f32).collect();
+            let scales = Tensor::<3>::from_data(TensorData::new(scales, [1, 3, 1]), &device);
+            motion.clone().slice([0..batch, component]) / scales
+        });
+        let estimates = Tensor::cat(estimates.to_vec(), 2).permute([1, 2, 0]);
+        let fits: Vec<f32> = (0..3)
+            .flat_map(|axis| {
+                let scale = |component: std::ops::Range<usize>| std[component.start + axis];
+                coherent_fit(
+                    time,
+                    [scale(POSITION), scale(VELOCITY), scale(ACCELERATION)],
+                )
+            })
+            .collect();
+        let extended = time + EXTRA_FRAMES;
+        let fits = TensorData::new(fits, [3, extended, 3 * time]);
+        let position = Tensor::<3>::from_data(fits, &device).matmul(estimates);
+        let position = position.permute([2, 0, 1]);
+        let velocity = differences(position.clone());
+        let acceleration = differences(velocity.clone());
+        let quaternion = sign_continuous(motion.clone().slice([0..batch, QUATERNION]));
+        Tensor::cat(
+            vec![
+                position.narrow(2, 0, time),
+                velocity.narrow(2, 0, time),
+                acceleration,
+                quaternion,
+                motion.slice([0..batch, QUATERNION.end..CHANNELS]),
+            ],
+            1,
+        )
+    }
+}
+
+fn bounded(y: Tensor<2>, activation: OutputActivation, range: f64) -> Tensor<2> {
+    match activation {
+        OutputActivation::None => y,
+        OutputActivation::TanhScaled => y.tanh() * range,
+        OutputActivation::Sigmoid => sigmoid(y),
+        OutputActivation::Normalize => {
+            // The root's gradient at zero is infinite: the square is bounded below instead.
+            let square = y.clone().square().sum_dim(1);
+            y / square.clamp_min(LEAST_NORM * LEAST_NORM).sqrt()
+        }
+    }
+}
+
+/// Forward differences over time, per second: `[batch, channels, time - 1]`.
+fn differences(x: Tensor<3>) -> Tensor<3> {
+    let time = x.dims()[2];
+    (x.clone().narrow(2, 1, time - 1) - x.narrow(2, 0, time - 1)) * FPS
+}
+
+/// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of the one before.
+/// The signs are constants to the gradient.
+fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
+    let time = quaternion.dims()[2];
+    if time < 2 {
+        return quaternion;
+    }
+    let known = quaternion.clone().inner();
+    let dots = (known.clone().narrow(2, 1, time - 1) * known.narrow(2, 0, time - 1)).sum_dim(1);
+    let flips = dots.lower_elem(0.0).float() * -2.0 + 1.0;
+    let signs = Tensor::cat(vec![flips.clone().narrow(2, 0, 1).ones_like(), flips], 2).cumprod(2);
+    let signs = match quaternion.is_autodiff() {
+        true => signs.autodiff(),
+        false => signs,
+    };
+    quaternion * signs
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,124 @@
+use burn::tensor::Device;
+use kinegrad_motion::phrase::PHASE;
+use kinegrad_random::{Key, Purpose};
+
+use super::*;
+
+fn normalization() -> Normalization {
+    let mut mean: Vec<f64> = (0..CHANNELS).map(|c| 0.1 * c as f64 - 1.0).collect();
+    let mut std: Vec<f64> = (0..CHANNELS).map(|c| 0.5 + 0.1 * c as f64).collect();
+    mean[QUATERNION].fill(0.0);
+    std[QUATERNION].fill(1.0);
+    (mean[PHASE], std[PHASE]) = (0.5, 0.5);
+    Normalization { mean, std }
+}
+
+fn decoder(coherence: Coherence, device: &Device) -> MotionDecoder {
+    let config = DecoderConfig {
+        hidden_dim: 40,
+        coherence,
+        ..Default::default()
+    };
+    config
+        .init(normalization(), &Initializer::new(3, device))
+        .unwrap()
+}
+
+fn latent(seed: u64, shape: [usize; 3], device: &Device) -> Tensor<3> {
+    let values = Key::new(seed, Purpose::Noise).normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+fn values(x: Tensor<3>) -> Vec<f32> {
+    x.into_data().try_to_vec::<f32>().unwrap()
+}
+
+fn largest(x: Tensor<3>) -> f32 {
+    x.abs().max().into_scalar()
+}
+
+#[test]
+fn a_fresh_decoder_undoes_the_normalisation() {
+    let device = Device::flex();
+    let x = latent(1, [2, CHANNELS, 7], &device) * 0.3;
+    let found = values(decoder(Coherence::None, &device).forward(x.clone(), None));
+    let (mean, std) = (normalization().mean, normalization().std);
+    let x = values(x);
+    for (index, (found, x)) in found.iter().zip(&x).enumerate() {
+        let channel = index / 7 % CHANNELS;
+        let expected = f64::from(*x) * std[channel] + mean[channel];
+        let allowed = match channel {
+            c if QUATERNION.contains(&c) => continue,
+            c if VELOCITY.contains(&c) => 2e-3,
+            PHASE => 0.1,
+            _ => 1e-5,
+        };
+        let error = (f64::from(*found) - expected).abs();
+        assert!(error < allowed, "channel {channel}: {found} for {expected}");
+    }
+}
+
+#[test]
+fn projected_motion_is_coherent_and_keeps_its_sign() {
+    let device = Device::flex();
+    let time = 9;
+    let decoder = decoder(Coherence::Projection, &device);
+    let y = decoder.forward(latent(2, [3, CHANNELS, time], &device), None);
+    assert_eq!(y.dims(), [3, CHANNELS, time]);
+    let part = |range: std::ops::Range<usize>| y.clone().slice([0..3, range]);
+    for (of, derivative) in [(POSITION, VELOCITY), (VELOCITY, ACCELERATION)] {
+        let error = part(derivative).narrow(2, 0, time - 1) - differences(part(of));
+        assert!(largest(error) < 1e-3, "{:?}", values(y.clone()));
+    }
+    let q = part(QUATERNION);
+    let dots = (q.clone().narrow(2, 1, time - 1) * q.clone().narrow(2, 0, time - 1)).sum_dim(1);
+    assert!(dots.min().into_scalar::<f32>() >= 0.0);
+    let norms = q.square().sum_dim(1);
+    assert!(largest(norms - 1.0) < 1e-5);
+    // Projecting what is coherent already changes nothing.
+    assert!(largest(decoder.project(y.clone()) - y) < 2e-2);
+}
+
+#[test]
+fn gradients_stay_finite_at_a_vanishing_quaternion() {
+    let device = Device::flex().autodiff();
+    let decoder = decoder(Coherence::Projection, &device);
+    let x = Tensor::<3>::zeros([1, CHANNELS, 4], &device).require_grad();
+    let gradients = decoder.forward(x.clone(), None).square().sum().backward();
+    let gradient = x.grad(&gradients).expect("a gradient");
+    assert!(values(gradient).iter().all(|g| g.is_finite()));
+}
+
+#[test]
+fn bad_sizes_are_refused_by_key() {
+    let cases = [
+        (
+            DecoderConfig {
+                hidden_dim: 24,
+                ..Default::default()
+            },
+            "decoder.hidden_dim` is 24",
+        ),
+        (
+            DecoderConfig {
+                dropout: 1.0,
+                ..Default::default()
+            },
+            "decoder.dropout` is 1",
+        ),
+        (
+            DecoderConfig {
+                output_ranges: OutputRanges {
+                    velocity: 0.0,
+                    ..Default::default()
+                },
+                ..Default::default()
+            },
+            "decoder.output_ranges.velocity` is 0",
+        ),
+    ];
+    for (config, expected) in cases {
+        let text = config.validate().unwrap_err().to_string();
+        assert!(text.contains(expected), "{text}");
+    }
+}

@@ -1,0 +1,58 @@
+//! Gradients of several backward passes, summed on the device.
+
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::tensor::{Gradients, Tensor};
+
+/// The sum of the gradients of a module's parameters, in the module's order
+/// ([`crate::parameters`]).
+#[derive(Debug, Default)]
+pub struct GradientSum(Vec<Option<Tensor<1>>>);
+
+impl GradientSum {
+    /// Takes the gradients of `module`'s parameters out of `gradients` and adds them.
+    pub fn add<M: Module>(&mut self, module: &M, gradients: &mut Gradients) {
+        struct Visitor<'a> {
+            gradients: &'a mut Gradients,
+            sums: &'a mut Vec<Option<Tensor<1>>>,
+            index: usize,
+        }
+        impl ModuleVisitor for Visitor<'_> {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                if self.sums.len() == self.index {
+                    self.sums.push(None);
+                }
+                let sum = &mut self.sums[self.index];
+                self.index += 1;
+                if let Some(gradient) = param.val().grad_remove(self.gradients) {
+                    let len = gradient.shape().num_elements();
+                    let gradient = gradient.without_autodiff().reshape([len]);
+                    *sum = Some(match sum.take() {
+                        Some(sum) => sum + gradient,
+                        None => gradient,
+                    });
+                }
+            }
+        }
+        module.visit(&mut Visitor {
+            gradients,
+            sums: &mut self.0,
+            index: 0,
+        });
+    }
+
+    /// The sums on the host; zeros for a parameter that had no part in any loss.
+    pub fn into_host<M: Module>(self, module: &M) -> Vec<Vec<f32>> {
+        let infos = crate::parameters::infos(module);
+        assert!(self.0.len() <= infos.len(), "sums of another module");
+        let mut sums = self.0.into_iter();
+        infos
+            .iter()
+            .map(|info| match sums.next().flatten() {
+                Some(sum) => sum
+                    .try_into_vec_as::<f32>()
+                    .expect("parameters are float32"),
+                None => vec![0.0; info.len()],
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,34 @@
+use burn::module::{Module, Param};
+use burn::tensor::Tensor;
+
+use crate::Initializer;
+
+/// Added to the variance.
+pub const LAYER_NORM_EPS: f64 = 1e-5;
+
+/// Normalises each row over its features (biased variance), then scales and shifts each feature:
+/// weight and bias `[features]`.
+#[derive(Module, Debug)]
+pub struct LayerNorm {
+    weight: Param<Tensor<1>>,
+    bias: Param<Tensor<1>>,
+}
+
+impl LayerNorm {
+    /// A normalisation of rows of `features`.
+    pub fn new(features: usize, init: &Initializer) -> Self {
+        Self {
+            weight: init.constant([features], 1.0),
+            bias: init.constant([features], 0.0),
+        }
+    }
+
+    /// # Shapes
+    /// - x, output: `[rows, features]`
+    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        let x = x.clone() - x.mean_dim(1);
+        let variance = x.clone().square().mean_dim(1);
+        let x = x / variance.add_scalar(LAYER_NORM_EPS).sqrt();
+        x * self.weight.val().unsqueeze() + self.bias.val().unsqueeze()
+    }
+}

@@ -1,0 +1,15 @@
+//! Denoiser and decoder as one set of weights.
+
+use burn::module::Module;
+
+use crate::{MotionDecoder, UNet1d};
+
+/// The denoiser, whose samples are latents, and the decoder that makes motion of them: parameters
+/// `unet.*` and `decoder.*` (CC-MotionGen documentation, section 7.1).
+#[derive(Module, Debug)]
+pub struct MotionModel {
+    /// Draws latents.
+    pub unet: UNet1d,
+    /// Decodes them.
+    pub decoder: MotionDecoder,
+}

@@ -1,0 +1,227 @@
+//! The tables of a config that only training through the sampler reads: `init`, `rollout`, `loss`.
+
+use std::path::PathBuf;
+
+use kinegrad_diffusion::RolloutMode as Graph;
+use serde::{Deserialize, Serialize};
+
+use super::{Clip, Config, ConfigError};
+use crate::losses::{SignMatching, TemporalLossConfig};
+
+/// The table `init`: what a fine-tuning starts from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InitConfig {
+    /// Run or checkpoint of the diffusion model; its averaged weights are taken, and its network,
+    /// process and statistics. Empty in recipe `e2e`: one is trained first.
+    pub diffusion: PathBuf,
+    /// Run or checkpoint that holds a decoder. Empty: a fresh one.
+    pub decoder: PathBuf,
+    /// The training of what is missing.
+    pub pretrain: PretrainConfig,
+}
+
+/// The table `init.pretrain`: how recipe `e2e` trains a base model and a decoder of its own where
+/// `init.diffusion` is empty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PretrainConfig {
+    /// Steps of recipe `diffusion`.
+    pub diffusion_steps: u64,
+    /// Their learning rate.
+    pub diffusion_learning_rate: f64,
+    /// Steps of recipe `decoder`; 0 leaves the decoder fresh.
+    pub decoder_steps: u64,
+    /// Their learning rate.
+    pub decoder_learning_rate: f64,
+}
+
+impl Default for PretrainConfig {
+    fn default() -> Self {
+        Self {
+            diffusion_steps: 1000,
+            diffusion_learning_rate: 1e-3,
+            decoder_steps: 200,
+            decoder_learning_rate: 5e-4,
+        }
+    }
+}
+
+/// What a rollout keeps for its backward pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RolloutMode {
+    /// One graph over all steps: memory grows with them.
+    Full,
+    /// The states alone; each step is recomputed in the backward pass. Same gradients.
+    #[default]
+    Checkpointed,
+    /// A graph over the last `rollout.last_k` steps: a truncated gradient.
+    LastK,
+}
+
+/// What a rollout starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RolloutStart {
+    /// The batch's motion, noised to the start timestep. Below the last timesteps it shares
+    /// something with its ground truth, so that reconstruction has a meaning.
+    #[default]
+    Motion,
+    /// Pure noise (the document): reconstruction then pulls towards the mean motion.
+    Noise,
+}
+
+/// The table `rollout`: the sampler that gradients pass through.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RolloutConfig {
+    /// DDIM steps K.
+    pub steps: usize,
+    /// What is kept for the backward pass.
+    pub mode: RolloutMode,
+    /// Steps with a graph in mode `last_k`.
+    pub last_k: usize,
+    /// What a rollout starts from.
+    pub start: RolloutStart,
+    /// Lowest and highest start timestep; each sample's is drawn between them. Values beyond the
+    /// last timestep mean the last.
+    pub start_timesteps: [usize; 2],
+    /// What the predicted clean motion is clipped to.
+    pub clip: Clip,
+    /// Whether gradients pass a clip as if it were not there.
+    pub straight_through: bool,
+    /// Factor on the gradient that a step hands to the one before it.
+    pub gradient_decay: f64,
+    /// Weight of the condition, 1 as trained.
+    pub guidance_scale: f64,
+}
+
+impl Default for RolloutConfig {
+    fn default() -> Self {
+        Self {
+            steps: 5,
+            mode: RolloutMode::Checkpointed,
+            last_k: 1,
+            start: RolloutStart::Motion,
+            start_timesteps: [200, 999],
+            clip: Clip::TrainingRange,
+            straight_through: true,
+            gradient_decay: 1.0,
+            guidance_scale: 1.0,
+        }
+    }
+}
+
+impl RolloutConfig {
+    /// The mode with its number of steps.
+    pub fn graph(&self) -> Graph {
+        match self.mode {
+            RolloutMode::Full => Graph::Full,
+            RolloutMode::Checkpointed => Graph::Checkpointed,
+            RolloutMode::LastK => Graph::LastK(self.last_k),
+        }
+    }
+}
+
+/// How much each sample's reconstruction counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReconstructionWeighting {
+    /// By `abar` of its start timestep: the share of the ground truth in the start state.
+    #[default]
+    Signal,
+    /// All alike (the document).
+    Uniform,
+}
+
+/// The table `loss` (CC-MotionGen documentation, sections 7.1 and 7.4).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossConfig {
+    /// Weight of the diffusion loss, on normalised motion.
+    pub w_diff: f64,
+    /// Weight of the reconstruction, in physical units.
+    pub w_dec: f64,
+    /// Weight of the temporal terms, in physical units.
+    pub w_temp: f64,
+    /// How much each sample's reconstruction counts.
+    pub reconstruction_weighting: ReconstructionWeighting,
+    /// How the two quaternions of one rotation compare.
+    pub quaternion_sign: SignMatching,
+    /// The temporal terms.
+    pub temporal: TemporalLossConfig,
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            w_diff: 0.1,
+            w_dec: 1.0,
+            w_temp: 10.0,
+            reconstruction_weighting: ReconstructionWeighting::default(),
+            quaternion_sign: SignMatching::default(),
+            temporal: TemporalLossConfig::default(),
+        }
+    }
+}
+
+/// Refuses bad values in the tables above.
+pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
+    let timesteps = config.diffusion.num_train_timesteps;
+    let rollout = &config.rollout;
+    if !(1..=timesteps).contains(&rollout.steps) {
+        let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
+        return Err(ConfigError::range("rollout.steps", rollout.steps, allowed));
+    }
+    if !(1..=rollout.steps).contains(&rollout.last_k) {
+        let allowed = format!("1 to rollout.steps ({})", rollout.steps);
+        return Err(ConfigError::range("rollout.last_k", rollout.last_k, allowed));
+    }
+    let [lowest, highest] = rollout.start_timesteps;
+    if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
+        let found = format!("[{lowest}, {highest}]");
+        let allowed = format!(
+            "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
+            rollout.steps - 1
+        );
+        return Err(ConfigError::range("rollout.start_timesteps", found, allowed));
+    }
+    let at_least_zero = |key: String, value: f64| {
+        if value >= 0.0 && value.is_finite() {
+            Ok(())
+        } else {
+            Err(ConfigError::range(key, value, "0 or more"))
+        }
+    };
+    let loss = &config.loss;
+    let named = [
+        ("loss.w_diff", loss.w_diff),
+        ("loss.w_dec", loss.w_dec),
+        ("loss.w_temp", loss.w_temp),
+        ("rollout.guidance_scale", rollout.guidance_scale),
+        (
+            "init.pretrain.diffusion_learning_rate",
+            config.init.pretrain.diffusion_learning_rate,
+        ),
+        (
+            "init.pretrain.decoder_learning_rate",
+            config.init.pretrain.decoder_learning_rate,
+        ),
+    ];
+    for (key, value) in named {
+        at_least_zero(key.to_string(), value)?;
+    }
+    for (key, value) in loss.temporal.numbers() {
+        let key = format!("loss.temporal.{key}");
+        if key.contains(".target_") && !(value > 0.0 && value.is_finite()) {
+            return Err(ConfigError::range(key, value, "more than 0"));
+        }
+        at_least_zero(key, value)?;
+    }
+    if !(0.0..=1.0).contains(&rollout.gradient_decay) {
+        let found = rollout.gradient_decay;
+        return Err(ConfigError::range("rollout.gradient_decay", found, "0 to 1"));
+    }
+    Ok(())
+}

@@ -1,0 +1,97 @@
+//! How far decoded motion is from the ground truth (CC-MotionGen documentation, sections 7.1 and
+//! 7.5: "decoder position" and "decoder quaternion").
+
+use burn::tensor::{Tensor, s};
+use kinegrad_motion::phrase::{POSITION, QUATERNION};
+use serde::{Deserialize, Serialize};
+
+use super::mean_frames;
+
+/// How the two quaternions of one rotation compare.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SignMatching {
+    /// The nearer one of q and -q counts.
+    #[default]
+    Nearer,
+    /// As stored (the document), so that q and -q differ.
+    Document,
+}
+
+/// The mean squared errors of position (m^2) and quaternion.
+#[derive(Clone, Debug)]
+pub struct ReconstructionLoss {
+    /// Over channels 0 to 2.
+    pub position: Tensor<1>,
+    /// Over channels 9 to 12.
+    pub quaternion: Tensor<1>,
+}
+
+impl ReconstructionLoss {
+    /// Compares `decoded` with `target`.
+    ///
+    /// `weights`, one per sample, scale a sample's part in the mean and not the count: a sample of
+    /// weight 0 has nothing in common with its ground truth, such as a rollout from pure noise.
+    ///
+    /// # Shapes
+    /// - decoded, target: `[batch, 25, time]`, physical units
+    /// - mask: `[batch, time]`
+    /// - weights: `[batch, 1, 1]`
+    pub fn new(
+        decoded: &Tensor<3>,
+        target: &Tensor<3>,
+        mask: &Tensor<2>,
+        weights: Tensor<3>,
+        sign: SignMatching,
+    ) -> Self {
+        let target = match sign {
+            SignMatching::Nearer => with_nearer_sign(target, decoded),
+            SignMatching::Document => target.clone(),
+        };
+        let mask = mask.clone().unsqueeze_dim::<3>(1);
+        let squared = (decoded.clone() - target).square() * weights;
+        let mean = |channels: std::ops::Range<usize>| {
+            mean_frames(squared.clone().slice(s![.., channels]), &mask)
+        };
+        Self {
+            position: mean(POSITION),
+            quaternion: mean(QUATERNION),
+        }
+    }
+}
+
+/// The mean over all channels of the squared error in units of each channel's deviation, the
+/// quaternion up to its sign: what a decoder alone is trained on.
+///
+/// # Shapes
+/// - decoded, target: `[batch, 25, time]`, physical units
+/// - mask: `[batch, time]`
+/// - weights: `[batch, 1, 1]`, as in [`ReconstructionLoss::new`]
+/// - std: `[1, 25, 1]`
+pub fn normalized_error(
+    decoded: &Tensor<3>,
+    target: &Tensor<3>,
+    mask: &Tensor<2>,
+    weights: Tensor<3>,
+    std: &Tensor<3>,
+) -> Tensor<1> {
+    let target = with_nearer_sign(target, decoded);
+    let error = (decoded.clone() - target) / std.clone();
+    mean_frames(error.square() * weights, &mask.clone().unsqueeze_dim::<3>(1))
+}
+
+/// `target` with the sign of each quaternion that is nearer to that of `decoded`.
+fn with_nearer_sign(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
+    let quaternion = |x: &Tensor<3>| x.clone().without_autodiff().slice(s![.., QUATERNION]);
+    let reference = quaternion(target);
+    let dot = (quaternion(decoded) * reference.clone()).sum_dim(1);
+    let reference = reference * (dot.lower_elem(0.0).float() * -2.0 + 1.0);
+    Tensor::cat(
+        vec![
+            target.clone().slice(s![.., ..QUATERNION.start]),
+            reference,
+            target.clone().slice(s![.., QUATERNION.end..]),
+        ],
+        1,
+    )
+}

@@ -1,0 +1,241 @@
+//! Temporal coherence: explicit derivatives agree with the differences of what they derive from,
+//! and nothing jumps (CC-MotionGen documentation, section 7.2).
+//!
+//! With `d x[t] = x[t+1] - x[t]` and fps = 30, each term a mean over frames (and components), times
+//! its weight:
+//!
+//! ```text
+//! jerk                 |fps d a|^2 / target_jerk^2
+//! velocity_coherence   (v - fps d p)^2 / target_vel_coherence^2
+//! accel_coherence      (a - fps d v)^2 / target_accel_coherence^2
+//! quat_delta           max(0, target_quat_delta - |q[t] . q[t+1]|)
+//! phase_monotonic      summed over time, mean over the batch: see PhaseLoss
+//! quat_norm            (|q|^2 - 1)^2
+//! angular_velocity     (w - fps log(q[t+1] q[t]*))^2 / target_angular_velocity^2
+//! position_smoothness  |fps^3 d d d p|^2 / target_jerk^2
+//! ```
+//!
+//! The last three are not the document's. The document takes the root of the squared jerk and
+//! squares it again, whose gradient is NaN where two accelerations are equal; here the squares are
+//! summed directly, which is the same value.
+
+use burn::tensor::activation::relu;
+use burn::tensor::{Bool, Tensor};
+use kinegrad_motion::phrase::{
+    ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, QUATERNION, VELOCITY,
+};
+use serde::{Deserialize, Serialize};
+
+use super::{mean_frames, sum_frames};
+
+/// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
+const WRAP: f64 = 0.5;
+
+/// Added under the root of the rotation's sine, whose gradient at zero is infinite.
+const ROOT_EPS: f64 = 1e-12;
+
+/// Which drops of the phase count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PhaseLoss {
+    /// Steps backwards: `max(0, -d)` where `d >= -0.5`. Larger drops are wraps, which are legal.
+    #[default]
+    BackwardSteps,
+    /// The document's `max(0, -d - 0.5)`, which punishes the wraps and forgives steps backwards.
+    Document,
+}
+
+/// The table `loss.temporal`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TemporalLossConfig {
+    /// Weight of `velocity_coherence`.
+    pub velocity_weight: f64,
+    /// Weight of `accel_coherence`.
+    pub acceleration_weight: f64,
+    /// Weight of `jerk`.
+    pub jerk_weight: f64,
+    /// Weight of `quat_delta`.
+    pub quat_delta_weight: f64,
+    /// Weight of `phase_monotonic`.
+    pub phase_monotonic_weight: f64,
+    /// Weight of `quat_norm`; a decoder that normalises its quaternions does not need it.
+    pub quat_norm_weight: f64,
+    /// Weight of `angular_velocity`.
+    pub angular_velocity_weight: f64,
+    /// Weight of `position_smoothness`; it punishes real motion too.
+    pub position_smoothness_weight: f64,
+    /// Metres per second cubed.
+    pub target_jerk: f64,
+    /// Metres per second.
+    pub target_vel_coherence: f64,
+    /// Metres per second squared.
+    pub target_accel_coherence: f64,
+    /// Dot product of neighbouring quaternions above which nothing is punished.
+    pub target_quat_delta: f64,
+    /// Radians per second.
+    pub target_angular_velocity: f64,
+    /// Which drops of the phase count.
+    pub phase: PhaseLoss,
+}
+
+impl Default for TemporalLossConfig {
+    fn default() -> Self {
+        Self {
+            velocity_weight: 10.0,
+            acceleration_weight: 5.0,
+            jerk_weight: 1.0,
+            quat_delta_weight: 2.0,
+            phase_monotonic_weight: 1.0,
+            quat_norm_weight: 0.0,
+            angular_velocity_weight: 1.0,
+            position_smoothness_weight: 0.0,
+            target_jerk: 50_000.0,
+            target_vel_coherence: 5.0,
+            target_accel_coherence: 100.0,
+            target_quat_delta: 0.95,
+            target_angular_velocity: 10.0,
+            phase: PhaseLoss::BackwardSteps,
+        }
+    }
+}
+
+impl TemporalLossConfig {
+    /// The document's five terms as it has them.
+    pub fn document() -> Self {
+        Self {
+            angular_velocity_weight: 0.0,
+            phase: PhaseLoss::Document,
+            ..Self::default()
+        }
+    }
+
+    /// Every weight and target with its key, for checking.
+    pub(crate) fn numbers(&self) -> [(&'static str, f64); 13] {
+        [
+            ("velocity_weight", self.velocity_weight),
+            ("acceleration_weight", self.acceleration_weight),
+            ("jerk_weight", self.jerk_weight),
+            ("quat_delta_weight", self.quat_delta_weight),
+            ("phase_monotonic_weight", self.phase_monotonic_weight),
+            ("quat_norm_weight", self.quat_norm_weight),
+            ("angular_velocity_weight", self.angular_velocity_weight),
+            ("position_smoothness_weight", self.position_smoothness_weight),
+            ("target_jerk", self.target_jerk),
+            ("target_vel_coherence", self.target_vel_coherence),
+            ("target_accel_coherence", self.target_accel_coherence),
+            ("target_quat_delta", self.target_quat_delta),
+            ("target_angular_velocity", self.target_angular_velocity),
+        ]
+    }
+}
+
+/// The weighted terms of `decoded`, by name; those of weight 0 are left out. A motion of one frame
+/// has none.
+///
+/// # Shapes
+/// - decoded: `[batch, 25, time]`, physical units
+/// - mask: `[batch, time]`
+pub fn temporal_losses(
+    decoded: &Tensor<3>,
+    mask: &Tensor<2>,
+    config: &TemporalLossConfig,
+) -> Vec<(&'static str, Tensor<1>)> {
+    let [batch, _, time] = decoded.dims();
+    if time < 2 {
+        return Vec::new();
+    }
+    let part = |range: std::ops::Range<usize>| decoded.clone().slice([0..batch, range]);
+    let (p, v, a) = (part(POSITION), part(VELOCITY), part(ACCELERATION));
+    let (q, w) = (part(QUATERNION), part(ANGULAR_VELOCITY));
+    let phase = part(PHASE..PHASE + 1);
+    let frames = mask.clone().unsqueeze_dim::<3>(1);
+    let pairs = ends(frames.clone()).0 * ends(frames.clone()).1;
+
+    let mut terms = Vec::new();
+    let mut add = |name, weight: f64, term: &dyn Fn() -> Tensor<1>| {
+        if weight != 0.0 {
+            terms.push((name, term() * weight));
+        }
+    };
+    add("jerk", config.jerk_weight, &|| {
+        let square = (differences(a.clone()) / config.target_jerk).square();
+        mean_frames(square.sum_dim(1), &pairs)
+    });
+    add("velocity_coherence", config.velocity_weight, &|| {
+        let error = ends(v.clone()).0 - differences(p.clone());
+        mean_frames((error / config.target_vel_coherence).square(), &pairs)
+    });
+    add("accel_coherence", config.acceleration_weight, &|| {
+        let error = ends(a.clone()).0 - differences(v.clone());
+        mean_frames((error / config.target_accel_coherence).square(), &pairs)
+    });
+    add("quat_delta", config.quat_delta_weight, &|| {
+        let (now, next) = ends(q.clone());
+        let dot = (now * next).sum_dim(1).abs();
+        mean_frames(relu(-dot + config.target_quat_delta), &pairs)
+    });
+    add("phase_monotonic", config.phase_monotonic_weight, &|| {
+        let (now, next) = ends(phase.clone());
+        let drop = now - next;
+        let punished = match config.phase {
+            PhaseLoss::Document => relu(drop - WRAP),
+            PhaseLoss::BackwardSteps => {
+                let legal: Tensor<3, Bool> = drop.clone().greater_elem(WRAP);
+                relu(drop).mask_fill(legal, 0.0)
+            }
+        };
+        sum_frames(punished, &pairs).mean_dim(0).reshape([1])
+    });
+    add("quat_norm", config.quat_norm_weight, &|| {
+        let excess = q.clone().square().sum_dim(1) - 1.0;
+        mean_frames(excess.square(), &frames)
+    });
+    add("angular_velocity", config.angular_velocity_weight, &|| {
+        let error = ends(w.clone()).0 - angular_velocity(q.clone());
+        mean_frames((error / config.target_angular_velocity).square(), &pairs)
+    });
+    if time >= 4 {
+        add("position_smoothness", config.position_smoothness_weight, &|| {
+            let jerk = differences(differences(differences(p.clone())));
+            let square = (jerk / config.target_jerk).square().sum_dim(1);
+            let whole = frames.clone().narrow(2, 0, time - 3) * frames.clone().narrow(2, 3, time - 3);
+            mean_frames(square, &whole)
+        });
+    }
+    terms
+}
+
+/// All frames but the last, and all but the first.
+fn ends(x: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+    let time = x.dims()[2];
+    (x.clone().narrow(2, 0, time - 1), x.narrow(2, 1, time - 1))
+}
+
+/// Forward differences per second.
+fn differences(x: Tensor<3>) -> Tensor<3> {
+    let (now, next) = ends(x);
+    (next - now) * FPS
+}
+
+/// The rotation vector of `q[t+1] q[t]*` times fps, in the world frame, whatever the signs and
+/// norms: `[batch, 3, time - 1]`. Finite and with a finite gradient for equal and for antipodal
+/// quaternions.
+fn angular_velocity(q: Tensor<3>) -> Tensor<3> {
+    let (now, next) = ends(q);
+    let c = |x: &Tensor<3>, index: usize| x.clone().narrow(1, index, 1);
+    let [w0, x0, y0, z0] = [0, 1, 2, 3].map(|i| c(&now, i));
+    let [w1, x1, y1, z1] = [0, 1, 2, 3].map(|i| c(&next, i));
+    let product = |a: &Tensor<3>, b: &Tensor<3>| a.clone() * b.clone();
+    let w = product(&w1, &w0) + product(&x1, &x0) + product(&y1, &y0) + product(&z1, &z0);
+    let x = product(&x1, &w0) - product(&w1, &x0) - product(&y1, &z0) + product(&z1, &y0);
+    let y = product(&y1, &w0) - product(&w1, &y0) - product(&z1, &x0) + product(&x1, &z0);
+    let z = product(&z1, &w0) - product(&w1, &z0) - product(&x1, &y0) + product(&y1, &x0);
+    let vector = Tensor::cat(vec![x, y, z], 1);
+
+    // Of the two quaternions of a rotation, the one that turns by at most half a turn.
+    let sign = w.clone().lower_elem(0.0).float() * -2.0 + 1.0;
+    let sine = (vector.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
+    let angle = sine.clone().atan2(w.abs()) * 2.0;
+    vector * sign * (angle / sine) * FPS
+}

@@ -1,0 +1,164 @@
+//! A motion decoder on the latents of a frozen denoiser (CC-MotionGen documentation, section 3.3).
+//!
+//! ```text
+//! L = |decoder(latent) - motion|^2 / std^2 + w_temp sum L_temp(decoder(latent))
+//! ```
+//!
+//! It learns from two latents of each phrase, both of which still know their ground truth: the
+//! phrase under the little noise that a sampler may leave, and a DDIM sample drawn from the phrase
+//! under much noise (`rollout`), whose error counts by the share of the phrase left in its start.
+//! The denoiser is part of the checkpoint and does not change.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::Batch;
+use kinegrad_diffusion::{RolloutMode, rollout_timesteps};
+use kinegrad_models::MotionModel;
+use kinegrad_random::{Key, Purpose};
+
+use super::inputs::{Inputs, noise};
+use super::sampler::{Sampler, channels};
+use super::{HeldOut, Loss, Measured, Recipe, StepKey};
+use crate::config::{LossConfig, ReconstructionWeighting};
+use crate::losses::reconstruction::normalized_error;
+use crate::losses::temporal_losses;
+
+/// The noised latents are at timesteps below this share of all.
+const NOISED_SHARE: f64 = 0.05;
+
+/// Trains the decoder of a [`MotionModel`].
+pub struct DecoderRecipe {
+    sampler: Sampler,
+    loss: LossConfig,
+    held_out: HeldOut,
+}
+
+impl DecoderRecipe {
+    pub(crate) fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+        Self {
+            sampler,
+            loss: loss.clone(),
+            held_out,
+        }
+    }
+
+    /// The phrases under little noise, at timesteps spread by `place`.
+    fn noised(&self, x_start: &Tensor<3>, noise: Tensor<3>, place: impl Fn(usize) -> f64) -> Tensor<3> {
+        let diffusion = &self.sampler.rollout.diffusion;
+        let below = diffusion.config.num_train_timesteps as f64 * NOISED_SHARE;
+        let timesteps: Vec<usize> = (0..x_start.dims()[0])
+            .map(|i| (place(i) * below) as usize)
+            .collect();
+        diffusion.add_noise(x_start.clone(), noise, &timesteps)
+    }
+
+    /// DDIM samples, without gradients.
+    fn sampled(
+        &self,
+        model: &MotionModel,
+        inputs: &Inputs,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        let unet = model.unet.valid();
+        let output = self.sampler.rollout.run(
+            &unet,
+            &unet,
+            self.sampler.start(&inputs.x_start, noise, starts),
+            &inputs.cond,
+            &rollout_timesteps(starts, self.sampler.config.steps),
+            RolloutMode::LastK(0),
+        );
+        output.expect("bounds of 25 channels").x.without_autodiff()
+    }
+
+    /// The weighted terms of both latents, by name.
+    fn terms(
+        &self,
+        model: &MotionModel,
+        inputs: &Inputs,
+        latents: [Tensor<3>; 2],
+        starts: &[usize],
+        dropout: Option<Key>,
+    ) -> Vec<(&'static str, Tensor<1>)> {
+        let device = inputs.x_start.device();
+        let target = self.sampler.physical(&inputs.x_start);
+        let std = channels(&self.sampler.statistics.std, &device);
+        let weighting = self.loss.reconstruction_weighting;
+        let weights = [
+            self.sampler
+                .weights(starts, ReconstructionWeighting::Uniform, &device),
+            self.sampler.weights(starts, weighting, &device),
+        ];
+        let mut terms: Vec<(&'static str, Tensor<1>)> = Vec::new();
+        let mut add = |name, term: Tensor<1>| match terms.iter_mut().find(|(n, _)| *n == name) {
+            Some((_, sum)) => *sum = sum.clone() + term,
+            None => terms.push((name, term)),
+        };
+        let names = ["reconstruction_noised", "reconstruction_sampled"];
+        for (call, ((latent, weights), name)) in
+            latents.into_iter().zip(weights).zip(names).enumerate()
+        {
+            let dropout = dropout.map(|key| key.at(call as u64));
+            let decoded = model.decoder.forward(latent, dropout);
+            let error = normalized_error(&decoded, &target, &inputs.mask, weights, &std);
+            add(name, error * self.loss.w_dec);
+            for (name, term) in temporal_losses(&decoded, &inputs.mask, &self.loss.temporal) {
+                add(name, term * (self.loss.w_temp / 2.0));
+            }
+        }
+        terms
+    }
+}
+
+impl Recipe for DecoderRecipe {
+    type Model = MotionModel;
+
+    fn measures_first(&self) -> bool {
+        true
+    }
+
+    fn loss(&self, model: &MotionModel, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let shape = inputs.x_start.dims();
+        let places = key.of(Purpose::Timesteps).uniforms(shape[0]);
+        let little = noise(key.of(Purpose::Noise), shape, device);
+        let noised = self.noised(&inputs.x_start, little, |i| f64::from(places[i]));
+        let starts = self
+            .sampler
+            .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
+        let much = noise(key.of(Purpose::RolloutNoise), shape, device);
+        let sampled = self.sampled(model, &inputs, much, &starts);
+
+        let dropout = Some(key.of(Purpose::DecoderDropout));
+        let latents = [noised.clone(), sampled.clone()];
+        let terms = self.terms(model, &inputs, latents, &starts, dropout);
+        let total = terms.iter().map(|(_, term)| term.clone());
+        Loss {
+            total: total.reduce(|a, b| a + b).expect("there are terms"),
+            terms,
+            probes: vec![("noised latent", noised), ("sampled latent", sampled)],
+            rollout: None,
+        }
+    }
+
+    fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
+        let phrases = self.held_out.phrases.len();
+        let starts = self.sampler.starts(phrases, |_| 0.5);
+        let mut measured = Measured::default();
+        for (range, inputs) in self.held_out.batches(device) {
+            let starts = &starts[range.clone()];
+            let noise = |draw| self.held_out.noise(range.clone(), draw, &inputs.x_start);
+            let places = |i: usize| ((range.start + i) as f64 + 0.5) / phrases as f64;
+            let latents = [
+                self.noised(&inputs.x_start, noise(0), places),
+                self.sampled(model, &inputs, noise(1), starts),
+            ];
+            let share = range.len() as f64 / phrases as f64;
+            for (name, term) in self.terms(model, &inputs, latents, starts, None) {
+                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
+            }
+        }
+        measured
+    }
+}

@@ -1,0 +1,187 @@
+//! Denoiser and decoder together, through the sampler (CC-MotionGen documentation, section 7):
+//!
+//! ```text
+//! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp
+//!
+//! L_diff   the diffusion loss, on normalised motion
+//! decoded  decoder(DDIM of K steps), with gradients to every call of the network
+//! L_pos, L_quat   squared error of the decoded position and quaternion
+//! L_temp   temporal coherence of the decoded motion
+//! ```
+//!
+//! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
+//! (`rollout.start`), and its reconstruction counts by how much of the motion the start still
+//! holds: pulled towards a ground truth they know nothing of, samples would all become the mean
+//! motion.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::Batch;
+use kinegrad_diffusion::{RolloutMode, Trace, rollout_timesteps};
+use kinegrad_models::{GradientSum, MotionModel};
+use kinegrad_random::Purpose;
+
+use super::diffusion::{denoising_loss, denoising_validation_loss};
+use super::inputs::{Inputs, noise};
+use super::sampler::Sampler;
+use super::{HeldOut, Loss, Measured, Recipe, StepKey};
+use crate::config::LossConfig;
+use crate::losses::{ReconstructionLoss, temporal_losses};
+
+/// Fine-tunes a [`MotionModel`].
+pub struct E2eRecipe {
+    sampler: Sampler,
+    loss: LossConfig,
+    held_out: HeldOut,
+}
+
+/// What the backward pass of a checkpointed rollout goes on with.
+#[derive(Debug)]
+pub struct PendingRollout {
+    trace: Trace,
+    cond: Tensor<3>,
+}
+
+impl E2eRecipe {
+    pub(crate) fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+        Self {
+            sampler,
+            loss: loss.clone(),
+            held_out,
+        }
+    }
+
+    /// The weighted terms of decoded motion, by name.
+    fn decoded_terms(
+        &self,
+        decoded: &Tensor<3>,
+        inputs: &Inputs,
+        starts: &[usize],
+    ) -> Vec<(&'static str, Tensor<1>)> {
+        let target = self.sampler.physical(&inputs.x_start);
+        let weighting = self.loss.reconstruction_weighting;
+        let weights = self.sampler.weights(starts, weighting, &decoded.device());
+        let sign = self.loss.quaternion_sign;
+        let ReconstructionLoss {
+            position,
+            quaternion,
+        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights, sign);
+        let mut terms = vec![
+            ("position", position * self.loss.w_dec),
+            ("quaternion", quaternion * self.loss.w_dec),
+        ];
+        let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);
+        terms.extend(
+            temporal
+                .into_iter()
+                .map(|(name, term)| (name, term * self.loss.w_temp)),
+        );
+        terms
+    }
+}
+
+impl Recipe for E2eRecipe {
+    type Model = MotionModel;
+
+    fn group_of(&self, parameter: &str) -> usize {
+        usize::from(parameter.starts_with("decoder."))
+    }
+
+    fn measures_first(&self) -> bool {
+        true
+    }
+
+    fn loss(&self, model: &MotionModel, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let diffusion = &self.sampler.rollout.diffusion;
+
+        // 1. The diffusion loss.
+        let mut loss = denoising_loss(diffusion, &model.unet, inputs.clone(), key);
+        loss.total = loss.total * self.loss.w_diff;
+        loss.terms = vec![("diffusion", loss.total.clone())];
+
+        // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        let shape = inputs.x_start.dims();
+        let starts = self
+            .sampler
+            .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
+        let noise = noise(key.of(Purpose::RolloutNoise), shape, device);
+        let output = self
+            .sampler
+            .rollout
+            .run(
+                &model.unet,
+                &model.unet.valid(),
+                self.sampler.start(&inputs.x_start, noise, &starts),
+                &inputs.cond,
+                &rollout_timesteps(&starts, self.sampler.config.steps),
+                self.sampler.config.graph(),
+            )
+            .expect("bounds of 25 channels");
+        loss.rollout = output.trace.map(|trace| PendingRollout {
+            trace,
+            cond: inputs.cond.clone(),
+        });
+
+        // 3. Its latent decoded, compared with the ground truth, and with itself.
+        let decoded = model
+            .decoder
+            .forward(output.x.clone(), Some(key.of(Purpose::DecoderDropout)));
+        for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
+            loss.total = loss.total + term.clone();
+            loss.terms.push((name, term));
+        }
+        loss.probes.push(("latent", output.x));
+        loss.probes.push(("decoded", decoded));
+        loss
+    }
+
+    fn backward(&self, model: &MotionModel, loss: Loss) -> Vec<Vec<f32>> {
+        let mut sum = GradientSum::default();
+        let mut gradients = loss.total.backward();
+        if let Some(PendingRollout { trace, cond }) = loss.rollout {
+            let (rollout, unet) = (&self.sampler.rollout, &model.unet);
+            trace
+                .backward(rollout, unet, &cond, &mut gradients, &mut |_, mut local| {
+                    sum.add(model, &mut local);
+                })
+                .expect("it ran forwards");
+        }
+        sum.add(model, &mut gradients);
+        sum.into_host(model)
+    }
+
+    /// The same loss without dropout, the start timesteps of the phrases covering their range
+    /// evenly.
+    fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
+        let diffusion = &self.sampler.rollout.diffusion;
+        let phrases = self.held_out.phrases.len();
+        let denoising = denoising_validation_loss(diffusion, &model.unet, &self.held_out, device);
+        let mut measured = Measured::default();
+        measured.add("diffusion", denoising * self.loss.w_diff);
+        let starts = self.sampler.starts(phrases, |_| 0.5);
+        for (range, inputs) in self.held_out.batches(device) {
+            let starts = &starts[range.clone()];
+            let draw = self.held_out.draws as u64;
+            let noise = self.held_out.noise(range.clone(), draw, &inputs.x_start);
+            let output = self
+                .sampler
+                .rollout
+                .run(
+                    &model.unet,
+                    &model.unet,
+                    self.sampler.start(&inputs.x_start, noise, starts),
+                    &inputs.cond,
+                    &rollout_timesteps(starts, self.sampler.config.steps),
+                    RolloutMode::LastK(0),
+                )
+                .expect("bounds of 25 channels");
+            let decoded = model.decoder.forward(output.x.without_autodiff(), None);
+            let share = range.len() as f64 / phrases as f64;
+            for (name, term) in self.decoded_terms(&decoded, &inputs, starts) {
+                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
+            }
+        }
+        measured
+    }
+}

@@ -1,0 +1,38 @@
+//! A batch on the device, and what every recipe does with one.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::{AUDIO_CHANNELS, Batch};
+use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_random::Key;
+
+/// A batch on the device.
+#[derive(Clone)]
+pub(super) struct Inputs {
+    /// `[batch, 25, time]`, normalised.
+    pub x_start: Tensor<3>,
+    /// `[batch, 163, time]`.
+    pub cond: Tensor<3>,
+    /// `[batch, time]`, 1 where a frame is real.
+    pub mask: Tensor<2>,
+}
+
+impl Inputs {
+    pub fn new(batch: &Batch, device: &Device) -> Self {
+        let (size, time) = (batch.batch_size, batch.frames);
+        let on_device = |values: &[f32], channels: usize| {
+            let data = TensorData::new(values.to_vec(), [size, channels, time]);
+            Tensor::from_data(data, device)
+        };
+        Self {
+            x_start: on_device(&batch.x_start, CHANNELS),
+            cond: on_device(&batch.cond, AUDIO_CHANNELS),
+            mask: Tensor::from_data(TensorData::new(batch.mask.clone(), [size, time]), device),
+        }
+    }
+}
+
+/// Standard normal noise of `key`.
+pub(super) fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
+    let values = key.normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
