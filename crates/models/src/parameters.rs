@@ -89,6 +89,26 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     visitor.infos
 }
 
+/// Whether each parameter is trained, which a frozen one is not; initialises all.
+///
+/// Says so on a plain device too, where no tensor has gradients.
+pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
+    struct Visitor(Vec<bool>);
+    impl ModuleVisitor for Visitor {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            self.0.push(is_trainable(param));
+        }
+    }
+    let mut visitor = Visitor(Vec::new());
+    module.visit(&mut visitor);
+    visitor.0
+}
+
+/// Burn keeps the setting of a parameter to itself and shows it only in what `train` makes of it.
+fn is_trainable<const D: usize>(param: &Param<Tensor<D>>) -> bool {
+    param.valid().train().is_require_grad()
+}
+
 /// Copies all parameters to the host.
 pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
     struct Visitor(Vec<Vec<f32>>);
@@ -139,7 +159,8 @@ pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Erro
     Ok(replace(module, ordered))
 }
 
-/// Replaces the values of all parameters, given in the module's order and with its sizes.
+/// Replaces the values of all parameters, given in the module's order and with its sizes. What is
+/// frozen stays frozen.
 pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
     struct Mapper(std::vec::IntoIter<Vec<f32>>);
     impl ModuleMapper for Mapper {
@@ -147,15 +168,15 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
             let values = self.0.next().expect("one value vector a parameter");
             let shape: [usize; D] = param.lazy_shape().dims();
             let tensor = Tensor::from_data(TensorData::new(values, shape), &param.lazy_device());
-            // Takes effect on an autodiff device only.
-            Param::initialized(param.id, tensor).set_require_grad(true)
+            let id = param.id;
+            param.transform_for_load(tensor, id)
         }
     }
     module.map(&mut Mapper(values.into_iter()))
 }
 
 /// Takes the gradients of all parameters out of `gradients`; zeros where a parameter had no part
-/// in the loss.
+/// in the loss or is frozen.
 pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
     struct Visitor<'a> {
         gradients: &'a mut Gradients,
@@ -178,8 +199,8 @@ pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f3
     visitor.values
 }
 
-/// Hands every parameter's values to `change`, with its index, to be changed in place, and puts
-/// them back on the device.
+/// Hands the values of every parameter that is not frozen to `change`, with its index among all,
+/// to be changed in place, and puts them back on the device.
 ///
 /// On the CPU nothing is copied as long as no clone of the module is alive.
 pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M {
@@ -189,13 +210,17 @@ pub fn update<M: Module>(module: M, change: impl FnMut(usize, &mut [f32])) -> M 
     }
     impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Mapper<F> {
         fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let index = self.index;
+            self.index += 1;
+            if !is_trainable(&param) {
+                return param;
+            }
             let (id, tensor, mapper) = param.consume();
             let (device, shape) = (tensor.device(), tensor.dims());
             let require_grad = tensor.is_require_grad();
             let mut data = tensor.inner().into_data();
             let values = data.as_mut_slice::<f32>().expect("parameters are float32");
-            (self.change)(self.index, values);
-            self.index += 1;
+            (self.change)(index, values);
             let tensor = Tensor::from_data(data, &device).set_require_grad(require_grad);
             debug_assert_eq!(tensor.dims(), shape);
             Param::from_mapped_value(id, tensor, mapper)
