@@ -6,6 +6,7 @@ use burn::tensor::activation::softmax;
 
 use crate::Initializer;
 use crate::layers::{Conv1d, GroupNorm};
+use crate::lora::{Adapting, LoraTarget};
 
 /// Self-attention with a residual, then cross-attention to the context with a residual
 /// (CC-MotionGen documentation, section 3.1.4).
@@ -71,6 +72,19 @@ impl AttentionBlock {
             .try_into()
             .expect("two equal parts");
         x + proj.forward(self.attend(q, k, v))
+    }
+
+    pub(crate) fn adapting(self, adapting: &Adapting<'_>) -> Self {
+        let layer = |name, layer| adapting.layer(LoraTarget::Attention, name, layer);
+        let optional = |name, conv: Option<Conv1d>| conv.map(|conv| layer(name, conv));
+        Self {
+            qkv: layer("qkv", self.qkv),
+            proj: layer("proj", self.proj),
+            q_cross: optional("q_cross", self.q_cross),
+            kv_cross: optional("kv_cross", self.kv_cross),
+            proj_cross: optional("proj_cross", self.proj_cross),
+            ..self
+        }
     }
 
     /// Scaled dot-product attention; q `[batch, channels, time]`, k and v `[batch, channels,

@@ -2,7 +2,8 @@
 //!
 //! [`UNet1d`] is the audio-conditioned denoiser of the CC-MotionGen documentation. Its parts are
 //! in [`layers`], with PyTorch's names and weight layouts, so that the path of a parameter in the
-//! module tree *is* its state-dict name; [`parameters`] reads and writes them by that name.
+//! module tree *is* its state-dict name; [`parameters`] reads and writes them by that name. [`lora`] puts
+//! low-rank adapters on them.
 
 pub mod attention;
 pub mod config;
@@ -12,6 +13,8 @@ mod error;
 pub mod gradients;
 pub mod init;
 pub mod layers;
+pub mod lora;
+pub mod low_rank;
 pub mod motion_model;
 pub mod parameters;
 pub mod res_block;
@@ -24,5 +27,7 @@ pub use dropout::{Dropout, DropoutKey};
 pub use error::Error;
 pub use gradients::GradientSum;
 pub use init::Initializer;
+pub use lora::{LoraConfig, LoraTarget};
+pub use low_rank::LowRank;
 pub use motion_model::MotionModel;
 pub use unet1d::{UNet1d, UNet1dConfig};

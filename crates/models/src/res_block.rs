@@ -5,6 +5,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::silu;
 
 use crate::layers::{Conv1d, GroupNorm, Linear};
+use crate::lora::{Adapting, LoraTarget};
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// What every [`ResBlock`] of one network shares.
@@ -101,6 +102,20 @@ impl ResBlock {
         match &self.skip_conv {
             Some(skip) => h + skip.forward(x),
             None => h + x,
+        }
+    }
+
+    pub(crate) fn adapting(self, adapting: &Adapting<'_>) -> Self {
+        let conv = |name, layer| adapting.layer(LoraTarget::Convolution, name, layer);
+        let time = adapting.at("time_mlp");
+        Self {
+            conv1: conv("conv1", self.conv1),
+            time_mlp: TimeMlp {
+                at_1: time.layer(LoraTarget::Conditioning, "1", self.time_mlp.at_1),
+            },
+            conv2: conv("conv2", self.conv2),
+            skip_conv: self.skip_conv.map(|skip| conv("skip_conv", skip)),
+            ..self
         }
     }
 }

@@ -1,5 +1,7 @@
 //! The audio-conditioned UNet over time (CC-MotionGen documentation, section 3.1).
 
+mod adapters;
+
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::Denoiser;

@@ -84,6 +84,12 @@ impl<R: Recipe> Trainer<R> {
             folder,
         } = parts;
         let infos = parameters::infos(&model);
+        // Frozen parameters have no running means.
+        let lengths: Vec<usize> = infos
+            .iter()
+            .zip(parameters::trainable(&model))
+            .map(|(info, trainable)| if trainable { info.len() } else { 0 })
+            .collect();
         let (step, progress, optimizer, ema) = match checkpoint {
             Some(checkpoint) => {
                 let step = checkpoint.state.step;
@@ -106,7 +112,7 @@ impl<R: Recipe> Trainer<R> {
                 )
             }
             None => {
-                let optimizer = AdamW::new(&config.optim, infos.iter().map(ParameterInfo::len));
+                let optimizer = AdamW::new(&config.optim, lengths);
                 let first = parameters::export(&model)
                     .into_iter()
                     .map(|p| p.values)

@@ -1,14 +1,17 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 
-use crate::Initializer;
+use crate::lora::Adaptable;
+use crate::{Initializer, LoraConfig, LowRank};
 
 /// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Odd
-/// kernels are padded by half, so that stride 1 keeps the length.
+/// kernels are padded by half, so that stride 1 keeps the length. An adapter, if there is one,
+/// changes the weight.
 #[derive(Module, Debug)]
 pub struct Conv1d {
     weight: Param<Tensor<3>>,
     bias: Param<Tensor<1>>,
+    lora: Option<LowRank>,
     stride: usize,
 }
 
@@ -30,6 +33,7 @@ impl Conv1d {
         Self {
             weight: init.uniform("weight", [outputs, inputs, kernel_size], fan_in),
             bias: init.uniform("bias", [outputs], fan_in),
+            lora: None,
             stride,
         }
     }
@@ -38,7 +42,26 @@ impl Conv1d {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, ceil(time / stride)]`
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        convolve(x, self.weight.val(), self.bias.val(), self.stride)
+        let weight = match &self.lora {
+            Some(lora) => lora.apply(self.weight.val()),
+            None => self.weight.val(),
+        };
+        convolve(x, weight, self.bias.val(), self.stride)
+    }
+}
+
+impl Adaptable for Conv1d {
+    fn with_adapter(mut self, config: &LoraConfig, init: &Initializer) -> Self {
+        let [outputs, inputs, kernel] = self.weight.lazy_shape().dims();
+        self.lora = Some(LowRank::new(inputs * kernel, outputs, config, init));
+        self
+    }
+
+    fn merge_adapter(mut self) -> Self {
+        if let Some(lora) = self.lora.take() {
+            self.weight = lora.merge(self.weight);
+        }
+        self
     }
 }
 

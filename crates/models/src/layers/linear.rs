@@ -1,13 +1,16 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 
-use crate::Initializer;
+use crate::lora::Adaptable;
+use crate::{Initializer, LoraConfig, LowRank};
 
-/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`.
+/// `y = x W^T + b` with torch's layout: weight `[out, in]`, bias `[out]`. An adapter, if
+/// there is one, changes the weight.
 #[derive(Module, Debug)]
 pub struct Linear {
     weight: Param<Tensor<2>>,
     bias: Param<Tensor<1>>,
+    lora: Option<LowRank>,
 }
 
 impl Linear {
@@ -16,6 +19,7 @@ impl Linear {
         Self {
             weight: init.uniform("weight", [outputs, inputs], inputs),
             bias: init.uniform("bias", [outputs], inputs),
+            lora: None,
         }
     }
 
@@ -23,7 +27,7 @@ impl Linear {
     /// - x: `[batch, in]`
     /// - output: `[batch, out]`
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        x.matmul(self.weight.val().transpose()) + self.bias.val().unsqueeze()
+        x.matmul(self.effective_weight().transpose()) + self.bias.val().unsqueeze()
     }
 
     /// The same map applied to every frame.
@@ -32,6 +36,29 @@ impl Linear {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, time]`
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
-        super::conv1d::convolve(x, self.weight.val().unsqueeze_dim(2), self.bias.val(), 1)
+        let weight = self.effective_weight().unsqueeze_dim(2);
+        super::conv1d::convolve(x, weight, self.bias.val(), 1)
+    }
+
+    fn effective_weight(&self) -> Tensor<2> {
+        match &self.lora {
+            Some(lora) => lora.apply(self.weight.val()),
+            None => self.weight.val(),
+        }
+    }
+}
+
+impl Adaptable for Linear {
+    fn with_adapter(mut self, config: &LoraConfig, init: &Initializer) -> Self {
+        let [outputs, inputs] = self.weight.lazy_shape().dims();
+        self.lora = Some(LowRank::new(inputs, outputs, config, init));
+        self
+    }
+
+    fn merge_adapter(mut self) -> Self {
+        if let Some(lora) = self.lora.take() {
+            self.weight = lora.merge(self.weight);
+        }
+        self
     }
 }

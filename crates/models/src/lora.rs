@@ -1,0 +1,173 @@
+//! Which layers get a low-rank adapter, and how one reaches every layer of a network.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Initializer};
+
+/// Layers that adapters can be put on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoraTarget {
+    /// Every projection of the attention blocks, of self- and cross-attention.
+    Attention,
+    /// The residual blocks' convolutions and shortcuts, the convolutions between levels, and the
+    /// first and the last.
+    Convolution,
+    /// The projections that feed the conditions in: of the audio features, and of the time
+    /// embedding in each residual block.
+    Conditioning,
+}
+
+/// Low-rank adapters for fine-tuning (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>): the
+/// network's own weights stay as they are, and the layers named train a change of rank
+/// [`rank`](Self::rank).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LoraConfig {
+    /// Rank of the change of each weight.
+    pub rank: usize,
+    /// The change is scaled by `alpha / rank`.
+    pub alpha: f64,
+    /// Layers that get an adapter.
+    pub targets: Vec<LoraTarget>,
+}
+
+impl Default for LoraConfig {
+    fn default() -> Self {
+        Self {
+            rank: 8,
+            alpha: 8.0,
+            targets: vec![LoraTarget::Attention, LoraTarget::Convolution],
+        }
+    }
+}
+
+impl LoraConfig {
+    /// # Errors
+    /// Names the key that no adapter can be built from.
+    pub fn validate(&self) -> Result<(), Error> {
+        let refuse = |key: &str, found: String, allowed: &str, hint: &str| {
+            Err(Error::Config {
+                key: format!("lora.{key}"),
+                found,
+                allowed: allowed.into(),
+                hint: hint.into(),
+            })
+        };
+        if self.rank == 0 {
+            return refuse("rank", "0".into(), "1 or more", "4 to 16 is usual");
+        }
+        if !(self.alpha > 0.0 && self.alpha.is_finite()) {
+            return refuse(
+                "alpha",
+                self.alpha.to_string(),
+                "a number above 0",
+                "`lora.rank` itself gives a scale of 1",
+            );
+        }
+        if self.targets.is_empty() {
+            return refuse(
+                "targets",
+                "[]".into(),
+                "one or more of `attention`, `convolution` and `conditioning`",
+                "leave the key out for attention and convolutions",
+            );
+        }
+        Ok(())
+    }
+}
+
+/// A layer whose weight can carry an adapter.
+pub(crate) trait Adaptable: Sized {
+    /// The layer with a fresh adapter in place of any that it has.
+    fn with_adapter(self, config: &LoraConfig, init: &Initializer) -> Self;
+
+    /// The layer without an adapter, whose change is added to the weight.
+    fn merge_adapter(self) -> Self;
+}
+
+/// What is done to the adapters of a network, at one place of its tree; [`at`](Self::at) descends.
+pub(crate) enum Adapting<'a> {
+    /// Puts fresh adapters on the layers that the config names.
+    Attach(&'a LoraConfig, Initializer),
+    /// Takes all adapters off and adds them to the weights.
+    Merge,
+}
+
+impl Adapting<'_> {
+    /// The same for the place `name` below this one.
+    pub(crate) fn at(&self, name: &str) -> Self {
+        match self {
+            Self::Attach(config, init) => Self::Attach(config, init.at(name)),
+            Self::Merge => Self::Merge,
+        }
+    }
+
+    /// Does it to the layer `name` below this place.
+    pub(crate) fn layer<L: Adaptable>(&self, target: LoraTarget, name: &str, layer: L) -> L {
+        match self {
+            Self::Attach(config, init) if config.targets.contains(&target) => {
+                layer.with_adapter(config, &init.at(name).at("lora"))
+            }
+            Self::Attach(..) => layer,
+            Self::Merge => layer.merge_adapter(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::de::IntoDeserializer;
+    use serde::de::value::{Error as ValueError, MapDeserializer};
+
+    use super::*;
+
+    fn read(key: &'static str, value: u64) -> Result<LoraConfig, ValueError> {
+        let entries = [(key, value)].into_iter();
+        LoraConfig::deserialize(MapDeserializer::new(entries))
+    }
+
+    #[test]
+    fn what_a_config_leaves_out_is_the_default_and_unknown_keys_are_refused() {
+        let config = read("rank", 3).expect("a known key");
+        assert_eq!(
+            config,
+            LoraConfig {
+                rank: 3,
+                ..LoraConfig::default()
+            }
+        );
+        let error = read("r", 3).expect_err("an unknown key").to_string();
+        assert!(error.contains('r') && error.contains("`rank`"), "{error}");
+    }
+
+    #[test]
+    fn targets_are_written_in_snake_case() {
+        let read = |name: &'static str| {
+            let deserializer: serde::de::value::StrDeserializer<'_, ValueError> =
+                name.into_deserializer();
+            LoraTarget::deserialize(deserializer)
+        };
+        assert_eq!(read("attention"), Ok(LoraTarget::Attention));
+        assert_eq!(read("convolution"), Ok(LoraTarget::Convolution));
+        assert_eq!(read("conditioning"), Ok(LoraTarget::Conditioning));
+        assert!(read("Attention").is_err());
+    }
+
+    #[test]
+    fn bad_settings_are_refused_by_key() {
+        let good = LoraConfig::default;
+        good().validate().expect("the default");
+        let refused = |config: LoraConfig, expected: &str| {
+            let error = config.validate().expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
+        };
+        refused(LoraConfig { rank: 0, ..good() }, "`lora.rank` is 0");
+        for alpha in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let expected = format!("`lora.alpha` is {alpha}");
+            refused(LoraConfig { alpha, ..good() }, &expected);
+        }
+        let targets = Vec::new();
+        refused(LoraConfig { targets, ..good() }, "`lora.targets` is []");
+    }
+}
