@@ -87,12 +87,14 @@ impl Observer for TrainProgress {
             );
         }
         self.started = Instant::now();
+        (self.smoothed, self.steps_here) = (None, 0);
         if std::io::stderr().is_terminal() {
             let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
             let style = ProgressStyle::with_template(template).expect("a valid template");
             let bar = ProgressBar::new(summary.max_steps);
             let bar = bar.with_style(style).with_position(summary.step);
             bar.reset_eta();
+            self.finish();
             self.bar = Some(bar);
         }
     }
@@ -133,6 +135,10 @@ impl Observer for TrainProgress {
 
     fn saved(&mut self, path: &Path) {
         self.line(&format!("saved {}", path.display()));
+    }
+
+    fn note(&mut self, text: &str) {
+        self.line(text);
     }
 
     fn warning(&mut self, text: &str) {

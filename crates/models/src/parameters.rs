@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
 
-use crate::Error;
+use crate::{Error, GradientSum};
 
 /// Where a parameter stands and how large it is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -178,25 +178,9 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
 /// Takes the gradients of all parameters out of `gradients`; zeros where a parameter had no part
 /// in the loss or is frozen.
 pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
-    struct Visitor<'a> {
-        gradients: &'a mut Gradients,
-        values: Vec<Vec<f32>>,
-    }
-    impl ModuleVisitor for Visitor<'_> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let values = match param.val().grad_remove(self.gradients) {
-                Some(gradient) => to_host(gradient),
-                None => vec![0.0; param.lazy_shape().num_elements()],
-            };
-            self.values.push(values);
-        }
-    }
-    let mut visitor = Visitor {
-        gradients,
-        values: Vec::new(),
-    };
-    module.visit(&mut visitor);
-    visitor.values
+    let mut sum = GradientSum::default();
+    sum.add(module, gradients);
+    sum.into_host(module)
 }
 
 /// Hands the values of every parameter that is not frozen to `change`, with its index among all,

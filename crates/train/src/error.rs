@@ -78,6 +78,40 @@ pub enum Error {
         /// Value now.
         given: String,
     },
+    /// A checkpoint that no fine-tuning can start from.
+    #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
+    #[diagnostic(help(
+        "`init.diffusion` takes a run of recipe `diffusion` over 25-channel phrases, \
+         `init.decoder` one of recipe `decoder` or `e2e` made from the same base"
+    ))]
+    Start {
+        /// The key that names it.
+        key: &'static str,
+        /// The run or checkpoint.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A fine-tuning whose networks or process are not those of its start.
+    #[error("`{key}` is {found}, but the run it starts from has {start}")]
+    #[diagnostic(help("leave the key out: it is taken from the run that `init` names"))]
+    StartDiffers {
+        /// Dotted key.
+        key: String,
+        /// Value of the start's config.
+        start: String,
+        /// Value now.
+        found: String,
+    },
+    /// A recipe that needs a start without one.
+    #[error("`init.diffusion` is empty, but the recipe `{recipe}` needs a trained denoiser")]
+    #[diagnostic(help(
+        "name a run or checkpoint, for example `--set init.diffusion=runs/phrases`"
+    ))]
+    NoStart {
+        /// The recipe.
+        recipe: &'static str,
+    },
     /// A checkpoint that cannot be used.
     #[error("the checkpoint {} is damaged: {reason}", path.display())]
     #[diagnostic(help("take another step of the run; its `checkpoints` folder lists them"))]

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
-use kinegrad_diffusion::{Clip as ClipRange, GaussianDiffusion, SamplerConfig, sample};
-use kinegrad_models::{Initializer, UNet1d, parameters};
+use kinegrad_diffusion::{GaussianDiffusion, SamplerConfig, sample};
+use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
 use kinegrad_motion::{Motion, TrainingStatistics};
@@ -15,11 +15,12 @@ use kinegrad_random::{Key, Purpose};
 use crate::checkpoint::{Checkpoints, State, Weights, read_weights};
 use crate::config::{Clip, Config};
 use crate::error::Error;
+use crate::trained::Trained;
 
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// As the model drew it, de-normalised.
+    /// As the model drew it, decoded or de-normalised.
     pub raw: Motion,
     /// Post-processed.
     pub motion: Motion,
@@ -27,7 +28,8 @@ pub struct Sample {
 
 /// A trained model, ready to draw samples.
 pub struct Generator {
-    model: UNet1d,
+    unet: UNet1d,
+    decoder: Option<MotionDecoder>,
     diffusion: GaussianDiffusion,
     state: State,
     device: Device,
@@ -67,15 +69,15 @@ impl Generator {
     /// # Errors
     /// If the checkpoint is damaged or does not fit its own config.
     pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
-        let state = State::read(path)?;
-        let parameters = read_weights(path, &state, weights)?;
-        let config = &state.config;
-        let unet = config.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
-        let model = unet.init(&Initializer::new(config.run.seed, device))?;
-        let model = parameters::load(model, parameters)?.valid();
-        let diffusion = GaussianDiffusion::new(&config.diffusion)?;
+        let Trained {
+            unet,
+            decoder,
+            state,
+        } = Trained::load(path, weights, device)?;
+        let diffusion = GaussianDiffusion::new(&state.config.diffusion)?;
         Ok(Self {
-            model,
+            unet: unet.valid(),
+            decoder: decoder.map(|decoder| decoder.valid()),
             diffusion,
             state,
             device: device.clone(),
@@ -127,30 +129,26 @@ impl Generator {
             let (done, all) = (index, conditions.len());
             let x = sample(
                 &self.diffusion,
-                &self.model,
+                &self.unet,
                 start,
                 &cond,
                 sampler,
-                &self.clip_range(clip),
+                &clip.range(self.statistics()),
                 key.at(1),
                 &mut |step, total, _| on_step(done * total + step, all * total),
             )?;
-            let values = x.try_into_vec_as::<f32>().expect("samples are float32");
-            let raw = self.statistics().denormalize_channel_major(&values, frames);
+            let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("samples are float32");
+            let raw = match &self.decoder {
+                Some(decoder) => {
+                    Motion::from_channel_major(&host(decoder.forward(x, None)), frames)?
+                }
+                None => self
+                    .statistics()
+                    .denormalize_channel_major(&host(x), frames),
+            };
             let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
             samples.push(Sample { raw, motion });
         }
         Ok(samples)
-    }
-
-    fn clip_range(&self, clip: Clip) -> ClipRange {
-        match clip {
-            Clip::TrainingRange => {
-                let (min, max) = self.statistics().normalized_range();
-                ClipRange::PerChannel { min, max }
-            }
-            Clip::Unit => ClipRange::Symmetric(1.0),
-            Clip::None => ClipRange::None,
-        }
     }
 }

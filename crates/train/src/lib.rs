@@ -15,7 +15,9 @@ mod observer;
 pub mod optim;
 pub mod recipes;
 pub mod run;
+mod start;
 pub mod telemetry;
+pub mod trained;
 mod trainer;
 
 pub use config::Config;

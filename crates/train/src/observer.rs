@@ -12,6 +12,8 @@ pub trait Observer {
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
+    /// Something the user should know of.
+    fn note(&mut self, text: &str);
     /// Something is doubtful and does not stop the run.
     fn warning(&mut self, text: &str);
     /// Whether the user wants the run to stop; it then writes a checkpoint.

@@ -4,19 +4,27 @@ use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::{AUDIO_CHANNELS, Dataset, Loader};
+use kinegrad_data::{Dataset, Loader};
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::{Initializer, UNet1d, parameters};
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::{DecoderConfig, Initializer, MotionModel};
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
+use toml::Table;
 
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
-use crate::config::{self, Config};
+use crate::config::{self, Config, Recipe};
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
-use crate::recipes::DiffusionRecipe;
+use crate::recipes::{self, DecoderRecipe, DiffusionRecipe, E2eRecipe, HeldOut, Sampler};
+use crate::start::{Starts, tables_of};
+use crate::trained::{denoiser, networks};
 use crate::trainer::{Ending, Trainer, TrainerParts};
+
+mod pretrain;
 
 /// What `kinegrad train` is asked to do.
 #[derive(Clone, Debug)]
@@ -51,19 +59,75 @@ pub struct Outcome {
 /// # Errors
 /// If the request is wrong, before anything is written; or if the run fails.
 pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let mut config = config::load(&request.config, &request.overrides)?.resolved();
+    let mut config = config::load(&request.config, &request.overrides)?;
     if config.run.name.is_empty() {
         let stem = request.config.file_stem().unwrap_or_default();
         config.run.name = stem.to_string_lossy().into_owned();
     }
+    let name = config.run.name.clone();
+    let folder = request.runs_dir.join(&name);
+    let saved = if request.resume && folder.join("config.toml").exists() {
+        Some(saved_config(&folder)?)
+    } else {
+        None
+    };
+    if config.train.recipe.rolls_out() {
+        let beneath = match &saved {
+            // A resumed run does not need its start any more.
+            Some(saved) => Some(tables_of(saved, Some(saved))),
+            None => start_tables(&config)?,
+        };
+        if let Some(beneath) = beneath {
+            config = config::load_over(&request.config, &request.overrides, &beneath)?;
+            config.run.name = name;
+        }
+    }
+    train_config(
+        config.resolved(),
+        &request.runs_dir,
+        request.resume,
+        observer,
+    )
+}
+
+/// Reads a config with what its start, if it has one, says of the networks and the process.
+///
+/// # Errors
+/// If the config or its start cannot be read.
+pub fn load_config(path: &Path, overrides: &[String]) -> Result<Config, Error> {
+    let config = config::load(path, overrides)?;
+    let config = match start_tables(&config)? {
+        Some(beneath) => config::load_over(path, overrides, &beneath)?,
+        None => config,
+    };
+    Ok(config.resolved())
+}
+
+fn start_tables(config: &Config) -> Result<Option<Table>, Error> {
+    if !config.train.recipe.rolls_out() {
+        return Ok(None);
+    }
+    Starts::named(config)?
+        .map(|starts| starts.tables())
+        .transpose()
+}
+
+/// Trains the run that a resolved config describes, in a folder of its name under `runs_dir`.
+fn train_config(
+    config: Config,
+    runs_dir: &Path,
+    resume: bool,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, Error> {
     for warning in config.validate()? {
         observer.warning(&warning);
     }
-    let folder = request.runs_dir.join(&config.run.name);
-    let exists =
-        folder.join("config.toml").exists() || !Checkpoints::of(&folder).steps().is_empty();
     let name = config.run.name.clone();
-    match (exists, request.resume) {
+    let folder = runs_dir.join(&name);
+    let exists = folder.join("config.toml").exists()
+        || pretrain::has_begun(&folder)
+        || !Checkpoints::of(&folder).steps().is_empty();
+    match (exists, resume) {
         (true, false) => return Err(Error::RunExists { name, path: folder }),
         (false, true) if !folder.exists() => {
             let hint = "without `--resume` a new run of that name is started".into();
@@ -72,13 +136,15 @@ pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outc
         _ => {}
     }
     let lock = exists.then(|| lock(&folder)).transpose()?;
-    let checkpoint = if request.resume {
+    let checkpoint = if resume {
         let checkpoint = Checkpoints::of(&folder).newest_good(|damaged| {
             observer.warning(&format!("{damaged}; falling back to the one before"));
         })?;
         match &checkpoint {
             Some(checkpoint) => may_resume(&checkpoint.state.config, &config)?,
-            None if exists => may_resume(&saved_config(&folder)?, &config)?,
+            None if folder.join("config.toml").exists() => {
+                may_resume(&saved_config(&folder)?, &config)?;
+            }
             None => {}
         }
         checkpoint
@@ -91,108 +157,218 @@ pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outc
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
-    let statistics = match &checkpoint {
-        Some(checkpoint) => checkpoint.state.statistics.clone(),
-        None => statistics_of(&dataset, &config)?,
+    let starts = match config.train.recipe {
+        Recipe::Diffusion => None,
+        _ if checkpoint.is_some() => None,
+        recipe => match (Starts::named(&config)?, recipe) {
+            (Some(starts), _) => Some(starts),
+            (None, Recipe::E2e) => match pretrain::run(&config, &folder, observer)? {
+                Ok(starts) => Some(starts),
+                Err(interrupted) => return Ok(*interrupted),
+            },
+            (None, _) => return Err(Error::NoStart { recipe: "decoder" }),
+        },
     };
-    let statistics = Arc::new(statistics);
-    let device = training_device(&config, device);
-    let model = build_model(&config, checkpoint.as_ref(), &device)?;
+    let statistics = match (&checkpoint, &starts) {
+        (Some(checkpoint), _) => checkpoint.state.statistics.clone(),
+        (None, Some(starts)) => starts.statistics()?,
+        (None, None) => statistics_of(&dataset, &config)?,
+    };
+    let setup = Setup {
+        statistics: Arc::new(statistics),
+        device: training_device(&config, device),
+        device_name,
+        dataset,
+        folder,
+        lock,
+        config,
+    };
+    let (config, device) = (&setup.config, &setup.device);
+    match config.train.recipe {
+        Recipe::Diffusion => {
+            let model = denoiser(config, device)?;
+            let recipe =
+                DiffusionRecipe::new(GaussianDiffusion::new(&config.diffusion)?, setup.held_out());
+            setup.train(recipe, model, checkpoint, observer)
+        }
+        Recipe::Decoder => {
+            let model = setup.networks(starts)?;
+            let recipe = DecoderRecipe::new(setup.sampler()?, &config.loss, setup.held_out());
+            setup.train(recipe, model, checkpoint, observer)
+        }
+        Recipe::E2e => {
+            let model = setup.networks(starts)?;
+            let recipe = E2eRecipe::new(setup.sampler()?, &config.loss, setup.held_out());
+            setup.train(recipe, model, checkpoint, observer)
+        }
+    }
+}
 
-    let step = checkpoint
-        .as_ref()
-        .map_or(0, |checkpoint| checkpoint.state.step);
-    let progress = checkpoint
-        .as_ref()
-        .map(|c| c.state.progress.clone())
-        .unwrap_or_default();
-    let summary = RunSummary {
-        name,
-        folder: folder.clone(),
-        device: device_name,
-        parameters: parameters::infos(&model)
-            .iter()
-            .map(|info| info.len())
-            .sum(),
-        train_phrases: dataset.train.len(),
-        validation_phrases: dataset.validation.len(),
-        skipped: dataset.skipped.clone(),
-        step,
-        max_steps: config.train.max_steps,
-    };
-    let patience = config.train.patience;
-    let stopped = patience > 0 && progress.validations_since_best >= patience;
-    if step > 0 && (step >= config.train.max_steps || stopped) {
-        observer.started(&summary);
-        return Ok(Outcome {
+/// A run whose request has been checked.
+struct Setup {
+    config: Config,
+    folder: PathBuf,
+    /// Taken already where the run existed before.
+    lock: Option<File>,
+    dataset: Dataset,
+    statistics: Arc<TrainingStatistics>,
+    device: Device,
+    device_name: String,
+}
+
+impl Setup {
+    fn held_out(&self) -> HeldOut {
+        HeldOut::new(
+            self.dataset.validation.clone(),
+            self.statistics.clone(),
+            &self.config.validation,
+            self.config.data.target_frames,
+        )
+    }
+
+    fn sampler(&self) -> Result<Sampler, Error> {
+        let diffusion = GaussianDiffusion::new(&self.config.diffusion)?;
+        let statistics = self.statistics.clone();
+        Ok(Sampler::new(diffusion, &self.config.rollout, statistics))
+    }
+
+    /// Denoiser and decoder, with the weights of `starts`; without, those of a checkpoint will
+    /// replace them.
+    fn networks(&self, starts: Option<Starts>) -> Result<MotionModel, Error> {
+        let (config, device) = (&self.config, &self.device);
+        match starts {
+            Some(starts) => starts.networks(config, device),
+            None => {
+                let model = networks(config, &self.statistics, device)?;
+                Ok(match config.train.recipe {
+                    Recipe::Decoder => MotionModel {
+                        unet: model.unet.no_grad(),
+                        decoder: model.decoder,
+                    },
+                    Recipe::Diffusion | Recipe::E2e => model,
+                })
+            }
+        }
+    }
+
+    fn train<R: recipes::Recipe>(
+        self,
+        recipe: R,
+        mut model: R::Model,
+        checkpoint: Option<Checkpoint>,
+        observer: &mut dyn Observer,
+    ) -> Result<Outcome, Error> {
+        if let Some(checkpoint) = &checkpoint {
+            model = parameters::load(model, checkpoint.model.clone())?;
+        }
+        let Self {
+            mut config,
             folder,
-            ending: None,
+            lock,
+            dataset,
+            statistics,
+            device,
+            device_name,
+        } = self;
+        let step = checkpoint
+            .as_ref()
+            .map_or(0, |checkpoint| checkpoint.state.step);
+        let progress = checkpoint
+            .as_ref()
+            .map(|c| c.state.progress.clone())
+            .unwrap_or_default();
+        let summary = RunSummary {
+            name: config.run.name.clone(),
+            folder: folder.clone(),
+            device: device_name,
+            parameters: parameters::infos(&model)
+                .iter()
+                .map(|info| info.len())
+                .sum(),
+            train_phrases: dataset.train.len(),
+            validation_phrases: dataset.validation.len(),
+            skipped: dataset.skipped.clone(),
+            step,
+            max_steps: config.train.max_steps,
+        };
+        let patience = config.train.patience;
+        let stopped = patience > 0 && progress.validations_since_best >= patience;
+        if step > 0 && (step >= config.train.max_steps || stopped) {
+            observer.started(&summary);
+            return Ok(Outcome {
+                folder,
+                ending: None,
+                step,
+                progress,
+                config,
+            });
+        }
+
+        // Everything that can be refused has been: only now is something written.
+        fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
+        let lock = match lock {
+            Some(lock) => lock,
+            None => crate::run::lock(&folder)?,
+        };
+        write_config(&folder, &config)?;
+        observer.started(&summary);
+
+        if config.validation.every_steps > 0 && dataset.validation.is_empty() {
+            observer.warning("no phrase is held out: there is no validation and no best step");
+            config.validation.every_steps = 0;
+        }
+        let loader = Loader::new(
+            dataset.train,
+            statistics.clone(),
+            &config.data,
+            config.run.seed,
+            step * config.train.gradient_accumulation_steps,
+        );
+        let parts = TrainerParts {
+            recipe,
+            model,
+            config: config.clone(),
+            statistics,
+            device,
+            loader,
+            folder: folder.clone(),
+        };
+        let mut trainer = Trainer::new(parts, checkpoint)?;
+        let ending = trainer.run(observer)?;
+        drop(lock);
+        let (step, progress) = (trainer.step(), trainer.progress().clone());
+        Ok(Outcome {
+            folder,
+            ending: Some(ending),
             step,
             progress,
             config,
-        });
+        })
     }
-
-    // Everything that can be refused has been: only now is something written.
-    fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let lock = match lock {
-        Some(lock) => lock,
-        None => crate::run::lock(&folder)?,
-    };
-    write_config(&folder, &config)?;
-    observer.started(&summary);
-
-    if config.validation.every_steps > 0 && dataset.validation.is_empty() {
-        observer.warning("no phrase is held out: there is no validation and no best step");
-        config.validation.every_steps = 0;
-    }
-    let loader = Loader::new(
-        dataset.train.clone(),
-        statistics.clone(),
-        &config.data,
-        config.run.seed,
-        step * config.train.gradient_accumulation_steps,
-    );
-    let recipe = DiffusionRecipe::new(
-        GaussianDiffusion::new(&config.diffusion)?,
-        &config.validation,
-        dataset.validation,
-        statistics.clone(),
-        config.data.target_frames,
-    );
-    let parts = TrainerParts {
-        recipe,
-        model,
-        config: config.clone(),
-        statistics,
-        device,
-        loader,
-        folder: folder.clone(),
-    };
-    let mut trainer = Trainer::new(parts, checkpoint)?;
-    let ending = trainer.run(observer)?;
-    drop(lock);
-    let (step, progress) = (trainer.step(), trainer.progress().clone());
-    Ok(Outcome {
-        folder,
-        ending: Some(ending),
-        step,
-        progress,
-        config,
-    })
 }
 
 /// Number of parameters of the networks that `config` trains.
 ///
 /// # Errors
-/// If the network cannot be built.
+/// If a network cannot be built.
 pub fn parameter_count(config: &Config) -> Result<usize, Error> {
-    // Parameters are lazy: no weight is drawn and no memory taken.
-    let model = build_model(config, None, &Device::flex())?;
-    Ok(parameters::infos(&model)
-        .iter()
-        .map(|info| info.len())
-        .sum())
+    // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
+    let device = Device::flex();
+    let count = |infos: Vec<ParameterInfo>| infos.iter().map(ParameterInfo::len).sum::<usize>();
+    let unet = count(parameters::infos(&denoiser(config, &device)?));
+    if !config.train.recipe.rolls_out() {
+        return Ok(unet);
+    }
+    let random = DecoderConfig {
+        init: DecoderInit::Random,
+        ..config.decoder.clone()
+    };
+    let unit = Normalization {
+        mean: vec![0.0; CHANNELS],
+        std: vec![1.0; CHANNELS],
+    };
+    let decoder = random.init(unit, &Initializer::new(0, &device))?;
+    Ok(unet + count(parameters::infos(&decoder)))
 }
 
 /// Statistics of the training phrases as stored; augmentation widens their ranges only.
@@ -213,19 +389,6 @@ fn training_device(config: &Config, device: Device) -> Device {
     } else {
         device
     }
-}
-
-fn build_model(
-    config: &Config,
-    checkpoint: Option<&Checkpoint>,
-    device: &Device,
-) -> Result<UNet1d, Error> {
-    let unet = config.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
-    let model = unet.init(&Initializer::new(config.run.seed, device))?;
-    Ok(match checkpoint {
-        Some(checkpoint) => parameters::load(model, checkpoint.model.clone())?,
-        None => model,
-    })
 }
 
 /// Keys that may differ when a run is resumed.

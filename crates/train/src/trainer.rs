@@ -1,6 +1,6 @@
 //! The one training loop.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use burn::module::Module;
@@ -14,7 +14,7 @@ use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
+use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
 use crate::recipes::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{Metrics, Record};
 
@@ -99,10 +99,11 @@ impl<R: Recipe> Trainer<R> {
                     .iter()
                     .map(|&i| checkpoint.ema[i].values.clone())
                     .collect();
-                let moments = order
+                let moments: Vec<Moments> = order
                     .iter()
                     .map(|&i| checkpoint.moments[i].clone())
                     .collect();
+                check_moments(&moments, &lengths, &infos, &folder)?;
                 let optimizer = AdamW::restore(&config.optim, moments, step);
                 (
                     step,
@@ -414,6 +415,28 @@ fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
         .iter()
         .map(|info| indices[info.name.as_str()])
         .collect()
+}
+
+/// Refuses a checkpoint whose running means are not those of the parameters that are trained.
+fn check_moments(
+    moments: &[Moments],
+    lengths: &[usize],
+    infos: &[ParameterInfo],
+    folder: &Path,
+) -> Result<(), Error> {
+    let wrong = |(moments, length): &(&Moments, &usize)| {
+        moments.exp_avg.len() != **length || moments.exp_avg_sq.len() != **length
+    };
+    match moments.iter().zip(lengths).position(|pair| wrong(&pair)) {
+        None => Ok(()),
+        Some(index) => Err(Error::CheckpointDamaged {
+            path: folder.to_path_buf(),
+            reason: format!(
+                "the optimiser's state of `{}` has not {} elements",
+                infos[index].name, lengths[index]
+            ),
+        }),
+    }
 }
 
 fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {

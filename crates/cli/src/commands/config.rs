@@ -10,9 +10,7 @@ use crate::output::grouped;
 
 /// Prints the resolved config, and the model's size as a comment, so that the output is a config.
 pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
-    let config = config::load(&arguments.config, &arguments.overrides)
-        .map_err(kinegrad_train::Error::from)?
-        .resolved();
+    let config = run::load_config(&arguments.config, &arguments.overrides)?;
     for warning in config.validate()? {
         eprintln!("warning: {warning}");
     }

@@ -177,7 +177,10 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
         let checksum = write(&folder.join(weights.file()), tensors)?;
         checksums.insert(weights.file().to_string(), checksum);
     }
-    let tensors = infos.iter().zip(moments).flat_map(|(info, moments)| {
+    // Frozen parameters have no running means.
+    let trained = infos.iter().zip(moments);
+    let trained = trained.filter(|(info, moments)| moments.exp_avg.len() == info.len());
+    let tensors = trained.flat_map(|(info, moments)| {
         let shape = info.shape.as_slice();
         [
             (

@@ -87,10 +87,11 @@ pub fn read_weights(
     read(path, state, weights.file())
 }
 
-/// Reads the optimiser's running means in the order of `infos`.
+/// Reads the optimiser's running means in the order of `infos`; empty ones for a parameter that
+/// has none, as a frozen one.
 ///
 /// # Errors
-/// If the file is missing or damaged, or lacks a parameter.
+/// If the file is missing or damaged.
 pub fn read_optimizer(
     path: &Path,
     state: &State,
@@ -100,24 +101,17 @@ pub fn read_optimizer(
         .into_iter()
         .map(|p| (p.info.name, p.values))
         .collect();
-    let mut take = |name: String, len: usize| {
-        by_name
-            .remove(&name)
-            .filter(|values| values.len() == len)
-            .ok_or_else(|| {
-                let reason = format!("{OPTIMIZER} lacks `{name}` of {len} elements");
-                Error::CheckpointDamaged {
-                    path: path.to_path_buf(),
-                    reason,
-                }
-            })
-    };
     infos
         .iter()
         .map(|info| {
+            let mut take = |moment: &str| {
+                by_name
+                    .remove(&format!("{}.{moment}", info.name))
+                    .unwrap_or_default()
+            };
             Ok(Moments {
-                exp_avg: take(format!("{}.exp_avg", info.name), info.len())?,
-                exp_avg_sq: take(format!("{}.exp_avg_sq", info.name), info.len())?,
+                exp_avg: take("exp_avg"),
+                exp_avg_sq: take("exp_avg_sq"),
             })
         })
         .collect()

@@ -176,7 +176,11 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     }
     if !(1..=rollout.steps).contains(&rollout.last_k) {
         let allowed = format!("1 to rollout.steps ({})", rollout.steps);
-        return Err(ConfigError::range("rollout.last_k", rollout.last_k, allowed));
+        return Err(ConfigError::range(
+            "rollout.last_k",
+            rollout.last_k,
+            allowed,
+        ));
     }
     let [lowest, highest] = rollout.start_timesteps;
     if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
@@ -185,7 +189,11 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
             rollout.steps - 1
         );
-        return Err(ConfigError::range("rollout.start_timesteps", found, allowed));
+        return Err(ConfigError::range(
+            "rollout.start_timesteps",
+            found,
+            allowed,
+        ));
     }
     let at_least_zero = |key: String, value: f64| {
         if value >= 0.0 && value.is_finite() {
@@ -221,7 +229,11 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     }
     if !(0.0..=1.0).contains(&rollout.gradient_decay) {
         let found = rollout.gradient_decay;
-        return Err(ConfigError::range("rollout.gradient_decay", found, "0 to 1"));
+        return Err(ConfigError::range(
+            "rollout.gradient_decay",
+            found,
+            "0 to 1",
+        ));
     }
     Ok(())
 }

@@ -13,11 +13,46 @@ use super::{Config, ConfigError};
 /// # Errors
 /// Names file and line, or the override, of the first thing wrong.
 pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+    parse(&read(path)?, &path.display().to_string(), overrides)
+}
+
+/// [`load()`] where `beneath` says what the file and the overrides leave out.
+///
+/// # Errors
+/// As [`load()`].
+pub fn load_over(
+    path: &Path,
+    overrides: &[String],
+    beneath: &Table,
+) -> Result<Config, ConfigError> {
+    // Errors of the file by itself name its lines.
+    load(path, overrides)?;
+    let text = read(path)?;
+    let mut table = beneath.clone();
+    lay_over(&mut table, text.parse().expect("text that was just parsed"));
+    for argument in overrides {
+        apply(&mut table, argument)?;
+    }
+    from_table(&table, &path.display().to_string())
+}
+
+/// Puts the values of `above` into `table`, table by table.
+fn lay_over(table: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}
+
+fn read(path: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
         path: path.to_path_buf(),
         source,
-    })?;
-    parse(&text, &path.display().to_string(), overrides)
+    })
 }
 
 /// [`load()`] from text; `origin` stands for the file in errors.

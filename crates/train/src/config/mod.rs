@@ -16,7 +16,7 @@ pub use end_to_end::{
     RolloutStart,
 };
 pub use error::ConfigError;
-pub use load::{load, parse, to_toml};
+pub use load::{load, load_over, parse, to_toml};
 pub use tables::{
     CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, Recipe, RunConfig, SamplingConfig,
     TrainConfig, ValidationConfig,
@@ -24,7 +24,7 @@ pub use tables::{
 
 use kinegrad_data::DataConfig;
 use kinegrad_diffusion::DiffusionConfig;
-use kinegrad_models::{DecoderConfig, ModelConfig};
+use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -43,6 +43,10 @@ pub struct Config {
     pub model: ModelConfig,
     /// The motion decoder, in recipes that have one.
     pub decoder: DecoderConfig,
+    /// Low-rank adapters on the denoiser, in recipe `e2e`; without this table all its weights are
+    /// fine-tuned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lora: Option<LoraConfig>,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
     /// The sampler that gradients pass through, in recipes that have one.
@@ -91,6 +95,9 @@ impl Config {
         if self.train.recipe.rolls_out() {
             self.decoder.validate()?;
             end_to_end::validate(self)?;
+        }
+        if let Some(lora) = &self.lora {
+            lora.validate()?;
         }
         let mut warnings = Vec::new();
         if self.optim.warmup_steps > self.train.max_steps {

@@ -77,7 +77,10 @@ pub fn normalized_error(
 ) -> Tensor<1> {
     let target = with_nearer_sign(target, decoded);
     let error = (decoded.clone() - target) / std.clone();
-    mean_frames(error.square() * weights, &mask.clone().unsqueeze_dim::<3>(1))
+    mean_frames(
+        error.square() * weights,
+        &mask.clone().unsqueeze_dim::<3>(1),
+    )
 }
 
 /// `target` with the sign of each quaternion that is nearer to that of `decoded`.

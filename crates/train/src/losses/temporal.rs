@@ -120,7 +120,10 @@ impl TemporalLossConfig {
             ("phase_monotonic_weight", self.phase_monotonic_weight),
             ("quat_norm_weight", self.quat_norm_weight),
             ("angular_velocity_weight", self.angular_velocity_weight),
-            ("position_smoothness_weight", self.position_smoothness_weight),
+            (
+                "position_smoothness_weight",
+                self.position_smoothness_weight,
+            ),
             ("target_jerk", self.target_jerk),
             ("target_vel_coherence", self.target_vel_coherence),
             ("target_accel_coherence", self.target_accel_coherence),
@@ -196,12 +199,17 @@ pub fn temporal_losses(
         mean_frames((error / config.target_angular_velocity).square(), &pairs)
     });
     if time >= 4 {
-        add("position_smoothness", config.position_smoothness_weight, &|| {
-            let jerk = differences(differences(differences(p.clone())));
-            let square = (jerk / config.target_jerk).square().sum_dim(1);
-            let whole = frames.clone().narrow(2, 0, time - 3) * frames.clone().narrow(2, 3, time - 3);
-            mean_frames(square, &whole)
-        });
+        add(
+            "position_smoothness",
+            config.position_smoothness_weight,
+            &|| {
+                let jerk = differences(differences(differences(p.clone())));
+                let square = (jerk / config.target_jerk).square().sum_dim(1);
+                let whole =
+                    frames.clone().narrow(2, 0, time - 3) * frames.clone().narrow(2, 3, time - 3);
+                mean_frames(square, &whole)
+            },
+        );
     }
     terms
 }

@@ -34,7 +34,8 @@ pub struct DecoderRecipe {
 }
 
 impl DecoderRecipe {
-    pub(crate) fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+    /// A recipe whose latents `sampler` draws, validated on `held_out`.
+    pub fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
             sampler,
             loss: loss.clone(),
@@ -43,7 +44,12 @@ impl DecoderRecipe {
     }
 
     /// The phrases under little noise, at timesteps spread by `place`.
-    fn noised(&self, x_start: &Tensor<3>, noise: Tensor<3>, place: impl Fn(usize) -> f64) -> Tensor<3> {
+    fn noised(
+        &self,
+        x_start: &Tensor<3>,
+        noise: Tensor<3>,
+        place: impl Fn(usize) -> f64,
+    ) -> Tensor<3> {
         let diffusion = &self.sampler.rollout.diffusion;
         let below = diffusion.config.num_train_timesteps as f64 * NOISED_SHARE;
         let timesteps: Vec<usize> = (0..x_start.dims()[0])

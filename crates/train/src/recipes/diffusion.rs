@@ -11,8 +11,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::Batch;
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::UNet1d;
-use kinegrad_random::{Key, Purpose};
+use kinegrad_models::{DropoutKey, UNet1d};
+use kinegrad_random::Purpose;
 
 use super::inputs::{Inputs, noise};
 use super::{HeldOut, Loss, Measured, Recipe, StepKey};
@@ -37,7 +37,9 @@ impl Recipe for DiffusionRecipe {
     type Model = UNet1d;
 
     fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        denoising_loss(&self.diffusion, model, Inputs::new(batch, device), key)
+        let inputs = Inputs::new(batch, device);
+        let draws = DenoisingDraws::new(&self.diffusion, inputs.x_start.dims(), key, device);
+        denoising_loss(&self.diffusion, model, inputs, draws)
     }
 
     fn validation_loss(&self, model: &UNet1d, device: &Device) -> Measured {
@@ -48,31 +50,72 @@ impl Recipe for DiffusionRecipe {
     }
 }
 
+/// What is random in the loss of one batch.
+#[derive(Clone, Debug)]
+pub struct DenoisingDraws {
+    /// One timestep a sample.
+    pub timesteps: Vec<usize>,
+    /// Standard normal: `[batch, channels, time]`.
+    pub noise: Tensor<3>,
+    /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
+    pub keep_cond: Option<Tensor<3>>,
+    /// The network's dropout.
+    pub dropout: DropoutKey,
+}
+
+impl DenoisingDraws {
+    /// The draws of `key` for a batch of this shape.
+    pub fn new(
+        diffusion: &GaussianDiffusion,
+        shape: [usize; 3],
+        key: StepKey,
+        device: &Device,
+    ) -> Self {
+        let config = &diffusion.config;
+        let batch = shape[0];
+        let keep_cond = (config.cond_drop_prob > 0.0).then(|| {
+            let keep: Vec<f32> = key
+                .of(Purpose::CondDropout)
+                .uniforms(batch)
+                .iter()
+                .map(|&u| f32::from(f64::from(u) >= config.cond_drop_prob))
+                .collect();
+            Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), device)
+        });
+        Self {
+            timesteps: key
+                .of(Purpose::Timesteps)
+                .integers(batch, config.num_train_timesteps),
+            noise: noise(key.of(Purpose::Noise), shape, device),
+            keep_cond,
+            dropout: Some(key.of(Purpose::Dropout)),
+        }
+    }
+}
+
 /// The loss above.
 pub(super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     inputs: Inputs,
-    key: StepKey,
+    draws: DenoisingDraws,
 ) -> Loss {
     let Inputs {
         x_start,
         cond,
         mask,
     } = inputs;
-    let shape = x_start.dims();
-    let timesteps = key
-        .of(Purpose::Timesteps)
-        .integers(shape[0], diffusion.config.num_train_timesteps);
-    let noise = noise(key.of(Purpose::Noise), shape, &x_start.device());
-
+    let DenoisingDraws {
+        timesteps,
+        noise,
+        keep_cond,
+        dropout,
+    } = draws;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-    let cond = drop_cond(
-        cond,
-        diffusion.config.cond_drop_prob,
-        key.of(Purpose::CondDropout),
-    );
-    let dropout = Some(key.of(Purpose::Dropout));
+    let cond = match keep_cond {
+        Some(keep) => cond * keep,
+        None => cond,
+    };
     let model_output = unet.forward(x_t.clone(), &timesteps, cond.clone(), dropout);
 
     let target = diffusion.target(x_start.clone(), noise, &timesteps);
@@ -95,21 +138,6 @@ pub(super) fn denoising_loss(
         total,
         rollout: None,
     }
-}
-
-/// Zeros the condition of samples chosen by `key`, each with probability `prob`.
-fn drop_cond(cond: Tensor<3>, prob: f64, key: Key) -> Tensor<3> {
-    if prob == 0.0 {
-        return cond;
-    }
-    let [batch, ..] = cond.dims();
-    let keep: Vec<f32> = key
-        .uniforms(batch)
-        .iter()
-        .map(|&u| f32::from(f64::from(u) >= prob))
-        .collect();
-    let keep = Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), &cond.device());
-    cond * keep
 }
 
 /// The same loss without dropout on held-out phrases.

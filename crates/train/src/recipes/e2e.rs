@@ -18,10 +18,10 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
 use kinegrad_diffusion::{RolloutMode, Trace, rollout_timesteps};
-use kinegrad_models::{GradientSum, MotionModel};
+use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
 
-use super::diffusion::{denoising_loss, denoising_validation_loss};
+use super::diffusion::{DenoisingDraws, denoising_loss, denoising_validation_loss};
 use super::inputs::{Inputs, noise};
 use super::sampler::Sampler;
 use super::{HeldOut, Loss, Measured, Recipe, StepKey};
@@ -42,13 +42,70 @@ pub struct PendingRollout {
     cond: Tensor<3>,
 }
 
+/// What is random in the loss of one batch.
+#[derive(Clone, Debug)]
+pub struct E2eDraws {
+    /// Of the diffusion loss.
+    pub denoising: DenoisingDraws,
+    /// Start timestep of each sample's rollout.
+    pub starts: Vec<usize>,
+    /// Start noise of the rollout, standard normal: `[batch, 25, time]`.
+    pub start_noise: Tensor<3>,
+    /// The decoder's dropout.
+    pub decoder_dropout: DropoutKey,
+}
+
 impl E2eRecipe {
-    pub(crate) fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+    /// A recipe whose rollouts `sampler` makes, validated on `held_out`.
+    pub fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
             sampler,
             loss: loss.clone(),
             held_out,
         }
+    }
+
+    /// The loss of a batch and what was drawn for it.
+    pub fn loss_of(&self, model: &MotionModel, inputs: Inputs, draws: E2eDraws) -> Loss {
+        let E2eDraws {
+            denoising,
+            starts,
+            start_noise,
+            decoder_dropout,
+        } = draws;
+        // 1. The diffusion loss.
+        let diffusion = &self.sampler.rollout.diffusion;
+        let mut loss = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising);
+        loss.total = loss.total * self.loss.w_diff;
+        loss.terms = vec![("diffusion", loss.total.clone())];
+
+        // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        let output = self
+            .sampler
+            .rollout
+            .run(
+                &model.unet,
+                &model.unet.valid(),
+                self.sampler.start(&inputs.x_start, start_noise, &starts),
+                &inputs.cond,
+                &rollout_timesteps(&starts, self.sampler.config.steps),
+                self.sampler.config.graph(),
+            )
+            .expect("bounds of 25 channels");
+        loss.rollout = output.trace.map(|trace| PendingRollout {
+            trace,
+            cond: inputs.cond.clone(),
+        });
+
+        // 3. Its latent decoded, compared with the ground truth, and with itself.
+        let decoded = model.decoder.forward(output.x.clone(), decoder_dropout);
+        for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
+            loss.total = loss.total + term.clone();
+            loss.terms.push((name, term));
+        }
+        loss.probes.push(("latent", output.x));
+        loss.probes.push(("decoded", decoded));
+        loss
     }
 
     /// The weighted terms of decoded motion, by name.
@@ -93,47 +150,17 @@ impl Recipe for E2eRecipe {
 
     fn loss(&self, model: &MotionModel, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
-        let diffusion = &self.sampler.rollout.diffusion;
-
-        // 1. The diffusion loss.
-        let mut loss = denoising_loss(diffusion, &model.unet, inputs.clone(), key);
-        loss.total = loss.total * self.loss.w_diff;
-        loss.terms = vec![("diffusion", loss.total.clone())];
-
-        // 2. A rollout, with gradients as `rollout.mode` keeps them.
         let shape = inputs.x_start.dims();
-        let starts = self
-            .sampler
-            .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
-        let noise = noise(key.of(Purpose::RolloutNoise), shape, device);
-        let output = self
-            .sampler
-            .rollout
-            .run(
-                &model.unet,
-                &model.unet.valid(),
-                self.sampler.start(&inputs.x_start, noise, &starts),
-                &inputs.cond,
-                &rollout_timesteps(&starts, self.sampler.config.steps),
-                self.sampler.config.graph(),
-            )
-            .expect("bounds of 25 channels");
-        loss.rollout = output.trace.map(|trace| PendingRollout {
-            trace,
-            cond: inputs.cond.clone(),
-        });
-
-        // 3. Its latent decoded, compared with the ground truth, and with itself.
-        let decoded = model
-            .decoder
-            .forward(output.x.clone(), Some(key.of(Purpose::DecoderDropout)));
-        for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
-            loss.total = loss.total + term.clone();
-            loss.terms.push((name, term));
-        }
-        loss.probes.push(("latent", output.x));
-        loss.probes.push(("decoded", decoded));
-        loss
+        let diffusion = &self.sampler.rollout.diffusion;
+        let draws = E2eDraws {
+            denoising: DenoisingDraws::new(diffusion, shape, key, device),
+            starts: self
+                .sampler
+                .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
+            start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
+            decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
+        };
+        self.loss_of(model, inputs, draws)
     }
 
     fn backward(&self, model: &MotionModel, loss: Loss) -> Vec<Vec<f32>> {

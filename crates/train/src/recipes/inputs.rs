@@ -6,8 +6,8 @@ use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::Key;
 
 /// A batch on the device.
-#[derive(Clone)]
-pub(super) struct Inputs {
+#[derive(Clone, Debug)]
+pub struct Inputs {
     /// `[batch, 25, time]`, normalised.
     pub x_start: Tensor<3>,
     /// `[batch, 163, time]`.
@@ -17,6 +17,7 @@ pub(super) struct Inputs {
 }
 
 impl Inputs {
+    /// Copies `batch` to `device`.
     pub fn new(batch: &Batch, device: &Device) -> Self {
         let (size, time) = (batch.batch_size, batch.frames);
         let on_device = |values: &[f32], channels: usize| {

@@ -17,10 +17,11 @@ use kinegrad_models::GradientSum;
 use kinegrad_random::{Key, Purpose};
 
 pub use decoder::DecoderRecipe;
-pub use diffusion::DiffusionRecipe;
-pub use e2e::{E2eRecipe, PendingRollout};
+pub use diffusion::{DenoisingDraws, DiffusionRecipe};
+pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use held_out::HeldOut;
-pub(crate) use sampler::Sampler;
+pub use inputs::Inputs;
+pub use sampler::Sampler;
 
 /// Which draws a training step uses.
 #[derive(Clone, Copy, Debug)]

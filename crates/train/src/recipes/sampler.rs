@@ -10,13 +10,14 @@ use kinegrad_random::Key;
 use crate::config::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.
-pub(super) struct Sampler {
-    pub rollout: Rollout,
-    pub config: RolloutConfig,
-    pub statistics: Arc<TrainingStatistics>,
+pub struct Sampler {
+    pub(super) rollout: Rollout,
+    pub(super) config: RolloutConfig,
+    pub(super) statistics: Arc<TrainingStatistics>,
 }
 
 impl Sampler {
+    /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
     pub fn new(
         diffusion: GaussianDiffusion,
         config: &RolloutConfig,
@@ -41,7 +42,7 @@ impl Sampler {
 
     /// Start timesteps of a batch: one from each of `batch` equal parts of the configured range,
     /// `place(i)` in [0, 1) saying where in part i.
-    pub fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
+    pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
         let last = self.rollout.diffusion.config.num_train_timesteps - 1;
         let [lowest, highest] = self.config.start_timesteps.map(|t| t.min(last));
         let width = (highest - lowest + 1) as f64;
@@ -54,13 +55,18 @@ impl Sampler {
     }
 
     /// As [`starts`](Self::starts), at places drawn from `key`.
-    pub fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
+    pub(super) fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
         let places = key.uniforms(batch);
         self.starts(batch, |i| f64::from(places[i]))
     }
 
     /// The state a rollout starts from.
-    pub fn start(&self, x_start: &Tensor<3>, noise: Tensor<3>, starts: &[usize]) -> Tensor<3> {
+    pub(super) fn start(
+        &self,
+        x_start: &Tensor<3>,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
         match self.config.start {
             RolloutStart::Noise => noise,
             RolloutStart::Motion => {
@@ -71,7 +77,7 @@ impl Sampler {
     }
 
     /// How much the reconstruction of each sample counts: `[batch, 1, 1]`.
-    pub fn weights(
+    pub(super) fn weights(
         &self,
         starts: &[usize],
         weighting: ReconstructionWeighting,
@@ -89,7 +95,7 @@ impl Sampler {
     }
 
     /// Normalised motion in physical units.
-    pub fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
+    pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
         let device = x.device();
         x.clone() * channels(&self.statistics.std, &device)
             + channels(&self.statistics.mean, &device)

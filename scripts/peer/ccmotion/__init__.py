@@ -1,0 +1,1 @@
+"""CC-MotionGen's network, decoder and end-to-end training step in PyTorch, for comparison."""

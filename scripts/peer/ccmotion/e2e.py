@@ -1,0 +1,144 @@
+"""One step of end-to-end training: denoiser and decoder together, through the sampler
+(CC-MotionGen documentation, sections 7.1 to 7.4)."""
+
+import copy
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from .decoder import MotionDecoder
+from .diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
+from .losses import TemporalLosses, position_loss, quaternion_loss, temporal_losses
+from .unet1d import UNet1d
+
+
+@dataclass(frozen=True)
+class EndToEndConfig:
+    """Everything about the step that is not a tensor."""
+
+    steps: int
+    mode: RolloutMode = RolloutMode.CHECKPOINTED
+    last_k: int = 1
+    prediction_type: PredictionType = PredictionType.SAMPLE
+    schedule: NoiseSchedule = field(default_factory=NoiseSchedule.cosine)
+    diffusion_weight: float = 0.1
+    decoder_weight: float = 1.0
+    temporal_weight: float = 10.0
+    unet_learning_rate: float = 1e-6
+    decoder_learning_rate: float = 5e-5
+    weight_decay: float = 1e-4
+    max_grad_norm: float | None = None
+    ema_decay: float = 0.9999
+
+
+@dataclass
+class Batch:
+    """Motion with everything random about the step already drawn."""
+
+    motion: Tensor
+    """`[B, 25, T]`"""
+    cond: Tensor
+    """`[B, 163, T]`"""
+    timesteps: Tensor
+    """`[B]`, of the diffusion loss"""
+    noise: Tensor
+    """`[B, 25, T]`, of the diffusion loss"""
+    x_T: Tensor
+    """`[B, 25, T]`, where the rollout starts"""
+
+
+@dataclass
+class RolloutLosses:
+    """Scalars that depend on the rollout, unweighted against each other."""
+
+    decoded: Tensor
+    """`[B, T, 25]`, the motion they were taken from"""
+    position: Tensor
+    quaternion: Tensor
+    temporal: TemporalLosses
+
+
+class EndToEndModel(nn.Module):
+    """The two networks."""
+
+    def __init__(self, unet: UNet1d, decoder: MotionDecoder) -> None:
+        super().__init__()
+        self.unet = unet
+        self.decoder = decoder
+
+    def diffusion_loss(self, batch: Batch, config: EndToEndConfig) -> Tensor:
+        """Mean squared error of the network's prediction at `x_t`."""
+        x_t = config.schedule.add_noise(batch.motion, batch.noise, batch.timesteps)
+        target = config.schedule.target(
+            batch.motion, batch.noise, batch.timesteps, config.prediction_type
+        )
+        return F.mse_loss(self.unet(x_t, batch.timesteps, batch.cond), target)
+
+    def rollout_losses(self, batch: Batch, config: EndToEndConfig) -> RolloutLosses:
+        """Losses of the decoded sample."""
+        x = rollout(
+            self.unet,
+            config.schedule,
+            config.prediction_type,
+            batch.x_T,
+            batch.cond,
+            config.steps,
+            config.mode,
+            config.last_k,
+        )
+        decoded = self.decoder(x.transpose(1, 2))
+        motion = batch.motion.transpose(1, 2)
+        return RolloutLosses(
+            decoded=decoded,
+            position=position_loss(decoded, motion),
+            quaternion=quaternion_loss(decoded, motion),
+            temporal=temporal_losses(decoded),
+        )
+
+
+def backward(
+    model: EndToEndModel, batch: Batch, config: EndToEndConfig
+) -> tuple[Tensor, Tensor, RolloutLosses]:
+    """Adds the gradient of the total to the parameters; returns total, diffusion loss, the rest."""
+    diffusion = model.diffusion_loss(batch, config)
+    losses = model.rollout_losses(batch, config)
+    total = (
+        config.diffusion_weight * diffusion
+        + config.decoder_weight * (losses.position + losses.quaternion)
+        + config.temporal_weight * losses.temporal.total
+    )
+    total.backward()
+    return total, diffusion, losses
+
+
+class Trainer:
+    """Model, AdamW with a learning rate for each network, and an EMA copy of both."""
+
+    def __init__(self, model: EndToEndModel, config: EndToEndConfig) -> None:
+        self.model = model
+        self.config = config
+        self.ema_model = copy.deepcopy(model).requires_grad_(False)
+        self.optimizer = torch.optim.AdamW(
+            [
+                {"params": model.unet.parameters(), "lr": config.unet_learning_rate},
+                {"params": model.decoder.parameters(), "lr": config.decoder_learning_rate},
+            ],
+            weight_decay=config.weight_decay,
+            fused=True,
+        )
+
+    def step(self, batch: Batch) -> float:
+        """Trains on one batch; returns the total loss."""
+        total, _, _ = backward(self.model, batch, self.config)
+        if self.config.max_grad_norm is not None:
+            nn.utils.clip_grad_norm_(self.model.parameters(), self.config.max_grad_norm)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        with torch.no_grad():
+            for shadow, parameter in zip(
+                self.ema_model.parameters(), self.model.parameters(), strict=True
+            ):
+                shadow.lerp_(parameter, 1.0 - self.config.ema_decay)
+        return float(total.detach())

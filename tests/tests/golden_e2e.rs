@@ -1,0 +1,485 @@
+//! The end-to-end loss against golden file 07_e2e, in all memory modes of the rollout: states,
+//! losses, gradients of every step, and one optimiser step with two learning rates.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::{
+    BetaSchedule, Clip as Bounds, Denoiser, DiffusionConfig, GaussianDiffusion, PredictionType,
+    Rollout, RolloutMode as Graph, rollout_timesteps,
+};
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::{DecoderConfig, Initializer, MotionModel, UNet1d, parameters};
+use kinegrad_motion::TrainingStatistics;
+use kinegrad_tests::golden::Golden;
+use kinegrad_tests::{unet, weights};
+use kinegrad_train::config::{
+    Clip, LossConfig, OptimConfig, ReconstructionWeighting, RolloutConfig, RolloutMode,
+    RolloutStart, ValidationConfig,
+};
+use kinegrad_train::losses::{
+    ReconstructionLoss, SignMatching, TemporalLossConfig, temporal_losses,
+};
+use kinegrad_train::optim::{AdamW, global_norm};
+use kinegrad_train::recipes::{
+    DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Recipe, Sampler,
+};
+
+/// The document's loss, literally.
+fn document() -> LossConfig {
+    LossConfig {
+        reconstruction_weighting: ReconstructionWeighting::Uniform,
+        quaternion_sign: SignMatching::Document,
+        temporal: TemporalLossConfig::document(),
+        ..LossConfig::default()
+    }
+}
+
+/// Motion that is its own normalised form, as in the golden file.
+fn unit_statistics() -> TrainingStatistics {
+    TrainingStatistics {
+        mean: vec![0.0; 25],
+        std: vec![1.0; 25],
+        min: vec![-1.0; 25],
+        max: vec![1.0; 25],
+        frames: 1,
+        phrases: 1,
+        rms_speed: 1.0,
+        rms_acceleration: 1.0,
+        jerk_p95: 1.0,
+    }
+}
+
+struct Case {
+    golden: Golden,
+    name: &'static str,
+    device: Device,
+    diffusion: GaussianDiffusion,
+}
+
+impl Case {
+    fn open(name: &'static str) -> Option<Self> {
+        let (schedule, timesteps) = match name {
+            "linear50" => (BetaSchedule::Linear, 50),
+            "linear1000" => (BetaSchedule::Linear, 1000),
+            "cosine1000" => (BetaSchedule::Cosine, 1000),
+            other => panic!("case {other}"),
+        };
+        let config = DiffusionConfig {
+            num_train_timesteps: timesteps,
+            beta_schedule: schedule,
+            prediction_type: PredictionType::Epsilon,
+            ..DiffusionConfig::default()
+        };
+        Some(Self {
+            golden: Golden::open("ccmotion", "07_e2e.safetensors")?,
+            name,
+            device: Device::flex().autodiff(),
+            diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
+        })
+    }
+
+    fn model(&self) -> MotionModel {
+        let init = Initializer::new(0, &self.device);
+        let decoder: serde_json::Value =
+            serde_json::from_str(self.golden.metadata("decoder")).expect("JSON");
+        let size = |key: &str| decoder[key].as_u64().expect("a number") as usize;
+        let decoder = DecoderConfig {
+            hidden_dim: size("hidden"),
+            num_layers: size("layers"),
+            init: DecoderInit::Random,
+            ..DecoderConfig::default()
+        };
+        let unit = Normalization {
+            mean: vec![0.0; 25],
+            std: vec![1.0; 25],
+        };
+        let model = MotionModel {
+            unet: unet::config(self.golden.metadata("unet"))
+                .init(&init)
+                .expect("a valid network"),
+            decoder: decoder.init(unit, &init).expect("a valid decoder"),
+        };
+        parameters::load(model, weights(&self.golden, "model.")).expect("the weights fit")
+    }
+
+    fn tensor(&self, name: &str) -> Tensor<3> {
+        self.golden.tensor(name, &self.device)
+    }
+
+    fn inputs(&self) -> Inputs {
+        let x_start = self.tensor("in.gt");
+        let [batch, _, time] = x_start.dims();
+        Inputs {
+            x_start,
+            cond: self.tensor("in.cond"),
+            mask: Tensor::ones([batch, time], &self.device),
+        }
+    }
+
+    fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
+        let statistics = Arc::new(unit_statistics());
+        let last = self.diffusion.config.num_train_timesteps - 1;
+        let config = RolloutConfig {
+            steps: self.steps(),
+            mode,
+            last_k: 1,
+            start: RolloutStart::Noise,
+            start_timesteps: [last, last],
+            clip: Clip::None,
+            straight_through: false,
+            gradient_decay: 1.0,
+            guidance_scale: 1.0,
+        };
+        let held_out = HeldOut::new(
+            Vec::new(),
+            statistics.clone(),
+            &ValidationConfig::default(),
+            16,
+        );
+        let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
+        E2eRecipe::new(sampler, &document(), held_out)
+    }
+
+    fn steps(&self) -> usize {
+        let steps = self.golden.metadata("ddim_steps");
+        steps.parse().expect("a number of steps")
+    }
+
+    fn starts(&self) -> Vec<usize> {
+        let batch = self.golden.get("in.x_T").shape[0];
+        vec![self.diffusion.config.num_train_timesteps - 1; batch]
+    }
+
+    fn draws(&self) -> E2eDraws {
+        let timesteps = self.golden.get(&format!("in.{}.t", self.name));
+        E2eDraws {
+            denoising: DenoisingDraws {
+                timesteps: timesteps.indices(),
+                noise: self.tensor("in.noise"),
+                keep_cond: None,
+                dropout: None,
+            },
+            starts: self.starts(),
+            start_noise: self.tensor("in.x_T"),
+            decoder_dropout: None,
+        }
+    }
+
+    fn out(&self, name: &str) -> kinegrad_tests::golden::Reference {
+        self.golden.reference(&format!("out.{}.{name}", self.name))
+    }
+
+    fn decoder_tolerance(&self) -> f64 {
+        if self.name == "cosine1000" {
+            5e-3
+        } else {
+            2e-4
+        }
+    }
+
+    fn tolerance(&self, parameter: &str) -> f64 {
+        match parameter.starts_with("decoder.") {
+            true => self.decoder_tolerance(),
+            false => 2e-4,
+        }
+    }
+}
+
+#[test]
+fn golden_e2e_linear50() {
+    check("linear50");
+}
+
+#[test]
+fn golden_e2e_linear1000() {
+    check("linear1000");
+}
+
+#[test]
+fn golden_e2e_cosine1000() {
+    check("cosine1000");
+}
+
+fn check(name: &'static str) {
+    let Some(case) = Case::open(name) else {
+        return;
+    };
+    let full = losses_and_gradients(&case, RolloutMode::Full);
+    let checkpointed = losses_and_gradients(&case, RolloutMode::Checkpointed);
+    for (name, gradient) in &full {
+        assert_close(name, &checkpointed[name], gradient, 1e-6);
+    }
+    truncated(&case);
+    states_and_their_gradients(&case);
+    gradients_of_each_step(&case);
+    if name != "linear1000" {
+        optimizer_step(&case, &full);
+    }
+}
+
+fn assert_close(what: &str, actual: &[f32], reference: &[f32], tolerance: f32) {
+    let scale = reference.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+    for (a, r) in actual.iter().zip(reference) {
+        assert!((a - r).abs() <= tolerance * scale, "{what}: {a} {r}");
+    }
+}
+
+/// The recipe's loss, term by term, and its gradients, as far as the golden file has them.
+fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f32>> {
+    let (model, recipe, weights) = (case.model(), case.recipe(mode), document());
+    let loss = recipe.loss_of(&model, case.inputs(), case.draws());
+    let value = |term: &Tensor<1>| f64::from(term.clone().into_scalar::<f32>());
+    case.out("total")
+        .assert_close("total", &[value(&loss.total)], 1e-5);
+    for (name, term) in &loss.terms {
+        let (name, weight) = match *name {
+            "diffusion" => ("L_diff".to_string(), weights.w_diff),
+            "position" => ("L_pos".to_string(), weights.w_dec),
+            "quaternion" => ("L_quat".to_string(), weights.w_dec),
+            temporal => (format!("temp.{temporal}"), weights.w_temp),
+        };
+        case.out(&name)
+            .assert_close(&name, &[value(term) / weight], 1e-5);
+    }
+    assert_eq!(loss.terms.len(), 8);
+
+    let gradients = recipe.backward(&model, loss);
+    let norm = global_norm(&gradients);
+    let tolerance = case.decoder_tolerance();
+    case.out("global_grad_norm")
+        .assert_close("norm", &[norm], tolerance);
+    let zero: Vec<String> =
+        serde_json::from_str(case.golden.metadata("structurally_zero_gradients")).expect("a list");
+    let mut found = HashMap::new();
+    for (info, gradient) in parameters::infos(&model).into_iter().zip(gradients) {
+        let name = info.name;
+        let stored = format!("grad.{}.model.{name}", case.name);
+        let is_zero = zero.iter().any(|zero| name.ends_with(zero.as_str()));
+        if case.golden.has(&stored) && !is_zero {
+            let tolerance = case.tolerance(&name);
+            let reference = case.golden.reference(&stored);
+            reference.assert_close_f32(&format!("d {name}"), &gradient, tolerance);
+        }
+        if !is_zero {
+            found.insert(name, gradient);
+        }
+    }
+    found
+}
+
+/// One step with a graph gives the truncated gradient.
+fn truncated(case: &Case) {
+    let (model, recipe) = (case.model(), case.recipe(RolloutMode::LastK));
+    let loss = recipe.loss_of(&model, case.inputs(), case.draws());
+    let gradients = recipe.backward(&model, loss);
+    let infos = parameters::infos(&model);
+    let stored = case
+        .golden
+        .names_under(&format!("truncgrad64.{}.", case.name));
+    assert!(!stored.is_empty());
+    for name in stored {
+        let index = infos.iter().position(|info| info.name == name);
+        let gradient = &gradients[index.expect("a parameter")];
+        // No tolerance is given for these: that of the decoder, through which they come.
+        case.golden
+            .get(&format!("truncgrad64.{}.{name}", case.name))
+            .assert_close_f32(
+                &format!("truncated d {name}"),
+                gradient,
+                case.decoder_tolerance(),
+            );
+    }
+}
+
+/// Notes every call of a network, and makes its output a place whose gradient can be read.
+struct Noting<'a> {
+    unet: &'a UNet1d,
+    calls: RefCell<Vec<Call>>,
+}
+
+struct Call {
+    x: Tensor<3>,
+    output: Tensor<3>,
+    place: Tensor<3>,
+}
+
+impl Denoiser for Noting<'_> {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+        let place = x_t.clone().without_autodiff().zeros_like();
+        let place = place.autodiff().require_grad();
+        let output = self.unet.predict(x_t.clone(), timesteps, cond) + place.clone();
+        self.calls.borrow_mut().push(Call {
+            x: x_t,
+            output: output.clone(),
+            place,
+        });
+        output
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        self.unet.null_cond(cond)
+    }
+}
+
+fn rollout(case: &Case) -> Rollout {
+    Rollout {
+        diffusion: case.diffusion.clone(),
+        clip: Bounds::None,
+        guidance_scale: 1.0,
+        gradient_decay: 1.0,
+    }
+}
+
+/// The part of the loss that comes through the rollout.
+fn decoded_loss(case: &Case, decoded: &Tensor<3>) -> Tensor<1> {
+    let (inputs, config) = (case.inputs(), document());
+    let batch = decoded.dims()[0];
+    let weights = Tensor::ones([batch, 1, 1], &case.device);
+    let ReconstructionLoss {
+        position,
+        quaternion,
+    } = ReconstructionLoss::new(
+        decoded,
+        &inputs.x_start,
+        &inputs.mask,
+        weights,
+        config.quaternion_sign,
+    );
+    let temporal = temporal_losses(decoded, &inputs.mask, &config.temporal);
+    let temporal = temporal.into_iter().map(|(_, term)| term);
+    let temporal = temporal.reduce(|a, b| a + b).expect("five terms");
+    (position + quaternion) * config.w_dec + temporal * config.w_temp
+}
+
+/// The network's prediction and the state after each step, the decoded motion, and the gradients
+/// of the start noise and of each prediction.
+fn states_and_their_gradients(case: &Case) {
+    let model = case.model();
+    let noting = Noting {
+        unet: &model.unet,
+        calls: RefCell::default(),
+    };
+    let timesteps = rollout_timesteps(&case.starts(), case.steps());
+    let first: Vec<f64> = timesteps.iter().map(|t| t[0] as f64).collect();
+    let stored = case.golden.get(&format!("out.{}.timesteps", case.name));
+    assert_eq!(first, stored.values);
+    let start = case.tensor("in.x_T");
+    let cond = case.tensor("in.cond");
+    let output = rollout(case)
+        .run(&noting, &noting, start, &cond, &timesteps, Graph::Full)
+        .expect("it fits");
+    let calls = noting.calls.into_inner();
+    let latent = output.x.clone();
+    let after: Vec<Tensor<3>> = calls.iter().skip(1).map(|call| call.x.clone()).collect();
+    for (index, x) in after.into_iter().chain([latent]).enumerate() {
+        case.out(&format!("x_after.{index}"))
+            .assert_close_tensor("state", x, 5e-5);
+    }
+    for (index, call) in calls.iter().enumerate() {
+        case.out(&format!("eps.{index}"))
+            .assert_close_tensor("eps", call.output.clone(), 5e-5);
+    }
+    let decoded = model.decoder.forward(output.x, None);
+    case.out("decoded")
+        .assert_close_tensor("decoded", decoded.clone().swap_dims(1, 2), 5e-5);
+
+    let gradients = decoded_loss(case, &decoded).backward();
+    let reference = |name: &str| case.golden.reference(&format!("grad.{}.{name}", case.name));
+    let gradient = output.entry.grad(&gradients).expect("a gradient");
+    reference("in.x_T").assert_close_tensor("d x_T", gradient, 5e-5);
+    for (index, call) in calls.iter().enumerate() {
+        let gradient = call.place.grad(&gradients).expect("a gradient");
+        reference(&format!("eps.{index}")).assert_close_tensor("d eps", gradient, 5e-4);
+    }
+}
+
+/// What each step's call of the network contributes, as the checkpointed backward pass finds it.
+fn gradients_of_each_step(case: &Case) {
+    let model = case.model();
+    let timesteps = rollout_timesteps(&case.starts(), case.steps());
+    let (start, cond, rollout) = (case.tensor("in.x_T"), case.tensor("in.cond"), rollout(case));
+    let (unet, plain) = (&model.unet, &model.unet.valid());
+    let output = rollout
+        .run(unet, plain, start, &cond, &timesteps, Graph::Checkpointed)
+        .expect("it fits");
+    let decoded = model.decoder.forward(output.x, None);
+    let mut gradients = decoded_loss(case, &decoded).backward();
+    let names: Vec<String> = parameters::infos(unet)
+        .into_iter()
+        .map(|i| i.name)
+        .collect();
+    let mut compared = 0;
+    let trace = output.trace.expect("a checkpointed rollout has one");
+    let of_start = trace
+        .backward(
+            &rollout,
+            unet,
+            &cond,
+            &mut gradients,
+            &mut |index, mut local| {
+                let of_step = parameters::gradients(unet, &mut local);
+                let prefix = format!("stepgrad64.{}.{index}.unet.", case.name);
+                for name in case.golden.names_under(&prefix) {
+                    let place = names.iter().position(|n| *n == name).expect("a parameter");
+                    case.golden
+                        .get(&format!("{prefix}{name}"))
+                        .assert_close_f32(&format!("step {index} d {name}"), &of_step[place], 5e-3);
+                    compared += 1;
+                }
+                let norms = case.golden.get(&format!("stepgradnorm64.{}", case.name));
+                let norm = global_norm(&of_step);
+                let error = (norm - norms.values[index]).abs() / norms.values[index];
+                assert!(error < 5e-3, "step {index}: norm {norm}");
+            },
+        )
+        .expect("it fits");
+    assert_eq!(compared, 3 * case.steps());
+    case.golden
+        .reference(&format!("grad.{}.in.x_T", case.name))
+        .assert_close_tensor("d x_T", of_start, 5e-5);
+}
+
+/// AdamW with a rate for each network.
+fn optimizer_step(case: &Case, gradients: &HashMap<String, Vec<f32>>) {
+    let number = |key: &str| -> f64 { case.golden.metadata(key).parse().expect("a number") };
+    let config = OptimConfig {
+        weight_decay: number("weight_decay"),
+        ..OptimConfig::default()
+    };
+    let stored = case
+        .golden
+        .names_under(&format!("after.{}.model.", case.name));
+    assert!(!stored.is_empty());
+    for name in stored {
+        let rate = match name.starts_with("decoder.") {
+            true => number("lr_decoder"),
+            false => number("lr_unet"),
+        };
+        let before = case.golden.get(&format!("model.{name}")).f32s();
+        let mut after = before.clone();
+        let mut optimizer = AdamW::new(&config, [before.len()]);
+        optimizer.begin_step();
+        optimizer.update(0, &mut after, &gradients[&name], 1.0, rate);
+        let mask = case
+            .golden
+            .get(&format!("aftermask.{}.model.{name}", case.name));
+        let delta = case
+            .golden
+            .get(&format!("delta64.{}.model.{name}", case.name));
+        for (index, mask) in mask.values.iter().enumerate() {
+            if *mask == 0.0 {
+                continue;
+            }
+            let found = f64::from(after[index]) - f64::from(before[index]);
+            let ulp = f64::from(before[index].abs() * f32::EPSILON);
+            let error = (found - delta.values[index]).abs();
+            assert!(error <= ulp + 5e-3 * rate, "{name}[{index}]: {error:e}");
+        }
+    }
+}
