@@ -135,6 +135,25 @@ fn killed_run_ends_the_same_with_four_workers() {
     check_kills("--set data.num_workers=4");
 }
 
+/// Fine-tuning, with the trainings before it, which are killed and resumed too.
+const FINE_TUNING: &str = "--set train.recipe=e2e --set train.max_steps=16 \
+    --set init.pretrain.diffusion_steps=8 --set init.pretrain.decoder_steps=6 \
+    --set decoder.hidden_dim=32 --set decoder.coherence=projection --set rollout.steps=3 \
+    --set data.augment.audio_replace_prob=0.3";
+
+#[test]
+fn killed_fine_tuning_ends_the_same() {
+    check_kills(FINE_TUNING);
+}
+
+#[test]
+fn killed_fine_tuning_with_adapters_and_accumulation_ends_the_same() {
+    check_kills(&format!(
+        "{FINE_TUNING} --set lora.rank=2 --set train.gradient_accumulation_steps=2 \
+         --set rollout.mode=last_k --set rollout.last_k=2"
+    ));
+}
+
 #[test]
 fn killed_run_ends_the_same_with_a_tensor_that_the_backend_sums_in_any_order() {
     // 2056 squared is above 4,194,304, where the backend's own sum depends on the threads.

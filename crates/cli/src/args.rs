@@ -24,6 +24,8 @@ pub enum Command {
     Train(TrainArguments),
     /// Draw motion from a trained model
     Sample(SampleArguments),
+    /// Add the low-rank adapters of a fine-tuned model to its weights
+    Merge(MergeArguments),
     /// Check motion files for physical sanity
     Check(CheckArguments),
     /// Draw a motion file, or the loss curves of a run
@@ -160,6 +162,21 @@ pub struct SampleArguments {
     /// Device to run on [default: the run's]
     #[arg(long)]
     pub device: Option<String>,
+}
+
+/// The result is a run with one checkpoint of plain weights: to sample, to evaluate, to start
+/// another training from.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad merge runs/e2e-lora --out runs/e2e-merged")]
+pub struct MergeArguments {
+    /// Folder of a run (its best checkpoint is taken) or of a checkpoint
+    #[arg(value_name = "RUN_OR_CHECKPOINT")]
+    pub run: PathBuf,
+    /// Folder to write; it must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -29,6 +29,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Train(arguments) => commands::train::run(arguments),
         Command::Sample(arguments) => commands::sample::run(arguments),
+        Command::Merge(arguments) => commands::merge::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Plot(arguments) => commands::plot::run(arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),

@@ -16,6 +16,7 @@ const YAW: u64 = 2;
 const AUDIO_NOISE: u64 = 3;
 const FLIP: u64 = 4;
 const AUDIO_MASKS: u64 = 5;
+const AUDIO_REPLACE: u64 = 6;
 
 /// Makes training samples. Sample n of a seed is the same whoever makes it, and whenever.
 #[derive(Clone, Debug)]
@@ -47,6 +48,7 @@ impl Sampler {
             min_frames,
             audio_noise,
             audio_masks,
+            audio_replace_prob,
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let mut window = self.crop(passage, n);
@@ -73,6 +75,11 @@ impl Sampler {
         }
         for mask in 0..audio_masks {
             mask_audio(&mut audio, key.at(AUDIO_MASKS).at(mask as u64));
+        }
+        let replace = key.at(AUDIO_REPLACE);
+        if audio_replace_prob > 0.0 && replace.at(0).uniform() < audio_replace_prob {
+            let noise = replace.at(1).normals(audio.as_slice().len());
+            audio = AudioFeatures::new(audio.frames(), noise).unwrap_or(audio);
         }
         (motion, audio)
     }
@@ -253,6 +260,24 @@ mod tests {
         let square: f64 = differences.map(|(a, b)| f64::from(a - b).powi(2)).sum();
         let std = (square / audio.as_slice().len() as f64).sqrt();
         assert!((std - 0.25).abs() < 0.015, "{std}");
+    }
+
+    #[test]
+    fn replaced_audio_is_noise_and_the_rest_is_untouched() {
+        let phrase = synthetic::phrase(0, 20, 1);
+        let replacing = sampler(|config| config.augment.audio_replace_prob = 0.5);
+        let mut replaced = 0;
+        for n in 0..60 {
+            let (motion, audio) = replacing.sample(&alone(&phrase), n);
+            assert_eq!(motion, phrase.motion);
+            if audio != phrase.audio {
+                replaced += 1;
+                let values = audio.as_slice();
+                let square: f32 = values.iter().map(|v| v * v).sum();
+                assert!((square / values.len() as f32 - 1.0).abs() < 0.15);
+            }
+        }
+        assert!((15..45).contains(&replaced), "{replaced} of 60");
     }
 
     #[test]

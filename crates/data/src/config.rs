@@ -139,6 +139,9 @@ pub struct AugmentConfig {
     /// features, each up to a quarter of them, are set to zero (SpecAugment, Park et al. 2019,
     /// <https://arxiv.org/abs/1904.08779>).
     pub audio_masks: usize,
+    /// With this probability a sample's audio features are standard normal noise instead, so that
+    /// the model learns to dance to what it does not know.
+    pub audio_replace_prob: f64,
 }
 
 /// Size and seed of the synthetic dataset.
@@ -284,6 +287,13 @@ impl AugmentConfig {
             "most features lie in [0, 1]: try 0.05",
         )?;
         require(
+            (0.0..=1.0).contains(&self.audio_replace_prob),
+            "data.augment.audio_replace_prob",
+            self.audio_replace_prob,
+            "a number from 0 to 1",
+            "0.1 is one sample in ten",
+        )?;
+        require(
             self.audio_masks <= 16,
             "data.augment.audio_masks",
             self.audio_masks,
@@ -382,6 +392,9 @@ mod tests {
                 c.augment.min_frames = Some(121)
             }),
             ("data.augment.audio_noise", |c| c.augment.audio_noise = -0.1),
+            ("data.augment.audio_replace_prob", |c| {
+                c.augment.audio_replace_prob = 1.5
+            }),
             ("data.synthetic.phrases", |c| {
                 c.kind = DataKind::Synthetic;
                 c.synthetic.phrases = 0;

@@ -112,6 +112,20 @@ pub enum Error {
         /// The recipe.
         recipe: &'static str,
     },
+    /// A checkpoint without adapters to merge.
+    #[error("{} has no low-rank adapters to merge", path.display())]
+    #[diagnostic(help("its weights are plain already; adapters come from a table `lora`"))]
+    NoAdapters {
+        /// The checkpoint.
+        path: PathBuf,
+    },
+    /// A place to write to that is not empty.
+    #[error("{} exists already and is not an empty folder", path.display())]
+    #[diagnostic(help("choose another `--out`"))]
+    OutputTaken {
+        /// The place.
+        path: PathBuf,
+    },
     /// A checkpoint that cannot be used.
     #[error("the checkpoint {} is damaged: {reason}", path.display())]
     #[diagnostic(help("take another step of the run; its `checkpoints` folder lists them"))]

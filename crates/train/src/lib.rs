@@ -11,6 +11,7 @@ pub mod ema;
 mod error;
 pub mod generate;
 pub mod losses;
+pub mod merge;
 mod observer;
 pub mod optim;
 pub mod recipes;

@@ -1,0 +1,17 @@
+//! `kinegrad merge`
+
+use std::process::ExitCode;
+
+use kinegrad_train::generate::resolve_checkpoint;
+use kinegrad_train::merge::merge;
+
+use crate::args::MergeArguments;
+use crate::failure::Failure;
+
+/// Writes a run of plain weights.
+pub fn run(arguments: MergeArguments) -> Result<ExitCode, Failure> {
+    let path = resolve_checkpoint(&arguments.run, |damaged| eprintln!("warning: {damaged}"))?;
+    let written = merge(&path, &arguments.out)?;
+    println!("merged {} into {}", path.display(), written.display());
+    Ok(ExitCode::SUCCESS)
+}

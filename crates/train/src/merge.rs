@@ -1,0 +1,62 @@
+//! A run with low-rank adapters made into one of plain weights.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_models::{MotionModel, parameters};
+
+use crate::checkpoint::{CheckpointRef, Checkpoints, State, Weights, read_weights};
+use crate::error::Error;
+use crate::optim::Moments;
+use crate::trained::networks;
+
+/// Adds the adapters of the checkpoint in `path` to the weights they sit on, and writes the result
+/// as the only checkpoint of a run in `out`, which must not exist or be empty. Samples are drawn
+/// from it and trainings start from it; it has no optimiser to resume with. Returns where the
+/// checkpoint is.
+///
+/// # Errors
+/// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
+pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
+    let mut state = State::read(path)?;
+    if state.config.lora.is_none() {
+        return Err(Error::NoAdapters {
+            path: path.to_path_buf(),
+        });
+    }
+    let taken = out
+        .read_dir()
+        .is_ok_and(|mut entries| entries.next().is_some());
+    if taken || out.is_file() {
+        return Err(Error::OutputTaken {
+            path: out.to_path_buf(),
+        });
+    }
+    let device = burn::tensor::Device::flex();
+    let merged = |weights: Weights| -> Result<_, Error> {
+        let fresh = networks(&state.config, &state.statistics, &device)?;
+        let model = parameters::load(fresh, read_weights(path, &state, weights)?)?;
+        let model = MotionModel {
+            unet: model.unet.merge_adapters(),
+            decoder: model.decoder,
+        };
+        let (infos, values) = parameters::export(&model)
+            .into_iter()
+            .map(|parameter| (parameter.info, parameter.values))
+            .collect::<(Vec<_>, Vec<_>)>();
+        Ok((infos, values))
+    };
+    let (infos, model) = merged(Weights::Model)?;
+    let (_, ema) = merged(Weights::Ema)?;
+    let none = Moments {
+        exp_avg: Vec::new(),
+        exp_avg_sq: Vec::new(),
+    };
+    state.config.lora = None;
+    Checkpoints::of(out).save(CheckpointRef {
+        state: &state,
+        infos: &infos,
+        model: &model,
+        ema: &ema,
+        moments: &vec![none; infos.len()],
+    })
+}

@@ -1,0 +1,90 @@
+//! Rollouts of a network of a few million parameters: the memory modes have the same gradients.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{
+    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode,
+    rollout_timesteps,
+};
+use kinegrad_models::{GradientSum, Initializer, UNet1d, UNet1dConfig};
+use kinegrad_random::{Key, Purpose};
+
+/// Network H of the golden files: 3,704,569 parameters.
+fn network(device: &Device) -> UNet1d {
+    let config = UNet1dConfig {
+        in_channels: 25,
+        cond_channels: 163,
+        model_channels: 32,
+        channel_mult: vec![1, 2, 4, 8],
+        num_res_blocks: 2,
+        attention_levels: vec![1, 2, 3],
+        num_heads: 8,
+        use_scale_shift_norm: true,
+        time_embed_dim: 64,
+        context_dim: 48,
+        dropout: 0.1,
+    };
+    config
+        .init(&Initializer::new(7, device))
+        .expect("a valid network")
+}
+
+fn normal(index: u64, shape: [usize; 3]) -> Tensor<3> {
+    let values = Key::new(1, Purpose::Noise)
+        .at(index)
+        .normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), &Device::flex())
+}
+
+fn gradients(steps: usize, guidance_scale: f64, mode: RolloutMode) -> Vec<Vec<f32>> {
+    let model = network(&Device::flex().autodiff());
+    let config = DiffusionConfig {
+        prediction_type: PredictionType::Sample,
+        ..DiffusionConfig::default()
+    };
+    let rollout = Rollout {
+        diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
+        clip: Clip::StraightThrough(Box::new(Clip::Symmetric(3.0))),
+        guidance_scale,
+        gradient_decay: 1.0,
+    };
+    let (start, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
+    let timesteps = rollout_timesteps(&[999, 500], steps);
+    let output = rollout
+        .run(&model, &model.valid(), start, &cond, &timesteps, mode)
+        .expect("it fits");
+    let mut sum = GradientSum::default();
+    let mut tracked = output.x.square().sum().backward();
+    if let Some(trace) = output.trace {
+        trace
+            .backward(
+                &rollout,
+                &model,
+                &cond,
+                &mut tracked,
+                &mut |_, mut local| {
+                    sum.add(&model, &mut local);
+                },
+            )
+            .expect("it fits");
+    }
+    sum.add(&model, &mut tracked);
+    sum.into_host(&model)
+}
+
+#[test]
+fn checkpointed_gradients_are_those_of_one_graph() {
+    for (steps, guidance_scale) in [(5, 1.0), (20, 1.0), (5, 2.0)] {
+        let full = gradients(steps, guidance_scale, RolloutMode::Full);
+        let checkpointed = gradients(steps, guidance_scale, RolloutMode::Checkpointed);
+        let largest = full.iter().flatten().fold(0.0f32, |m, g| m.max(g.abs()));
+        let mut worst = 0.0f32;
+        for (full, checkpointed) in full.iter().zip(&checkpointed) {
+            for (a, b) in full.iter().zip(checkpointed) {
+                worst = worst.max((a - b).abs() / largest);
+            }
+        }
+        assert!(largest > 0.0 && worst < 1e-6, "K = {steps}: {worst:e}");
+        println!("K = {steps}, guidance {guidance_scale}: largest difference {worst:.1e}");
+    }
+}
