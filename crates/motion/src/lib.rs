@@ -1,5 +1,5 @@
 //! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
-//! phrases' statistics, augmentation, post-processing and sanity checks.
+//! phrases' statistics, augmentation, post-processing, sanity checks and metrics.
 //!
 //! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
 //! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen
@@ -20,6 +20,7 @@ pub mod augment;
 pub mod coherence;
 pub mod error;
 pub mod kinematics;
+pub mod metrics;
 pub mod moments;
 pub mod phrase;
 pub mod postprocess;

@@ -55,6 +55,10 @@ pub enum Purpose {
     RolloutNoise = 14,
     /// Dropout masks of the decoder, keyed by step, micro-batch, call and layer.
     DecoderDropout = 15,
+    /// Seed of the samples drawn for one phrase, keyed by its id.
+    PhraseSeed = 16,
+    /// Noise in the place of a phrase's audio features, keyed by its id.
+    NoiseCondition = 14,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.
@@ -110,6 +114,11 @@ impl Key {
             bytes.copy_from_slice(&word.to_le_bytes());
         }
         ChaCha8Rng::from_seed(seed)
+    }
+
+    /// A seed for another tree of keys.
+    pub fn seed(self) -> u64 {
+        self.rng().next_u64()
     }
 
     /// `n` draws from the standard normal distribution.
@@ -183,6 +192,16 @@ mod tests {
             for other in &others[i + 1..] {
                 assert_ne!(key.normals(8), other.normals(8));
             }
+        }
+    }
+
+    #[test]
+    fn seeds_differ_as_their_keys_do() {
+        let key = Key::new(1, Purpose::PhraseSeed);
+        assert_eq!(key.named("a").seed(), key.named("a").seed());
+        let seeds = [key, key.named("a"), key.named("b"), key.at(0)].map(Key::seed);
+        for (index, seed) in seeds.iter().enumerate() {
+            assert!(!seeds[index + 1..].contains(seed));
         }
     }
 

@@ -1,0 +1,206 @@
+//! Do the dancer's beats fall on the music's?
+//!
+//! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, with
+//! the beats that this data allows: the phrase carries the root alone, and the music's beats are
+//! peaks of its onset strength, not tracked beats.
+
+use crate::phrase::VELOCITY;
+use crate::rotation::length;
+use crate::{FPS, Motion};
+
+/// Width of the score's bell, seconds: the paper's 3 frames at 60 frames per second.
+pub const BEAT_SIGMA: f64 = 0.05;
+
+/// How far above the mean a peak of the onset strength must rise, in standard deviations over the
+/// phrase.
+const PEAK_HEIGHT: f64 = 0.5;
+
+/// Least distance between two music beats, frames: 0.3 s, a beat at 200 beats per minute.
+const PEAK_DISTANCE: f64 = 9.0;
+
+/// Times in seconds at which the root is slowest: the local minima of the length of the velocity
+/// channels. A stretch of equal speed below both of its neighbours is one beat, at its middle. The
+/// first and the last frame are none, nor is a stretch that touches them: the speed beyond is not
+/// known. The speed is not smoothed.
+pub fn kinematic_beats(motion: &Motion) -> Vec<f64> {
+    let slowness: Vec<f64> = (0..motion.frames())
+        .map(|t| -length(motion.vector(t, VELOCITY)))
+        .collect();
+    local_maxima(&slowness)
+        .into_iter()
+        .map(|place| place / FPS)
+        .collect()
+}
+
+/// Times in seconds of the music's beats: the local maxima (as for [`kinematic_beats`]) of
+/// `onset_strength`, `[frames]`, that rise more than half a standard deviation above the phrase's
+/// mean. Where two are closer than 0.3 s the higher one stays, of equals the earlier.
+pub fn music_beats(onset_strength: &[f32]) -> Vec<f64> {
+    let strength: Vec<f64> = onset_strength
+        .iter()
+        .map(|&value| f64::from(value))
+        .collect();
+    let frames = strength.len().max(1) as f64;
+    let mean = strength.iter().sum::<f64>() / frames;
+    let variance = strength
+        .iter()
+        .map(|value| (value - mean).powi(2))
+        .sum::<f64>()
+        / frames;
+    let bound = mean + PEAK_HEIGHT * variance.sqrt();
+    // A plateau is level, so the frame below its middle has its height.
+    let height = |place: f64| strength[place as usize];
+    let mut peaks = local_maxima(&strength);
+    peaks.retain(|&place| height(place) > bound);
+    // Stable, so of equal peaks the earlier one comes first.
+    peaks.sort_by(|&a, &b| height(b).total_cmp(&height(a)));
+    let mut beats: Vec<f64> = Vec::new();
+    for place in peaks {
+        if beats
+            .iter()
+            .all(|beat| (beat - place).abs() >= PEAK_DISTANCE)
+        {
+            beats.push(place);
+        }
+    }
+    beats.sort_by(f64::total_cmp);
+    beats.into_iter().map(|place| place / FPS).collect()
+}
+
+/// Mean over the kinematic beats of `exp(-d^2 / (2 sigma^2))`, d the distance in seconds to the
+/// nearest music beat and sigma [`BEAT_SIGMA`]: 1 where every kinematic beat falls on a music
+/// beat, 0 where none comes near one. `None` where either has no beats.
+pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
+    if kinematic.is_empty() || music.is_empty() {
+        return None;
+    }
+    let score = |beat: &f64| {
+        let nearest = music
+            .iter()
+            .map(|other| (other - beat).abs())
+            .fold(f64::INFINITY, f64::min);
+        (-nearest.powi(2) / (2.0 * BEAT_SIGMA.powi(2))).exp()
+    };
+    Some(kinematic.iter().map(score).sum::<f64>() / kinematic.len() as f64)
+}
+
+/// Places, in frames, of the values that are higher than what precedes and follows them; a plateau
+/// counts once, at its middle. Nothing at the ends.
+fn local_maxima(values: &[f64]) -> Vec<f64> {
+    let mut maxima = Vec::new();
+    let mut start = 0;
+    while start < values.len() {
+        let level = values[start];
+        let length = values[start..]
+            .iter()
+            .take_while(|&&value| value == level)
+            .count()
+            .max(1); // NaN equals nothing, not even itself.
+        let end = start + length;
+        let rises = start > 0 && values[start - 1] < level;
+        let falls = values.get(end).is_some_and(|&after| after < level);
+        if rises && falls {
+            maxima.push((start + end - 1) as f64 / 2.0);
+        }
+        start = end;
+    }
+    maxima
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::CHANNELS;
+
+    /// A phrase with these speeds, in changing directions.
+    fn with_speeds(speeds: &[f64]) -> Motion {
+        let mut motion = Motion::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
+        for (t, &speed) in speeds.iter().enumerate() {
+            let direction = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]][t % 3];
+            motion.set_vector(t, VELOCITY, direction.map(|axis| axis * speed));
+        }
+        motion
+    }
+
+    /// Silence of 60 frames with these peaks (frame, height).
+    fn with_peaks(peaks: &[(usize, f32)]) -> Vec<f32> {
+        let mut strength = vec![0.0; 60];
+        for &(frame, height) in peaks {
+            strength[frame] = height;
+        }
+        strength
+    }
+
+    fn frames(beats: &[f64]) -> Vec<f64> {
+        beats.iter().map(|seconds| seconds * FPS).collect()
+    }
+
+    #[test]
+    fn the_root_is_slow_between_faster_frames() {
+        let beats = |speeds: &[f64]| frames(&kinematic_beats(&with_speeds(speeds)));
+        assert_eq!(beats(&[3.0, 1.0, 2.0, 4.0, 0.5, 5.0]), [1.0, 4.0]);
+        assert_eq!(beats(&[3.0, 2.0, 2.0, 2.0, 2.0, 3.0]), [2.5], "a plateau");
+        assert_eq!(beats(&[3.0, 2.0, 2.0, 1.0, 2.0]), [3.0], "a step is none");
+        assert!(beats(&[1.0, 1.0, 2.0, 3.0, 1.0]).is_empty(), "the edges");
+        assert!(beats(&[2.0, 2.0]).is_empty() && beats(&[2.0]).is_empty());
+        assert!(beats(&[2.0, f64::NAN, 2.0, f64::NAN]).is_empty());
+    }
+
+    #[test]
+    fn high_peaks_at_a_distance_are_music_beats() {
+        let beats = |peaks: &[(usize, f32)]| frames(&music_beats(&with_peaks(peaks)));
+        assert_eq!(beats(&[(5, 1.0), (20, 0.8), (50, 1.0)]), [5.0, 20.0, 50.0]);
+        // Mean 2.1 / 60 and deviation 0.18: 0.1 is below 0.127.
+        assert_eq!(beats(&[(5, 1.0), (20, 0.1), (50, 1.0)]), [5.0, 50.0]);
+        assert_eq!(beats(&[(20, 0.8), (28, 1.0)]), [28.0], "the higher one");
+        assert_eq!(beats(&[(20, 0.8), (29, 1.0)]), [20.0, 29.0], "9 frames");
+        assert_eq!(
+            beats(&[(20, 1.0), (28, 1.0)]),
+            [20.0],
+            "of equals the first"
+        );
+        assert_eq!(beats(&[(20, 1.0), (21, 1.0)]), [20.5], "a plateau");
+        assert!(beats(&[(0, 1.0), (59, 1.0)]).is_empty(), "the edges");
+        assert!(beats(&[]).is_empty() && music_beats(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_score_is_the_mean_over_kinematic_beats() {
+        // One beat exactly on the music, one off by a sigma, one far from all.
+        let score = beat_alignment(&[1.0, 2.05, 9.0], &[1.0, 2.0, 3.0]).unwrap();
+        assert!((score - (1.0 + (-0.5f64).exp()) / 3.0).abs() < 1e-12);
+        // The nearest one counts, and music beats without a dancer's cost nothing.
+        let score = beat_alignment(&[1.0], &[0.9, 1.1, 1.05, 4.0]).unwrap();
+        assert!((score - (-0.5f64).exp()).abs() < 1e-12);
+        assert_eq!(beat_alignment(&[], &[1.0]), None);
+        assert_eq!(beat_alignment(&[1.0], &[]), None);
+    }
+
+    proptest! {
+        #[test]
+        fn the_score_depends_on_differences_of_time_alone(
+            kinematic in proptest::collection::vec(0.0..4.0f64, 1..12),
+            music in proptest::collection::vec(0.0..4.0f64, 1..12),
+            shift in -3.0..3.0f64,
+        ) {
+            let moved = |beats: &[f64]| beats.iter().map(|beat| beat + shift).collect::<Vec<_>>();
+            let score = beat_alignment(&kinematic, &music).unwrap();
+            prop_assert!((0.0..=1.0).contains(&score));
+            let again = beat_alignment(&moved(&kinematic), &moved(&music)).unwrap();
+            prop_assert!((score - again).abs() < 1e-9);
+            prop_assert_eq!(beat_alignment(&kinematic, &kinematic), Some(1.0));
+        }
+
+        #[test]
+        fn music_beats_keep_their_distance(strength in proptest::collection::vec(0.0f32..1.0, 0..200)) {
+            let beats = frames(&music_beats(&strength));
+            for pair in beats.windows(2) {
+                prop_assert!(pair[1] - pair[0] >= PEAK_DISTANCE - 1e-9);
+            }
+            let louder: Vec<f32> = strength.iter().map(|value| 4.0 * value).collect();
+            prop_assert_eq!(frames(&music_beats(&louder)), beats, "loudness does not matter");
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! How much phrases differ from one another.
+
+use super::TRAJECTORY;
+use crate::{Motion, TrainingStatistics};
+
+/// Root mean square over frames and [`TRAJECTORY`] channels of the difference of two phrases, in
+/// training standard deviations. Of phrases of different length the first frames are compared,
+/// as many as the shorter one has.
+pub fn trajectory_distance(a: &Motion, b: &Motion, training: &TrainingStatistics) -> f64 {
+    let frames = a.frames().min(b.frames());
+    let mut sum = 0.0;
+    for t in 0..frames {
+        let (a, b) = (a.frame(t), b.frame(t));
+        for channel in TRAJECTORY {
+            let difference = f64::from(a[channel]) - f64::from(b[channel]);
+            sum += (difference / training.std[channel]).powi(2);
+        }
+    }
+    (sum / (frames * TRAJECTORY.len()) as f64).sqrt()
+}
+
+/// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
+/// where a value is not finite.
+pub fn diversity(motions: &[&Motion], training: &TrainingStatistics) -> Option<f64> {
+    let pairs = motions.iter().enumerate().flat_map(|(index, a)| {
+        motions[index + 1..]
+            .iter()
+            .map(move |b| trajectory_distance(a, b, training))
+    });
+    let (sum, count) = pairs.fold((0.0, 0), |(sum, count), distance| {
+        (sum + distance, count + 1)
+    });
+    let mean = sum / f64::from(count);
+    (count > 0 && mean.is_finite()).then_some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::CHANNELS;
+    use crate::wandering::wandering;
+
+    fn training() -> TrainingStatistics {
+        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 40)).collect();
+        TrainingStatistics::compute(&phrases).unwrap()
+    }
+
+    /// A phrase with `value` in one channel of every frame, zero elsewhere.
+    fn constant(channel: usize, value: f64, frames: usize) -> Motion {
+        let mut motion = Motion::new(vec![0.0; frames * CHANNELS]).unwrap();
+        (0..frames).for_each(|t| motion.frame_mut(t)[channel] = value as f32);
+        motion
+    }
+
+    #[test]
+    fn differences_count_in_training_deviations() {
+        let mut training = training();
+        training.std[7] = 0.5;
+        let still = constant(7, 0.0, 4);
+        // 6 deviations in one of nine channels: sqrt(36 / 9).
+        let moved = constant(7, 3.0, 4);
+        assert!((trajectory_distance(&still, &moved, &training) - 2.0).abs() < 1e-12);
+        // The pairs are 2, 4 and 2 apart.
+        let opposite = constant(7, -3.0, 4);
+        let mean = diversity(&[&still, &moved, &opposite], &training).unwrap();
+        assert!((mean - 8.0 / 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn rotation_phase_and_style_do_not_count() {
+        let training = training();
+        for channel in 0..CHANNELS {
+            let distance =
+                trajectory_distance(&constant(channel, 1.0, 3), &constant(0, 0.0, 3), &training);
+            assert_eq!(distance > 0.0, channel < 9, "{channel}");
+        }
+    }
+
+    #[test]
+    fn unequal_phrases_are_compared_over_the_shorter_one() {
+        let training = training();
+        let (long, short) = (wandering(8, 30), wandering(9, 20));
+        let cut = trajectory_distance(&long.slice(0..20), &short, &training);
+        assert_eq!(trajectory_distance(&long, &short, &training), cut);
+        assert_eq!(trajectory_distance(&short, &long, &training), cut);
+    }
+
+    #[test]
+    fn too_few_or_broken_phrases_have_no_diversity() {
+        let training = training();
+        let good = wandering(1, 10);
+        assert_eq!(diversity(&[], &training), None);
+        assert_eq!(diversity(&[&good], &training), None);
+        assert_eq!(diversity(&[&good, &good], &training), Some(0.0));
+        let broken = constant(2, f64::NAN, 10);
+        assert_eq!(diversity(&[&good, &broken], &training), None);
+    }
+
+    proptest! {
+        #[test]
+        fn order_does_not_matter_and_scale_carries_over(seed: u64, factor in 1.0f32..10.0) {
+            let training = training();
+            let phrases = [0, 1, 2].map(|i| wandering(seed.wrapping_add(i), 12));
+            let [a, b, c] = phrases.each_ref();
+            let straight = diversity(&[a, b, c], &training).unwrap();
+            let shuffled = diversity(&[c, a, b], &training).unwrap();
+            prop_assert!((straight - shuffled).abs() < 1e-12);
+            let larger = phrases.each_ref().map(|phrase| {
+                let values = phrase.as_slice().iter().map(|value| value * factor).collect();
+                Motion::new(values).unwrap()
+            });
+            let scaled = diversity(&larger.each_ref(), &training).unwrap();
+            prop_assert!((scaled / (straight * f64::from(factor)) - 1.0).abs() < 1e-5);
+        }
+    }
+}
