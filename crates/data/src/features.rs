@@ -15,6 +15,9 @@ pub const FEATURES: [(&str, usize); 6] = [
 /// Audio features of one frame.
 pub const AUDIO_CHANNELS: usize = 163;
 
+/// Channel of the onset strength, the last.
+const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;
+
 /// Name of an audio channel: `mel[17]`, `rms`.
 ///
 /// # Panics
@@ -73,6 +76,11 @@ impl AudioFeatures {
         &self.values[channel * self.frames..][..self.frames]
     }
 
+    /// How strongly notes begin, over time, `[frames]`.
+    pub fn onset_strength(&self) -> &[f32] {
+        self.channel(ONSET_STRENGTH)
+    }
+
     /// One channel over time, `[frames]`, for writing.
     pub(crate) fn channel_mut(&mut self, channel: usize) -> &mut [f32] {
         &mut self.values[channel * self.frames..][..self.frames]
@@ -128,6 +136,11 @@ mod tests {
         ] {
             assert_eq!(audio_channel_name(channel), name);
         }
+    }
+
+    #[test]
+    fn the_onset_strength_is_the_channel_of_that_name() {
+        assert_eq!(audio_channel_name(ONSET_STRENGTH), "onset_strength");
     }
 
     #[test]

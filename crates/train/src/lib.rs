@@ -2,13 +2,15 @@
 //!
 //! One training step, down one path: [`run::train`] checks and sets up; [`Trainer`] takes a batch,
 //! asks the recipe ([`recipes`]) for its loss, clips, updates ([`optim`], [`ema`]) and records
-//! ([`checkpoint`], [`telemetry`]). [`generate`] goes from a checkpoint to motion.
+//! ([`checkpoint`], [`telemetry`]). [`generate`] goes from a checkpoint to motion, [`evaluate`]
+//! measures that motion.
 
 pub mod checkpoint;
 pub mod config;
 pub mod device;
 pub mod ema;
 mod error;
+pub mod evaluate;
 pub mod generate;
 pub mod losses;
 pub mod merge;

@@ -1,0 +1,313 @@
+//! The numbers of one set of phrases.
+
+use std::sync::Arc;
+
+use kinegrad_data::Phrase;
+use kinegrad_motion::kinematics::mean_jerk_norm;
+use kinegrad_motion::metrics::{
+    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, music_beats,
+    trajectory_features,
+};
+use kinegrad_motion::{Motion, Profile, Report, TrainingStatistics, Value, check};
+use serde::Serialize;
+
+/// The numbers of one set of phrases; `None` (in JSON `null`) for what cannot be computed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Measures {
+    /// Mean distance of the motions of two different phrases, in training standard deviations:
+    /// over all pairs with the same seed, then over seeds. Needs two phrases.
+    pub diversity: Option<f64>,
+    /// The same for two samples of one phrase. Needs two seeds.
+    pub same_phrase_diversity: Option<f64>,
+    /// Fréchet distance to the held-out phrases that were drawn for. Needs two of each.
+    pub frechet_held_out: Option<f64>,
+    /// Fréchet distance to the training phrases. Needs two of each.
+    pub frechet_training: Option<f64>,
+    /// Beat alignment with the phrase's own music, whatever the model heard; mean over the
+    /// motions that have beats.
+    pub beat_alignment: Option<f64>,
+    /// Mean jerk norm, metres per second cubed.
+    pub mean_jerk: Option<f64>,
+    /// The source document's checks.
+    pub document: ProfileRates,
+    /// The strict checks.
+    pub strict: ProfileRates,
+}
+
+/// How a set of phrases does in the checks of a profile.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ProfileRates {
+    /// Share that passes all checks, 0 to 1.
+    pub pass_rate: f64,
+    /// The checks, in the order of the profile.
+    pub checks: Vec<CheckRate>,
+}
+
+/// How a set of phrases does in one check.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckRate {
+    /// Name of the check.
+    pub name: &'static str,
+    /// Share that passes, 0 to 1.
+    pub pass_rate: f64,
+    /// Mean of what was measured, in the units of the check; of a range, means of both ends.
+    pub value: Value,
+}
+
+impl ProfileRates {
+    /// The rates of these reports, of which there is at least one.
+    fn of(reports: &[Report]) -> Self {
+        let all = reports.len() as f64;
+        let share = |passed: usize| passed as f64 / all;
+        let mut checks: Vec<CheckRate> = Vec::new();
+        for named in reports.iter().flat_map(|report| &report.checks) {
+            if checks.iter().any(|rate| rate.name == named.name) {
+                continue;
+            }
+            // The document's line `finite` stands only where it fails: a report without a line
+            // passed it, with a value of 0.
+            let lines = || reports.iter().filter_map(|report| report.check(named.name));
+            let failed = lines().filter(|check| !check.passed).count();
+            checks.push(CheckRate {
+                name: named.name,
+                pass_rate: share(reports.len() - failed),
+                value: mean_value(lines().map(|check| check.value), all),
+            });
+        }
+        Self {
+            pass_rate: share(reports.iter().filter(|report| report.passed).count()),
+            checks,
+        }
+    }
+
+    /// The check of that name.
+    pub fn check(&self, name: &str) -> Option<&CheckRate> {
+        self.checks.iter().find(|check| check.name == name)
+    }
+}
+
+fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
+    let sum = values.reduce(|sum, value| match (sum, value) {
+        (Value::Number(sum), Value::Number(value)) => Value::Number(sum + value),
+        (Value::Range(sum), Value::Range(value)) => {
+            Value::Range([sum[0] + value[0], sum[1] + value[1]])
+        }
+        _ => unreachable!("a check measures the same kind of value in every phrase"),
+    });
+    match sum.expect("a check of this name") {
+        Value::Number(sum) => Value::Number(sum / count),
+        Value::Range([low, high]) => Value::Range([low / count, high / count]),
+    }
+}
+
+/// What motions are measured against.
+pub(super) struct Reference<'a> {
+    statistics: &'a TrainingStatistics,
+    held_out: Option<FeatureMoments>,
+    training: Option<FeatureMoments>,
+    /// Beats of each held-out phrase's music, seconds.
+    music: Vec<Vec<f64>>,
+}
+
+impl<'a> Reference<'a> {
+    /// The reference of these phrases, in units of the run's `statistics`.
+    pub fn new(
+        held_out: &[Arc<Phrase>],
+        training: &[Arc<Phrase>],
+        statistics: &'a TrainingStatistics,
+    ) -> Self {
+        let moments = |phrases: &[Arc<Phrase>]| {
+            let motions = phrases.iter().map(|phrase| &phrase.motion);
+            feature_moments(motions, statistics)
+        };
+        let music = held_out
+            .iter()
+            .map(|phrase| music_beats(phrase.audio.onset_strength()))
+            .collect();
+        Self {
+            statistics,
+            held_out: moments(held_out),
+            training: moments(training),
+            music,
+        }
+    }
+
+    /// The numbers of motions, a list for each held-out phrase (at least one), in their order, all
+    /// lists of the same length (at least one).
+    pub fn measure(&self, motions: &[Vec<Motion>]) -> Measures {
+        let all = || motions.iter().flatten();
+        let rates = |profile| {
+            let report = |motion| check(motion, profile, Some(self.statistics));
+            let reports: Result<Vec<_>, _> = all().map(report).collect();
+            ProfileRates::of(&reports.expect("the statistics are at hand"))
+        };
+        let seeds = motions.first().map_or(0, Vec::len);
+        let by_seed = (0..seeds).map(|seed| {
+            let drawn: Vec<&Motion> = motions.iter().map(|samples| &samples[seed]).collect();
+            diversity(&drawn, self.statistics)
+        });
+        let by_phrase = motions.iter().map(|samples| {
+            let samples: Vec<&Motion> = samples.iter().collect();
+            diversity(&samples, self.statistics)
+        });
+        let alignment = motions
+            .iter()
+            .zip(&self.music)
+            .flat_map(|(samples, music)| {
+                samples
+                    .iter()
+                    .filter_map(|motion| beat_alignment(&kinematic_beats(motion), music))
+                    .map(Some)
+            });
+        let moments = feature_moments(all(), self.statistics);
+        let frechet = |reference: &Option<FeatureMoments>| {
+            Some(frechet_distance(moments.as_ref()?, reference.as_ref()?))
+        };
+        Measures {
+            diversity: mean(by_seed),
+            same_phrase_diversity: mean(by_phrase),
+            frechet_held_out: frechet(&self.held_out),
+            frechet_training: frechet(&self.training),
+            beat_alignment: mean(alignment),
+            mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
+            document: rates(Profile::Document),
+            strict: rates(Profile::Strict),
+        }
+    }
+}
+
+fn feature_moments<'a>(
+    motions: impl Iterator<Item = &'a Motion>,
+    statistics: &TrainingStatistics,
+) -> Option<FeatureMoments> {
+    let features: Vec<_> = motions
+        .map(|motion| trajectory_features(motion, statistics))
+        .collect();
+    FeatureMoments::compute(&features)
+}
+
+/// The mean; `None` if there are no values, or one of them is missing or not finite.
+fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values: Vec<f64> = values.collect::<Option<_>>()?;
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    mean.is_finite().then_some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::synthetic;
+    use kinegrad_motion::phrase::{CHANNELS, PHASE, POSITION};
+
+    use super::*;
+
+    fn phrases(range: std::ops::Range<usize>) -> Vec<Arc<Phrase>> {
+        range
+            .map(|index| Arc::new(synthetic::phrase(index, 60, 1)))
+            .collect()
+    }
+
+    fn motions(phrases: &[Arc<Phrase>], seeds: usize) -> Vec<Vec<Motion>> {
+        phrases
+            .iter()
+            .map(|phrase| vec![phrase.motion.clone(); seeds])
+            .collect()
+    }
+
+    fn statistics(phrases: &[Arc<Phrase>]) -> TrainingStatistics {
+        TrainingStatistics::compute(phrases.iter().map(|phrase| &phrase.motion)).unwrap()
+    }
+
+    /// The phrase moved by `metres` along x, in every frame.
+    fn moved(phrase: &Phrase, metres: f64) -> Motion {
+        let mut motion = phrase.motion.clone();
+        for t in 0..motion.frames() {
+            let [x, y, z] = motion.vector(t, POSITION);
+            motion.set_vector(t, POSITION, [x + metres, y, z]);
+        }
+        motion
+    }
+
+    #[test]
+    fn real_phrases_are_no_distance_from_themselves_and_pass() {
+        let (held_out, training) = (phrases(0..6), phrases(6..30));
+        let statistics = statistics(&training);
+        let reference = Reference::new(&held_out, &training, &statistics);
+        let real = reference.measure(&motions(&held_out, 1));
+        assert!(real.frechet_held_out.unwrap() < 1e-5);
+        assert!(real.frechet_training.unwrap() > 0.01);
+        assert!(real.diversity.unwrap() > 0.1);
+        assert_eq!(real.same_phrase_diversity, None);
+        assert!(real.beat_alignment.unwrap() > 0.0);
+        assert_eq!((real.document.pass_rate, real.strict.pass_rate), (1.0, 1.0));
+        let jerk = real.strict.check("jerk").unwrap().value;
+        assert_eq!(jerk, Value::Number(real.mean_jerk.unwrap()));
+    }
+
+    #[test]
+    fn pairs_of_phrases_share_a_seed_and_pairs_of_seeds_a_phrase() {
+        let (held_out, training) = (phrases(0..2), phrases(2..10));
+        let statistics = statistics(&training);
+        let reference = Reference::new(&held_out, &training, &statistics);
+        let [a, b] = [0, 1].map(|index| held_out[index].clone());
+        // Seed 1 is seed 0 moved by three metres, so the phrases are as far apart under both.
+        let drawn = [&a, &b].map(|phrase| vec![phrase.motion.clone(), moved(phrase, 3.0)]);
+        let measures = reference.measure(&drawn);
+        let apart = diversity(&[&a.motion, &b.motion], &statistics).unwrap();
+        assert!((measures.diversity.unwrap() - apart).abs() < 1e-6);
+        // One of nine channels differs, by the same amount in every frame.
+        let expected = 3.0 / statistics.std[0] / 3.0;
+        assert!((measures.same_phrase_diversity.unwrap() - expected).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_too_few_phrases_cannot_tell_is_missing() {
+        let (held_out, training) = (phrases(0..1), phrases(1..9));
+        let statistics = statistics(&training);
+        let reference = Reference::new(&held_out, &training, &statistics);
+        let one = reference.measure(&motions(&held_out, 1));
+        let json = serde_json::to_value(&one).unwrap();
+        for key in [
+            "diversity",
+            "same_phrase_diversity",
+            "frechet_held_out",
+            "frechet_training",
+        ] {
+            assert!(json[key].is_null(), "{key}: {}", json[key]);
+        }
+        assert!(json["mean_jerk"].is_number() && json["beat_alignment"].is_number());
+        // Two samples of one phrase have a covariance, the phrase alone has none.
+        let two = reference.measure(&motions(&held_out, 2));
+        assert_eq!((two.diversity, two.frechet_held_out), (None, None));
+        assert_eq!(two.same_phrase_diversity, Some(0.0));
+        assert!(two.frechet_training.is_some());
+    }
+
+    #[test]
+    fn rates_and_values_are_means_over_all_samples() {
+        let (held_out, training) = (phrases(0..2), phrases(2..10));
+        let statistics = statistics(&training);
+        let reference = Reference::new(&held_out, &training, &statistics);
+        let mut drawn = motions(&held_out, 2);
+        drawn[1][0].frame_mut(3)[PHASE] = 3.0;
+        drawn[0][1].frame_mut(7)[CHANNELS - 1] = f32::NAN;
+        let measures = reference.measure(&drawn);
+        let phase = measures.strict.check("phase").unwrap();
+        assert_eq!(phase.pass_rate, 0.75);
+        let highest = |motion: &Motion| {
+            let phases = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE]));
+            phases.fold(f64::NEG_INFINITY, f64::max)
+        };
+        let expected = drawn.iter().flatten().map(highest).sum::<f64>() / 4.0;
+        let Value::Range([_, high]) = phase.value else {
+            panic!("{:?}", phase.value)
+        };
+        assert!((high - expected).abs() < 1e-12);
+        // In the document's profile the line stands in one report of four.
+        for profile in [&measures.document, &measures.strict] {
+            let finite = profile.check("finite").unwrap();
+            assert_eq!(finite.pass_rate, 0.75);
+            assert_eq!(finite.value, Value::Number(0.25));
+            assert_eq!(profile.pass_rate, 0.5);
+        }
+    }
+}
