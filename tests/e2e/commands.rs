@@ -10,6 +10,7 @@ fn help() {
         "train",
         "sample",
         "check",
+        "eval",
         "plot",
         "data",
         "data synth",

@@ -28,6 +28,8 @@ pub enum Command {
     Merge(MergeArguments),
     /// Check motion files for physical sanity
     Check(CheckArguments),
+    /// Measure trained models on held-out phrases, side by side
+    Eval(EvalArguments),
     /// Draw a motion file, or the loss curves of a run
     Plot(PlotArguments),
     /// Make and look at datasets
@@ -211,6 +213,66 @@ pub struct CheckArguments {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum CondName {
+    /// The held-out phrases' audio features
+    Phrases,
+    /// Standard normal noise in their place
+    Noise,
+}
+
+/// Draws samples for the held-out phrases of each run's dataset and prints their metrics beside
+/// those of the real phrases; docs/evaluation.md defines them. Writes eval.json and eval.csv, or
+/// eval-noise.json and eval-noise.csv with `--cond noise`. Sampler settings default to those of
+/// the run's config.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad eval runs/phrases
+  kinegrad eval runs/one runs/two --seeds 4 --out comparison
+  kinegrad eval runs/phrases --cond noise --json")]
+pub struct EvalArguments {
+    /// Folders of runs (the best checkpoint of each is taken) or of checkpoints
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// Samples per phrase
+    #[arg(long, default_value_t = 2, value_name = "N")]
+    pub seeds: usize,
+    /// Draw for the first N held-out phrases only [default: all]
+    #[arg(long, value_name = "N")]
+    pub phrases: Option<usize>,
+    /// What the model hears
+    #[arg(long, value_enum, value_name = "COND", default_value_t = CondName::Phrases)]
+    pub cond: CondName,
+    /// Denoising steps [default: the run's, else 20]
+    #[arg(long, value_name = "N")]
+    pub steps: Option<usize>,
+    /// Classifier-free guidance, 1 is none [default: the run's, else 1]
+    #[arg(long, value_name = "SCALE")]
+    pub guidance_scale: Option<f64>,
+    /// What the predicted clean motion is clipped to [default: the run's, else training-range]
+    #[arg(long, value_name = "RANGE")]
+    pub clip: Option<ClipName>,
+    /// Seed of the noise
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Dataset with the phrases, split as the run's config says [default: the run's own]
+    #[arg(long, value_name = "URI")]
+    pub source: Option<String>,
+    /// Device to run on [default: the run's]
+    #[arg(long)]
+    pub device: Option<String>,
+    /// Draw from the trained weights instead of their moving average
+    #[arg(long)]
+    pub no_ema: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Folder to write to [default: RUN/reports, for each run its own]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 /// A motion file is drawn as its path from above, all channels over time, quaternion norm and

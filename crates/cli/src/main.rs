@@ -3,6 +3,7 @@
 
 mod args;
 mod commands;
+mod comparison;
 mod failure;
 mod output;
 mod progress;
@@ -31,6 +32,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Sample(arguments) => commands::sample::run(arguments),
         Command::Merge(arguments) => commands::merge::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
+        Command::Eval(arguments) => commands::eval::run(arguments),
         Command::Plot(arguments) => commands::plot::run(arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),

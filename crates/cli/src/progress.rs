@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kinegrad_train::{Observer, RunSummary, StepReport};
 
 use crate::output::grouped;
@@ -158,4 +158,12 @@ pub fn duration(seconds: f64) -> String {
         (0, m, s) => format!("{m}m{s:02}s"),
         (h, m, _) => format!("{h}h{m:02}m"),
     }
+}
+
+/// A bar for the drawing of samples, whose length is set by its user. Draws nothing where standard
+/// error is no terminal.
+pub fn denoising_bar() -> ProgressBar {
+    let template = "{prefix}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+    let style = ProgressStyle::with_template(template).expect("a valid template");
+    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
 }

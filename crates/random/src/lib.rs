@@ -58,7 +58,7 @@ pub enum Purpose {
     /// Seed of the samples drawn for one phrase, keyed by its id.
     PhraseSeed = 16,
     /// Noise in the place of a phrase's audio features, keyed by its id.
-    NoiseCondition = 14,
+    NoiseCondition = 17,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -4,6 +4,7 @@ pub mod check;
 pub mod config;
 pub mod data;
 pub mod devices;
+pub mod eval;
 pub mod merge;
 pub mod plot;
 pub mod sample;

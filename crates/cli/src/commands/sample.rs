@@ -3,16 +3,17 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kinegrad_data::{AudioFeatures, DataKind, Dataset, load_audio, write_motion};
 use kinegrad_diffusion::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::config::{Clip, Config};
 use kinegrad_train::device;
+use kinegrad_train::evaluate::phrase_seed;
 use kinegrad_train::generate::{Generator, Sample, resolve_checkpoint};
 
 use crate::args::{ClipName, FinalAlphaName, SampleArguments, SamplerName, SpacingName};
 use crate::failure::{Failure, UsageError};
+use crate::progress::denoising_bar;
 
 /// Draws samples and writes each in two forms.
 pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
@@ -33,23 +34,18 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     };
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = Generator::load(&path, weights, &device)?;
-    let clip = match arguments.clip {
-        None => config.sampling.clip,
-        Some(ClipName::TrainingRange) => Clip::TrainingRange,
-        Some(ClipName::Unit) => Clip::Unit,
-        Some(ClipName::None) => Clip::None,
-    };
+    let clip = clip(arguments.clip, &config);
 
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
         let stem = stem(&arguments.out, several.then_some(id.as_str()));
         let repeated = vec![condition; arguments.count];
-        let bar = progress_bar();
+        let bar = denoising_bar();
         let samples = generator.sample(
             &repeated,
             &sampler,
             clip,
-            arguments.seed,
+            phrase_seed(arguments.seed, &id),
             &mut |step, total| {
                 bar.set_length(total as u64);
                 bar.set_position(step as u64);
@@ -65,6 +61,16 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The clip that the command line names, else the run's.
+pub fn clip(name: Option<ClipName>, config: &Config) -> Clip {
+    match name {
+        None => config.sampling.clip,
+        Some(ClipName::TrainingRange) => Clip::TrainingRange,
+        Some(ClipName::Unit) => Clip::Unit,
+        Some(ClipName::None) => Clip::None,
+    }
 }
 
 /// The run's sampler with what the command line says instead.
@@ -171,11 +177,4 @@ fn write(stem: &str, sample: &Sample) -> Result<(), Failure> {
     write_motion(&path, &sample.motion)?;
     println!("{}", path.display());
     Ok(())
-}
-
-fn progress_bar() -> ProgressBar {
-    let template = "{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
-    let style = ProgressStyle::with_template(template).expect("a valid template");
-    // Draws nothing where standard error is no terminal.
-    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
 }
