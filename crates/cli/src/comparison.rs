@@ -126,6 +126,19 @@ impl<'a> Comparison<'a> {
                     }),
                 );
             }
+            let losses = self
+                .columns
+                .iter()
+                .flat_map(|column| &column.of(form).losses);
+            for name in distinct(losses.map(|loss| loss.name)) {
+                rows.push(self.row(&format!("loss: {name}"), |column| {
+                    let mut losses = column.of(form).losses.iter();
+                    match losses.find(|loss| loss.name == name) {
+                        Some(loss) => format!("{:.3e}", loss.value),
+                        None => MISSING.to_string(),
+                    }
+                }));
+            }
             for (profile, rates) in PROFILES {
                 rows.push(self.row(&format!("{profile}: all"), |column| {
                     percent(rates(column.of(form)).pass_rate)
@@ -247,6 +260,10 @@ fn numbers(measures: &Measures) -> Vec<(String, Option<f64>)> {
         .iter()
         .map(|metric| (metric.key.to_string(), (metric.of)(measures)))
         .collect();
+    for loss in &measures.losses {
+        let value = loss.value.is_finite().then_some(loss.value);
+        numbers.push((format!("loss.{}", loss.name), value));
+    }
     for (profile, rates) in PROFILES {
         let rates = rates(measures);
         let mut add = |name: String, value: f64| {

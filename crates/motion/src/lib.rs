@@ -36,7 +36,7 @@ pub use error::Error;
 pub use kinematics::derive;
 pub use moments::ChannelMoments;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
-pub use postprocess::{ClampLimits, Hemisphere, PostProcessConfig, process};
+pub use postprocess::{ClampLimits, Differences, Hemisphere, PostProcessConfig, process};
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, SanityThresholds, Threshold, Value, check};
 pub use statistics::TrainingStatistics;

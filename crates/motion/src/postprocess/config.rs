@@ -16,6 +16,17 @@ pub enum Hemisphere {
     PositiveW,
 }
 
+/// Which differences step 5 blends with.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Differences {
+    /// `x[t+1] - x[t]`, as the losses and the checks take them: blending halves what they measure.
+    #[default]
+    Forward,
+    /// `x[t] - x[t-1]`, as the document has it, which may make it worse (golden README, hazard 9).
+    Backward,
+}
+
 /// Largest absolute value of each component (CC-MotionGen documentation, section 9.1).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
@@ -71,6 +82,8 @@ pub struct PostProcessConfig {
     pub enforce_velocity_coherence: bool,
     /// Step 5: blend acceleration half and half with the differences of velocity.
     pub enforce_accel_coherence: bool,
+    /// Which differences those are.
+    pub differences: Differences,
     /// Step 6: replace vectors and style by their mean over neighbouring frames.
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
@@ -93,11 +106,13 @@ impl Default for PostProcessConfig {
 }
 
 impl PostProcessConfig {
-    /// The document's defaults: w >= 0 in every frame, and its clamps as they stand.
+    /// The document's defaults: w >= 0 in every frame, its clamps as they stand, backward
+    /// differences.
     pub fn document() -> Self {
         Self {
             widen_limits: false,
             hemisphere: Hemisphere::PositiveW,
+            differences: Differences::Backward,
             ..Self::default()
         }
     }
@@ -116,6 +131,7 @@ impl PostProcessConfig {
             enforce_phase_monotonic: false,
             enforce_velocity_coherence: false,
             enforce_accel_coherence: false,
+            differences: Differences::Forward,
             apply_smoothing: false,
             smoothing_kernel_size: 3,
         }

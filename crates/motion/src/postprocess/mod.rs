@@ -15,7 +15,7 @@
 mod config;
 mod orientation;
 
-pub use config::{ClampLimits, Hemisphere, PostProcessConfig};
+pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig};
 
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
@@ -60,10 +60,20 @@ pub fn process(
         make_phase_monotonic(&mut frames);
     }
     if config.enforce_velocity_coherence {
-        blend_with_differences(&mut frames, POSITION.start, VELOCITY.start);
+        blend_with_differences(
+            &mut frames,
+            POSITION.start,
+            VELOCITY.start,
+            config.differences,
+        );
     }
     if config.enforce_accel_coherence {
-        blend_with_differences(&mut frames, VELOCITY.start, ACCELERATION.start);
+        blend_with_differences(
+            &mut frames,
+            VELOCITY.start,
+            ACCELERATION.start,
+            config.differences,
+        );
     }
     if config.apply_smoothing {
         smooth_over_time(&mut frames, config.smoothing_kernel_size);
@@ -113,18 +123,26 @@ fn make_phase_monotonic(frames: &mut Frames) {
     }
 }
 
-/// Takes the mean of the explicit derivative at channel `explicit` and the backward difference of
-/// the vector at channel `base`. The checks look forward, so this does not reliably reduce what
-/// they measure (golden README, hazard 9).
-fn blend_with_differences(frames: &mut Frames, base: usize, explicit: usize) {
+/// Takes the mean of the explicit derivative at channel `explicit` and the difference of the vector
+/// at channel `base`.
+fn blend_with_differences(
+    frames: &mut Frames,
+    base: usize,
+    explicit: usize,
+    differences: Differences,
+) {
     if frames.len() < 2 {
         return; // A single frame has no difference to blend with.
     }
     for axis in 0..3 {
         let values: Vec<f64> = frames.iter().map(|frame| frame[base + axis]).collect();
         for (t, frame) in frames.iter_mut().enumerate() {
-            let t = t.max(1); // The first frame takes the difference of the second.
-            let difference = (values[t] - values[t - 1]) * FPS;
+            // A frame at the end takes the difference of its neighbour.
+            let next = match differences {
+                Differences::Forward => (t + 1).min(values.len() - 1),
+                Differences::Backward => t.max(1),
+            };
+            let difference = (values[next] - values[next - 1]) * FPS;
             frame[explicit + axis] = 0.5 * (frame[explicit + axis] + difference);
         }
     }
@@ -172,6 +190,7 @@ fn clamp(value: f64, low: f64, high: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinematics::{mean_norm, velocity_errors};
     use crate::wandering::wandering;
     use crate::{Error, Quaternion};
 
@@ -249,6 +268,7 @@ mod tests {
         let config = PostProcessConfig {
             enforce_velocity_coherence: true,
             enforce_accel_coherence: true,
+            differences: Differences::Backward,
             ..PostProcessConfig::none()
         };
         let processed = process(&motion, &config, None);
@@ -257,6 +277,23 @@ mod tests {
         };
         assert_eq!(x(VELOCITY), [20.0, 20.0, 35.0]);
         assert_eq!(x(ACCELERATION), [0.0, 0.0, 225.0]);
+    }
+
+    #[test]
+    fn forward_differences_halve_what_the_checks_measure() {
+        let mut motion = wandering(4, 30);
+        for t in 0..30 {
+            let v = motion.vector(t, VELOCITY);
+            let wrong = if t % 3 == 0 { 0.9 } else { -0.4 };
+            motion.set_vector(t, VELOCITY, v.map(|v| v + wrong));
+        }
+        let config = PostProcessConfig {
+            enforce_velocity_coherence: true,
+            ..PostProcessConfig::none()
+        };
+        let error = |motion: &Motion| mean_norm(&velocity_errors(motion));
+        let processed = process(&motion, &config, None);
+        assert!((error(&processed) / error(&motion) - 0.5).abs() < 1e-3);
     }
 
     #[test]

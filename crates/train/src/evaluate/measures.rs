@@ -11,6 +11,8 @@ use kinegrad_motion::metrics::{
 use kinegrad_motion::{Motion, Profile, Report, TrainingStatistics, Value, check};
 use serde::Serialize;
 
+use super::terms::{LossTerm, loss_terms};
+
 /// The numbers of one set of phrases; `None` (in JSON `null`) for what cannot be computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measures {
@@ -28,6 +30,8 @@ pub struct Measures {
     pub beat_alignment: Option<f64>,
     /// Mean jerk norm, metres per second cubed.
     pub mean_jerk: Option<f64>,
+    /// The losses of end-to-end fine-tuning.
+    pub losses: Vec<LossTerm>,
     /// The source document's checks.
     pub document: ProfileRates,
     /// The strict checks.
@@ -103,6 +107,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
 /// What motions are measured against.
 pub(super) struct Reference<'a> {
     statistics: &'a TrainingStatistics,
+    phrases: &'a [Arc<Phrase>],
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
     /// Beats of each held-out phrase's music, seconds.
@@ -112,7 +117,7 @@ pub(super) struct Reference<'a> {
 impl<'a> Reference<'a> {
     /// The reference of these phrases, in units of the run's `statistics`.
     pub fn new(
-        held_out: &[Arc<Phrase>],
+        held_out: &'a [Arc<Phrase>],
         training: &[Arc<Phrase>],
         statistics: &'a TrainingStatistics,
     ) -> Self {
@@ -126,6 +131,7 @@ impl<'a> Reference<'a> {
             .collect();
         Self {
             statistics,
+            phrases: held_out,
             held_out: moments(held_out),
             training: moments(training),
             music,
@@ -170,6 +176,7 @@ impl<'a> Reference<'a> {
             frechet_training: frechet(&self.training),
             beat_alignment: mean(alignment),
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
+            losses: loss_terms(motions, self.phrases),
             document: rates(Profile::Document),
             strict: rates(Profile::Strict),
         }

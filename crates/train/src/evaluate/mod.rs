@@ -1,6 +1,7 @@
 //! From a trained model to the numbers that describe its samples, beside those of real phrases.
 
 mod measures;
+mod terms;
 
 use std::sync::Arc;
 
@@ -11,6 +12,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
 pub use measures::{CheckRate, Measures, ProfileRates};
+pub use terms::LossTerm;
 
 use crate::config::Clip;
 use crate::error::Error;
