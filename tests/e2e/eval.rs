@@ -50,6 +50,11 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
         let path: Vec<&str> = measure.split('.').collect();
         let found = match path[..] {
             [metric] => &evaluation[part][metric],
+            ["loss", name] => {
+                let losses = evaluation[part]["losses"].as_array().expect("losses");
+                let loss = losses.iter().find(|each| each["name"] == name);
+                &loss.expect(name)["value"]
+            }
             [profile, rate] => &evaluation[part][profile][rate],
             [profile, check, what] => {
                 let checks = evaluation[part][profile]["checks"].as_array();

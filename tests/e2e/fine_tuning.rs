@@ -173,7 +173,7 @@ fn networks_and_process_come_from_the_start() {
     let sandbox = sandbox();
     sandbox.write(
         "short.toml",
-        "[train]\nrecipe = \"e2e\"\n[init]\ndiffusion = \"runs/base\"\ndecoder = \"runs/decoder\"\n",
+        "[data]\nkind = \"synthetic\"\n[train]\nrecipe = \"e2e\"\n[init]\ndiffusion = \"runs/base\"\ndecoder = \"runs/decoder\"\n",
     );
     let shown = sandbox.run("config show short.toml").succeeded().stdout;
     for line in [

@@ -138,6 +138,19 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
 fn every_shipped_config_is_valid() {
     let sandbox = sandbox();
     let configs = fs::read_dir(workspace().join("configs")).expect("configs");
+    // What the fine-tuning configs start from, under the names they have there.
+    sandbox.write("c.toml", SMALLEST);
+    for (name, settings) in [
+        ("phrases", "train.max_steps=1"),
+        (
+            "decoder",
+            "train.recipe=decoder --set init.diffusion=runs/phrases --set train.max_steps=1",
+        ),
+    ] {
+        sandbox
+            .run(&format!("train c.toml --name {name} --set {settings}"))
+            .succeeded();
+    }
     let mut seen = 0;
     for config in configs {
         let path = config.expect("an entry").path();

@@ -88,3 +88,19 @@ fn checkpointed_gradients_are_those_of_one_graph() {
         println!("K = {steps}, guidance {guidance_scale}: largest difference {worst:.1e}");
     }
 }
+
+#[test]
+fn the_network_computes_the_same_bits_with_and_without_gradients() {
+    let model = network(&Device::flex().autodiff());
+    let (x, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
+    let bits = |x: Tensor<3>| {
+        let values = x
+            .without_autodiff()
+            .try_into_vec_as::<f32>()
+            .expect("float32");
+        values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
+    };
+    let with = model.forward(x.clone(), &[3, 900], cond.clone(), None);
+    let without = model.valid().forward(x, &[3, 900], cond, None);
+    assert!(bits(with) == bits(without));
+}

@@ -375,7 +375,7 @@ mod tests {
     #[test]
     fn values_out_of_range_are_refused_by_their_key() {
         type Change = fn(&mut DataConfig);
-        let cases: [(&str, Change); 12] = [
+        let cases: [(&str, Change); 13] = [
             ("data.target_frames", |c| c.target_frames = 3),
             ("data.batch_size", |c| c.batch_size = 0),
             ("data.num_workers", |c| c.num_workers = 1000),

@@ -2,7 +2,6 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use burn::tensor::activation::softmax;
 
 use crate::Initializer;
 use crate::layers::{Conv1d, GroupNorm};
@@ -98,9 +97,19 @@ impl AttentionBlock {
         };
         let scale = (head_dim as f64).powf(-0.5);
         let scores = heads(q).swap_dims(2, 3).matmul(heads(k)).mul_scalar(scale);
-        let attention = softmax(scores, 3);
+        let attention = softmax(scores);
         heads(v)
             .matmul(attention.swap_dims(2, 3))
             .reshape([batch, channels, time])
     }
+}
+
+/// Softmax over the last dimension, in primitives that are the same with and without gradients:
+/// Burn's own is one fused operation without, whose last bits differ, and a rollout that is
+/// recomputed for its gradient must repeat itself exactly.
+fn softmax(scores: Tensor<4>) -> Tensor<4> {
+    let largest = scores.clone().without_autodiff().max_dim(3);
+    let exponentials = (scores - largest).exp();
+    let sum = exponentials.clone().sum_dim(3);
+    exponentials / sum
 }

@@ -187,7 +187,10 @@ mod tests {
     fn missing_keys_take_the_default_and_unknown_ones_are_refused() {
         let read = |json: &str| serde_json::from_str::<PostProcessConfig>(json);
         assert_eq!(read("{}").unwrap(), PostProcessConfig::default());
-        let config = read(r#"{"hemisphere": "positive_w", "widen_limits": false}"#).unwrap();
+        let config = read(
+            r#"{"hemisphere": "positive_w", "widen_limits": false, "differences": "backward"}"#,
+        )
+        .unwrap();
         assert_eq!(config, PostProcessConfig::document());
         let config = read(r#"{"limits": {"velocity": 20}}"#).unwrap();
         assert_eq!(

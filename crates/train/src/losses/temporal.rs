@@ -86,9 +86,10 @@ impl Default for TemporalLossConfig {
             acceleration_weight: 5.0,
             jerk_weight: 1.0,
             quat_delta_weight: 2.0,
-            phase_monotonic_weight: 1.0,
+            // A sum over time, not a mean: at weight 1 trembling phases outweigh all else.
+            phase_monotonic_weight: 0.01,
             quat_norm_weight: 0.0,
-            angular_velocity_weight: 1.0,
+            angular_velocity_weight: 0.1,
             position_smoothness_weight: 0.0,
             target_jerk: 50_000.0,
             target_vel_coherence: 5.0,
@@ -104,6 +105,7 @@ impl TemporalLossConfig {
     /// The document's five terms as it has them.
     pub fn document() -> Self {
         Self {
+            phase_monotonic_weight: 1.0,
             angular_velocity_weight: 0.0,
             phase: PhaseLoss::Document,
             ..Self::default()

@@ -1,10 +1,11 @@
 //! A motion decoder on the latents of a frozen denoiser (CC-MotionGen documentation, section 3.3).
 //!
 //! ```text
-//! L = |decoder(latent) - motion|^2 / std^2 + w_temp sum L_temp(decoder(latent))
+//! L = w_dec |decoder(latent) - motion|^2 / std^2
 //! ```
 //!
-//! It learns from two latents of each phrase, both of which still know their ground truth: the
+//! There is no temporal term: the decoder sees one frame at a time, so that all it could do about a
+//! trembling latent is to stop moving. It learns from two latents of each phrase, both of which still know their ground truth: the
 //! phrase under the little noise that a sampler may leave, and a DDIM sample drawn from the phrase
 //! under much noise (`rollout`), whose error counts by the share of the phrase left in its start.
 //! The denoiser is part of the checkpoint and does not change.
@@ -21,7 +22,6 @@ use super::sampler::{Sampler, channels};
 use super::{HeldOut, Loss, Measured, Recipe, StepKey};
 use crate::config::{LossConfig, ReconstructionWeighting};
 use crate::losses::reconstruction::normalized_error;
-use crate::losses::temporal_losses;
 
 /// The noised latents are at timesteps below this share of all.
 const NOISED_SHARE: f64 = 0.05;
@@ -86,34 +86,28 @@ impl DecoderRecipe {
         latents: [Tensor<3>; 2],
         starts: &[usize],
         dropout: Option<Key>,
-    ) -> Vec<(&'static str, Tensor<1>)> {
+    ) -> [(&'static str, Tensor<1>); 2] {
         let device = inputs.x_start.device();
         let target = self.sampler.physical(&inputs.x_start);
         let std = channels(&self.sampler.statistics.std, &device);
-        let weighting = self.loss.reconstruction_weighting;
-        let weights = [
-            self.sampler
-                .weights(starts, ReconstructionWeighting::Uniform, &device),
-            self.sampler.weights(starts, weighting, &device),
-        ];
-        let mut terms: Vec<(&'static str, Tensor<1>)> = Vec::new();
-        let mut add = |name, term: Tensor<1>| match terms.iter_mut().find(|(n, _)| *n == name) {
-            Some((_, sum)) => *sum = sum.clone() + term,
-            None => terms.push((name, term)),
+        let error = |call: u64, latent: Tensor<3>, weighting| {
+            let decoded = model
+                .decoder
+                .forward(latent, dropout.map(|key| key.at(call)));
+            let weights = self.sampler.weights(starts, weighting, &device);
+            normalized_error(&decoded, &target, &inputs.mask, weights, &std) * self.loss.w_dec
         };
-        let names = ["reconstruction_noised", "reconstruction_sampled"];
-        for (call, ((latent, weights), name)) in
-            latents.into_iter().zip(weights).zip(names).enumerate()
-        {
-            let dropout = dropout.map(|key| key.at(call as u64));
-            let decoded = model.decoder.forward(latent, dropout);
-            let error = normalized_error(&decoded, &target, &inputs.mask, weights, &std);
-            add(name, error * self.loss.w_dec);
-            for (name, term) in temporal_losses(&decoded, &inputs.mask, &self.loss.temporal) {
-                add(name, term * (self.loss.w_temp / 2.0));
-            }
-        }
-        terms
+        let [noised, sampled] = latents;
+        [
+            (
+                "reconstruction_noised",
+                error(0, noised, ReconstructionWeighting::Uniform),
+            ),
+            (
+                "reconstruction_sampled",
+                error(1, sampled, self.loss.reconstruction_weighting),
+            ),
+        ]
     }
 }
 
@@ -139,10 +133,9 @@ impl Recipe for DecoderRecipe {
         let dropout = Some(key.of(Purpose::DecoderDropout));
         let latents = [noised.clone(), sampled.clone()];
         let terms = self.terms(model, &inputs, latents, &starts, dropout);
-        let total = terms.iter().map(|(_, term)| term.clone());
         Loss {
-            total: total.reduce(|a, b| a + b).expect("there are terms"),
-            terms,
+            total: terms[0].1.clone() + terms[1].1.clone(),
+            terms: terms.to_vec(),
             probes: vec![("noised latent", noised), ("sampled latent", sampled)],
             rollout: None,
         }
