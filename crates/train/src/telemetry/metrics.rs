@@ -67,7 +67,12 @@ impl Metrics {
     /// If a file cannot be read or written.
     pub fn open(folder: &Path, step: u64) -> Result<Self, Error> {
         let path = folder.join("metrics.jsonl");
-        let kept = kept_bytes(&path, step)?;
+        // At step 0 a run starts anew, and measures its start again.
+        let kept = if step == 0 {
+            0
+        } else {
+            kept_bytes(&path, step)?
+        };
         let file = OpenOptions::new()
             .create(true)
             .append(true)

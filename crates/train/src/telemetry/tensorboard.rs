@@ -28,7 +28,11 @@ impl EventFile {
             file.read_to_end(&mut bytes)
                 .map_err(Error::io("read", path))?;
         }
-        let kept = kept_bytes(&bytes, step);
+        let kept = if step == 0 {
+            0
+        } else {
+            kept_bytes(&bytes, step)
+        };
         let mut file = OpenOptions::new()
             .create(true)
             .append(true)
