@@ -31,6 +31,7 @@ use kinegrad_train::recipes::{
 /// The document's loss, literally.
 fn document() -> LossConfig {
     LossConfig {
+        w_components: 0.0,
         reconstruction_weighting: ReconstructionWeighting::Uniform,
         quaternion_sign: SignMatching::Document,
         temporal: TemporalLossConfig::document(),

@@ -145,6 +145,10 @@ pub struct LossConfig {
     pub w_dec: f64,
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
+    /// Weight of the reconstruction of all components, in units of their deviations. The document
+    /// has none: a phase that stands still, or a constant orientation, then costs next to nothing
+    /// and is what the temporal terms like best.
+    pub w_components: f64,
     /// How much each sample's reconstruction counts.
     pub reconstruction_weighting: ReconstructionWeighting,
     /// How the two quaternions of one rotation compare.
@@ -159,6 +163,7 @@ impl Default for LossConfig {
             w_diff: 0.1,
             w_dec: 1.0,
             w_temp: 10.0,
+            w_components: 1.0,
             reconstruction_weighting: ReconstructionWeighting::default(),
             quaternion_sign: SignMatching::default(),
             temporal: TemporalLossConfig::default(),
@@ -207,6 +212,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
         ("loss.w_diff", loss.w_diff),
         ("loss.w_dec", loss.w_dec),
         ("loss.w_temp", loss.w_temp),
+        ("loss.w_components", loss.w_components),
         ("rollout.guidance_scale", rollout.guidance_scale),
         (
             "init.pretrain.diffusion_learning_rate",

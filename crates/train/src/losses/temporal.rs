@@ -86,10 +86,11 @@ impl Default for TemporalLossConfig {
             acceleration_weight: 5.0,
             jerk_weight: 1.0,
             quat_delta_weight: 2.0,
-            // A sum over time, not a mean: at weight 1 trembling phases outweigh all else.
-            phase_monotonic_weight: 0.01,
+            // A sum over time, not a mean: at weight 1 trembling phases outweigh all else, and the
+            // model learns a phase that stands still.
+            phase_monotonic_weight: 0.001,
             quat_norm_weight: 0.0,
-            angular_velocity_weight: 0.1,
+            angular_velocity_weight: 0.01,
             position_smoothness_weight: 0.0,
             target_jerk: 50_000.0,
             target_vel_coherence: 5.0,

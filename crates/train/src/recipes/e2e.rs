@@ -1,12 +1,13 @@
 //! Denoiser and decoder together, through the sampler (CC-MotionGen documentation, section 7):
 //!
 //! ```text
-//! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp
+//! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp + w_components L_all
 //!
 //! L_diff   the diffusion loss, on normalised motion
 //! decoded  decoder(DDIM of K steps), with gradients to every call of the network
 //! L_pos, L_quat   squared error of the decoded position and quaternion
 //! L_temp   temporal coherence of the decoded motion
+//! L_all    squared error of all components in units of their deviations (not the document's)
 //! ```
 //!
 //! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
@@ -23,9 +24,10 @@ use kinegrad_random::Purpose;
 
 use super::diffusion::{DenoisingDraws, denoising_loss, denoising_validation_loss};
 use super::inputs::{Inputs, noise};
-use super::sampler::Sampler;
+use super::sampler::{Sampler, channels};
 use super::{HeldOut, Loss, Measured, Recipe, StepKey};
 use crate::config::LossConfig;
+use crate::losses::reconstruction::normalized_error;
 use crate::losses::{ReconstructionLoss, temporal_losses};
 
 /// Fine-tunes a [`MotionModel`].
@@ -122,11 +124,16 @@ impl E2eRecipe {
         let ReconstructionLoss {
             position,
             quaternion,
-        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights, sign);
+        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights.clone(), sign);
         let mut terms = vec![
             ("position", position * self.loss.w_dec),
             ("quaternion", quaternion * self.loss.w_dec),
         ];
+        if self.loss.w_components > 0.0 {
+            let std = channels(&self.sampler.statistics.std, &decoded.device());
+            let error = normalized_error(decoded, &target, &inputs.mask, weights, &std);
+            terms.push(("components", error * self.loss.w_components));
+        }
         let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);
         terms.extend(
             temporal
