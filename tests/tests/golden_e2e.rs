@@ -3,192 +3,16 @@
 
 use std::cell::RefCell;
 use std::collections::HashMap;
-use std::sync::Arc;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
-use kinegrad_diffusion::{
-    BetaSchedule, Clip as Bounds, Denoiser, DiffusionConfig, GaussianDiffusion, PredictionType,
-    Rollout, RolloutMode as Graph, rollout_timesteps,
-};
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::{DecoderConfig, Initializer, MotionModel, UNet1d, parameters};
-use kinegrad_motion::TrainingStatistics;
-use kinegrad_tests::golden::Golden;
-use kinegrad_tests::{unet, weights};
-use kinegrad_train::config::{
-    Clip, LossConfig, OptimConfig, ReconstructionWeighting, RolloutConfig, RolloutMode,
-    RolloutStart, ValidationConfig,
-};
-use kinegrad_train::losses::{
-    ReconstructionLoss, SignMatching, TemporalLossConfig, temporal_losses,
-};
+use burn::tensor::Tensor;
+use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, rollout_timesteps};
+use kinegrad_models::{UNet1d, parameters};
+use kinegrad_tests::end_to_end::{Case, document};
+use kinegrad_train::config::{OptimConfig, RolloutMode};
+use kinegrad_train::losses::{ReconstructionLoss, temporal_losses};
 use kinegrad_train::optim::{AdamW, global_norm};
-use kinegrad_train::recipes::{
-    DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Recipe, Sampler,
-};
-
-/// The document's loss, literally.
-fn document() -> LossConfig {
-    LossConfig {
-        w_components: 0.0,
-        reconstruction_weighting: ReconstructionWeighting::Uniform,
-        quaternion_sign: SignMatching::Document,
-        temporal: TemporalLossConfig::document(),
-        ..LossConfig::default()
-    }
-}
-
-/// Motion that is its own normalised form, as in the golden file.
-fn unit_statistics() -> TrainingStatistics {
-    TrainingStatistics {
-        mean: vec![0.0; 25],
-        std: vec![1.0; 25],
-        min: vec![-1.0; 25],
-        max: vec![1.0; 25],
-        frames: 1,
-        phrases: 1,
-        rms_speed: 1.0,
-        rms_acceleration: 1.0,
-        jerk_p95: 1.0,
-    }
-}
-
-struct Case {
-    golden: Golden,
-    name: &'static str,
-    device: Device,
-    diffusion: GaussianDiffusion,
-}
-
-impl Case {
-    fn open(name: &'static str) -> Option<Self> {
-        let (schedule, timesteps) = match name {
-            "linear50" => (BetaSchedule::Linear, 50),
-            "linear1000" => (BetaSchedule::Linear, 1000),
-            "cosine1000" => (BetaSchedule::Cosine, 1000),
-            other => panic!("case {other}"),
-        };
-        let config = DiffusionConfig {
-            num_train_timesteps: timesteps,
-            beta_schedule: schedule,
-            prediction_type: PredictionType::Epsilon,
-            ..DiffusionConfig::default()
-        };
-        Some(Self {
-            golden: Golden::open("ccmotion", "07_e2e.safetensors")?,
-            name,
-            device: Device::flex().autodiff(),
-            diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
-        })
-    }
-
-    fn model(&self) -> MotionModel {
-        let init = Initializer::new(0, &self.device);
-        let decoder: serde_json::Value =
-            serde_json::from_str(self.golden.metadata("decoder")).expect("JSON");
-        let size = |key: &str| decoder[key].as_u64().expect("a number") as usize;
-        let decoder = DecoderConfig {
-            hidden_dim: size("hidden"),
-            num_layers: size("layers"),
-            init: DecoderInit::Random,
-            ..DecoderConfig::default()
-        };
-        let unit = Normalization {
-            mean: vec![0.0; 25],
-            std: vec![1.0; 25],
-        };
-        let model = MotionModel {
-            unet: unet::config(self.golden.metadata("unet"))
-                .init(&init)
-                .expect("a valid network"),
-            decoder: decoder.init(unit, &init).expect("a valid decoder"),
-        };
-        parameters::load(model, weights(&self.golden, "model.")).expect("the weights fit")
-    }
-
-    fn tensor(&self, name: &str) -> Tensor<3> {
-        self.golden.tensor(name, &self.device)
-    }
-
-    fn inputs(&self) -> Inputs {
-        let x_start = self.tensor("in.gt");
-        let [batch, _, time] = x_start.dims();
-        Inputs {
-            x_start,
-            cond: self.tensor("in.cond"),
-            mask: Tensor::ones([batch, time], &self.device),
-        }
-    }
-
-    fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
-        let statistics = Arc::new(unit_statistics());
-        let last = self.diffusion.config.num_train_timesteps - 1;
-        let config = RolloutConfig {
-            steps: self.steps(),
-            mode,
-            last_k: 1,
-            start: RolloutStart::Noise,
-            start_timesteps: [last, last],
-            clip: Clip::None,
-            straight_through: false,
-            gradient_decay: 1.0,
-            guidance_scale: 1.0,
-        };
-        let held_out = HeldOut::new(
-            Vec::new(),
-            statistics.clone(),
-            &ValidationConfig::default(),
-            16,
-        );
-        let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
-        E2eRecipe::new(sampler, &document(), held_out)
-    }
-
-    fn steps(&self) -> usize {
-        let steps = self.golden.metadata("ddim_steps");
-        steps.parse().expect("a number of steps")
-    }
-
-    fn starts(&self) -> Vec<usize> {
-        let batch = self.golden.get("in.x_T").shape[0];
-        vec![self.diffusion.config.num_train_timesteps - 1; batch]
-    }
-
-    fn draws(&self) -> E2eDraws {
-        let timesteps = self.golden.get(&format!("in.{}.t", self.name));
-        E2eDraws {
-            denoising: DenoisingDraws {
-                timesteps: timesteps.indices(),
-                noise: self.tensor("in.noise"),
-                keep_cond: None,
-                dropout: None,
-            },
-            starts: self.starts(),
-            start_noise: self.tensor("in.x_T"),
-            decoder_dropout: None,
-        }
-    }
-
-    fn out(&self, name: &str) -> kinegrad_tests::golden::Reference {
-        self.golden.reference(&format!("out.{}.{name}", self.name))
-    }
-
-    fn decoder_tolerance(&self) -> f64 {
-        if self.name == "cosine1000" {
-            5e-3
-        } else {
-            2e-4
-        }
-    }
-
-    fn tolerance(&self, parameter: &str) -> f64 {
-        match parameter.starts_with("decoder.") {
-            true => self.decoder_tolerance(),
-            false => 2e-4,
-        }
-    }
-}
+use kinegrad_train::recipes::Recipe;
 
 #[test]
 fn golden_e2e_linear50() {
@@ -331,7 +155,7 @@ impl Denoiser for Noting<'_> {
 fn rollout(case: &Case) -> Rollout {
     Rollout {
         diffusion: case.diffusion.clone(),
-        clip: Bounds::None,
+        clip: Clip::None,
         guidance_scale: 1.0,
         gradient_decay: 1.0,
     }

@@ -10,7 +10,7 @@
 //! motion, clip it ([`Clip::StraightThrough`]), start from a lower timestep, let the gradient
 //! decay from step to step (`gradient_decay`).
 
-use burn::tensor::{Gradients, Tensor};
+use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
 use crate::sampler::{SamplerConfig, StepInput, ddim_step};
 use crate::{Clip, Denoiser, Error, GaussianDiffusion, guided};
@@ -63,6 +63,17 @@ pub struct Trace {
     states: Vec<Tensor<3>>,
     timesteps: Vec<Vec<usize>>,
     entry: Tensor<3>,
+    strategy: Option<GradientCheckpointingStrategy>,
+}
+
+/// A state whose gradient is kept, with the setting of activation checkpointing of the network:
+/// operations do not mix two settings.
+fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) -> Tensor<3> {
+    let state = state.autodiff().require_grad();
+    match strategy {
+        Some(strategy) => state.with_gradient_checkpointing_strategy(strategy),
+        None => state,
+    }
 }
 
 /// The timesteps of a rollout of `steps` steps whose sample i begins at `starts[i]`:
@@ -83,7 +94,8 @@ impl Rollout {
     /// `model` without gradients (Burn: `Module::valid`); both run the same operations.
     ///
     /// # Shapes
-    /// - x_start_noise: `[batch, channels, time]`, on any device; its graph, if any, is not kept
+    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; its graph, if any,
+    ///   is not kept
     ///
     /// # Errors
     /// If the clipping bounds do not fit the channels, or the network's output has other sizes
@@ -103,6 +115,7 @@ impl Rollout {
             RolloutMode::Checkpointed => steps,
             RolloutMode::LastK(k) => steps.saturating_sub(k),
         };
+        let strategy = x_start_noise.gradient_checkpointing_strategy();
         let mut states = vec![x_start_noise.without_autodiff()];
         for index in 0..graph_from {
             let x = states.last().expect("the start is one").clone();
@@ -112,7 +125,7 @@ impl Rollout {
             states.push(self.step(plain, x, cond, timesteps, index)?);
         }
         let entry = states.last().expect("the start is one").clone();
-        let entry = entry.autodiff().require_grad();
+        let entry = tracked(entry, strategy);
         let mut x = entry.clone();
         for index in graph_from..steps {
             if index > graph_from && self.gradient_decay != 1.0 {
@@ -125,6 +138,7 @@ impl Rollout {
             states,
             timesteps: timesteps.to_vec(),
             entry: entry.clone(),
+            strategy,
         });
         Ok(RolloutOutput { x, entry, trace })
     }
@@ -179,6 +193,7 @@ impl Trace {
             mut states,
             timesteps,
             entry,
+            strategy,
         } = self;
         let last = states.pop().expect("a rollout has a final state");
         let mut cotangent = entry
@@ -187,7 +202,7 @@ impl Trace {
         drop(entry);
         for index in (0..timesteps.len()).rev() {
             let state = states.pop().expect("one state a step");
-            let x = state.autodiff().require_grad();
+            let x = tracked(state, strategy);
             let y = rollout.step(model, x.clone(), cond, &timesteps, index)?;
             // The gradient of this sum with respect to y is the cotangent.
             let mut local = (y * cotangent).sum().backward();

@@ -1,30 +1,33 @@
 //! Starting and resuming a run: what is checked before anything is written, and in which order.
 
-use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::{Dataset, Loader};
+use kinegrad_data::Dataset;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_models::{DecoderConfig, Initializer, MotionModel};
+use kinegrad_models::{DecoderConfig, Initializer};
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
 use toml::Table;
 
-use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
+use crate::checkpoint::{Checkpoints, Progress};
 use crate::config::{self, Config, Recipe};
 use crate::error::Error;
-use crate::observer::{Observer, RunSummary};
-use crate::recipes::{self, DecoderRecipe, DiffusionRecipe, E2eRecipe, HeldOut, Sampler};
+use crate::observer::Observer;
+use crate::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe};
 use crate::start::{Starts, tables_of};
-use crate::trained::{denoiser, networks};
-use crate::trainer::{Ending, Trainer, TrainerParts};
+use crate::trained::denoiser;
+use crate::trainer::Ending;
 
+mod folder;
 mod pretrain;
+mod setup;
+
+use folder::{lock, may_resume, saved_config};
+use setup::Setup;
 
 /// What `kinegrad train` is asked to do.
 #[derive(Clone, Debug)]
@@ -204,149 +207,6 @@ fn train_config(
     }
 }
 
-/// A run whose request has been checked.
-struct Setup {
-    config: Config,
-    folder: PathBuf,
-    /// Taken already where the run existed before.
-    lock: Option<File>,
-    dataset: Dataset,
-    statistics: Arc<TrainingStatistics>,
-    device: Device,
-    device_name: String,
-}
-
-impl Setup {
-    fn held_out(&self) -> HeldOut {
-        HeldOut::new(
-            self.dataset.validation.clone(),
-            self.statistics.clone(),
-            &self.config.validation,
-            self.config.data.target_frames,
-        )
-    }
-
-    fn sampler(&self) -> Result<Sampler, Error> {
-        let diffusion = GaussianDiffusion::new(&self.config.diffusion)?;
-        let statistics = self.statistics.clone();
-        Ok(Sampler::new(diffusion, &self.config.rollout, statistics))
-    }
-
-    /// Denoiser and decoder, with the weights of `starts`; without, those of a checkpoint will
-    /// replace them.
-    fn networks(&self, starts: Option<Starts>) -> Result<MotionModel, Error> {
-        let (config, device) = (&self.config, &self.device);
-        match starts {
-            Some(starts) => starts.networks(config, device),
-            None => {
-                let model = networks(config, &self.statistics, device)?;
-                Ok(match config.train.recipe {
-                    Recipe::Decoder => MotionModel {
-                        unet: model.unet.no_grad(),
-                        decoder: model.decoder,
-                    },
-                    Recipe::Diffusion | Recipe::E2e => model,
-                })
-            }
-        }
-    }
-
-    fn train<R: recipes::Recipe>(
-        self,
-        recipe: R,
-        mut model: R::Model,
-        checkpoint: Option<Checkpoint>,
-        observer: &mut dyn Observer,
-    ) -> Result<Outcome, Error> {
-        if let Some(checkpoint) = &checkpoint {
-            model = parameters::load(model, checkpoint.model.clone())?;
-        }
-        let Self {
-            mut config,
-            folder,
-            lock,
-            dataset,
-            statistics,
-            device,
-            device_name,
-        } = self;
-        let step = checkpoint
-            .as_ref()
-            .map_or(0, |checkpoint| checkpoint.state.step);
-        let progress = checkpoint
-            .as_ref()
-            .map(|c| c.state.progress.clone())
-            .unwrap_or_default();
-        let summary = RunSummary {
-            name: config.run.name.clone(),
-            folder: folder.clone(),
-            device: device_name,
-            parameters: parameters::infos(&model)
-                .iter()
-                .map(|info| info.len())
-                .sum(),
-            train_phrases: dataset.train.len(),
-            validation_phrases: dataset.validation.len(),
-            skipped: dataset.skipped.clone(),
-            step,
-            max_steps: config.train.max_steps,
-        };
-        let patience = config.train.patience;
-        let stopped = patience > 0 && progress.validations_since_best >= patience;
-        if step > 0 && (step >= config.train.max_steps || stopped) {
-            observer.started(&summary);
-            return Ok(Outcome {
-                folder,
-                ending: None,
-                step,
-                progress,
-                config,
-            });
-        }
-
-        // Everything that can be refused has been: only now is something written.
-        fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-        let lock = match lock {
-            Some(lock) => lock,
-            None => crate::run::lock(&folder)?,
-        };
-        write_config(&folder, &config)?;
-        observer.started(&summary);
-
-        if config.validation.every_steps > 0 && dataset.validation.is_empty() {
-            observer.warning("no phrase is held out: there is no validation and no best step");
-            config.validation.every_steps = 0;
-        }
-        let loader = Loader::new(
-            dataset.train,
-            statistics.clone(),
-            &config.data,
-            config.run.seed,
-            step * config.train.gradient_accumulation_steps,
-        );
-        let parts = TrainerParts {
-            recipe,
-            model,
-            config: config.clone(),
-            statistics,
-            device,
-            loader,
-            folder: folder.clone(),
-        };
-        let mut trainer = Trainer::new(parts, checkpoint)?;
-        let ending = trainer.run(observer)?;
-        drop(lock);
-        let (step, progress) = (trainer.step(), trainer.progress().clone());
-        Ok(Outcome {
-            folder,
-            ending: Some(ending),
-            step,
-            progress,
-            config,
-        })
-    }
-}
-
 /// Number of parameters of the networks that `config` trains.
 ///
 /// # Errors
@@ -388,57 +248,5 @@ fn training_device(config: &Config, device: Device) -> Device {
         device.gradient_checkpointing()
     } else {
         device
-    }
-}
-
-/// Keys that may differ when a run is resumed.
-fn may_change(key: &str) -> bool {
-    key == "train.max_steps"
-        || key == "run.device"
-        || key.starts_with("checkpoint.")
-        || key.starts_with("validation.")
-}
-
-fn may_resume(saved: &Config, given: &Config) -> Result<(), Error> {
-    match config::difference(saved, given)
-        .into_iter()
-        .find(|d| !may_change(&d.key))
-    {
-        Some(d) => Err(Error::ResumeDiffers {
-            key: d.key,
-            saved: d.left,
-            given: d.right,
-        }),
-        None => Ok(()),
-    }
-}
-
-fn saved_config(folder: &Path) -> Result<Config, Error> {
-    Ok(config::load(&folder.join("config.toml"), &[])?)
-}
-
-/// Replaces the run's `config.toml` in one step.
-fn write_config(folder: &Path, config: &Config) -> Result<(), Error> {
-    let temporary = folder.join(".writing-config.toml");
-    fs::write(&temporary, config::to_toml(config)).map_err(Error::io("write", &temporary))?;
-    let target = folder.join("config.toml");
-    fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
-}
-
-/// Takes the run's lock, which ends with this process however it ends.
-fn lock(folder: &Path) -> Result<File, Error> {
-    let path = folder.join("lock");
-    let file = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(&path)
-        .map_err(Error::io("open", &path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(Error::RunLocked {
-            path: folder.to_path_buf(),
-        }),
-        Err(TryLockError::Error(error)) => Err(Error::io("lock", &path)(error)),
     }
 }

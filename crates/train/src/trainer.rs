@@ -1,11 +1,14 @@
 //! The one training loop.
 
-use std::path::{Path, PathBuf};
+mod not_finite;
+mod restore;
+
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::{Batch, Loader};
+use kinegrad_data::Loader;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::TrainingStatistics;
 
@@ -17,6 +20,8 @@ use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
 use crate::recipes::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{Metrics, Record};
+use not_finite::find_not_finite;
+use restore::{check_moments, order_of};
 
 /// How training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -403,42 +408,6 @@ impl<R: Recipe> Trainer<R> {
     }
 }
 
-/// For each parameter of the module, its index in the checkpoint.
-fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
-    let indices: std::collections::HashMap<&str, usize> = checkpoint
-        .model
-        .iter()
-        .enumerate()
-        .map(|(i, p)| (p.info.name.as_str(), i))
-        .collect();
-    infos
-        .iter()
-        .map(|info| indices[info.name.as_str()])
-        .collect()
-}
-
-/// Refuses a checkpoint whose running means are not those of the parameters that are trained.
-fn check_moments(
-    moments: &[Moments],
-    lengths: &[usize],
-    infos: &[ParameterInfo],
-    folder: &Path,
-) -> Result<(), Error> {
-    let wrong = |(moments, length): &(&Moments, &usize)| {
-        moments.exp_avg.len() != **length || moments.exp_avg_sq.len() != **length
-    };
-    match moments.iter().zip(lengths).position(|pair| wrong(&pair)) {
-        None => Ok(()),
-        Some(index) => Err(Error::CheckpointDamaged {
-            path: folder.to_path_buf(),
-            reason: format!(
-                "the optimiser's state of `{}` has not {} elements",
-                infos[index].name, lengths[index]
-            ),
-        }),
-    }
-}
-
 fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
     if sums.is_empty() {
         *sums = gradients;
@@ -449,27 +418,4 @@ fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
             *s += g;
         }
     }
-}
-
-/// The first tensor, in the order of computation, that holds an infinity or NaN.
-fn find_not_finite<M: Module>(model: &M, batch: &Batch, loss: Loss) -> String {
-    let broken = |values: &[f32]| values.iter().any(|v| !v.is_finite());
-    if broken(&batch.x_start) {
-        return "the batch's motion".into();
-    }
-    if broken(&batch.cond) {
-        return "the batch's audio features".into();
-    }
-    for parameter in parameters::export(model) {
-        if broken(&parameter.values) {
-            return format!("parameter `{}`", parameter.info.name);
-        }
-    }
-    for (name, probe) in loss.probes {
-        let values = probe.inner().try_into_vec_as::<f32>().unwrap_or_default();
-        if broken(&values) {
-            return format!("`{name}`");
-        }
-    }
-    "the loss".into()
 }

@@ -254,10 +254,6 @@ fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
     let dots = (known.clone().narrow(2, 1, time - 1) * known.narrow(2, 0, time - 1)).sum_dim(1);
     let flips = dots.lower_elem(0.0).float() * -2.0 + 1.0;
     let signs = Tensor::cat(vec![flips.clone().narrow(2, 0, 1).ones_like(), flips], 2).cumprod(2);
-    let signs = match quaternion.is_autodiff() {
-        true => signs.autodiff(),
-        false => signs,
-    };
     quaternion * signs
 }
 

@@ -1,0 +1,199 @@
+//! The cases of golden file 07_e2e as inputs of the recipe `e2e`.
+
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::{DecoderConfig, Initializer, MotionModel, parameters};
+use kinegrad_motion::TrainingStatistics;
+use kinegrad_train::config::{
+    Clip, LossConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
+    ValidationConfig,
+};
+use kinegrad_train::losses::{SignMatching, TemporalLossConfig};
+use kinegrad_train::recipes::{DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler};
+
+use crate::golden::{Golden, Reference};
+use crate::{unet, weights};
+
+/// The document's loss, literally.
+pub fn document() -> LossConfig {
+    LossConfig {
+        w_components: 0.0,
+        reconstruction_weighting: ReconstructionWeighting::Uniform,
+        quaternion_sign: SignMatching::Document,
+        temporal: TemporalLossConfig::document(),
+        ..LossConfig::default()
+    }
+}
+
+/// Motion that is its own normalised form, as in the golden file.
+fn unit_statistics() -> TrainingStatistics {
+    TrainingStatistics {
+        mean: vec![0.0; 25],
+        std: vec![1.0; 25],
+        min: vec![-1.0; 25],
+        max: vec![1.0; 25],
+        frames: 1,
+        phrases: 1,
+        rms_speed: 1.0,
+        rms_acceleration: 1.0,
+        jerk_p95: 1.0,
+    }
+}
+
+/// A case of golden file 07_e2e.
+pub struct Case {
+    /// The file.
+    pub golden: Golden,
+    /// Name of the case.
+    pub name: &'static str,
+    /// An autodiff device.
+    pub device: Device,
+    /// The case's process.
+    pub diffusion: GaussianDiffusion,
+}
+
+impl Case {
+    /// The case `name`; none where the file is not there and need not be.
+    ///
+    /// # Panics
+    /// Panics at a name that is no case.
+    pub fn open(name: &'static str) -> Option<Self> {
+        let (schedule, timesteps) = match name {
+            "linear50" => (BetaSchedule::Linear, 50),
+            "linear1000" => (BetaSchedule::Linear, 1000),
+            "cosine1000" => (BetaSchedule::Cosine, 1000),
+            other => panic!("case {other}"),
+        };
+        let config = DiffusionConfig {
+            num_train_timesteps: timesteps,
+            beta_schedule: schedule,
+            prediction_type: PredictionType::Epsilon,
+            ..DiffusionConfig::default()
+        };
+        Some(Self {
+            golden: Golden::open("ccmotion", "07_e2e.safetensors")?,
+            name,
+            device: Device::flex().autodiff(),
+            diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
+        })
+    }
+
+    /// Both networks, with the file's weights.
+    pub fn model(&self) -> MotionModel {
+        let init = Initializer::new(0, &self.device);
+        let decoder: serde_json::Value =
+            serde_json::from_str(self.golden.metadata("decoder")).expect("JSON");
+        let size = |key: &str| decoder[key].as_u64().expect("a number") as usize;
+        let decoder = DecoderConfig {
+            hidden_dim: size("hidden"),
+            num_layers: size("layers"),
+            init: DecoderInit::Random,
+            ..DecoderConfig::default()
+        };
+        let unit = Normalization {
+            mean: vec![0.0; 25],
+            std: vec![1.0; 25],
+        };
+        let model = MotionModel {
+            unet: unet::config(self.golden.metadata("unet"))
+                .init(&init)
+                .expect("a valid network"),
+            decoder: decoder.init(unit, &init).expect("a valid decoder"),
+        };
+        parameters::load(model, weights(&self.golden, "model.")).expect("the weights fit")
+    }
+
+    /// A tensor of the file.
+    pub fn tensor(&self, name: &str) -> Tensor<3> {
+        self.golden.tensor(name, &self.device)
+    }
+
+    /// Ground truth, condition and a mask of ones.
+    pub fn inputs(&self) -> Inputs {
+        let x_start = self.tensor("in.gt");
+        let [batch, _, time] = x_start.dims();
+        Inputs {
+            x_start,
+            cond: self.tensor("in.cond"),
+            mask: Tensor::ones([batch, time], &self.device),
+        }
+    }
+
+    /// The recipe with the document's settings.
+    pub fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
+        let statistics = Arc::new(unit_statistics());
+        let last = self.diffusion.config.num_train_timesteps - 1;
+        let config = RolloutConfig {
+            steps: self.steps(),
+            mode,
+            last_k: 1,
+            start: RolloutStart::Noise,
+            start_timesteps: [last, last],
+            clip: Clip::None,
+            straight_through: false,
+            gradient_decay: 1.0,
+            guidance_scale: 1.0,
+        };
+        let held_out = HeldOut::new(
+            Vec::new(),
+            statistics.clone(),
+            &ValidationConfig::default(),
+            16,
+        );
+        let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
+        E2eRecipe::new(sampler, &document(), held_out)
+    }
+
+    /// DDIM steps.
+    pub fn steps(&self) -> usize {
+        let steps = self.golden.metadata("ddim_steps");
+        steps.parse().expect("a number of steps")
+    }
+
+    /// The last timestep, for each sample.
+    pub fn starts(&self) -> Vec<usize> {
+        let batch = self.golden.get("in.x_T").shape[0];
+        vec![self.diffusion.config.num_train_timesteps - 1; batch]
+    }
+
+    /// What the file has in the place of random numbers.
+    pub fn draws(&self) -> E2eDraws {
+        let timesteps = self.golden.get(&format!("in.{}.t", self.name));
+        E2eDraws {
+            denoising: DenoisingDraws {
+                timesteps: timesteps.indices(),
+                noise: self.tensor("in.noise"),
+                keep_cond: None,
+                dropout: None,
+            },
+            starts: self.starts(),
+            start_noise: self.tensor("in.x_T"),
+            decoder_dropout: None,
+        }
+    }
+
+    /// The result `name` of the case.
+    pub fn out(&self, name: &str) -> Reference {
+        self.golden.reference(&format!("out.{}.{name}", self.name))
+    }
+
+    /// Tolerance of the decoder's gradients.
+    pub fn decoder_tolerance(&self) -> f64 {
+        if self.name == "cosine1000" {
+            5e-3
+        } else {
+            2e-4
+        }
+    }
+
+    /// Tolerance of the gradient of a parameter.
+    pub fn tolerance(&self, parameter: &str) -> f64 {
+        match parameter.starts_with("decoder.") {
+            true => self.decoder_tolerance(),
+            false => 2e-4,
+        }
+    }
+}
