@@ -96,6 +96,14 @@ fn fine_tuning_trains_both_networks_at_their_own_rates() {
     }
     let lines = metrics(&run);
     let trained = &lines[2];
+    // The start's decoder had no projection; the run's has.
+    for line in &lines {
+        let coherence = line.get("loss_velocity_coherence");
+        assert!(
+            coherence.and_then(Value::as_f64).unwrap_or(0.0) < 1e-9,
+            "{line}"
+        );
+    }
     assert_eq!(trained["lr_unet"].as_f64(), Some(1e-6 / 5.0));
     assert_eq!(trained["lr_decoder"].as_f64(), Some(5e-5 / 5.0));
     for term in [
@@ -121,6 +129,28 @@ fn fine_tuning_trains_both_networks_at_their_own_rates() {
     let longer = e2e("tuned", settings).replace("max_steps=4", "max_steps=6");
     sandbox.run(&format!("{longer} --resume")).succeeded();
     assert_eq!(metrics(&run).last().expect("lines")["step"], 6);
+}
+
+#[test]
+fn a_resumed_fine_tuning_keeps_what_it_set_anew() {
+    let sandbox = sandbox();
+    let settings = "--set model.dropout=0.3 --set decoder.dropout=0.2 \
+                    --set decoder.coherence=projection --set optim.lr_schedule=constant";
+    sandbox.run(&e2e("whole", settings)).succeeded();
+    let halved = e2e("halved", settings).replace("max_steps=4", "max_steps=2");
+    sandbox.run(&halved).succeeded();
+    sandbox
+        .run(&format!("{} --resume", e2e("halved", settings)))
+        .succeeded();
+    for file in [
+        "model.safetensors",
+        "ema.safetensors",
+        "optimizer.safetensors",
+    ] {
+        let [whole, halved] =
+            ["whole", "halved"].map(|run| tensors(&sandbox.path(format!("runs/{run}")), file));
+        assert!(whole == halved, "{file}");
+    }
 }
 
 #[test]
@@ -236,6 +266,14 @@ fn adapters_alone_are_trained_and_merge_into_plain_weights() {
     sandbox
         .run("merge runs/adapted --out runs/base")
         .failed(2, &["exists already and is not an empty folder"]);
+    sandbox
+        .run("merge runs/adapted --out m/adapted")
+        .succeeded();
+    let again = e2e("adapted", "--set optim.groups.unet=1e-2");
+    sandbox
+        .run(&format!("{again} --runs-dir m --resume"))
+        .failed(2, &["cannot be resumed"]);
+    assert!(!sandbox.path("m/adapted/config.toml").exists());
     // What was merged can be started from.
     sandbox
         .run(&e2e("on", "").replace("diffusion=runs/base", "diffusion=runs/merged"))
@@ -306,7 +344,7 @@ fn starts_that_do_not_fit_are_refused_by_key() {
         let text = format!("`{key}` is -1, allowed: 0 or more");
         refused(&e2e("x", &format!("--set {key}=-1")), &[&text]);
     }
-    let more: [(&str, &str); 5] = [
+    let more: [(&str, &str); 6] = [
         (
             "rollout.start_timesteps=[1,999]",
             "`rollout.start_timesteps` is [1, 999]",
@@ -318,10 +356,21 @@ fn starts_that_do_not_fit_are_refused_by_key() {
         ),
         ("lora.rank=0", "`lora.rank` is 0"),
         (
+            "init.diffusion=",
+            "`init.decoder` is runs/decoder without `init.diffusion`",
+        ),
+        (
             "loss.temporal.target_jerk=0",
             "`loss.temporal.target_jerk` is 0",
         ),
     ];
+    refused(
+        &decoder("x", "--set lora.rank=2"),
+        &["`lora` is set, for recipe `decoder`, allowed: recipe `e2e` alone"],
+    );
+    let untrained = "train c.toml --name x --set train.recipe=e2e \
+                     --set init.pretrain.diffusion_steps=0";
+    refused(untrained, &["`init.pretrain.diffusion_steps` is 0"]);
     for (setting, text) in more {
         refused(&e2e("x", &format!("--set {setting}")), &[text]);
     }

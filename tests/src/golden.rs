@@ -193,6 +193,7 @@ impl Reference {
             error <= tolerance,
             "{what}: error {error:.3e} exceeds {tolerance:.1e}"
         );
+        println!("{what}: error {error:.1e} of {tolerance:.0e}");
         error
     }
 

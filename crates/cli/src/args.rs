@@ -176,7 +176,7 @@ pub struct MergeArguments {
     /// Folder of a run (its best checkpoint is taken) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
     pub run: PathBuf,
-    /// Folder to write; it must not exist or be empty
+    /// Folder to write; a new or an empty one
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
 }

@@ -81,8 +81,8 @@ pub enum Error {
     /// A checkpoint that no fine-tuning can start from.
     #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
     #[diagnostic(help(
-        "`init.diffusion` takes a run of recipe `diffusion` over 25-channel phrases, \
-         `init.decoder` one of recipe `decoder` or `e2e` made from the same base"
+        "`init.diffusion` takes a run whose denoiser works on 25-channel phrases, `init.decoder` \
+         one of recipe `decoder` or `e2e` made on the same base"
     ))]
     Start {
         /// The key that names it.

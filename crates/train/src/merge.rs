@@ -10,7 +10,7 @@ use crate::optim::Moments;
 use crate::trained::networks;
 
 /// Adds the adapters of the checkpoint in `path` to the weights they sit on, and writes the result
-/// as the only checkpoint of a run in `out`, which must not exist or be empty. Samples are drawn
+/// as the only checkpoint of a run in `out`, a new or an empty folder. Samples are drawn
 /// from it and trainings start from it; it has no optimiser to resume with. Returns where the
 /// checkpoint is.
 ///

@@ -93,15 +93,24 @@ pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outc
     )
 }
 
-/// Reads a config with what its start, if it has one, says of the networks and the process.
+/// Reads a config with what its start, if it has one, says of the networks and the process; where
+/// the start is not there, `warn` is told and the config is as it stands.
 ///
 /// # Errors
-/// If the config or its start cannot be read.
-pub fn load_config(path: &Path, overrides: &[String]) -> Result<Config, Error> {
+/// If the config cannot be read.
+pub fn load_config(
+    path: &Path,
+    overrides: &[String],
+    warn: &mut dyn FnMut(&Error),
+) -> Result<Config, Error> {
     let config = config::load(path, overrides)?;
-    let config = match start_tables(&config)? {
-        Some(beneath) => config::load_over(path, overrides, &beneath)?,
-        None => config,
+    let config = match start_tables(&config) {
+        Ok(Some(beneath)) => config::load_over(path, overrides, &beneath)?,
+        Ok(None) => config,
+        Err(error) => {
+            warn(&error);
+            config
+        }
     };
     Ok(config.resolved())
 }
@@ -207,7 +216,7 @@ fn train_config(
     }
 }
 
-/// Number of parameters of the networks that `config` trains.
+/// Number of parameters of the networks of a run of `config`, adapters left out.
 ///
 /// # Errors
 /// If a network cannot be built.

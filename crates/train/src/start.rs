@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_models::{MotionModel, UNet1d};
+use kinegrad_models::{MotionModel, parameters};
 use kinegrad_motion::TrainingStatistics;
 use toml::{Table, Value};
 
@@ -12,7 +12,7 @@ use crate::checkpoint::{State, Weights};
 use crate::config::{self, Config, Recipe};
 use crate::error::Error;
 use crate::generate::resolve_checkpoint;
-use crate::trained::{Trained, decoder, with_adapters};
+use crate::trained::{Trained, decoder, denoiser, with_adapters};
 
 /// Keys that a fine-tuning may set anew, as the weights fit whatever they say.
 const FREE_KEYS: [&str; 8] = [
@@ -91,8 +91,12 @@ impl Starts {
             .map_err(|error| refused("init.diffusion", &self.diffusion, &error))?;
         must_agree(config, &base.state.config, &["model", "diffusion"])?;
         let statistics = &base.state.statistics;
+        // Networks of this config, whose dropout and coherence may be others, with the values of
+        // the start.
+        let unet = parameters::replace(denoiser(config, device)?, values(&base.unet));
+        let fresh = decoder(config, statistics, device)?;
         let decoder = match &self.decoder {
-            None => decoder(config, statistics, device)?,
+            None => fresh,
             Some(path) => {
                 let refused =
                     |reason: &dyn std::fmt::Display| refused("init.decoder", path, reason);
@@ -109,15 +113,21 @@ impl Starts {
                           `init.diffusion`",
                     ));
                 }
-                decoder
+                parameters::replace(fresh, values(&decoder))
             }
         };
-        let unet: UNet1d = match config.train.recipe {
-            Recipe::Decoder => base.unet.no_grad(),
-            Recipe::Diffusion | Recipe::E2e => base.unet,
+        let unet = match config.train.recipe {
+            Recipe::Decoder => unet.no_grad(),
+            Recipe::Diffusion | Recipe::E2e => unet,
         };
         with_adapters(MotionModel { unet, decoder }, config, device)
     }
+}
+
+/// The values of all parameters, in the module's order.
+fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
+    let parameters = parameters::export(module).into_iter();
+    parameters.map(|parameter| parameter.values).collect()
 }
 
 /// The tables `model` and `diffusion` of `base` and `decoder` of `decoder`.

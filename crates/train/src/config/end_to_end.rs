@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use kinegrad_diffusion::RolloutMode as Graph;
 use serde::{Deserialize, Serialize};
 
-use super::{Clip, Config, ConfigError};
+use super::{Clip, Config, ConfigError, Recipe};
 use crate::losses::{SignMatching, TemporalLossConfig};
 
 /// The table `init`: what a fine-tuning starts from.
@@ -15,7 +15,7 @@ pub struct InitConfig {
     /// Run or checkpoint of the diffusion model; its averaged weights are taken, and its network,
     /// process and statistics. Empty in recipe `e2e`: one is trained first.
     pub diffusion: PathBuf,
-    /// Run or checkpoint that holds a decoder. Empty: a fresh one.
+    /// Run or checkpoint that holds a decoder made on that base. Empty: a fresh one.
     pub decoder: PathBuf,
     /// The training of what is missing.
     pub pretrain: PretrainConfig,
@@ -68,7 +68,8 @@ pub enum RolloutStart {
     /// something with its ground truth, so that reconstruction has a meaning.
     #[default]
     Motion,
-    /// Pure noise (the document): reconstruction then pulls towards the mean motion.
+    /// Pure noise at the last timestep (the document): reconstruction, where it counts, then pulls
+    /// towards the mean motion.
     Noise,
 }
 
@@ -84,7 +85,8 @@ pub struct RolloutConfig {
     pub last_k: usize,
     /// What a rollout starts from.
     pub start: RolloutStart,
-    /// Lowest and highest start timestep; each sample's is drawn between them. Values beyond the
+    /// Lowest and highest start timestep of `start = "motion"`; each sample's is drawn between
+    /// them. Values beyond the
     /// last timestep mean the last.
     pub start_timesteps: [usize; 2],
     /// What the predicted clean motion is clipped to.
@@ -151,7 +153,8 @@ pub struct LossConfig {
     pub w_components: f64,
     /// How much each sample's reconstruction counts.
     pub reconstruction_weighting: ReconstructionWeighting,
-    /// How the two quaternions of one rotation compare.
+    /// How the two quaternions of one rotation compare in the quaternion's reconstruction; that of
+    /// all components always takes the nearer one.
     pub quaternion_sign: SignMatching,
     /// The temporal terms.
     pub temporal: TemporalLossConfig,
@@ -173,6 +176,22 @@ impl Default for LossConfig {
 
 /// Refuses bad values in the tables above.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
+    let init = &config.init;
+    if init.diffusion.as_os_str().is_empty() {
+        if !init.decoder.as_os_str().is_empty() {
+            let found = format!("{} without `init.diffusion`", init.decoder.display());
+            let allowed = "a decoder together with the base it was made on";
+            return Err(ConfigError::range("init.decoder", found, allowed));
+        }
+        if config.train.recipe == Recipe::E2e && init.pretrain.diffusion_steps == 0 {
+            let key = "init.pretrain.diffusion_steps";
+            return Err(ConfigError::range(
+                key,
+                0,
+                "1 or more, or an `init.diffusion`",
+            ));
+        }
+    }
     let timesteps = config.diffusion.num_train_timesteps;
     let rollout = &config.rollout;
     if !(1..=timesteps).contains(&rollout.steps) {

@@ -98,6 +98,10 @@ impl Config {
         }
         if let Some(lora) = &self.lora {
             lora.validate()?;
+            if self.train.recipe != Recipe::E2e {
+                let found = format!("set, for recipe `{}`", self.train.recipe.name());
+                return Err(ConfigError::range("lora", found, "recipe `e2e` alone").into());
+            }
         }
         let mut warnings = Vec::new();
         if self.optim.warmup_steps > self.train.max_steps {

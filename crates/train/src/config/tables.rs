@@ -107,6 +107,15 @@ impl Recipe {
         }
     }
 
+    /// Its name in a config.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Diffusion => "diffusion",
+            Self::Decoder => "decoder",
+            Self::E2e => "e2e",
+        }
+    }
+
     /// Whether it runs the sampler in training, so that `rollout` and `loss` matter.
     pub fn rolls_out(self) -> bool {
         self != Self::Diffusion
@@ -197,9 +206,10 @@ impl Default for CheckpointConfig {
 pub struct ValidationConfig {
     /// Steps between validations; 0 never validates.
     pub every_steps: u64,
-    /// Noise draws per held-out phrase.
+    /// Noise draws per held-out phrase, of the diffusion loss; a rollout is drawn once.
     pub draws: usize,
-    /// Phrases per forward pass; does not change the result beyond rounding.
+    /// Phrases per forward pass; for phrases of one length it does not change the result beyond
+    /// rounding.
     pub batch_size: usize,
 }
 

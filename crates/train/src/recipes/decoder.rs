@@ -5,10 +5,10 @@
 //! ```
 //!
 //! There is no temporal term: the decoder sees one frame at a time, so that all it could do about a
-//! trembling latent is to stop moving. It learns from two latents of each phrase, both of which still know their ground truth: the
-//! phrase under the little noise that a sampler may leave, and a DDIM sample drawn from the phrase
-//! under much noise (`rollout`), whose error counts by the share of the phrase left in its start.
-//! The denoiser is part of the checkpoint and does not change.
+//! trembling latent is to stop moving. It learns from two latents of each phrase, both of which
+//! still know their ground truth: the phrase under the little noise that a sampler may leave, and a
+//! DDIM sample drawn from the phrase under much noise (`rollout`), whose error counts by the share
+//! of the phrase left in its start. The denoiser is part of the checkpoint and does not change.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};

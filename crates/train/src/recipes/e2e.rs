@@ -30,6 +30,9 @@ use crate::config::LossConfig;
 use crate::losses::reconstruction::normalized_error;
 use crate::losses::{ReconstructionLoss, temporal_losses};
 
+/// Draw of the held-out phrases' noise that their rollouts start from, whatever `validation.draws`.
+const ROLLOUT_DRAW: u64 = 1;
+
 /// Fine-tunes a [`MotionModel`].
 pub struct E2eRecipe {
     sampler: Sampler,
@@ -196,8 +199,9 @@ impl Recipe for E2eRecipe {
         let starts = self.sampler.starts(phrases, |_| 0.5);
         for (range, inputs) in self.held_out.batches(device) {
             let starts = &starts[range.clone()];
-            let draw = self.held_out.draws as u64;
-            let noise = self.held_out.noise(range.clone(), draw, &inputs.x_start);
+            let noise = self
+                .held_out
+                .noise(range.clone(), ROLLOUT_DRAW, &inputs.x_start);
             let output = self
                 .sampler
                 .rollout

@@ -40,10 +40,13 @@ impl Sampler {
         }
     }
 
-    /// Start timesteps of a batch: one from each of `batch` equal parts of the configured range,
-    /// `place(i)` in [0, 1) saying where in part i.
+    /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
+    /// `batch` equal parts of the configured range, `place(i)` in [0, 1) saying where in part i.
     pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
         let last = self.rollout.diffusion.config.num_train_timesteps - 1;
+        if self.config.start == RolloutStart::Noise {
+            return vec![last; batch];
+        }
         let [lowest, highest] = self.config.start_timesteps.map(|t| t.min(last));
         let width = (highest - lowest + 1) as f64;
         (0..batch)

@@ -13,13 +13,14 @@ use kinegrad_motion::TrainingStatistics;
 
 use super::Outcome;
 use super::folder::write_config;
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, Checkpoints};
 use crate::config::{Config, Recipe};
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
 use crate::recipes::{self, HeldOut, Sampler};
 use crate::start::Starts;
 use crate::trained::networks;
+use crate::trainer::restore::check_moments;
 use crate::trainer::{Trainer, TrainerParts};
 
 /// A run whose request has been checked.
@@ -79,6 +80,8 @@ impl Setup {
     ) -> Result<Outcome, Error> {
         if let Some(checkpoint) = &checkpoint {
             model = parameters::load(model, checkpoint.model.clone())?;
+            let path = Checkpoints::of(&self.folder).step_path(checkpoint.state.step);
+            check_moments(&model, checkpoint, &path)?;
         }
         let Self {
             mut config,

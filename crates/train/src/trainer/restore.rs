@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use kinegrad_models::parameters::ParameterInfo;
+use burn::module::Module;
+use kinegrad_models::parameters::{self, ParameterInfo};
 
 use crate::checkpoint::Checkpoint;
 use crate::error::Error;
-use crate::optim::Moments;
 
 /// For each parameter of the module, its index in the checkpoint.
 pub(super) fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<usize> {
@@ -22,24 +22,31 @@ pub(super) fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<
         .collect()
 }
 
-/// Refuses a checkpoint whose running means are not those of the parameters that are trained.
-pub(super) fn check_moments(
-    moments: &[Moments],
-    lengths: &[usize],
-    infos: &[ParameterInfo],
-    folder: &Path,
+/// Refuses a checkpoint whose running means are not those of the parameters that `model` trains.
+///
+/// # Errors
+/// Names the checkpoint in `path` and the parameter.
+pub(crate) fn check_moments<M: Module>(
+    model: &M,
+    checkpoint: &Checkpoint,
+    path: &Path,
 ) -> Result<(), Error> {
-    let wrong = |(moments, length): &(&Moments, &usize)| {
-        moments.exp_avg.len() != **length || moments.exp_avg_sq.len() != **length
-    };
-    match moments.iter().zip(lengths).position(|pair| wrong(&pair)) {
-        None => Ok(()),
-        Some(index) => Err(Error::CheckpointDamaged {
-            path: folder.to_path_buf(),
-            reason: format!(
-                "the optimiser's state of `{}` has not {} elements",
-                infos[index].name, lengths[index]
-            ),
-        }),
+    let infos = parameters::infos(model);
+    let order = order_of(&infos, checkpoint);
+    let trained = parameters::trainable(model);
+    for ((info, index), trained) in infos.iter().zip(order).zip(trained) {
+        let moments = &checkpoint.moments[index];
+        let expected = if trained { info.len() } else { 0 };
+        if moments.exp_avg.len() != expected || moments.exp_avg_sq.len() != expected {
+            return Err(Error::CheckpointDamaged {
+                path: path.to_path_buf(),
+                reason: format!(
+                    "it cannot be resumed: the optimiser's state of `{}` has not {expected} \
+                     elements (a merged run has none)",
+                    info.name
+                ),
+            });
+        }
     }
+    Ok(())
 }
