@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::{DecoderConfig, Initializer, MotionModel, parameters};
+use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_train::config::{
     Clip, LossConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
@@ -15,7 +14,7 @@ use kinegrad_train::losses::{SignMatching, TemporalLossConfig};
 use kinegrad_train::recipes::{DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler};
 
 use crate::golden::{Golden, Reference};
-use crate::{unet, weights};
+use crate::{decoder, unet, weights};
 
 /// The document's loss, literally.
 pub fn document() -> LossConfig {
@@ -84,24 +83,14 @@ impl Case {
     /// Both networks, with the file's weights.
     pub fn model(&self) -> MotionModel {
         let init = Initializer::new(0, &self.device);
-        let decoder: serde_json::Value =
+        let sizes: serde_json::Value =
             serde_json::from_str(self.golden.metadata("decoder")).expect("JSON");
-        let size = |key: &str| decoder[key].as_u64().expect("a number") as usize;
-        let decoder = DecoderConfig {
-            hidden_dim: size("hidden"),
-            num_layers: size("layers"),
-            init: DecoderInit::Random,
-            ..DecoderConfig::default()
-        };
-        let unit = Normalization {
-            mean: vec![0.0; 25],
-            std: vec![1.0; 25],
-        };
+        let size = |key: &str| sizes[key].as_u64().expect("a number") as usize;
         let model = MotionModel {
             unet: unet::config(self.golden.metadata("unet"))
                 .init(&init)
                 .expect("a valid network"),
-            decoder: decoder.init(unit, &init).expect("a valid decoder"),
+            decoder: decoder::of_size(size("hidden"), size("layers"), &self.device),
         };
         parameters::load(model, weights(&self.golden, "model.")).expect("the weights fit")
     }

@@ -2,10 +2,9 @@
 //! the saturated range.
 
 use burn::tensor::Device;
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::{DecoderConfig, Initializer, parameters};
+use kinegrad_models::parameters;
 use kinegrad_tests::golden::Golden;
-use kinegrad_tests::weights;
+use kinegrad_tests::{decoder, weights};
 
 #[test]
 fn golden_decoder() {
@@ -14,19 +13,7 @@ fn golden_decoder() {
     };
     let device = Device::flex().autodiff();
     let size = |key: &str| golden.metadata(key).parse::<usize>().expect("a size");
-    let config = DecoderConfig {
-        hidden_dim: size("hidden"),
-        num_layers: size("layers"),
-        init: DecoderInit::Random,
-        ..DecoderConfig::default()
-    };
-    let unit = Normalization {
-        mean: vec![0.0; 25],
-        std: vec![1.0; 25],
-    };
-    let decoder = config
-        .init(unit, &Initializer::new(0, &device))
-        .expect("a valid decoder");
+    let decoder = decoder::of_size(size("hidden"), size("layers"), &device);
     let decoder = parameters::load(decoder, weights(&golden, "model.")).expect("the weights fit");
     let infos = parameters::infos(&decoder);
 

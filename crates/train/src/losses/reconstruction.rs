@@ -5,7 +5,7 @@ use burn::tensor::{Tensor, s};
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use serde::{Deserialize, Serialize};
 
-use super::mean_frames;
+use super::{hemisphere, mean_frames};
 
 /// How the two quaternions of one rotation compare.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,7 +88,7 @@ fn with_nearer_sign(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
     let quaternion = |x: &Tensor<3>| x.clone().without_autodiff().slice(s![.., QUATERNION]);
     let reference = quaternion(target);
     let dot = (quaternion(decoded) * reference.clone()).sum_dim(1);
-    let reference = reference * (dot.lower_elem(0.0).float() * -2.0 + 1.0);
+    let reference = reference * hemisphere(dot);
     Tensor::cat(
         vec![
             target.clone().slice(s![.., ..QUATERNION.start]),

@@ -26,7 +26,7 @@ use kinegrad_motion::phrase::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{mean_frames, sum_frames};
+use super::{hemisphere, mean_frames, sum_frames};
 
 /// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
 const WRAP: f64 = 0.5;
@@ -245,7 +245,7 @@ fn angular_velocity(q: Tensor<3>) -> Tensor<3> {
     let vector = Tensor::cat(vec![x, y, z], 1);
 
     // Of the two quaternions of a rotation, the one that turns by at most half a turn.
-    let sign = w.clone().lower_elem(0.0).float() * -2.0 + 1.0;
+    let sign = hemisphere(w.clone());
     let sine = (vector.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
     let angle = sine.clone().atan2(w.abs()) * 2.0;
     vector * sign * (angle / sine) * FPS

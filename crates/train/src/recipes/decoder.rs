@@ -13,7 +13,6 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_diffusion::{RolloutMode, rollout_timesteps};
 use kinegrad_models::MotionModel;
 use kinegrad_random::{Key, Purpose};
 
@@ -56,26 +55,6 @@ impl DecoderRecipe {
             .map(|i| (place(i) * below) as usize)
             .collect();
         diffusion.add_noise(x_start.clone(), noise, &timesteps)
-    }
-
-    /// DDIM samples, without gradients.
-    fn sampled(
-        &self,
-        model: &MotionModel,
-        inputs: &Inputs,
-        noise: Tensor<3>,
-        starts: &[usize],
-    ) -> Tensor<3> {
-        let unet = model.unet.valid();
-        let output = self.sampler.rollout.run(
-            &unet,
-            &unet,
-            self.sampler.start(&inputs.x_start, noise, starts),
-            &inputs.cond,
-            &rollout_timesteps(starts, self.sampler.config.steps),
-            RolloutMode::LastK(0),
-        );
-        output.expect("bounds of 25 channels").x.without_autodiff()
     }
 
     /// The weighted terms of both latents, by name.
@@ -128,7 +107,9 @@ impl Recipe for DecoderRecipe {
             .sampler
             .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
         let much = noise(key.of(Purpose::RolloutNoise), shape, device);
-        let sampled = self.sampled(model, &inputs, much, &starts);
+        let sampled = self
+            .sampler
+            .sample(&model.unet.valid(), &inputs, much, &starts);
 
         let dropout = Some(key.of(Purpose::DecoderDropout));
         let latents = [noised.clone(), sampled.clone()];
@@ -151,7 +132,7 @@ impl Recipe for DecoderRecipe {
             let places = |i: usize| ((range.start + i) as f64 + 0.5) / phrases as f64;
             let latents = [
                 self.noised(&inputs.x_start, noise(0), places),
-                self.sampled(model, &inputs, noise(1), starts),
+                self.sampler.sample(&model.unet, &inputs, noise(1), starts),
             ];
             let share = range.len() as f64 / phrases as f64;
             for (name, term) in self.terms(model, &inputs, latents, starts, None) {

@@ -18,7 +18,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_diffusion::{RolloutMode, Trace, rollout_timesteps};
+use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
 
@@ -202,19 +202,8 @@ impl Recipe for E2eRecipe {
             let noise = self
                 .held_out
                 .noise(range.clone(), ROLLOUT_DRAW, &inputs.x_start);
-            let output = self
-                .sampler
-                .rollout
-                .run(
-                    &model.unet,
-                    &model.unet,
-                    self.sampler.start(&inputs.x_start, noise, starts),
-                    &inputs.cond,
-                    &rollout_timesteps(starts, self.sampler.config.steps),
-                    RolloutMode::LastK(0),
-                )
-                .expect("bounds of 25 channels");
-            let decoded = model.decoder.forward(output.x.without_autodiff(), None);
+            let latent = self.sampler.sample(&model.unet, &inputs, noise, starts);
+            let decoded = model.decoder.forward(latent, None);
             let share = range.len() as f64 / phrases as f64;
             for (name, term) in self.decoded_terms(&decoded, &inputs, starts) {
                 measured.add(name, f64::from(term.into_scalar::<f32>()) * share);

@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{GaussianDiffusion, Rollout};
+use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
+use kinegrad_models::UNet1d;
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_random::Key;
 
+use super::inputs::Inputs;
 use crate::config::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.
@@ -77,6 +79,25 @@ impl Sampler {
                 diffusion.add_noise(x_start.clone(), noise, starts)
             }
         }
+    }
+
+    /// Latents drawn from the batch by plain weights, without gradients: `[batch, 25, time]`.
+    pub(super) fn sample(
+        &self,
+        unet: &UNet1d,
+        inputs: &Inputs,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        let output = self.rollout.run(
+            unet,
+            unet,
+            self.start(&inputs.x_start, noise, starts),
+            &inputs.cond,
+            &rollout_timesteps(starts, self.config.steps),
+            RolloutMode::LastK(0),
+        );
+        output.expect("bounds of 25 channels").x.without_autodiff()
     }
 
     /// How much the reconstruction of each sample counts: `[batch, 1, 1]`.
