@@ -290,7 +290,7 @@ fn optimizer_step(case: &Case, gradients: &HashMap<String, Vec<f32>>) {
         let mut after = before.clone();
         let mut optimizer = AdamW::new(&config, [before.len()]);
         optimizer.begin_step();
-        optimizer.update(0, &mut after, &gradients[&name], 1.0, rate);
+        optimizer.update(0, &mut after, &gradients[&name], 1.0, rate, None);
         let mask = case
             .golden
             .get(&format!("aftermask.{}.model.{name}", case.name));

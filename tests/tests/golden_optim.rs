@@ -32,7 +32,12 @@ fn golden_ema() {
         let mut shadows = ema.shadow()[0].clone();
         for (step, values) in (1..).zip(steps) {
             if let Some(decay) = ema.decay_at(step) {
-                ema.update(0, values, decay);
+                // A step that moves nothing but the average.
+                let mut optimizer = AdamW::new(&OptimConfig::default(), [size]);
+                optimizer.begin_step();
+                let average = Some(ema.average(0, decay));
+                let mut values = values.to_vec();
+                optimizer.update(0, &mut values, &vec![0.0; size], 1.0, 0.0, average);
             }
             shadows.extend(&ema.shadow()[0]);
         }
@@ -91,6 +96,7 @@ fn golden_adamw_with_clipping() {
                     &gradients[index],
                     scale,
                     learning_rate,
+                    None,
                 );
                 let moments = &adamw.moments()[index];
                 let clipped: Vec<f32> = gradients[index].iter().map(|g| g * scale as f32).collect();

@@ -2,6 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
+use kinegrad_kernels::{cross_attention, self_attention};
 
 use crate::Initializer;
 use crate::layers::{Conv1d, GroupNorm};
@@ -51,9 +52,10 @@ impl AttentionBlock {
     /// - x, output: `[batch, channels, time]`
     /// - context: `[batch, context_dim, context_time]`; without it only self-attention runs
     pub fn forward(&self, x: Tensor<3>, context: Option<Tensor<3>>) -> Tensor<3> {
-        let qkv = self.qkv.forward(self.norm.forward(x.clone()));
-        let [q, k, v] = qkv.chunk(3, 1).try_into().expect("three equal parts");
-        let x = x + self.proj.forward(self.attend(q, k, v));
+        let norm = self.norm.operation();
+        let qkv = self.qkv.operation().norm(norm).forward(x.clone());
+        let h = self_attention(qkv, self.num_heads);
+        let x = self.proj.operation().residual(x).forward(h);
 
         let (Some(context), Some(norm), Some(q), Some(kv), Some(proj)) = (
             context,
@@ -64,13 +66,9 @@ impl AttentionBlock {
         ) else {
             return x;
         };
-        let q = q.forward(norm.forward(x.clone()));
-        let [k, v] = kv
-            .forward(context)
-            .chunk(2, 1)
-            .try_into()
-            .expect("two equal parts");
-        x + proj.forward(self.attend(q, k, v))
+        let q = q.operation().norm(norm.operation()).forward(x.clone());
+        let h = cross_attention(q, kv.forward(context), self.num_heads);
+        proj.operation().residual(x).forward(h)
     }
 
     pub(crate) fn adapting(self, adapting: &Adapting<'_>) -> Self {
@@ -85,31 +83,4 @@ impl AttentionBlock {
             ..self
         }
     }
-
-    /// Scaled dot-product attention; q `[batch, channels, time]`, k and v `[batch, channels,
-    /// keys]`, the channels of a head being contiguous.
-    fn attend(&self, q: Tensor<3>, k: Tensor<3>, v: Tensor<3>) -> Tensor<3> {
-        let [batch, channels, time] = q.dims();
-        let head_dim = channels / self.num_heads;
-        let heads = |x: Tensor<3>| {
-            let frames = x.dims()[2];
-            x.reshape([batch, self.num_heads, head_dim, frames])
-        };
-        let scale = (head_dim as f64).powf(-0.5);
-        let scores = heads(q).swap_dims(2, 3).matmul(heads(k)).mul_scalar(scale);
-        let attention = softmax(scores);
-        heads(v)
-            .matmul(attention.swap_dims(2, 3))
-            .reshape([batch, channels, time])
-    }
-}
-
-/// Softmax over the last dimension, in primitives that are the same with and without gradients:
-/// Burn's own is one fused operation without, whose last bits differ, and a rollout that is
-/// recomputed for its gradient must repeat itself exactly.
-fn softmax(scores: Tensor<4>) -> Tensor<4> {
-    let largest = scores.clone().without_autodiff().max_dim(3);
-    let exponentials = (scores - largest).exp();
-    let sum = exponentials.clone().sum_dim(3);
-    exponentials / sum
 }

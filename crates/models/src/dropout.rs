@@ -1,7 +1,7 @@
 //! Dropout whose masks are a function of a key, so that a resumed step drops the same elements.
 
 use burn::module::Module;
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::Key;
 
 /// Which masks a forward pass uses: `Some` in training, keyed by step, micro-batch and call;
@@ -28,14 +28,23 @@ impl Dropout {
     /// # Shapes
     /// - x, output: any
     pub fn forward<const D: usize>(&self, x: Tensor<D>, key: DropoutKey) -> Tensor<D> {
-        let Some(key) = key.filter(|_| self.prob > 0.0) else {
-            return x;
-        };
-        let shape = x.dims();
+        match self.mask(x.dims(), &x.device(), key) {
+            Some(mask) => x * mask,
+            None => x,
+        }
+    }
+
+    /// The factors of `key` for a tensor of this shape; none without a key.
+    pub fn mask<const D: usize>(
+        &self,
+        shape: [usize; D],
+        device: &Device,
+        key: DropoutKey,
+    ) -> Option<Tensor<D>> {
+        let key = key.filter(|_| self.prob > 0.0)?;
         let mask = key
             .at(self.layer as u64)
             .dropout_mask(shape.iter().product(), self.prob);
-        let mask = Tensor::from_data(TensorData::new(mask, shape), &x.device());
-        x * mask
+        Some(Tensor::from_data(TensorData::new(mask, shape), device))
     }
 }

@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::silu;
+use kinegrad_kernels::Activation;
 
 use crate::layers::{Conv1d, GroupNorm, Linear};
 use crate::lora::{Adapting, LoraTarget};
@@ -83,26 +84,25 @@ impl ResBlock {
     /// - time_emb: `[batch, time_embed_dim]`
     /// - output: `[batch, out, time]`
     pub fn forward(&self, x: Tensor<3>, time_emb: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
-        let h = self.conv1.forward(silu(self.norm1.forward(x.clone())));
-        let e = self
-            .time_mlp
-            .at_1
-            .forward(silu(time_emb))
-            .unsqueeze_dim::<3>(2);
-        let h = if self.use_scale_shift_norm {
-            let [scale, shift] = e
-                .chunk(2, 1)
-                .try_into()
-                .expect("an even width has two halves");
-            self.norm2.forward(h) * scale.add_scalar(1.0) + shift
+        let norm1 = self.norm1.operation().activation(Activation::Silu);
+        let h = self.conv1.operation().norm(norm1).forward(x.clone());
+        let e = self.time_mlp.at_1.forward(silu(time_emb));
+        let norm2 = self.norm2.operation().activation(Activation::Silu);
+        let (h, norm2) = if self.use_scale_shift_norm {
+            (h, norm2.film(e))
         } else {
-            self.norm2.forward(h + e)
+            (h + e.unsqueeze_dim::<3>(2), norm2)
         };
-        let h = self.conv2.forward(self.dropout.forward(silu(h), dropout));
-        match &self.skip_conv {
-            Some(skip) => h + skip.forward(x),
-            None => h + x,
-        }
+        let mask = self.dropout.mask(h.dims(), &h.device(), dropout);
+        let shortcut = match &self.skip_conv {
+            Some(skip) => skip.forward(x),
+            None => x,
+        };
+        self.conv2
+            .operation()
+            .norm(norm2.mask(mask))
+            .residual(shortcut)
+            .forward(h)
     }
 
     pub(crate) fn adapting(self, adapting: &Adapting<'_>) -> Self {

@@ -5,6 +5,7 @@ mod adapters;
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::Denoiser;
+use kinegrad_kernels::concat_channels;
 
 use crate::attention::AttentionBlock;
 use crate::layers::{Conv1d, GROUPS, Linear};
@@ -348,30 +349,16 @@ impl UNet1d {
 
         for level in self.dec.iter().rev() {
             let skip = skips.pop().expect("one skip a level");
-            h = Tensor::cat(vec![h, skip], 1);
+            h = concat_channels(h, skip);
             for block in &level.res {
                 h = block.forward(h, time_emb.clone(), dropout);
             }
             h = attend(&level.attn, h);
             if let (Some(up), Some(finer)) = (&level.up, skips.last()) {
-                h = up.forward(upsample_nearest(h, finer.dims()[2]));
+                h = up.operation().upsample(finer.dims()[2]).forward(h);
             }
         }
         self.output_conv.forward(h)
-    }
-}
-
-/// Repeats every frame twice and drops the last where the finer level has an odd length.
-fn upsample_nearest(x: Tensor<3>, length: usize) -> Tensor<3> {
-    let [batch, channels, time] = x.dims();
-    let doubled = x
-        .unsqueeze_dim::<4>(3)
-        .expand([batch, channels, time, 2])
-        .reshape([batch, channels, 2 * time]);
-    if length == 2 * time {
-        doubled
-    } else {
-        doubled.narrow(2, 0, length)
     }
 }
 

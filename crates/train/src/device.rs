@@ -1,6 +1,7 @@
 //! The one place where a device is made from its name.
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_kernels::Mode;
 
 use crate::Error;
 
@@ -89,8 +90,10 @@ pub fn list() -> Vec<(DeviceInfo, bool)> {
 /// index such as `cuda:1`. Returns it with the name it goes by.
 ///
 /// # Errors
-/// If this build has no such device, or the machine cannot run it.
+/// If this build has no such device, or the machine cannot run it; or the environment asks for
+/// kernels that there are not.
 pub fn open(name: &str) -> Result<(Device, String), Error> {
+    Mode::from_environment().map_err(|error| Error::Kernels { found: error.found })?;
     let refuse = |reason: String| Error::Device {
         found: name.to_string(),
         reason,

@@ -1,11 +1,6 @@
 //! The moving average of the weights.
 
-use rayon::prelude::*;
-
 use crate::config::EmaConfig;
-
-/// Elements that one thread handles at a time.
-const CHUNK: usize = 1 << 14;
 
 /// An exponential moving average over named parameters, kept on the host; it starts as a copy.
 #[derive(Clone, Debug)]
@@ -51,33 +46,19 @@ impl Ema {
         Some(decay.min(warmed))
     }
 
-    /// Moves the average of parameter `index` towards its value: `shadow += (1 - decay) (parameter
-    /// - shadow)`, the form that does not drift when `decay` and `1 - decay` are rounded apart.
-    ///
-    /// # Panics
-    /// Panics if the lengths differ.
-    pub fn update(&mut self, index: usize, parameter: &[f32], decay: f64) {
-        let shadow = &mut self.shadow[index];
-        assert_eq!(
-            shadow.len(),
-            parameter.len(),
-            "average of parameter {index}"
-        );
-        let rate = (1.0 - decay) as f32;
-        shadow
-            .par_chunks_mut(CHUNK)
-            .zip(parameter.par_chunks(CHUNK))
-            .for_each(|(shadow, parameter)| {
-                for (s, p) in shadow.iter_mut().zip(parameter) {
-                    *s += rate * (p - *s);
-                }
-            });
+    /// The average of parameter `index` and the share of the distance to its value that it moves:
+    /// `shadow += (1 - decay) (parameter - shadow)`, the form that does not drift when `decay` and
+    /// `1 - decay` are rounded apart. The optimiser's pass moves it.
+    pub fn average(&mut self, index: usize, decay: f64) -> (&mut [f32], f64) {
+        (&mut self.shadow[index], 1.0 - decay)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::OptimConfig;
+    use crate::optim::AdamW;
 
     fn ema(decay: f64, inv_gamma: f64) -> Ema {
         let config = EmaConfig {
@@ -93,7 +74,11 @@ mod tests {
     fn decay_zero_copies_and_one_freezes() {
         for (decay, expected) in [(0.0, [5.0, 7.0]), (1.0, [1.0, 2.0])] {
             let mut ema = ema(decay, 0.0);
-            ema.update(0, &[5.0, 7.0], ema.decay_at(1).expect("an update"));
+            let decay = ema.decay_at(1).expect("an update");
+            let mut optimizer = AdamW::new(&OptimConfig::default(), [2]);
+            optimizer.begin_step();
+            let average = Some(ema.average(0, decay));
+            optimizer.update(0, &mut [5.0, 7.0], &[0.0; 2], 1.0, 0.0, average);
             assert_eq!(ema.shadow()[0], expected);
         }
     }

@@ -39,6 +39,18 @@ pub enum Error {
         /// Devices of this build.
         allowed: String,
     },
+    /// The environment asks for kernels that there are not.
+    #[error(
+        "the environment variable `{}` is \"{found}\"",
+        kinegrad_kernels::VARIABLE
+    )]
+    #[diagnostic(help(
+        "\"fused\", which it is without the variable, runs networks on the CPU as kinegrad's own kernels; \"composed\" runs Burn's operations"
+    ))]
+    Kernels {
+        /// What it holds.
+        found: String,
+    },
     /// A new run in a folder that is taken.
     #[error("the run `{name}` exists already: {}", path.display())]
     #[diagnostic(help("add `--resume` to continue it, or choose another `--name`"))]

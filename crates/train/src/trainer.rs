@@ -305,10 +305,8 @@ impl<R: Recipe> Trainer<R> {
                 &gradients[index],
                 gradient_scale,
                 rates[groups[index]],
+                decay.map(|decay| ema.average(index, decay)),
             );
-            if let Some(decay) = decay {
-                ema.update(index, values, decay);
-            }
         }));
     }
 

@@ -1,5 +1,6 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
+use kinegrad_kernels::Convolution;
 
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
@@ -42,11 +43,16 @@ impl Conv1d {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, ceil(time / stride)]`
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        self.operation().forward(x)
+    }
+
+    /// The convolution as an operation, to which what stands before and after it can be added.
+    pub fn operation(&self) -> Convolution {
         let weight = match &self.lora {
             Some(lora) => lora.apply(self.weight.val()),
             None => self.weight.val(),
         };
-        convolve(x, weight, self.bias.val(), self.stride)
+        Convolution::new(weight, self.stride).bias(self.bias.val())
     }
 }
 
@@ -63,69 +69,4 @@ impl Adaptable for Conv1d {
         }
         self
     }
-}
-
-/// A convolution as one matrix product over batch and time together.
-///
-/// The CPU backend computes the weight gradient of its own convolution as a convolution with a
-/// kernel as long as the sequence; as matrix products all three of output, input gradient and
-/// weight gradient are large and fast.
-///
-/// # Shapes
-/// - x: `[batch, in, time]`
-/// - weight: `[out, in, kernel]`, kernel odd; bias: `[out]`
-/// - output: `[batch, out, ceil(time / stride)]`
-pub(super) fn convolve(
-    x: Tensor<3>,
-    weight: Tensor<3>,
-    bias: Tensor<1>,
-    stride: usize,
-) -> Tensor<3> {
-    let [batch, inputs, time] = x.dims();
-    let [outputs, _, kernel] = weight.dims();
-    let frames = time.div_ceil(stride);
-
-    // Frames become rows: row (b, t) holds the inputs that output frame t of sample b sees.
-    let rows = x.swap_dims(1, 2);
-    let columns = if kernel == 1 && stride == 1 {
-        rows
-    } else {
-        let half = kernel / 2;
-        let edge = Tensor::zeros([batch, half, inputs], &rows.device());
-        let padded = Tensor::cat(vec![edge.clone(), rows, edge], 1);
-        let tap = |k: usize| {
-            let window = padded.clone().narrow(1, k, time);
-            if stride == 1 {
-                window
-            } else {
-                every(window, stride)
-            }
-        };
-        Tensor::cat((0..kernel).map(tap).collect(), 2)
-    };
-    let columns = columns.reshape([batch * frames, kernel * inputs]);
-    let weight = weight
-        .permute([2, 1, 0])
-        .reshape([kernel * inputs, outputs]);
-    let y = columns.matmul(weight) + bias.unsqueeze();
-    y.reshape([batch, frames, outputs]).swap_dims(1, 2)
-}
-
-/// Every `stride`-th frame, the first included.
-///
-/// # Shapes
-/// - rows: `[batch, time, channels]`
-/// - output: `[batch, ceil(time / stride), channels]`
-fn every(rows: Tensor<3>, stride: usize) -> Tensor<3> {
-    let [batch, time, channels] = rows.dims();
-    let frames = time.div_ceil(stride);
-    let missing = frames * stride - time;
-    let rows = if missing == 0 {
-        rows
-    } else {
-        let edge = Tensor::zeros([batch, missing, channels], &rows.device());
-        Tensor::cat(vec![rows, edge], 1)
-    };
-    rows.reshape([batch, frames, stride * channels])
-        .narrow(2, 0, channels)
 }

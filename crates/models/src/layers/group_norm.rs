@@ -1,5 +1,6 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
+use kinegrad_kernels as kernels;
 
 use crate::Initializer;
 
@@ -26,15 +27,8 @@ impl GroupNorm {
         }
     }
 
-    /// # Shapes
-    /// - x, output: `[batch, channels, time]`
-    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let [batch, channels, time] = x.dims();
-        let x = x.reshape([batch, GROUPS, channels / GROUPS * time]);
-        let x = x.clone() - x.mean_dim(2);
-        let variance = x.clone().square().mean_dim(2);
-        let x = x / variance.add_scalar(GROUP_NORM_EPS).sqrt();
-        let per_channel = |p: &Param<Tensor<1>>| p.val().reshape([1, channels, 1]);
-        x.reshape([batch, channels, time]) * per_channel(&self.weight) + per_channel(&self.bias)
+    /// The normalisation as an operation, to which what follows it can be added.
+    pub fn operation(&self) -> kernels::GroupNorm {
+        kernels::GroupNorm::new(self.weight.val(), self.bias.val(), GROUPS, GROUP_NORM_EPS)
     }
 }

@@ -1,5 +1,6 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
+use kinegrad_kernels::{Convolution, linear};
 
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
@@ -24,10 +25,10 @@ impl Linear {
     }
 
     /// # Shapes
-    /// - x: `[batch, in]`
-    /// - output: `[batch, out]`
+    /// - x: `[rows, in]`
+    /// - output: `[rows, out]`
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        x.matmul(self.effective_weight().transpose()) + self.bias.val().unsqueeze()
+        linear(x, self.effective_weight(), self.bias.val())
     }
 
     /// The same map applied to every frame.
@@ -36,8 +37,9 @@ impl Linear {
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, time]`
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
-        let weight = self.effective_weight().unsqueeze_dim(2);
-        super::conv1d::convolve(x, weight, self.bias.val(), 1)
+        Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
+            .bias(self.bias.val())
+            .forward(x)
     }
 
     fn effective_weight(&self) -> Tensor<2> {

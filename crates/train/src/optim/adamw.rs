@@ -1,9 +1,6 @@
-use rayon::prelude::*;
+use kinegrad_kernels::optimizer as kernels;
 
 use crate::config::OptimConfig;
-
-/// Elements that one thread handles at a time.
-const CHUNK: usize = 1 << 14;
 
 /// The running means of one parameter's gradient and squared gradient.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,7 +63,8 @@ impl AdamW {
         self.steps += 1;
     }
 
-    /// Updates parameter `index` in place from its gradient times `gradient_scale`.
+    /// Updates parameter `index` in place from its gradient times `gradient_scale`, and in the same
+    /// pass its moving average, if that moves at this step ([`crate::ema::Ema::average`]).
     ///
     /// # Panics
     /// Panics if the lengths differ.
@@ -77,46 +75,26 @@ impl AdamW {
         gradient: &[f32],
         gradient_scale: f64,
         learning_rate: f64,
+        ema: Option<(&mut [f32], f64)>,
     ) {
         let Moments {
             exp_avg,
             exp_avg_sq,
         } = &mut self.moments[index];
-        assert_eq!(
-            parameter.len(),
-            gradient.len(),
-            "gradient of parameter {index}"
-        );
-        assert_eq!(parameter.len(), exp_avg.len(), "state of parameter {index}");
-        let [beta1, beta2] = self.config.betas;
-        let steps = self.steps as i32;
-        let (correction1, correction2) = (1.0 - beta1.powi(steps), 1.0 - beta2.powi(steps));
-        let keep = (1.0 - learning_rate * self.config.weight_decay) as f32;
-        let step_size = (learning_rate / correction1) as f32;
-        let root_correction2 = correction2.sqrt() as f32;
-        let eps = self.config.eps as f32;
-        let scale = gradient_scale as f32;
-        let (b1, b2) = (beta1 as f32, beta2 as f32);
-        let (c1, c2) = ((1.0 - beta1) as f32, (1.0 - beta2) as f32);
-
-        parameter
-            .par_chunks_mut(CHUNK)
-            .zip(gradient.par_chunks(CHUNK))
-            .zip(exp_avg.par_chunks_mut(CHUNK))
-            .zip(exp_avg_sq.par_chunks_mut(CHUNK))
-            .for_each(|(((parameter, gradient), exp_avg), exp_avg_sq)| {
-                for (((p, g), m), v) in parameter
-                    .iter_mut()
-                    .zip(gradient)
-                    .zip(exp_avg)
-                    .zip(exp_avg_sq)
-                {
-                    let g = g * scale;
-                    *m = b1 * *m + c1 * g;
-                    *v = b2 * *v + c2 * g * g;
-                    let denominator = v.sqrt() / root_correction2 + eps;
-                    *p = *p * keep - step_size * *m / denominator;
-                }
-            });
+        let step = kernels::AdamW {
+            betas: self.config.betas,
+            eps: self.config.eps,
+            weight_decay: self.config.weight_decay,
+            learning_rate,
+            steps: self.steps,
+            gradient_scale,
+        };
+        let state = kernels::AdamWState {
+            parameter,
+            exp_avg,
+            exp_avg_sq,
+            ema,
+        };
+        step.update(state, gradient);
     }
 }

@@ -1,0 +1,69 @@
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+
+use crate::backend::FusedOps;
+use crate::composed;
+use crate::mode::fuses;
+
+/// `softmax(queries keys^T / sqrt(head channels)) values` for each head, the channels of a head
+/// lying together; keys and values one after the other in `keys_values`.
+///
+/// On the CPU no scores are kept for the backward pass.
+///
+/// # Shapes
+/// - queries, output: `[batch, channels, time]`
+/// - keys_values: `[batch, 2 channels, keys]`
+///
+/// # Panics
+/// Panics if the channels do not divide into the heads.
+pub fn cross_attention(queries: Tensor<3>, keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
+    let channels = queries.dims()[1];
+    check(channels, num_heads);
+    assert_eq!(
+        keys_values.dims()[1],
+        2 * channels,
+        "channels of keys and values"
+    );
+    if !fuses(&queries) {
+        let keys = keys_values.clone().narrow(1, 0, channels);
+        let values = keys_values.narrow(1, channels, channels);
+        return composed::attention(queries, keys, values, num_heads);
+    }
+    Tensor::from_dispatch(Dispatch::fused_cross_attention(
+        queries.into_dispatch(),
+        keys_values.into_dispatch(),
+        num_heads,
+    ))
+}
+
+/// [`cross_attention`] of a sequence to itself; queries, keys and values one after the other.
+///
+/// # Shapes
+/// - queries_keys_values: `[batch, 3 channels, time]`
+/// - output: `[batch, channels, time]`
+///
+/// # Panics
+/// Panics if the channels do not divide into the heads.
+pub fn self_attention(queries_keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
+    let channels = queries_keys_values.dims()[1] / 3;
+    check(channels, num_heads);
+    if !fuses(&queries_keys_values) {
+        let part = |index: usize| {
+            queries_keys_values
+                .clone()
+                .narrow(1, index * channels, channels)
+        };
+        return composed::attention(part(0), part(1), part(2), num_heads);
+    }
+    Tensor::from_dispatch(Dispatch::fused_self_attention(
+        queries_keys_values.into_dispatch(),
+        num_heads,
+    ))
+}
+
+fn check(channels: usize, num_heads: usize) {
+    assert!(
+        channels.is_multiple_of(num_heads),
+        "{channels} channels do not divide into {num_heads} heads"
+    );
+}

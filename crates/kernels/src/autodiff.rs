@@ -1,0 +1,344 @@
+//! The operations' backward passes.
+
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::flex::FlexTensor;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Flex};
+
+use crate::backend::{
+    FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm,
+    norm_gradients, self_attend_backward, self_heads,
+};
+use crate::flex::{HostRows, contiguous, from_rows, tensor};
+use crate::host::convolution::{ConvolutionPlan, Input, Wanted};
+use crate::host::norm::{self, GroupNormPlan, Statistics};
+
+/// What a convolution's backward pass needs.
+#[derive(Clone, Debug)]
+struct ConvolutionState {
+    x: FlexTensor,
+    weight: FlexTensor,
+    /// Weight, bias, FiLM and mask of the normalisation, and what was measured.
+    norm: Option<([FlexTensor; 4], Statistics)>,
+    plan: ConvolutionPlan,
+    given: Given,
+}
+
+#[derive(Debug)]
+struct Convolution;
+
+impl Backward<Flex, 7> for Convolution {
+    type State = ConvolutionState;
+
+    fn backward(self, ops: Ops<Self::State, 7>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let ConvolutionState {
+            x,
+            weight,
+            norm,
+            plan,
+            given,
+        } = ops.state;
+        let [
+            x_node,
+            weight_node,
+            bias_node,
+            residual_node,
+            ref norm_nodes @ ..,
+        ] = ops.parents;
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        let norm_wanted = norm.is_some() && norm_nodes.iter().any(Option::is_some);
+        let wanted = Wanted {
+            input: x_node.is_some() || norm_wanted,
+            weight: weight_node.is_some(),
+            bias: given.bias && bias_node.is_some(),
+        };
+
+        let x_shape = x.layout().shape().dims::<3>();
+        let weight_shape = weight.layout().shape().dims::<3>();
+        let rows = HostRows::of(x);
+        let gradient_rows = HostRows::of(gradient.clone());
+        let host_norm = norm
+            .as_ref()
+            .map(|([weight, bias, film, mask], statistics)| {
+                (statistics, HostNorm::new([weight, bias, film], mask, given))
+            });
+        let input = Input {
+            x: rows.view(),
+            norm: host_norm
+                .as_ref()
+                .map(|(statistics, norm)| (*statistics, norm.parameters())),
+        };
+        let computed = plan.backward(
+            input,
+            &contiguous(&weight),
+            weight_shape,
+            gradient_rows.view(),
+            wanted,
+        );
+
+        let [batch, channels, time] = x_shape;
+        if let (Some(node), Some(values)) = (x_node, computed.input) {
+            let value = from_rows(values, [batch, time, channels]);
+            gradients.register::<Flex>(node.id, value);
+        }
+        if let (Some(node), Some(values)) = (weight_node, computed.weight) {
+            gradients.register::<Flex>(node.id, tensor(values, weight_shape));
+        }
+        if let (Some(node), Some(values)) = (bias_node, computed.bias) {
+            let outputs = values.len();
+            gradients.register::<Flex>(node.id, tensor(values, [outputs]));
+        }
+        if let (Some(node), true) = (residual_node, given.residual) {
+            gradients.register::<Flex>(node.id, gradient);
+        }
+        if let Some(computed) = computed.norm {
+            let values = norm_gradients(computed, [batch, 2 * channels]);
+            for (node, value) in norm_nodes.iter().zip(values) {
+                if let (Some(node), Some(value)) = (node, value) {
+                    gradients.register::<Flex>(node.id, value);
+                }
+            }
+        }
+    }
+}
+
+/// What a normalisation's backward pass needs.
+#[derive(Clone, Debug)]
+struct NormState {
+    x: FlexTensor,
+    parameters: [FlexTensor; 4],
+    statistics: Statistics,
+    plan: GroupNormPlan,
+    given: Given,
+}
+
+#[derive(Debug)]
+struct GroupNorm;
+
+impl Backward<Flex, 4> for GroupNorm {
+    type State = NormState;
+
+    fn backward(self, ops: Ops<Self::State, 4>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let NormState {
+            x,
+            parameters,
+            statistics,
+            plan,
+            given,
+        } = ops.state;
+        let [x_node, norm_nodes @ ..] = ops.parents;
+        let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
+        let x = HostRows::of(x);
+        let [weight, bias, film, mask] = &parameters;
+        let norm = HostNorm::new([weight, bias, film], mask, given);
+        let view = x.view();
+        let shape = [view.batch, view.time, view.channels];
+        let mut values: Vec<f32> = gradient.view().to_dense();
+        let computed = norm::backward(view, &statistics, &plan, &norm.parameters(), &mut values);
+        if let Some(node) = x_node {
+            gradients.register::<Flex>(node.id, from_rows(values, shape));
+        }
+        let values = norm_gradients(computed, [shape[0], 2 * shape[2]]);
+        for (node, value) in norm_nodes.iter().zip(values) {
+            if let (Some(node), Some(value)) = (node, value) {
+                gradients.register::<Flex>(node.id, value);
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
+struct CrossAttention;
+
+impl Backward<Flex, 2> for CrossAttention {
+    type State = (FlexTensor, FlexTensor, usize);
+
+    fn backward(self, ops: Ops<Self::State, 2>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let (queries, keys_values, num_heads) = ops.state;
+        let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
+        let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
+        let heads = cross_heads(queries.view(), keys_values.view(), num_heads);
+        let values = attend_backward(heads, gradient.view());
+        for (node, value) in ops.parents.into_iter().zip(values) {
+            if let Some(node) = node {
+                gradients.register::<Flex>(node.id, value);
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
+struct SelfAttention;
+
+impl Backward<Flex, 1> for SelfAttention {
+    type State = (FlexTensor, usize);
+
+    fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let (all, num_heads) = ops.state;
+        let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
+        let all = HostRows::of(all);
+        let value = self_attend_backward(self_heads(all.view(), num_heads), gradient.view());
+        if let [Some(node)] = ops.parents {
+            gradients.register::<Flex>(node.id, value);
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Concat;
+
+impl Backward<Flex, 2> for Concat {
+    type State = [usize; 2];
+
+    fn backward(self, ops: Ops<Self::State, 2>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        let mut first = 0;
+        for (node, channels) in ops.parents.into_iter().zip(ops.state) {
+            if let Some(node) = node {
+                // A view: the kernels read channels that lie within wider rows.
+                let layout = gradient.layout().narrow(1, first, channels);
+                gradients.register::<Flex>(node.id, gradient.clone().with_layout(layout));
+            }
+            first += channels;
+        }
+    }
+}
+
+impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
+    fn fused_convolution(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        residual: FloatTensor<Self>,
+        norm_weight: FloatTensor<Self>,
+        norm_bias: FloatTensor<Self>,
+        film: FloatTensor<Self>,
+        mask: FloatTensor<Self>,
+        plan: ConvolutionPlan,
+        given: Given,
+    ) -> FloatTensor<Self> {
+        let nodes = [
+            &x,
+            &weight,
+            &bias,
+            &residual,
+            &norm_weight,
+            &norm_bias,
+            &film,
+        ]
+        .map(|tensor| tensor.node());
+        let x = x.into_primitive();
+        let weight = weight.into_primitive();
+        let norm = plan.norm.map(|plan| {
+            let parameters =
+                [norm_weight, norm_bias, film, mask].map(|tensor| tensor.into_primitive());
+            let statistics = norm::statistics(HostRows::of(x.clone()).view(), &plan);
+            (parameters, statistics)
+        });
+        let host_norm = norm
+            .as_ref()
+            .map(|([weight, bias, film, mask], statistics)| {
+                (statistics, HostNorm::new([weight, bias, film], mask, given))
+            });
+        let output = convolution(
+            HostRows::of(x.clone()).view(),
+            &weight,
+            given.bias.then_some(bias.primitive()),
+            given.residual.then(|| residual.into_primitive()),
+            host_norm
+                .as_ref()
+                .map(|(statistics, norm)| (*statistics, norm)),
+            &plan,
+        );
+        match Convolution.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(
+                ConvolutionState {
+                    x,
+                    weight,
+                    norm,
+                    plan,
+                    given,
+                },
+                output,
+            ),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_group_norm(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        film: FloatTensor<Self>,
+        mask: FloatTensor<Self>,
+        plan: GroupNormPlan,
+        given: Given,
+    ) -> FloatTensor<Self> {
+        let nodes = [&x, &weight, &bias, &film].map(|tensor| tensor.node());
+        let x = x.into_primitive();
+        let parameters = [weight, bias, film, mask].map(|tensor| tensor.into_primitive());
+        let [weight, bias, film, mask] = &parameters;
+        let norm = HostNorm::new([weight, bias, film], mask, given);
+        let rows = HostRows::of(x.clone());
+        let statistics = norm::statistics(rows.view(), &plan);
+        let output = group_norm(rows.view(), &statistics, &norm, &plan);
+        match GroupNorm.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(
+                NormState {
+                    x,
+                    parameters,
+                    statistics,
+                    plan,
+                    given,
+                },
+                output,
+            ),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_cross_attention(
+        queries: FloatTensor<Self>,
+        keys_values: FloatTensor<Self>,
+        num_heads: usize,
+    ) -> FloatTensor<Self> {
+        let nodes = [queries.node(), keys_values.node()];
+        let (queries, keys_values) = (queries.into_primitive(), keys_values.into_primitive());
+        let output = Flex::fused_cross_attention(queries.clone(), keys_values.clone(), num_heads);
+        match CrossAttention
+            .prepare::<C>(nodes)
+            .compute_bound()
+            .stateful()
+        {
+            OpsKind::Tracked(prep) => prep.finish((queries, keys_values, num_heads), output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_self_attention(
+        queries_keys_values: FloatTensor<Self>,
+        num_heads: usize,
+    ) -> FloatTensor<Self> {
+        let nodes = [queries_keys_values.node()];
+        let all = queries_keys_values.into_primitive();
+        let output = Flex::fused_self_attention(all.clone(), num_heads);
+        match SelfAttention.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((all, num_heads), output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn concat_channels(first: FloatTensor<Self>, second: FloatTensor<Self>) -> FloatTensor<Self> {
+        let nodes = [first.node(), second.node()];
+        let (first, second) = (first.into_primitive(), second.into_primitive());
+        let channels = [&first, &second].map(|tensor| tensor.layout().shape()[1]);
+        let output = Flex::concat_channels(first, second);
+        match Concat.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(channels, output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! The operations as a Burn backend extension, for Flex and for gradients on it.
+//!
+//! Burn's extension macro has no optional tensors: a tensor that an operation goes without is given
+//! as any other tensor, and [`Given`] says that it does not count.
+
+use burn::backend::flex::FlexTensor;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, Flex, backend_extension};
+
+use crate::flex::{HostRows, contiguous, from_rows, tensor};
+use crate::host::attention::{Columns, HeadGradients, Heads};
+use crate::host::convolution::{ConvolutionPlan, Input};
+use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use crate::host::rows::{Rows, SharedRows};
+
+/// Which of an operation's optional tensors count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Given {
+    /// A convolution's bias.
+    pub bias: bool,
+    /// What is added to a convolution's output.
+    pub residual: bool,
+    /// Scale and shift after a normalisation.
+    pub film: bool,
+    /// Factors after an activation.
+    pub mask: bool,
+}
+
+/// The fused operations, without the choice whether to use them.
+#[allow(clippy::too_many_arguments)]
+#[backend_extension(Flex, Autodiff)]
+pub trait FusedOps: Backend {
+    /// [`ConvolutionPlan`] of `x`, whose normalisation has the parameters `norm_weight`,
+    /// `norm_bias`, `film` and `mask`.
+    fn fused_convolution(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        residual: FloatTensor<Self>,
+        norm_weight: FloatTensor<Self>,
+        norm_bias: FloatTensor<Self>,
+        film: FloatTensor<Self>,
+        mask: FloatTensor<Self>,
+        plan: ConvolutionPlan,
+        given: Given,
+    ) -> FloatTensor<Self>;
+
+    /// [`GroupNormPlan`] of `x`.
+    fn fused_group_norm(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        film: FloatTensor<Self>,
+        mask: FloatTensor<Self>,
+        plan: GroupNormPlan,
+        given: Given,
+    ) -> FloatTensor<Self>;
+
+    /// Attention of queries `[batch, channels, time]` to keys and values side by side in
+    /// `[batch, 2 channels, keys]`.
+    fn fused_cross_attention(
+        queries: FloatTensor<Self>,
+        keys_values: FloatTensor<Self>,
+        num_heads: usize,
+    ) -> FloatTensor<Self>;
+
+    /// Attention within queries, keys and values side by side in `[batch, 3 channels, time]`.
+    fn fused_self_attention(
+        queries_keys_values: FloatTensor<Self>,
+        num_heads: usize,
+    ) -> FloatTensor<Self>;
+
+    /// The channels of `first`, then those of `second`.
+    fn concat_channels(first: FloatTensor<Self>, second: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+/// The tensors of a normalisation on the host.
+pub(crate) struct HostNorm {
+    weight: FlexTensor,
+    bias: FlexTensor,
+    film: Option<FlexTensor>,
+    mask: Option<HostRows>,
+}
+
+impl HostNorm {
+    pub fn new([weight, bias, film]: [&FlexTensor; 3], mask: &FlexTensor, given: Given) -> Self {
+        Self {
+            weight: weight.to_contiguous(),
+            bias: bias.to_contiguous(),
+            film: given.film.then(|| film.to_contiguous()),
+            mask: given.mask.then(|| HostRows::of(mask.clone())),
+        }
+    }
+
+    pub fn parameters(&self) -> NormParameters<'_> {
+        NormParameters {
+            weight: self.weight.as_slice().expect("float32, contiguous"),
+            bias: self.bias.as_slice().expect("float32, contiguous"),
+            film: self
+                .film
+                .as_ref()
+                .map(|film| film.as_slice().expect("float32, contiguous")),
+            mask: self.mask.as_ref().map(HostRows::view),
+        }
+    }
+}
+
+/// The gradients of a normalisation's weight, bias and FiLM as tensors.
+pub(crate) fn norm_gradients(
+    gradients: NormGradients,
+    film: [usize; 2],
+) -> [Option<FlexTensor>; 3] {
+    let channels = gradients.weight.len();
+    [
+        Some(tensor(gradients.weight, [channels])),
+        Some(tensor(gradients.bias, [channels])),
+        gradients.film.map(|values| tensor(values, film)),
+    ]
+}
+
+pub(crate) fn convolution(
+    x: Rows<'_>,
+    weight: &FlexTensor,
+    bias: Option<&FlexTensor>,
+    residual: Option<FlexTensor>,
+    norm: Option<(&Statistics, &HostNorm)>,
+    plan: &ConvolutionPlan,
+) -> FlexTensor {
+    let shape = weight.layout().shape().dims();
+    let residual = residual.map(HostRows::of);
+    let bias = bias.map(contiguous);
+    let input = Input {
+        x,
+        norm: norm.map(|(statistics, norm)| (statistics, norm.parameters())),
+    };
+    let output = plan.forward(
+        input,
+        &contiguous(weight),
+        shape,
+        bias.as_deref(),
+        residual.as_ref().map(HostRows::view),
+    );
+    from_rows(
+        output,
+        [x.batch, plan.frames(x.time), plan.out_channels(shape)],
+    )
+}
+
+pub(crate) fn group_norm(
+    x: Rows<'_>,
+    statistics: &Statistics,
+    norm: &HostNorm,
+    plan: &GroupNormPlan,
+) -> FlexTensor {
+    let shape = [x.batch, x.time, x.channels];
+    let mut output = vec![0.0; shape.iter().product()];
+    let rows = SharedRows::dense(&mut output, shape);
+    norm::forward(x, statistics, plan, &norm.parameters(), rows);
+    from_rows(output, shape)
+}
+
+/// Queries against keys and values that lie side by side.
+pub(crate) fn cross_heads<'a>(
+    queries: Rows<'a>,
+    keys_values: Rows<'a>,
+    num_heads: usize,
+) -> Heads<'a> {
+    let channels = queries.channels;
+    Heads {
+        queries,
+        keys: keys_values.narrow(0, channels),
+        values: keys_values.narrow(channels, channels),
+        num_heads,
+    }
+}
+
+/// Queries, keys and values that lie side by side.
+pub(crate) fn self_heads(all: Rows<'_>, num_heads: usize) -> Heads<'_> {
+    let channels = all.channels / 3;
+    Heads {
+        queries: all.narrow(0, channels),
+        keys: all.narrow(channels, channels),
+        values: all.narrow(2 * channels, channels),
+        num_heads,
+    }
+}
+
+pub(crate) fn attend(heads: Heads<'_>) -> FlexTensor {
+    let shape = [
+        heads.queries.batch,
+        heads.queries.time,
+        heads.queries.channels,
+    ];
+    from_rows(heads.forward(), shape)
+}
+
+/// Gradients of queries and of keys and values, each as they lie.
+pub(crate) fn attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> [FlexTensor; 2] {
+    let Rows {
+        batch,
+        time,
+        channels,
+        ..
+    } = heads.queries;
+    let keys = heads.keys.time;
+    let (mut queries, mut keys_values) = (
+        vec![0.0; batch * time * channels],
+        vec![0.0; batch * keys * 2 * channels],
+    );
+    let query_rows = SharedRows::dense(&mut queries, [batch, time, channels]);
+    let rows = SharedRows::dense(&mut keys_values, [batch, keys, 2 * channels]);
+    heads.backward(
+        gradient,
+        HeadGradients {
+            queries: Columns {
+                rows: query_rows,
+                first: 0,
+            },
+            keys: Columns { rows, first: 0 },
+            values: Columns {
+                rows,
+                first: channels,
+            },
+        },
+    );
+    [
+        from_rows(queries, [batch, time, channels]),
+        from_rows(keys_values, [batch, keys, 2 * channels]),
+    ]
+}
+
+/// Gradient of queries, keys and values side by side.
+pub(crate) fn self_attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> FlexTensor {
+    let Rows {
+        batch,
+        time,
+        channels,
+        ..
+    } = heads.queries;
+    let shape = [batch, time, 3 * channels];
+    let mut all = vec![0.0; shape.iter().product()];
+    let rows = SharedRows::dense(&mut all, shape);
+    let columns = |part: usize| Columns {
+        rows,
+        first: part * channels,
+    };
+    let into = HeadGradients {
+        queries: columns(0),
+        keys: columns(1),
+        values: columns(2),
+    };
+    heads.backward(gradient, into);
+    from_rows(all, shape)
+}
+
+impl FusedOps for Flex {
+    fn fused_convolution(
+        x: FlexTensor,
+        weight: FlexTensor,
+        bias: FlexTensor,
+        residual: FlexTensor,
+        norm_weight: FlexTensor,
+        norm_bias: FlexTensor,
+        film: FlexTensor,
+        mask: FlexTensor,
+        plan: ConvolutionPlan,
+        given: Given,
+    ) -> FlexTensor {
+        let x = HostRows::of(x);
+        let norm = plan.norm.map(|plan| {
+            let parameters = [&norm_weight, &norm_bias, &film];
+            (
+                norm::statistics(x.view(), &plan),
+                HostNorm::new(parameters, &mask, given),
+            )
+        });
+        convolution(
+            x.view(),
+            &weight,
+            given.bias.then_some(&bias),
+            given.residual.then_some(residual),
+            norm.as_ref().map(|(statistics, norm)| (statistics, norm)),
+            &plan,
+        )
+    }
+
+    fn fused_group_norm(
+        x: FlexTensor,
+        weight: FlexTensor,
+        bias: FlexTensor,
+        film: FlexTensor,
+        mask: FlexTensor,
+        plan: GroupNormPlan,
+        given: Given,
+    ) -> FlexTensor {
+        let x = HostRows::of(x);
+        let norm = HostNorm::new([&weight, &bias, &film], &mask, given);
+        group_norm(x.view(), &norm::statistics(x.view(), &plan), &norm, &plan)
+    }
+
+    fn fused_cross_attention(
+        queries: FlexTensor,
+        keys_values: FlexTensor,
+        num_heads: usize,
+    ) -> FlexTensor {
+        let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
+        attend(cross_heads(queries.view(), keys_values.view(), num_heads))
+    }
+
+    fn fused_self_attention(queries_keys_values: FlexTensor, num_heads: usize) -> FlexTensor {
+        let all = HostRows::of(queries_keys_values);
+        attend(self_heads(all.view(), num_heads))
+    }
+
+    fn concat_channels(first: FlexTensor, second: FlexTensor) -> FlexTensor {
+        let (first, second) = (HostRows::of(first), HostRows::of(second));
+        let (first, second) = (first.view(), second.view());
+        let channels = first.channels + second.channels;
+        let mut rows = vec![0.0; first.batch * first.time * channels];
+        for (index, row) in rows.chunks_exact_mut(channels).enumerate() {
+            let (sample, time) = (index / first.time, index % first.time);
+            let (left, right) = row.split_at_mut(first.channels);
+            left.copy_from_slice(first.row(sample, time));
+            right.copy_from_slice(second.row(sample, time));
+        }
+        from_rows(rows, [first.batch, first.time, channels])
+    }
+}

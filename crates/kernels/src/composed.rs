@@ -1,0 +1,186 @@
+//! The operations in Burn's own, for every device.
+
+use burn::tensor::Tensor;
+use burn::tensor::activation::{mish, silu};
+
+use crate::{Activation, Convolution, GroupNorm};
+
+pub(crate) fn group_norm(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
+    let [batch, channels, time] = x.dims();
+    let groups = norm.plan.groups;
+    let x = x.reshape([batch, groups, channels / groups * time]);
+    let x = x.clone() - x.mean_dim(2);
+    let variance = x.clone().square().mean_dim(2);
+    let x = x / variance.add_scalar(norm.plan.eps).sqrt();
+    let per_channel = |p: Tensor<1>| p.reshape([1, channels, 1]);
+    let x = x.reshape([batch, channels, time]) * per_channel(norm.weight) + per_channel(norm.bias);
+    let x = match norm.film {
+        Some(film) => {
+            let part = |first| {
+                film.clone()
+                    .narrow(1, first, channels)
+                    .unsqueeze_dim::<3>(2)
+            };
+            x * part(0).add_scalar(1.0) + part(channels)
+        }
+        None => x,
+    };
+    let x = match norm.plan.activation {
+        Activation::None => x,
+        Activation::Silu => silu(x),
+        Activation::Mish => mish(x),
+    };
+    match norm.mask {
+        Some(mask) => x * mask,
+        None => x,
+    }
+}
+
+pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
+    let Convolution {
+        weight,
+        bias,
+        residual,
+        norm,
+        geometry,
+        transposed,
+        upsample,
+    } = convolution;
+    let x = match norm {
+        Some(norm) => group_norm(x, norm),
+        None => x,
+    };
+    let x = match upsample {
+        Some(frames) => upsample_nearest(x, frames),
+        None => x,
+    };
+    let y = if transposed {
+        // The map that undoes a stride: zeros between the frames, and the kernel turned around.
+        let padding = geometry.kernel - 1 - geometry.padding;
+        let weight = weight.swap_dims(0, 1).flip([2]);
+        multiply_windows(spread(x, geometry.stride), weight, padding, 1)
+    } else {
+        multiply_windows(x, weight, geometry.padding, geometry.stride)
+    };
+    let y = match bias {
+        Some(bias) => {
+            let channels = y.dims()[1];
+            y + bias.reshape([1, channels, 1])
+        }
+        None => y,
+    };
+    match residual {
+        Some(residual) => y + residual,
+        None => y,
+    }
+}
+
+/// A convolution as one matrix product over batch and time together, which Burn's CPU backends
+/// compute faster than their own.
+///
+/// # Shapes
+/// - x: `[batch, in, time]`, weight: `[out, in, kernel]`
+/// - output: `[batch, out, frames]`
+fn multiply_windows(x: Tensor<3>, weight: Tensor<3>, padding: usize, stride: usize) -> Tensor<3> {
+    let [batch, inputs, time] = x.dims();
+    let [outputs, _, kernel] = weight.dims();
+    let windows = time + 2 * padding + 1 - kernel;
+    let frames = windows.div_ceil(stride);
+
+    // Frames become rows: row (b, t) holds the inputs that output frame t of sample b sees.
+    let rows = x.swap_dims(1, 2);
+    let columns = if kernel == 1 && stride == 1 {
+        rows
+    } else {
+        let edge = Tensor::zeros([batch, padding, inputs], &rows.device());
+        let padded = Tensor::cat(vec![edge.clone(), rows, edge], 1);
+        let tap = |k: usize| every(padded.clone().narrow(1, k, windows), stride);
+        Tensor::cat((0..kernel).map(tap).collect(), 2)
+    };
+    let columns = columns.reshape([batch * frames, kernel * inputs]);
+    let weight = weight
+        .permute([2, 1, 0])
+        .reshape([kernel * inputs, outputs]);
+    columns
+        .matmul(weight)
+        .reshape([batch, frames, outputs])
+        .swap_dims(1, 2)
+}
+
+/// Every `stride`-th frame of `[batch, time, channels]`, the first included.
+fn every(rows: Tensor<3>, stride: usize) -> Tensor<3> {
+    let [batch, time, channels] = rows.dims();
+    if stride == 1 {
+        return rows;
+    }
+    let frames = time.div_ceil(stride);
+    let missing = frames * stride - time;
+    let rows = if missing == 0 {
+        rows
+    } else {
+        let edge = Tensor::zeros([batch, missing, channels], &rows.device());
+        Tensor::cat(vec![rows, edge], 1)
+    };
+    rows.reshape([batch, frames, stride * channels])
+        .narrow(2, 0, channels)
+}
+
+/// `stride - 1` zeros between the frames of `[batch, channels, time]`.
+fn spread(x: Tensor<3>, stride: usize) -> Tensor<3> {
+    let [batch, channels, time] = x.dims();
+    if stride == 1 {
+        return x;
+    }
+    let zeros = Tensor::zeros([batch, channels, time, stride - 1], &x.device());
+    Tensor::cat(vec![x.unsqueeze_dim::<4>(3), zeros], 3)
+        .reshape([batch, channels, time * stride])
+        .narrow(2, 0, (time - 1) * stride + 1)
+}
+
+/// Repeats every frame of `[batch, channels, time]` twice and keeps the first `frames`.
+fn upsample_nearest(x: Tensor<3>, frames: usize) -> Tensor<3> {
+    let [batch, channels, time] = x.dims();
+    let doubled = x
+        .unsqueeze_dim::<4>(3)
+        .expand([batch, channels, time, 2])
+        .reshape([batch, channels, 2 * time]);
+    if frames == 2 * time {
+        doubled
+    } else {
+        doubled.narrow(2, 0, frames)
+    }
+}
+
+/// Scaled dot-product attention; queries `[batch, channels, time]`, keys and values `[batch,
+/// channels, keys]`.
+pub(crate) fn attention(
+    queries: Tensor<3>,
+    keys: Tensor<3>,
+    values: Tensor<3>,
+    num_heads: usize,
+) -> Tensor<3> {
+    let [batch, channels, time] = queries.dims();
+    let head_channels = channels / num_heads;
+    let heads = |x: Tensor<3>| {
+        let frames = x.dims()[2];
+        x.reshape([batch, num_heads, head_channels, frames])
+    };
+    let scale = (head_channels as f64).powf(-0.5);
+    let scores = heads(queries)
+        .swap_dims(2, 3)
+        .matmul(heads(keys))
+        .mul_scalar(scale);
+    heads(values)
+        .matmul(softmax(scores).swap_dims(2, 3))
+        .reshape([batch, channels, time])
+}
+
+/// Softmax over the last dimension, in primitives that are the same with and without gradients:
+/// Burn's own is one fused operation without, whose last bits differ, and a rollout that is
+/// recomputed for its gradient must repeat itself exactly.
+fn softmax(scores: Tensor<4>) -> Tensor<4> {
+    let largest = scores.clone().without_autodiff().max_dim(3);
+    let exponentials = (scores - largest).exp();
+    let sum = exponentials.clone().sum_dim(3);
+    exponentials / sum
+}

@@ -1,0 +1,196 @@
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+
+use crate::backend::{FusedOps, Given};
+use crate::host::convolution::ConvolutionPlan;
+use crate::mode::fuses;
+use crate::normalization::NormTensors;
+use crate::{Geometry, GroupNorm, composed};
+
+/// A convolution over time, with what stands right before and after it.
+///
+/// On the CPU all of it is one operation that keeps nothing but its input for the backward pass:
+/// what is normalised or repeated before the products is computed again there.
+///
+/// ```text
+/// y = conv(norm(x)) + bias + residual        or        y = conv(upsample(x)) + bias + residual
+/// ```
+#[derive(Clone, Debug)]
+pub struct Convolution {
+    pub(crate) weight: Tensor<3>,
+    pub(crate) bias: Option<Tensor<1>>,
+    pub(crate) residual: Option<Tensor<3>>,
+    pub(crate) norm: Option<GroupNorm>,
+    pub(crate) geometry: Geometry,
+    pub(crate) transposed: bool,
+    pub(crate) upsample: Option<usize>,
+}
+
+impl Convolution {
+    /// Weight `[out, in, kernel]`. An odd kernel is padded by half, so that `time` frames become
+    /// `ceil(time / stride)`.
+    pub fn new(weight: Tensor<3>, stride: usize) -> Self {
+        let kernel = weight.dims()[2];
+        Self {
+            weight,
+            bias: None,
+            residual: None,
+            norm: None,
+            geometry: Geometry {
+                kernel,
+                stride,
+                padding: kernel / 2,
+            },
+            transposed: false,
+            upsample: None,
+        }
+    }
+
+    /// The transposed map, with the weight `[in, out, kernel]`: `time` frames become
+    /// `(time - 1) stride + kernel - 2 padding`.
+    pub fn transposed(weight: Tensor<3>, stride: usize, padding: usize) -> Self {
+        let kernel = weight.dims()[2];
+        Self {
+            geometry: Geometry {
+                kernel,
+                stride,
+                padding,
+            },
+            transposed: true,
+            ..Self::new(weight, stride)
+        }
+    }
+
+    /// Adds one value an output channel, `[out]`.
+    pub fn bias(self, bias: Tensor<1>) -> Self {
+        Self {
+            bias: Some(bias),
+            ..self
+        }
+    }
+
+    /// Adds `[batch, out, frames]`.
+    pub fn residual(self, residual: Tensor<3>) -> Self {
+        Self {
+            residual: Some(residual),
+            ..self
+        }
+    }
+
+    /// Normalises the input first.
+    pub fn norm(self, norm: GroupNorm) -> Self {
+        Self {
+            norm: Some(norm),
+            ..self
+        }
+    }
+
+    /// Repeats every input frame twice first, and keeps the first `frames`: twice the input's, or
+    /// one less. Not together with [`norm`](Self::norm).
+    pub fn upsample(self, frames: usize) -> Self {
+        Self {
+            upsample: Some(frames),
+            ..self
+        }
+    }
+
+    /// # Shapes
+    /// - x: `[batch, in, time]`
+    /// - output: `[batch, out, frames]`
+    ///
+    /// # Panics
+    /// Panics if the shapes do not fit.
+    pub fn forward(self, x: Tensor<3>) -> Tensor<3> {
+        let [_, inputs, time] = x.dims();
+        let expected = self.weight.dims()[usize::from(!self.transposed)];
+        assert_eq!(
+            inputs, expected,
+            "channels of a convolution's input and weight"
+        );
+        if let Some(norm) = &self.norm {
+            norm.check(inputs);
+            assert!(self.upsample.is_none(), "normalised and repeated at once");
+        }
+        if let Some(frames) = self.upsample {
+            let doubled = 2 * time;
+            assert!(
+                frames == doubled || frames + 1 == doubled,
+                "{time} frames to {frames}"
+            );
+        }
+        if !fuses(&x) {
+            return composed::convolution(x, self);
+        }
+        let device = x.device();
+        let plan = ConvolutionPlan {
+            geometry: self.geometry,
+            transposed: self.transposed,
+            upsample: self.upsample,
+            norm: self.norm.as_ref().map(|norm| norm.plan),
+        };
+        let mut given = Given {
+            bias: self.bias.is_some(),
+            residual: self.residual.is_some(),
+            ..Given::default()
+        };
+        let norm = match self.norm {
+            Some(norm) => norm.into_tensors(&mut given, &device),
+            None => NormTensors {
+                weight: Tensor::zeros([1], &device),
+                bias: Tensor::zeros([1], &device),
+                film: Tensor::zeros([1, 1], &device),
+                mask: Tensor::zeros([1, 1, 1], &device),
+            },
+        };
+        let bias = self.bias.unwrap_or_else(|| Tensor::zeros([1], &device));
+        let residual = self
+            .residual
+            .unwrap_or_else(|| Tensor::zeros([1, 1, 1], &device));
+        Tensor::from_dispatch(Dispatch::fused_convolution(
+            x.into_dispatch(),
+            self.weight.into_dispatch(),
+            bias.into_dispatch(),
+            residual.into_dispatch(),
+            norm.weight.into_dispatch(),
+            norm.bias.into_dispatch(),
+            norm.film.into_dispatch(),
+            norm.mask.into_dispatch(),
+            plan,
+            given,
+        ))
+    }
+}
+
+/// `x weight^T + bias`: a convolution of one tap over rows.
+///
+/// # Shapes
+/// - x: `[rows, in]`
+/// - weight: `[out, in]`, bias: `[out]`
+/// - output: `[rows, out]`
+pub fn linear(x: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
+    if !fuses(&x) {
+        return x.matmul(weight.transpose()) + bias.unsqueeze();
+    }
+    // Rows as the frames of one sample: a view, as the kernels want channels side by side.
+    let frames = x.unsqueeze::<3>().swap_dims(1, 2);
+    Convolution::new(weight.unsqueeze_dim(2), 1)
+        .bias(bias)
+        .forward(frames)
+        .swap_dims(1, 2)
+        .squeeze_dim(0)
+}
+
+/// The channels of `first`, then those of `second`.
+///
+/// # Shapes
+/// - first: `[batch, a, time]`, second: `[batch, b, time]`
+/// - output: `[batch, a + b, time]`
+pub fn concat_channels(first: Tensor<3>, second: Tensor<3>) -> Tensor<3> {
+    if !fuses(&first) {
+        return Tensor::cat(vec![first, second], 1);
+    }
+    Tensor::from_dispatch(Dispatch::concat_channels(
+        first.into_dispatch(),
+        second.into_dispatch(),
+    ))
+}

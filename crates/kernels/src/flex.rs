@@ -1,0 +1,126 @@
+//! Burn's CPU tensors as rows, and rows as tensors.
+
+use std::borrow::Cow;
+
+use burn::backend::flex::{FlexTensor, Layout};
+use burn::tensor::{Bytes, DType, Shape};
+use rayon::prelude::*;
+
+use crate::host::rows::Rows;
+
+/// The frames of a tensor `[batch, channels, time]`, copied only if its channels do not lie side by
+/// side in memory.
+pub(crate) struct HostRows {
+    storage: Storage,
+    shape: [usize; 3],
+    strides: [usize; 2],
+}
+
+enum Storage {
+    Shared { tensor: FlexTensor, start: usize },
+    Copied(Vec<f32>),
+}
+
+impl HostRows {
+    /// # Panics
+    /// Panics unless the tensor is float32 and has three dimensions.
+    pub fn of(tensor: FlexTensor) -> Self {
+        let layout = tensor.layout();
+        let [batch, channels, time] = layout.shape().dims();
+        let strides: Option<Vec<usize>> = layout
+            .strides()
+            .iter()
+            .map(|&s| usize::try_from(s).ok())
+            .collect();
+        match strides.as_deref() {
+            Some(&[sample, channel, row]) if channel == 1 || channels == 1 => Self {
+                shape: [batch, time, channels],
+                strides: [sample, row],
+                storage: Storage::Shared {
+                    start: layout.start_offset(),
+                    tensor,
+                },
+            },
+            _ => Self {
+                shape: [batch, time, channels],
+                strides: [time * channels, channels],
+                storage: Storage::Copied(turned(&tensor)),
+            },
+        }
+    }
+
+    pub fn view(&self) -> Rows<'_> {
+        let [batch, time, channels] = self.shape;
+        let [sample_stride, row_stride] = self.strides;
+        let data = match &self.storage {
+            Storage::Shared { tensor, start } => &tensor.storage::<f32>()[*start..],
+            Storage::Copied(data) => data,
+        };
+        Rows {
+            data,
+            batch,
+            time,
+            channels,
+            sample_stride,
+            row_stride,
+        }
+    }
+}
+
+/// `[batch, time, channels]` without gaps, of a tensor `[batch, channels, time]` of any layout.
+fn turned(tensor: &FlexTensor) -> Vec<f32> {
+    const BLOCK: usize = 16;
+    let tensor = tensor.to_contiguous();
+    let [_, channels, time] = tensor.layout().shape().dims();
+    let from = contiguous(&tensor);
+    let mut rows = vec![0.0; from.len()];
+    rows.par_chunks_mut(time * channels)
+        .zip(from.par_chunks(time * channels))
+        .for_each(|(rows, from)| {
+            for t0 in (0..time).step_by(BLOCK) {
+                for c in 0..channels {
+                    let line = &from[c * time..(c + 1) * time];
+                    for t in t0..(t0 + BLOCK).min(time) {
+                        rows[t * channels + c] = line[t];
+                    }
+                }
+            }
+        });
+    rows
+}
+
+/// The elements in row-major order, copied only if they are not so in memory.
+pub(crate) fn contiguous(tensor: &FlexTensor) -> Cow<'_, [f32]> {
+    match tensor.as_slice::<f32>() {
+        Some(values) => Cow::Borrowed(values),
+        None => {
+            let tensor = tensor.to_contiguous();
+            Cow::Owned(
+                tensor
+                    .as_slice::<f32>()
+                    .expect("float32, contiguous")
+                    .to_vec(),
+            )
+        }
+    }
+}
+
+/// A tensor of row-major elements.
+pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FlexTensor {
+    FlexTensor::new(
+        Bytes::from_elems(values),
+        Layout::contiguous(shape.into()),
+        DType::F32,
+    )
+}
+
+/// A tensor `[batch, channels, time]` whose memory is the rows `[batch, time, channels]`.
+pub(crate) fn from_rows(rows: Vec<f32>, [batch, time, channels]: [usize; 3]) -> FlexTensor {
+    let shape = Shape::from([batch, channels, time]);
+    let strides = vec![(time * channels) as isize, 1, channels as isize];
+    FlexTensor::new(
+        Bytes::from_elems(rows),
+        Layout::new(shape, strides, 0),
+        DType::F32,
+    )
+}

@@ -1,0 +1,258 @@
+//! Scaled dot-product attention over short sequences, without keeping the score matrix.
+//!
+//! Scores live in a buffer of one head at a time; the backward pass computes them anew from queries
+//! and keys. A sequence of motion is some hundred frames, so that one head's scores fit in cache.
+
+use std::cell::RefCell;
+
+use gemm::{Parallelism, gemm};
+use rayon::prelude::*;
+
+use super::rows::{Rows, SharedRows};
+use super::simd::{exp, vectorized};
+
+/// Queries, keys and values, all heads side by side in the channels.
+#[derive(Clone, Copy)]
+pub struct Heads<'a> {
+    /// `[batch, time, channels]`.
+    pub queries: Rows<'a>,
+    /// `[batch, keys, channels]`.
+    pub keys: Rows<'a>,
+    /// `[batch, keys, channels]`.
+    pub values: Rows<'a>,
+    /// Heads that the channels divide into.
+    pub num_heads: usize,
+}
+
+/// Where the gradients of [`Heads`] go.
+#[derive(Clone, Copy)]
+pub(crate) struct HeadGradients<'a> {
+    pub queries: Columns<'a>,
+    pub keys: Columns<'a>,
+    pub values: Columns<'a>,
+}
+
+/// Some channels of shared rows, from `first` on.
+#[derive(Clone, Copy)]
+pub(crate) struct Columns<'a> {
+    pub rows: SharedRows<'a>,
+    pub first: usize,
+}
+
+thread_local! {
+    /// Scores and their gradient of the head that this thread works on.
+    static SCORES: RefCell<[Vec<f32>; 3]> = const { RefCell::new([Vec::new(), Vec::new(), Vec::new()]) };
+}
+
+/// A matrix in memory: element `(i, j)` is `data[i row + j column]`.
+#[derive(Clone, Copy)]
+struct Matrix<'a> {
+    data: &'a [f32],
+    row: usize,
+    column: usize,
+}
+
+impl Matrix<'_> {
+    fn transposed(self) -> Self {
+        Self {
+            row: self.column,
+            column: self.row,
+            ..self
+        }
+    }
+}
+
+/// `output = scale lhs rhs`, dense.
+fn product(output: &mut [f32], scale: f32, lhs: Matrix<'_>, rhs: Matrix<'_>, size: [usize; 3]) {
+    let [rows, depth, columns] = size;
+    assert_eq!(output.len(), rows * columns, "product");
+    let reach = |matrix: Matrix<'_>, [i, j]: [usize; 2]| {
+        assert!(
+            (i - 1) * matrix.row + (j - 1) * matrix.column < matrix.data.len(),
+            "operand"
+        );
+    };
+    reach(lhs, [rows, depth]);
+    reach(rhs, [depth, columns]);
+    // SAFETY: the last element of each operand was checked to lie inside it and the output to be
+    // dense; `output` is borrowed mutably, so that it overlaps neither.
+    #[allow(unsafe_code)]
+    unsafe {
+        gemm(
+            rows,
+            columns,
+            depth,
+            output.as_mut_ptr(),
+            1,
+            columns as isize,
+            false,
+            lhs.data.as_ptr(),
+            lhs.column as isize,
+            lhs.row as isize,
+            rhs.data.as_ptr(),
+            rhs.column as isize,
+            rhs.row as isize,
+            0.0,
+            scale,
+            false,
+            false,
+            false,
+            Parallelism::None,
+        );
+    }
+}
+
+impl<'a> Heads<'a> {
+    fn head_channels(&self) -> usize {
+        self.queries.channels / self.num_heads
+    }
+
+    /// One head of one sample.
+    fn matrix(&self, rows: Rows<'a>, sample: usize, head: usize) -> Matrix<'a> {
+        Matrix {
+            data: &rows.data[sample * rows.sample_stride + head * self.head_channels()..],
+            row: rows.row_stride,
+            column: 1,
+        }
+    }
+
+    fn scale(&self) -> f32 {
+        (self.head_channels() as f32).sqrt().recip()
+    }
+
+    fn tasks(&self) -> impl IndexedParallelIterator<Item = (usize, usize)> {
+        let heads = self.num_heads;
+        (0..self.queries.batch * heads)
+            .into_par_iter()
+            .map(move |index| (index / heads, index % heads))
+    }
+
+    /// Writes the attention `[time, keys]` of one head to `weights`.
+    fn weights(&self, sample: usize, head: usize, weights: &mut Vec<f32>) {
+        let (time, keys) = (self.queries.time, self.keys.time);
+        weights.resize(time * keys, 0.0);
+        let queries = self.matrix(self.queries, sample, head);
+        let keys_matrix = self.matrix(self.keys, sample, head).transposed();
+        let size = [time, self.head_channels(), keys];
+        product(weights, self.scale(), queries, keys_matrix, size);
+        vectorized(|| weights.chunks_exact_mut(keys).for_each(softmax));
+    }
+
+    /// `softmax(queries keys^T / sqrt(head channels)) values`: `[batch, time, channels]`.
+    pub fn forward(&self) -> Vec<f32> {
+        let (time, keys) = (self.queries.time, self.keys.time);
+        let (channels, head_channels) = (self.queries.channels, self.head_channels());
+        let shape = [self.queries.batch, time, channels];
+        let mut output = vec![0.0; shape.iter().product()];
+        let rows = SharedRows::dense(&mut output, shape);
+        self.tasks().for_each(|(sample, head)| {
+            SCORES.with_borrow_mut(|[weights, sums, _]| {
+                self.weights(sample, head, weights);
+                sums.resize(time * head_channels, 0.0);
+                let weights = dense(weights, keys);
+                let values = self.matrix(self.values, sample, head);
+                product(sums, 1.0, weights, values, [time, keys, head_channels]);
+                let columns = Columns { rows, first: 0 };
+                columns.write(sample, head * head_channels, sums, head_channels);
+            });
+        });
+        output
+    }
+
+    /// Writes the gradients of queries, keys and values from that of the output.
+    pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
+        let (time, keys) = (self.queries.time, self.keys.time);
+        let channels = self.head_channels();
+        self.tasks().for_each(|(sample, head)| {
+            SCORES.with_borrow_mut(|[weights, scores, sums]| {
+                self.weights(sample, head, weights);
+                let gradient = self.matrix(gradient, sample, head);
+                let first = head * channels;
+
+                sums.resize(keys * channels, 0.0);
+                let transposed = dense(weights, keys).transposed();
+                product(sums, 1.0, transposed, gradient, [keys, time, channels]);
+                into.values.write(sample, first, sums, channels);
+
+                scores.resize(time * keys, 0.0);
+                let values = self.matrix(self.values, sample, head).transposed();
+                product(scores, 1.0, gradient, values, [time, channels, keys]);
+                vectorized(|| {
+                    let rows = scores
+                        .chunks_exact_mut(keys)
+                        .zip(weights.chunks_exact(keys));
+                    rows.for_each(|(scores, weights)| softmax_backward(scores, weights));
+                });
+
+                let queries = self.matrix(self.queries, sample, head);
+                let scale = self.scale();
+                let transposed = dense(scores, keys).transposed();
+                product(sums, scale, transposed, queries, [keys, time, channels]);
+                into.keys.write(sample, first, sums, channels);
+
+                sums.resize(time * channels, 0.0);
+                let keys_matrix = self.matrix(self.keys, sample, head);
+                product(
+                    sums,
+                    scale,
+                    dense(scores, keys),
+                    keys_matrix,
+                    [time, keys, channels],
+                );
+                into.queries.write(sample, first, sums, channels);
+            });
+        });
+    }
+}
+
+impl Columns<'_> {
+    /// Writes one head's rows.
+    fn write(&self, sample: usize, first: usize, rows: &[f32], channels: usize) {
+        for (time, row) in rows.chunks_exact(channels).enumerate() {
+            // SAFETY: a task owns its head's columns of its sample, and queries, keys and values
+            // have columns or buffers of their own; this is the only slice of them.
+            #[allow(unsafe_code)]
+            let out = unsafe {
+                self.rows
+                    .segment(sample, time, self.first + first, channels)
+            };
+            out.copy_from_slice(row);
+        }
+    }
+}
+
+fn dense(data: &[f32], columns: usize) -> Matrix<'_> {
+    Matrix {
+        data,
+        row: columns,
+        column: 1,
+    }
+}
+
+#[inline(always)]
+fn softmax(row: &mut [f32]) {
+    let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let mut sum = 0.0;
+    for value in row.iter_mut() {
+        *value = exp(*value - largest);
+    }
+    for value in row.iter() {
+        sum += value;
+    }
+    let reciprocal = 1.0 / sum;
+    for value in row.iter_mut() {
+        *value *= reciprocal;
+    }
+}
+
+/// `ds = p (dp - sum(dp p))`.
+#[inline(always)]
+fn softmax_backward(gradient: &mut [f32], weights: &[f32]) {
+    let mut sum = 0.0;
+    for (gradient, weight) in gradient.iter().zip(weights) {
+        sum += gradient * weight;
+    }
+    for (gradient, weight) in gradient.iter_mut().zip(weights) {
+        *gradient = weight * (*gradient - sum);
+    }
+}

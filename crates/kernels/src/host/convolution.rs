@@ -1,0 +1,358 @@
+//! Convolution over time: output, input gradient and weight gradient.
+//!
+//! What is multiplied is first written into rows with zeros around them: copied, repeated
+//! (nearest upsampling) or normalised. Those rows are not kept for the backward pass, which writes
+//! them anew from the input: cheaper than storing them and than reading them back from memory.
+
+use rayon::prelude::*;
+
+use super::geometry::{Geometry, Phase, margins};
+use super::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use super::outer::outer;
+use super::packing::{Direction, Weight};
+use super::product::{Addends, OutputRows, Windows, multiply};
+use super::rows::{Padded, Rows, SharedRows};
+use super::simd::vectorized;
+
+/// What a convolution is, but for its tensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConvolutionPlan {
+    /// Kernel, stride and padding.
+    pub geometry: Geometry,
+    /// Whether it is the transposed map, with the weight `[in, out, kernel]`.
+    pub transposed: bool,
+    /// Repeats every input frame twice and keeps so many frames, before all else.
+    pub upsample: Option<usize>,
+    /// Normalises the input before. Not together with `upsample`.
+    pub norm: Option<GroupNormPlan>,
+}
+
+/// A convolution's input and what is done to it before it is multiplied.
+#[derive(Clone, Copy)]
+pub struct Input<'a> {
+    /// Input frames.
+    pub x: Rows<'a>,
+    /// Statistics and parameters of the normalisation, where the plan has one.
+    pub norm: Option<(&'a Statistics, NormParameters<'a>)>,
+}
+
+/// Which gradients a backward pass computes.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted {
+    /// Of the input, and of the normalisation's parameters with it.
+    pub input: bool,
+    /// Of the weight.
+    pub weight: bool,
+    /// Of the bias.
+    pub bias: bool,
+}
+
+/// Gradients of a convolution; `None` where not wanted.
+pub struct ConvolutionGradients {
+    /// `[batch, time, in]`.
+    pub input: Option<Vec<f32>>,
+    /// As the weight.
+    pub weight: Option<Vec<f32>>,
+    /// `[out]`.
+    pub bias: Option<Vec<f32>>,
+    /// Of the normalisation's parameters.
+    pub norm: Option<NormGradients>,
+}
+
+/// The rows that windows are cut from.
+enum Source<'a> {
+    Plain(Rows<'a>),
+    Padded(Padded, [usize; 3]),
+}
+
+impl ConvolutionPlan {
+    /// Frames that are multiplied, of `time` input frames.
+    fn source_frames(&self, time: usize) -> usize {
+        self.upsample.unwrap_or(time)
+    }
+
+    /// Output frames of `time` input frames.
+    pub fn frames(&self, time: usize) -> usize {
+        let source = self.source_frames(time);
+        if self.transposed {
+            self.geometry.long(source)
+        } else {
+            self.geometry.short(source)
+        }
+    }
+
+    /// Output channels of a weight `[out, in, kernel]`, or `[in, out, kernel]` if transposed.
+    pub fn out_channels(&self, weight: [usize; 3]) -> usize {
+        weight[usize::from(self.transposed)]
+    }
+
+    fn forward_phases(&self, frames: usize) -> Vec<Phase> {
+        if self.transposed {
+            self.geometry.scatter(frames)
+        } else {
+            self.geometry.gather(frames)
+        }
+    }
+
+    fn backward_phases(&self, source_frames: usize) -> Vec<Phase> {
+        if self.transposed {
+            self.geometry.gather(source_frames)
+        } else {
+            self.geometry.scatter(source_frames)
+        }
+    }
+
+    /// The input as it is multiplied, with zero rows around it where `phases` look beyond its ends.
+    fn prepare<'a>(&self, input: Input<'a>, phases: &[Phase]) -> Source<'a> {
+        let x = input.x;
+        let frames = self.source_frames(x.time);
+        if (self.upsample, self.norm) == (None, None) {
+            return Source::pad(x, phases);
+        }
+        let (before, after) = margins(phases, frames);
+        let shape = [x.batch, frames, x.channels];
+        let mut padded = Padded::zeros(shape, before, after);
+        let rows = padded.shared();
+        match (self.norm, input.norm) {
+            (Some(plan), Some((statistics, parameters))) => {
+                norm::forward(x, statistics, &plan, &parameters, rows);
+            }
+            _ => copy(x, frames, rows, |time| time / 2),
+        }
+        Source::Padded(padded, shape)
+    }
+
+    /// `[batch, frames, out]` of the input, plus `bias` and `residual`.
+    pub fn forward(
+        &self,
+        input: Input<'_>,
+        weight: &[f32],
+        weight_shape: [usize; 3],
+        bias: Option<&[f32]>,
+        residual: Option<Rows<'_>>,
+    ) -> Vec<f32> {
+        let (batch, frames) = (input.x.batch, self.frames(input.x.time));
+        let phases = self.forward_phases(frames);
+        let source = self.prepare(input, &phases);
+        let shape = [batch, frames, self.out_channels(weight_shape)];
+        let weight = WeightView {
+            data: weight,
+            shape: weight_shape,
+            gathers: !self.transposed,
+        };
+        multiply_phases(&source, &phases, weight, Addends { bias, residual }, shape)
+    }
+
+    /// The gradients of what is `wanted`, from the output's `gradient`.
+    pub fn backward(
+        &self,
+        input: Input<'_>,
+        weight: &[f32],
+        weight_shape: [usize; 3],
+        gradient: Rows<'_>,
+        wanted: Wanted,
+    ) -> ConvolutionGradients {
+        let x = input.x;
+        let frames = self.source_frames(x.time);
+        let mut gradients = ConvolutionGradients {
+            input: None,
+            weight: None,
+            bias: wanted.bias.then(|| column_sums(gradient)),
+            norm: None,
+        };
+        // The side whose frames are fewer gives single rows, the other windows.
+        let phases = self.backward_phases(frames);
+        let padded_gradient = Source::pad(gradient, &phases);
+        if wanted.weight {
+            let mut sums = vec![0.0; weight.len()];
+            let kernel = self.geometry.kernel;
+            if self.transposed {
+                let source = self.prepare(input, &[]);
+                outer(
+                    source.rows(),
+                    padded_gradient.windows(&phases[0]),
+                    kernel,
+                    &mut sums,
+                );
+            } else {
+                let forward = self.forward_phases(gradient.time);
+                let source = self.prepare(input, &forward);
+                outer(gradient, source.windows(&forward[0]), kernel, &mut sums);
+            }
+            gradients.weight = Some(sums);
+        }
+        if wanted.input {
+            let shape = [x.batch, frames, x.channels];
+            let weight = WeightView {
+                data: weight,
+                shape: weight_shape,
+                gathers: self.transposed,
+            };
+            let addends = Addends::default();
+            let mut output = multiply_phases(&padded_gradient, &phases, weight, addends, shape);
+            if self.upsample.is_some() {
+                output = fold_pairs(Rows::dense(&output, shape), x.time);
+            }
+            if let (Some(plan), Some((statistics, parameters))) = (self.norm, input.norm) {
+                let norm = norm::backward(x, statistics, &plan, &parameters, &mut output);
+                gradients.norm = Some(norm);
+            }
+            gradients.input = Some(output);
+        }
+        gradients
+    }
+}
+
+impl<'a> Source<'a> {
+    /// `rows` with zeros around them where `phases` look beyond their ends, and without gaps where
+    /// windows hold several of them.
+    fn pad(rows: Rows<'a>, phases: &[Phase]) -> Self {
+        let (before, after) = margins(phases, rows.time);
+        let single = phases.iter().all(|phase| phase.taps.len() <= 1);
+        if (before, after) == (0, 0) && (single || rows.row_stride == rows.channels) {
+            return Self::Plain(rows);
+        }
+        let shape = [rows.batch, rows.time, rows.channels];
+        let mut padded = Padded::zeros(shape, before, after);
+        copy(rows, rows.time, padded.shared(), |time| time);
+        Self::Padded(padded, shape)
+    }
+
+    /// The windows of a phase.
+    fn windows(&self, phase: &Phase) -> Windows<'_> {
+        let (data, before, sample_stride, row_stride, batch, channels) = match self {
+            Self::Plain(rows) => {
+                let [sample, row] = [rows.sample_stride, rows.row_stride];
+                (rows.data, 0, sample, row, rows.batch, rows.channels)
+            }
+            Self::Padded(padded, [batch, _, channels]) => {
+                let (before, sample) = (padded.before(), padded.sample_stride());
+                (padded.data(), before, sample, *channels, *batch, *channels)
+            }
+        };
+        let first = if phase.taps.is_empty() {
+            0
+        } else {
+            usize::try_from(before as isize + phase.source_first).expect("padded enough")
+        };
+        Windows {
+            data: &data[first * row_stride..],
+            batch,
+            rows: phase.rows,
+            sample_stride,
+            row_stride: if phase.taps.is_empty() {
+                0
+            } else {
+                phase.source_step * row_stride
+            },
+            depth: phase.taps.len() * channels,
+        }
+    }
+
+    /// The rows themselves.
+    fn rows(&self) -> Rows<'_> {
+        match self {
+            Self::Plain(rows) => *rows,
+            Self::Padded(padded, [batch, time, channels]) => Rows {
+                data: &padded.data()[padded.before() * channels..],
+                batch: *batch,
+                time: *time,
+                channels: *channels,
+                sample_stride: padded.sample_stride(),
+                row_stride: *channels,
+            },
+        }
+    }
+}
+
+/// A weight as one of its two directions reads it.
+#[derive(Clone, Copy)]
+struct WeightView<'a> {
+    data: &'a [f32],
+    shape: [usize; 3],
+    gathers: bool,
+}
+
+/// `[batch, frames, channels]`: the products of every phase's windows.
+fn multiply_phases(
+    source: &Source<'_>,
+    phases: &[Phase],
+    weight: WeightView<'_>,
+    addends: Addends<'_>,
+    shape: [usize; 3],
+) -> Vec<f32> {
+    let mut output = vec![0.0; shape.iter().product()];
+    for phase in phases {
+        let weight = Weight {
+            data: weight.data,
+            shape: weight.shape,
+            direction: if weight.gathers {
+                Direction::Gather
+            } else {
+                Direction::Scatter(&phase.taps)
+            },
+        };
+        let output = OutputRows {
+            rows: SharedRows::dense(&mut output, shape),
+            first: phase.first,
+            step: phase.step,
+        };
+        multiply(source.windows(phase), weight, addends, output);
+    }
+    output
+}
+
+/// Copies to each of `frames` rows the row that `from` names.
+fn copy(x: Rows<'_>, frames: usize, output: SharedRows<'_>, from: impl Fn(usize) -> usize + Sync) {
+    (0..x.batch).into_par_iter().for_each(|sample| {
+        for time in 0..frames {
+            // SAFETY: a task owns its sample, and this is its only slice of the row.
+            #[allow(unsafe_code)]
+            let out = unsafe { output.segment(sample, time, 0, x.channels) };
+            out.copy_from_slice(x.row(sample, from(time)));
+        }
+    });
+}
+
+/// Sums rows `2 t` and `2 t + 1`, where the second exists.
+fn fold_pairs(rows: Rows<'_>, time: usize) -> Vec<f32> {
+    let mut folded = vec![0.0; rows.batch * time * rows.channels];
+    folded
+        .par_chunks_mut(rows.channels)
+        .enumerate()
+        .for_each(|(index, out)| {
+            let (sample, t) = (index / time, index % time);
+            out.copy_from_slice(rows.row(sample, 2 * t));
+            if 2 * t + 1 < rows.time {
+                for (out, second) in out.iter_mut().zip(rows.row(sample, 2 * t + 1)) {
+                    *out += second;
+                }
+            }
+        });
+    folded
+}
+
+/// The sum of all rows, sample by sample.
+fn column_sums(rows: Rows<'_>) -> Vec<f32> {
+    let partial: Vec<Vec<f32>> = (0..rows.batch)
+        .into_par_iter()
+        .map(|sample| {
+            let mut sums = vec![0.0; rows.channels];
+            vectorized(|| {
+                for time in 0..rows.time {
+                    for (sum, value) in sums.iter_mut().zip(rows.row(sample, time)) {
+                        *sum += value;
+                    }
+                }
+            });
+            sums
+        })
+        .collect();
+    let mut total = vec![0.0; rows.channels];
+    for sums in partial {
+        for (total, sum) in total.iter_mut().zip(sums) {
+            *total += sum;
+        }
+    }
+    total
+}

@@ -1,0 +1,12 @@
+//! The kernels on slices of the host's memory; they know nothing of Burn.
+
+pub(crate) mod activation;
+pub(crate) mod attention;
+pub(crate) mod convolution;
+pub(crate) mod geometry;
+pub(crate) mod norm;
+pub(crate) mod outer;
+pub(crate) mod packing;
+pub(crate) mod product;
+pub(crate) mod rows;
+pub(crate) mod simd;

@@ -1,0 +1,343 @@
+//! Group normalisation with FiLM and an activation, in one pass each way.
+//!
+//! Per channel and sample all of it but the activation is one affine map of the distance from the
+//! mean, so the forward pass measures the statistics and then computes
+//! `activation(scale (x - mean) + shift)`.
+
+use rayon::prelude::*;
+
+use super::activation::{Activation, Pointwise, with_activation};
+use super::rows::{ColumnTask, Rows, SharedRows, column_tasks};
+use super::simd::vectorized;
+
+/// What a group normalisation is, but for its parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroupNormPlan {
+    /// Groups that the channels divide into.
+    pub groups: usize,
+    /// Added to the variance.
+    pub eps: f64,
+    /// What follows.
+    pub activation: Activation,
+}
+
+/// A group normalisation's parameters: what is given changes the normalised values in this order.
+#[derive(Clone, Copy)]
+pub struct NormParameters<'a> {
+    /// Scale of each channel.
+    pub weight: &'a [f32],
+    /// Shift of each channel.
+    pub bias: &'a [f32],
+    /// Scale (to which 1 is added) and shift of each sample's channels, `[batch, 2 channels]`,
+    /// scales first.
+    pub film: Option<&'a [f32]>,
+    /// Factor of each element after the activation.
+    pub mask: Option<Rows<'a>>,
+}
+
+/// Mean and reciprocal deviation of each sample's groups.
+#[derive(Clone, Debug)]
+pub struct Statistics(Vec<[f32; 2]>);
+
+/// Gradients of a normalisation's parameters.
+pub struct NormGradients {
+    /// Of the scales.
+    pub weight: Vec<f32>,
+    /// Of the shifts.
+    pub bias: Vec<f32>,
+    /// Of FiLM's, where there is one.
+    pub film: Option<Vec<f32>>,
+}
+
+/// The maps of a task's channels: `u = scale (x - mean) + shift`. Side by side, as vector code wants
+/// them.
+#[derive(Default)]
+struct Affine {
+    scale: Vec<f32>,
+    shift: Vec<f32>,
+    mean: Vec<f32>,
+}
+
+/// The statistics of every sample's groups: means first, then deviations from them, so that a
+/// large mean costs no digits.
+pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan) -> Statistics {
+    let size = x.channels / plan.groups;
+    let tasks = column_tasks(x.batch, x.channels, size);
+    let parts: Vec<Vec<[f32; 2]>> = tasks
+        .into_par_iter()
+        .map(|task| {
+            let count = (size * x.time) as f64;
+            let over_groups = |sums: &[f32]| -> Vec<f64> {
+                sums.chunks(size)
+                    .map(|sums| sums.iter().map(|&s| f64::from(s)).sum::<f64>() / count)
+                    .collect()
+            };
+            let mut sums = vec![0.0; task.channels];
+            channel_sums(x, task, &mut sums, None);
+            let means = over_groups(&sums);
+            let spread: Vec<f32> = (0..task.channels).map(|c| means[c / size] as f32).collect();
+            sums.fill(0.0);
+            channel_sums(x, task, &mut sums, Some(&spread));
+            let variances = over_groups(&sums);
+            means
+                .iter()
+                .zip(variances)
+                .map(|(mean, variance)| [*mean as f32, (variance + plan.eps).sqrt().recip() as f32])
+                .collect()
+        })
+        .collect();
+    Statistics(parts.concat())
+}
+
+/// Adds to `sums` a task's channels over time, or their squared distances from `means`.
+fn channel_sums(x: Rows<'_>, task: ColumnTask, sums: &mut [f32], means: Option<&[f32]>) {
+    vectorized(|| {
+        for time in 0..x.time {
+            let row = &x.row(task.sample, time)[task.first..][..task.channels];
+            match means {
+                None => {
+                    for (sum, x) in sums.iter_mut().zip(row) {
+                        *sum += x;
+                    }
+                }
+                Some(means) => {
+                    for ((sum, x), mean) in sums.iter_mut().zip(row).zip(means) {
+                        let distance = x - mean;
+                        *sum += distance * distance;
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// The map of each of a task's channels, all but the activation.
+fn affine(
+    task: ColumnTask,
+    channels: usize,
+    statistics: &Statistics,
+    plan: &GroupNormPlan,
+    parameters: &NormParameters<'_>,
+) -> Affine {
+    let size = channels / plan.groups;
+    let mut affine = Affine::default();
+    for channel in task.first..task.first + task.channels {
+        let [mean, reciprocal] = statistics.0[task.sample * plan.groups + channel / size];
+        let scale = reciprocal * parameters.weight[channel];
+        let shift = parameters.bias[channel];
+        let (film_scale, film_shift) = film(task.sample, channel, channels, parameters.film);
+        affine.scale.push(scale * film_scale);
+        affine.shift.push(shift * film_scale + film_shift);
+        affine.mean.push(mean);
+    }
+    affine
+}
+
+/// Factor and shift of FiLM, 1 and 0 without one.
+fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) -> (f32, f32) {
+    match film {
+        Some(film) => {
+            let of_sample = &film[sample * 2 * channels..][..2 * channels];
+            (1.0 + of_sample[channel], of_sample[channels + channel])
+        }
+        None => (1.0, 0.0),
+    }
+}
+
+/// Writes the normalised rows to `output`.
+pub(crate) fn forward(
+    x: Rows<'_>,
+    statistics: &Statistics,
+    plan: &GroupNormPlan,
+    parameters: &NormParameters<'_>,
+    output: SharedRows<'_>,
+) {
+    let tasks = column_tasks(x.batch, x.channels, x.channels / plan.groups);
+    tasks.into_par_iter().for_each(|task| {
+        let affine = affine(task, x.channels, statistics, plan, parameters);
+        with_activation!(plan.activation, |activation| vectorized(|| forward_task(
+            x,
+            task,
+            &affine,
+            parameters.mask,
+            output,
+            activation
+        )));
+    });
+}
+
+#[inline(always)]
+fn forward_task(
+    x: Rows<'_>,
+    task: ColumnTask,
+    affine: &Affine,
+    mask: Option<Rows<'_>>,
+    output: SharedRows<'_>,
+    activation: impl Pointwise,
+) {
+    for time in 0..x.time {
+        let row = &x.row(task.sample, time)[task.first..][..task.channels];
+        // SAFETY: a task owns its columns of its sample, and this is its only slice of them.
+        #[allow(unsafe_code)]
+        let out = unsafe { output.segment(task.sample, time, task.first, task.channels) };
+        let maps = affine.scale.iter().zip(&affine.shift).zip(&affine.mean);
+        for ((out, x), ((scale, shift), mean)) in out.iter_mut().zip(row).zip(maps) {
+            *out = activation.value((x - mean) * scale + shift);
+        }
+        if let Some(mask) = mask {
+            let mask = &mask.row(task.sample, time)[task.first..][..task.channels];
+            for (out, mask) in out.iter_mut().zip(mask) {
+                *out *= mask;
+            }
+        }
+    }
+}
+
+/// Turns `gradient`, the gradient of the output and dense, into that of `x`, and returns those of
+/// the parameters.
+///
+/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and
+/// `s2 = sum du n` over a channel's time hold every parameter's gradient, and those over a group
+/// the two means that the input's gradient takes off.
+pub(crate) fn backward(
+    x: Rows<'_>,
+    statistics: &Statistics,
+    plan: &GroupNormPlan,
+    parameters: &NormParameters<'_>,
+    gradient: &mut [f32],
+) -> NormGradients {
+    let channels = x.channels;
+    let tasks = column_tasks(x.batch, channels, channels / plan.groups);
+    let output = SharedRows::dense(gradient, [x.batch, x.time, channels]);
+    let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = tasks
+        .into_par_iter()
+        .map(|task| {
+            let affine = affine(task, channels, statistics, plan, parameters);
+            let sums = with_activation!(plan.activation, |activation| vectorized(|| {
+                backward_activation(x, task, &affine, parameters.mask, output, activation)
+            }));
+            let sums = backward_affine(x, task, statistics, plan, parameters, output, &sums);
+            (task, sums)
+        })
+        .collect();
+
+    let mut gradients = NormGradients {
+        weight: vec![0.0; channels],
+        bias: vec![0.0; channels],
+        film: parameters.film.map(|film| vec![0.0; film.len()]),
+    };
+    for (task, sums) in sums {
+        for (i, [s1, s2]) in sums.into_iter().enumerate() {
+            let channel = task.first + i;
+            let (factor, _) = film(task.sample, channel, channels, parameters.film);
+            gradients.weight[channel] += factor * s2;
+            gradients.bias[channel] += factor * s1;
+            if let Some(film) = &mut gradients.film {
+                let of_sample = &mut film[task.sample * 2 * channels..][..2 * channels];
+                of_sample[channel] =
+                    parameters.weight[channel] * s2 + parameters.bias[channel] * s1;
+                of_sample[channels + channel] = s1;
+            }
+        }
+    }
+    gradients
+}
+
+/// Through mask and activation: `gradient` becomes that of `u`. Returns of each channel `sum du` and
+/// `sum du (x - mean)`.
+#[inline(always)]
+fn backward_activation(
+    x: Rows<'_>,
+    task: ColumnTask,
+    affine: &Affine,
+    mask: Option<Rows<'_>>,
+    gradient: SharedRows<'_>,
+    activation: impl Pointwise,
+) -> [Vec<f32>; 2] {
+    let mut sums = vec![0.0; task.channels];
+    let mut products = vec![0.0; task.channels];
+    for time in 0..x.time {
+        let row = &x.row(task.sample, time)[task.first..][..task.channels];
+        // SAFETY: a task owns its columns of its sample, and this is its only slice of them.
+        #[allow(unsafe_code)]
+        let gradient = unsafe { gradient.segment(task.sample, time, task.first, task.channels) };
+        if let Some(mask) = mask {
+            let mask = &mask.row(task.sample, time)[task.first..][..task.channels];
+            for (gradient, mask) in gradient.iter_mut().zip(mask) {
+                *gradient *= mask;
+            }
+        }
+        let maps = affine.scale.iter().zip(&affine.shift).zip(&affine.mean);
+        let sums = sums.iter_mut().zip(&mut products);
+        for (((gradient, x), ((scale, shift), mean)), (sum, product)) in
+            gradient.iter_mut().zip(row).zip(maps).zip(sums)
+        {
+            let distance = x - mean;
+            let du = *gradient * activation.derivative(distance * scale + shift);
+            *gradient = du;
+            *sum += du;
+            *product += du * distance;
+        }
+    }
+    [sums, products]
+}
+
+/// Through FiLM, scale and normalisation: the gradient of `u` becomes that of `x`. Returns `s1`
+/// and `s2` of each channel.
+fn backward_affine(
+    x: Rows<'_>,
+    task: ColumnTask,
+    statistics: &Statistics,
+    plan: &GroupNormPlan,
+    parameters: &NormParameters<'_>,
+    gradient: SharedRows<'_>,
+    [sums, products]: &[Vec<f32>; 2],
+) -> Vec<[f32; 2]> {
+    let channels = x.channels;
+    let size = channels / plan.groups;
+    let count = (size * x.time) as f64;
+    let first_group = task.sample * plan.groups + task.first / size;
+    let moments: Vec<[f32; 2]> = (0..task.channels)
+        .map(|i| {
+            let [_, reciprocal] = statistics.0[first_group + i / size];
+            [sums[i], products[i] * reciprocal]
+        })
+        .collect();
+    let factor = |i: usize| {
+        let channel = task.first + i;
+        f64::from(parameters.weight[channel])
+            * f64::from(film(task.sample, channel, channels, parameters.film).0)
+    };
+    // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and x.
+    let [mut of_du, mut of_x, mut constants] = [(); 3].map(|()| Vec::with_capacity(task.channels));
+    for (group, moments) in moments.chunks(size).enumerate() {
+        let mut means = [0.0_f64; 2];
+        for (i, moments) in moments.iter().enumerate() {
+            for (mean, moment) in means.iter_mut().zip(moments) {
+                *mean += factor(group * size + i) * f64::from(*moment) / count;
+            }
+        }
+        let [mean, reciprocal] = statistics.0[first_group + group].map(f64::from);
+        let slope = -reciprocal * reciprocal * means[1];
+        let constant = -reciprocal * means[0] - slope * mean;
+        for i in 0..size {
+            of_du.push((reciprocal * factor(group * size + i)) as f32);
+            of_x.push(slope as f32);
+            constants.push(constant as f32);
+        }
+    }
+    vectorized(|| {
+        for time in 0..x.time {
+            let row = &x.row(task.sample, time)[task.first..][..task.channels];
+            // SAFETY: a task owns its columns of its sample; this is its only slice of them now.
+            #[allow(unsafe_code)]
+            let gradient =
+                unsafe { gradient.segment(task.sample, time, task.first, task.channels) };
+            let maps = of_du.iter().zip(&of_x).zip(&constants);
+            for ((gradient, x), ((du, slope), constant)) in gradient.iter_mut().zip(row).zip(maps) {
+                *gradient = *gradient * du + x * slope + constant;
+            }
+        }
+    });
+    moments
+}

@@ -1,0 +1,182 @@
+//! Weight gradients: products summed over rows.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::product::{PANEL, TILE_ROWS, Windows, vectors};
+use super::rows::Rows;
+use super::simd::vectorized;
+
+/// Rows of one pass: those of both sides stay in first-level cache while they are used.
+const PASS: usize = 96;
+
+/// Channels of the left side that one task takes at most.
+const LARGEST_PART: usize = 16 * TILE_ROWS;
+
+/// Writes `gradient[a, c, k] = sum over rows of lhs[a] window[k, c]`, where `lhs` has one row a
+/// window, and the windows `taps` rows each.
+///
+/// Each element is summed over the rows in their order, whatever the number of threads.
+pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize, gradient: &mut [f32]) {
+    let depth = windows.depth;
+    assert_eq!(gradient.len(), lhs.channels * depth, "weight gradient");
+    assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
+    let tasks = 2 * rayon::current_num_threads();
+    let part = lhs
+        .channels
+        .div_ceil(tasks)
+        .next_multiple_of(TILE_ROWS)
+        .min(LARGEST_PART);
+    gradient
+        .par_chunks_mut(part * depth)
+        .enumerate()
+        .for_each(|(index, gradient)| {
+            let lhs = lhs.narrow(index * part, gradient.len() / depth);
+            PANEL.with_borrow_mut(|scratch| {
+                Arch::new().dispatch(RunPart {
+                    lhs,
+                    windows,
+                    taps,
+                    gradient,
+                    scratch,
+                });
+            });
+        });
+}
+
+/// One task: all columns of some left channels.
+struct RunPart<'a, 'b> {
+    lhs: Rows<'a>,
+    windows: Windows<'a>,
+    taps: usize,
+    gradient: &'b mut [f32],
+    scratch: &'b mut Vec<f32>,
+}
+
+impl WithSimd for RunPart<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if vectors::<S>() == 4 {
+            self.run::<S, 4>(simd);
+        } else {
+            self.run::<S, 2>(simd);
+        }
+    }
+}
+
+impl RunPart<'_, '_> {
+    #[inline(always)]
+    fn run<S: Simd, const NR: usize>(self, simd: S) {
+        let width = NR * S::F32_LANES;
+        let depth = self.windows.depth;
+        let channels = self.lhs.channels;
+        let total = self.lhs.batch * self.lhs.time;
+        // Sums are kept by tap, for whole tiles: columns and channels beyond the last are zeros.
+        let panels = depth.div_ceil(width);
+        let tiles = channels.div_ceil(TILE_ROWS);
+        let tile_len = TILE_ROWS * width;
+        let sizes = [
+            panels * tiles * tile_len,
+            tiles * TILE_ROWS * PASS,
+            width * PASS,
+        ];
+        self.scratch.clear();
+        self.scratch.resize(sizes.iter().sum(), 0.0);
+        let (sums, packed) = self.scratch.split_at_mut(sizes[0]);
+        let (packed_lhs, packed_windows) = packed.split_at_mut(sizes[1]);
+        for first in (0..total).step_by(PASS) {
+            let rows = PASS.min(total - first);
+            for (tile, packed) in packed_lhs.chunks_exact_mut(TILE_ROWS * PASS).enumerate() {
+                let columns = tile * TILE_ROWS..((tile + 1) * TILE_ROWS).min(channels);
+                for (i, packed) in packed.chunks_exact_mut(TILE_ROWS).enumerate().take(rows) {
+                    let row = self
+                        .lhs
+                        .row((first + i) / self.lhs.time, (first + i) % self.lhs.time);
+                    packed[..columns.len()].copy_from_slice(&row[columns.clone()]);
+                }
+            }
+            for (panel, sums) in sums.chunks_exact_mut(tiles * tile_len).enumerate() {
+                let columns = panel * width..((panel + 1) * width).min(depth);
+                for (i, packed) in packed_windows
+                    .chunks_exact_mut(width)
+                    .enumerate()
+                    .take(rows)
+                {
+                    let window = &self.windows.at(first + i)[columns.clone()];
+                    packed[..columns.len()].copy_from_slice(window);
+                    packed[columns.len()..].fill(0.0);
+                }
+                let vectors = pulp::as_arrays::<NR, _>(S::as_simd_f32s(packed_windows).0).0;
+                for (tile, sums) in sums.chunks_exact_mut(tile_len).enumerate() {
+                    let values = &packed_lhs[tile * TILE_ROWS * PASS..][..TILE_ROWS * rows];
+                    let sums = pulp::as_arrays_mut::<NR, _>(S::as_mut_simd_f32s(sums).0).0;
+                    add_products(simd, values, &vectors[..rows], sums);
+                }
+            }
+        }
+        for channel in 0..channels {
+            let (tile, row) = (channel / TILE_ROWS, channel % TILE_ROWS);
+            let out = &mut self.gradient[channel * depth..][..depth];
+            let piece =
+                |panel: usize| &sums[(panel * tiles + tile) * tile_len + row * width..][..width];
+            vectorized(|| match self.taps {
+                1 => interleave::<1>(piece, width, out),
+                3 => interleave::<3>(piece, width, out),
+                4 => interleave::<4>(piece, width, out),
+                5 => interleave::<5>(piece, width, out),
+                taps => {
+                    let inner = depth / taps;
+                    for (i, out) in out.iter_mut().enumerate() {
+                        let from = (i % taps) * inner + i / taps;
+                        *out = piece(from / width)[from % width];
+                    }
+                }
+            });
+        }
+    }
+}
+
+/// Adds the products of a tile's values, `TILE_ROWS` a row, with the rows' vectors.
+#[inline(always)]
+fn add_products<S: Simd, const NR: usize>(
+    simd: S,
+    values: &[f32],
+    vectors: &[[S::f32s; NR]],
+    sums: &mut [[S::f32s; NR]],
+) {
+    let mut tile: [[S::f32s; NR]; TILE_ROWS] = std::array::from_fn(|i| sums[i]);
+    for (values, vectors) in values.as_chunks::<TILE_ROWS>().0.iter().zip(vectors) {
+        for (sums, value) in tile.iter_mut().zip(values) {
+            let value = simd.splat_f32s(*value);
+            for (sum, vector) in sums.iter_mut().zip(vectors) {
+                *sum = simd.mul_add_f32s(value, *vector, *sum);
+            }
+        }
+    }
+    sums.copy_from_slice(&tile);
+}
+
+/// From `[tap, channel]`, in pieces of `width`, to `[channel, tap]`.
+#[inline(always)]
+fn interleave<'a, const K: usize>(
+    piece: impl Fn(usize) -> &'a [f32],
+    width: usize,
+    out: &mut [f32],
+) {
+    let inner = out.len() / K;
+    let out = out.as_chunks_mut::<K>().0;
+    for k in 0..K {
+        let mut c = 0;
+        while c < inner {
+            let from = k * inner + c;
+            let source = &piece(from / width)[from % width..];
+            let count = source.len().min(inner - c);
+            for (out, value) in out[c..c + count].iter_mut().zip(source) {
+                out[k] = *value;
+            }
+            c += count;
+        }
+    }
+}

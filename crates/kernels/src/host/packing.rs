@@ -1,0 +1,137 @@
+//! A convolution's weights, packed into the panels that products read.
+
+use super::simd::vectorized;
+
+/// How a product reads a weight `[outer, inner, kernel]`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Direction<'a> {
+    /// Columns are the outer channels; windows run through all taps in order, each with the inner
+    /// channels.
+    Gather,
+    /// Columns are the inner channels; windows run through these taps, each with the outer
+    /// channels.
+    Scatter(&'a [usize]),
+}
+
+/// A weight and how it is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Weight<'a> {
+    pub data: &'a [f32],
+    /// `[outer, inner, kernel]`.
+    pub shape: [usize; 3],
+    pub direction: Direction<'a>,
+}
+
+/// Lines that are turned at once: what they write fills a cache line.
+const LINES: usize = 16;
+
+impl Weight<'_> {
+    /// Output channels.
+    pub fn columns(&self) -> usize {
+        match self.direction {
+            Direction::Gather => self.shape[0],
+            Direction::Scatter(_) => self.shape[1],
+        }
+    }
+
+    /// Elements of a window.
+    pub fn depth(&self) -> usize {
+        match self.direction {
+            Direction::Gather => self.shape[1] * self.shape[2],
+            Direction::Scatter(taps) => self.shape[0] * taps.len(),
+        }
+    }
+
+    /// Writes columns `first..first + width` as rows of `width`, one a depth; columns that do not
+    /// exist are zeros.
+    pub fn pack(&self, first: usize, width: usize, panel: &mut [f32]) {
+        let columns = width.min(self.columns() - first);
+        if columns < width {
+            panel.fill(0.0);
+        }
+        vectorized(|| match self.shape[2] {
+            1 => self.pack_kernel::<1>(first, columns, width, panel),
+            3 => self.pack_kernel::<3>(first, columns, width, panel),
+            4 => self.pack_kernel::<4>(first, columns, width, panel),
+            5 => self.pack_kernel::<5>(first, columns, width, panel),
+            _ => self.pack_any(first, columns, width, panel),
+        });
+    }
+
+    #[inline(always)]
+    fn pack_kernel<const K: usize>(
+        &self,
+        first: usize,
+        columns: usize,
+        width: usize,
+        panel: &mut [f32],
+    ) {
+        let line = self.shape[1] * K;
+        match self.direction {
+            Direction::Gather => {
+                let inner = self.shape[1];
+                let weights = &self.data[first * line..(first + columns) * line];
+                let mut blocks = weights.chunks_exact(LINES * line);
+                for (block, lines) in (&mut blocks).enumerate() {
+                    let lines: [&[f32]; LINES] =
+                        std::array::from_fn(|i| &lines[i * line..(i + 1) * line]);
+                    turn::<K, LINES>(lines, inner, width, &mut panel[block * LINES..]);
+                }
+                let done = columns - columns % LINES;
+                for (i, line) in blocks.remainder().chunks_exact(line).enumerate() {
+                    turn::<K, 1>([line], inner, width, &mut panel[done + i..]);
+                }
+            }
+            Direction::Scatter(taps) => {
+                let outer = self.shape[0];
+                for (source, line) in self.data.chunks_exact(line).enumerate() {
+                    let line = &line[first * K..(first + columns) * K];
+                    for (j, &tap) in taps.iter().enumerate() {
+                        let out = &mut panel[(j * outer + source) * width..][..columns];
+                        for (out, taps) in out.iter_mut().zip(line.chunks_exact(K)) {
+                            *out = taps[tap];
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn pack_any(&self, first: usize, columns: usize, width: usize, panel: &mut [f32]) {
+        let [outer, inner, kernel] = self.shape;
+        let at = |a: usize, c: usize, k: usize| self.data[(a * inner + c) * kernel + k];
+        for column in 0..columns {
+            match self.direction {
+                Direction::Gather => {
+                    for (depth, row) in panel.chunks_exact_mut(width).enumerate() {
+                        row[column] = at(first + column, depth % inner, depth / inner);
+                    }
+                }
+                Direction::Scatter(taps) => {
+                    for (depth, row) in panel.chunks_exact_mut(width).enumerate() {
+                        row[column] = at(depth % outer, first + column, taps[depth / outer]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Writes lines `[inner, K]` as columns: `panel[(k inner + c) width + i] = lines[i][c K + k]`.
+#[inline(always)]
+fn turn<const K: usize, const N: usize>(
+    lines: [&[f32]; N],
+    inner: usize,
+    width: usize,
+    panel: &mut [f32],
+) {
+    let lines = lines.map(|line| &line.as_chunks::<K>().0[..inner]);
+    for c in 0..inner {
+        for k in 0..K {
+            let out = &mut panel[(k * inner + c) * width..][..N];
+            for (out, line) in out.iter_mut().zip(&lines) {
+                *out = line[c][k];
+            }
+        }
+    }
+}

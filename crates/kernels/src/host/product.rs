@@ -1,0 +1,231 @@
+//! Matrix products of windows of rows with a convolution's weights.
+//!
+//! A window is `taps` rows that follow each other in memory, so it is one row of the matrix that
+//! other implementations copy together (im2col); here it is read where it stands.
+
+use std::cell::RefCell;
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::packing::Weight;
+use super::rows::{Rows, SharedRows};
+
+/// Rows of a tile: six rows of four vectors keep 24 sums in registers.
+pub(crate) const TILE_ROWS: usize = 6;
+
+/// Rows below which a task is not cut further.
+const LEAST_ROWS: usize = 24;
+
+/// Windows of equal depth at equal distances, for each sample.
+#[derive(Clone, Copy)]
+pub(crate) struct Windows<'a> {
+    /// From the first window on.
+    pub data: &'a [f32],
+    pub batch: usize,
+    /// Windows of a sample.
+    pub rows: usize,
+    pub sample_stride: usize,
+    pub row_stride: usize,
+    /// Elements of a window.
+    pub depth: usize,
+}
+
+impl<'a> Windows<'a> {
+    #[inline(always)]
+    pub fn at(&self, index: usize) -> &'a [f32] {
+        let (sample, row) = (index / self.rows, index % self.rows);
+        &self.data[sample * self.sample_stride + row * self.row_stride..][..self.depth]
+    }
+
+    fn len(&self) -> usize {
+        self.batch * self.rows
+    }
+}
+
+/// What is added to a product.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Addends<'a> {
+    /// One value a column.
+    pub bias: Option<&'a [f32]>,
+    /// One value an element, at the rows of the output.
+    pub residual: Option<Rows<'a>>,
+}
+
+/// Which rows of the output the windows stand for: `first + row step`.
+#[derive(Clone, Copy)]
+pub(crate) struct OutputRows<'a> {
+    pub rows: SharedRows<'a>,
+    pub first: usize,
+    pub step: usize,
+}
+
+thread_local! {
+    /// What this thread has packed for the products it is at.
+    pub(crate) static PANEL: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+}
+
+/// `output = windows weight^T + addends`.
+///
+/// Each element is summed in one order whatever the number of threads.
+pub(crate) fn multiply(
+    windows: Windows<'_>,
+    weight: Weight<'_>,
+    addends: Addends<'_>,
+    output: OutputRows<'_>,
+) {
+    assert_eq!(windows.depth, weight.depth(), "depth");
+    if windows.len() == 0 {
+        return;
+    }
+    let width = Arch::new().dispatch(PanelWidth);
+    let panels = weight.columns().div_ceil(width);
+    let wanted = (2 * rayon::current_num_threads()).div_ceil(panels);
+    let parts = wanted.min(windows.len() / LEAST_ROWS).max(1);
+    let part = windows.len().div_ceil(parts).next_multiple_of(TILE_ROWS);
+    let tasks: Vec<(usize, usize)> = (0..panels)
+        .flat_map(|panel| {
+            (0..windows.len())
+                .step_by(part)
+                .map(move |row| (panel, row))
+        })
+        .collect();
+    tasks.into_par_iter().for_each(|(panel, row)| {
+        let task = PanelTask {
+            windows,
+            weight,
+            addends,
+            output,
+            first_column: panel * width,
+            rows: row..(row + part).min(windows.len()),
+        };
+        PANEL.with_borrow_mut(|scratch| Arch::new().dispatch(RunPanel { task, scratch }));
+    });
+}
+
+/// Columns of a panel on this processor.
+struct PanelWidth;
+
+impl WithSimd for PanelWidth {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES * vectors::<S>()
+    }
+}
+
+/// Vectors of a tile's row: as many as leave registers for the operands.
+#[inline(always)]
+pub(crate) const fn vectors<S: Simd>() -> usize {
+    if S::REGISTER_COUNT >= 32 { 4 } else { 2 }
+}
+
+struct PanelTask<'a> {
+    windows: Windows<'a>,
+    weight: Weight<'a>,
+    addends: Addends<'a>,
+    output: OutputRows<'a>,
+    first_column: usize,
+    rows: std::ops::Range<usize>,
+}
+
+struct RunPanel<'a, 'b> {
+    task: PanelTask<'a>,
+    scratch: &'b mut Vec<f32>,
+}
+
+impl WithSimd for RunPanel<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if vectors::<S>() == 4 {
+            self.task.run::<S, 4>(simd, self.scratch);
+        } else {
+            self.task.run::<S, 2>(simd, self.scratch);
+        }
+    }
+}
+
+impl PanelTask<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const NR: usize>(self, simd: S, scratch: &mut Vec<f32>) {
+        let width = NR * S::F32_LANES;
+        let depth = self.windows.depth;
+        let columns = width.min(self.weight.columns() - self.first_column);
+        scratch.resize(depth * width, 0.0);
+        self.weight.pack(self.first_column, width, scratch);
+        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(scratch).0).0;
+        for first in self.rows.clone().step_by(TILE_ROWS) {
+            // Rows beyond the last are the last again; they are not written.
+            let last = self.rows.end - 1;
+            let rows: [&[f32]; TILE_ROWS] =
+                std::array::from_fn(|i| self.windows.at((first + i).min(last)));
+            let sums = tile(simd, rows, panel);
+            for (i, sums) in sums.iter().enumerate().take(self.rows.end - first) {
+                self.write(simd, first + i, columns, sums);
+            }
+        }
+    }
+
+    /// Writes one row of a tile with what is added to it.
+    #[inline(always)]
+    fn write<S: Simd, const NR: usize>(
+        &self,
+        simd: S,
+        index: usize,
+        columns: usize,
+        sums: &[S::f32s; NR],
+    ) {
+        let (sample, row) = (index / self.windows.rows, index % self.windows.rows);
+        let time = self.output.first + row * self.output.step;
+        let column = self.first_column;
+        // SAFETY: a task owns its columns of its rows, and this is its only slice of them.
+        #[allow(unsafe_code)]
+        let out = unsafe { self.output.rows.segment(sample, time, column, columns) };
+        let bias = self
+            .addends
+            .bias
+            .map(|bias| &bias[column..column + columns]);
+        let residual = self
+            .addends
+            .residual
+            .map(|rows| &rows.row(sample, time)[column..column + columns]);
+        for (n, sum) in sums.iter().enumerate() {
+            let lanes = n * S::F32_LANES..((n + 1) * S::F32_LANES).min(columns);
+            if lanes.is_empty() {
+                break;
+            }
+            let mut sum = *sum;
+            if let Some(bias) = bias {
+                sum = simd.add_f32s(sum, simd.partial_load_f32s(&bias[lanes.clone()]));
+            }
+            if let Some(residual) = residual {
+                sum = simd.add_f32s(sum, simd.partial_load_f32s(&residual[lanes.clone()]));
+            }
+            simd.partial_store_f32s(&mut out[lanes], sum);
+        }
+    }
+}
+
+/// The sums of one tile: rows of any place times a packed panel.
+#[inline(always)]
+fn tile<S: Simd, const NR: usize>(
+    simd: S,
+    rows: [&[f32]; TILE_ROWS],
+    panel: &[[S::f32s; NR]],
+) -> [[S::f32s; NR]; TILE_ROWS] {
+    // Of equal length, so that no access below is checked.
+    let rows = rows.map(|row| &row[..panel.len()]);
+    let mut sums = [[simd.splat_f32s(0.0); NR]; TILE_ROWS];
+    for (depth, vectors) in panel.iter().enumerate() {
+        for (sums, row) in sums.iter_mut().zip(&rows) {
+            let value = simd.splat_f32s(row[depth]);
+            for (sum, vector) in sums.iter_mut().zip(vectors) {
+                *sum = simd.mul_add_f32s(value, *vector, *sum);
+            }
+        }
+    }
+    sums
+}

@@ -1,0 +1,195 @@
+//! Frames as rows: the memory order that the kernels work in.
+
+use std::marker::PhantomData;
+
+/// A view of `[batch, time, channels]` whose channels lie side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// From the first element on.
+    pub data: &'a [f32],
+    /// Samples.
+    pub batch: usize,
+    /// Frames of a sample.
+    pub time: usize,
+    /// Channels of a frame.
+    pub channels: usize,
+    /// Elements from a sample to the next.
+    pub sample_stride: usize,
+    /// Elements from a frame to the next.
+    pub row_stride: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// A view of rows that follow each other without gaps.
+    pub fn dense(data: &'a [f32], [batch, time, channels]: [usize; 3]) -> Self {
+        assert_eq!(data.len(), batch * time * channels, "elements");
+        Self {
+            data,
+            batch,
+            time,
+            channels,
+            sample_stride: time * channels,
+            row_stride: channels,
+        }
+    }
+
+    /// Frame `time` of sample `sample`.
+    #[inline(always)]
+    pub fn row(&self, sample: usize, time: usize) -> &'a [f32] {
+        &self.data[sample * self.sample_stride + time * self.row_stride..][..self.channels]
+    }
+
+    /// All elements without gaps.
+    pub fn to_dense(&self) -> Vec<f32> {
+        let mut dense = Vec::with_capacity(self.batch * self.time * self.channels);
+        for sample in 0..self.batch {
+            for time in 0..self.time {
+                dense.extend_from_slice(self.row(sample, time));
+            }
+        }
+        dense
+    }
+
+    /// Channels `first..first + channels` of every frame.
+    pub fn narrow(&self, first: usize, channels: usize) -> Self {
+        assert!(first + channels <= self.channels, "channels");
+        let start = first.min(self.data.len());
+        Self {
+            data: &self.data[start..],
+            channels,
+            ..*self
+        }
+    }
+}
+
+/// Rows with zero rows before and after each sample's, so that a window over the edge needs no
+/// special case.
+pub(crate) struct Padded {
+    data: Vec<f32>,
+    before: usize,
+    rows: usize,
+    channels: usize,
+}
+
+impl Padded {
+    /// Zero rows: `before + time + after` a sample.
+    pub fn zeros([batch, time, channels]: [usize; 3], before: usize, after: usize) -> Self {
+        let rows = before + time + after;
+        Self {
+            data: vec![0.0; batch * rows * channels],
+            before,
+            rows,
+            channels,
+        }
+    }
+
+    /// Elements from a sample to the next.
+    pub fn sample_stride(&self) -> usize {
+        self.rows * self.channels
+    }
+
+    /// Zero rows before a sample's first.
+    pub fn before(&self) -> usize {
+        self.before
+    }
+
+    /// All elements.
+    pub fn data(&self) -> &[f32] {
+        &self.data
+    }
+
+    /// The inner rows, to be written by several threads.
+    pub fn shared(&mut self) -> SharedRows<'_> {
+        let start = self.before * self.channels;
+        let (sample_stride, row_stride) = (self.sample_stride(), self.channels);
+        SharedRows::new(&mut self.data, start, sample_stride, row_stride)
+    }
+}
+
+/// Rows that several threads write, each its own columns or its own rows.
+#[derive(Clone, Copy)]
+pub(crate) struct SharedRows<'a> {
+    data: *mut f32,
+    len: usize,
+    start: usize,
+    sample_stride: usize,
+    row_stride: usize,
+    lifetime: PhantomData<&'a mut [f32]>,
+}
+
+// SAFETY: the pointer is only followed in `segment`, whose caller promises that no two threads
+// hold overlapping segments; `f32` itself may go to any thread.
+#[allow(unsafe_code)]
+unsafe impl Send for SharedRows<'_> {}
+// SAFETY: as above.
+#[allow(unsafe_code)]
+unsafe impl Sync for SharedRows<'_> {}
+
+impl<'a> SharedRows<'a> {
+    /// Rows in `data` from element `start` on.
+    pub fn new(data: &'a mut [f32], start: usize, sample_stride: usize, row_stride: usize) -> Self {
+        Self {
+            data: data.as_mut_ptr(),
+            len: data.len(),
+            start,
+            sample_stride,
+            row_stride,
+            lifetime: PhantomData,
+        }
+    }
+
+    /// Rows without gaps.
+    pub fn dense(data: &'a mut [f32], [batch, time, channels]: [usize; 3]) -> Self {
+        assert_eq!(data.len(), batch * time * channels, "elements");
+        Self::new(data, 0, time * channels, channels)
+    }
+
+    /// Channels `first..first + channels` of a row.
+    ///
+    /// # Safety
+    /// While the slice lives, no other slice of these elements may: callers cut rows or columns
+    /// among their tasks so that no two tasks share an element, and a task holds one slice of an
+    /// element at a time.
+    #[inline(always)]
+    #[allow(unsafe_code, clippy::mut_from_ref)]
+    pub unsafe fn segment(
+        &self,
+        sample: usize,
+        time: usize,
+        first: usize,
+        channels: usize,
+    ) -> &mut [f32] {
+        let at = self.start + sample * self.sample_stride + time * self.row_stride + first;
+        assert!(at + channels <= self.len, "a row outside the buffer");
+        // SAFETY: the range was checked against the slice that `new` borrowed mutably for `'a`;
+        // the caller keeps segments apart.
+        unsafe { std::slice::from_raw_parts_mut(self.data.add(at), channels) }
+    }
+}
+
+/// Cuts `[batch, channels]` into tasks of whole samples, or of parts of their channels where there
+/// are fewer samples than threads to use. A part is a multiple of `unit` channels.
+pub(crate) fn column_tasks(batch: usize, channels: usize, unit: usize) -> Vec<ColumnTask> {
+    /// A part narrower than this does not fill vector registers.
+    const LEAST: usize = 32;
+    let wanted = (2 * rayon::current_num_threads()).div_ceil(batch.max(1));
+    let parts = wanted.min(channels / LEAST).max(1);
+    let width = channels.div_ceil(parts).next_multiple_of(unit);
+    (0..batch)
+        .flat_map(|sample| {
+            (0..channels).step_by(width).map(move |first| ColumnTask {
+                sample,
+                first,
+                channels: width.min(channels - first),
+            })
+        })
+        .collect()
+}
+
+/// Some channels of all frames of one sample.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ColumnTask {
+    pub sample: usize,
+    pub first: usize,
+    pub channels: usize,
+}

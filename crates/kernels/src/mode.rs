@@ -1,0 +1,90 @@
+//! The switch between kernels and composed operations.
+
+use std::cell::Cell;
+use std::sync::OnceLock;
+
+use burn::backend::DispatchTensorKind;
+use burn::tensor::{DType, Tensor};
+
+/// The environment variable that sets the [`Mode`].
+pub const VARIABLE: &str = "KINEGRAD_KERNELS";
+
+/// How operations run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// As kernels where there are some, which is on the CPU.
+    #[default]
+    Fused,
+    /// As Burn's own operations everywhere.
+    Composed,
+}
+
+/// The environment variable has a value that means nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModeError {
+    /// What it holds.
+    pub found: String,
+}
+
+thread_local! {
+    static OVERRIDE: Cell<Option<Mode>> = const { Cell::new(None) };
+}
+
+impl Mode {
+    /// The names of the modes.
+    pub const NAMES: [&str; 2] = ["fused", "composed"];
+
+    /// What the environment variable says; fused without one.
+    ///
+    /// # Errors
+    /// If its value is no mode's name.
+    pub fn from_environment() -> Result<Self, ModeError> {
+        let Some(found) = std::env::var_os(VARIABLE) else {
+            return Ok(Self::default());
+        };
+        match found.to_str() {
+            Some("fused") => Ok(Self::Fused),
+            Some("composed") => Ok(Self::Composed),
+            _ => Err(ModeError {
+                found: found.to_string_lossy().into_owned(),
+            }),
+        }
+    }
+
+    /// The mode of this thread's operations: that of an enclosing [`scope`](Self::scope), else the
+    /// environment's at its first use, else fused.
+    pub fn current() -> Self {
+        static ENVIRONMENT: OnceLock<Mode> = OnceLock::new();
+        let environment =
+            || *ENVIRONMENT.get_or_init(|| Self::from_environment().unwrap_or_default());
+        OVERRIDE.get().unwrap_or_else(environment)
+    }
+
+    /// Runs `work` with this mode on this thread.
+    pub fn scope<R>(self, work: impl FnOnce() -> R) -> R {
+        struct Restore(Option<Mode>);
+        impl Drop for Restore {
+            fn drop(&mut self) {
+                OVERRIDE.set(self.0);
+            }
+        }
+        let _restore = Restore(OVERRIDE.replace(Some(self)));
+        work()
+    }
+}
+
+/// Whether the operation on this tensor runs as a kernel.
+pub(crate) fn fuses<const D: usize>(x: &Tensor<D>) -> bool {
+    fn on_flex(kind: &DispatchTensorKind) -> bool {
+        match kind {
+            DispatchTensorKind::Flex(_) => true,
+            DispatchTensorKind::Autodiff(inner) => on_flex(inner),
+            // With Flex alone there is no other kind.
+            #[allow(unreachable_patterns)]
+            _ => false,
+        }
+    }
+    Mode::current() == Mode::Fused
+        && x.dtype() == DType::F32
+        && on_flex(&x.clone().into_dispatch().kind)
+}

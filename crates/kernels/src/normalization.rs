@@ -1,0 +1,114 @@
+use burn::tensor::{Device, Tensor};
+
+use crate::Activation;
+use crate::backend::{FusedOps, Given};
+use crate::composed;
+use crate::host::norm::GroupNormPlan;
+use crate::mode::fuses;
+use burn::backend::Dispatch;
+
+/// Group normalisation over channels and time (biased variance), then FiLM, an activation and a
+/// mask, where they are given:
+///
+/// ```text
+/// u = (x - mean) / sqrt(variance + eps) weight + bias
+/// y = activation(u (1 + scale) + shift) mask
+/// ```
+#[derive(Clone, Debug)]
+pub struct GroupNorm {
+    pub(crate) weight: Tensor<1>,
+    pub(crate) bias: Tensor<1>,
+    pub(crate) film: Option<Tensor<2>>,
+    pub(crate) mask: Option<Tensor<3>>,
+    pub(crate) plan: GroupNormPlan,
+}
+
+/// The optional tensors as an extension takes them.
+pub(crate) struct NormTensors {
+    pub weight: Tensor<1>,
+    pub bias: Tensor<1>,
+    pub film: Tensor<2>,
+    pub mask: Tensor<3>,
+}
+
+impl GroupNorm {
+    /// A normalisation in `groups` groups; weight and bias `[channels]`.
+    pub fn new(weight: Tensor<1>, bias: Tensor<1>, groups: usize, eps: f64) -> Self {
+        let plan = GroupNormPlan {
+            groups,
+            eps,
+            activation: Activation::None,
+        };
+        Self {
+            weight,
+            bias,
+            film: None,
+            mask: None,
+            plan,
+        }
+    }
+
+    /// Scales by one more than the first half of `film`, `[batch, 2 channels]`, and shifts by the
+    /// second.
+    pub fn film(self, film: Tensor<2>) -> Self {
+        Self {
+            film: Some(film),
+            ..self
+        }
+    }
+
+    /// What follows.
+    pub fn activation(mut self, activation: Activation) -> Self {
+        self.plan.activation = activation;
+        self
+    }
+
+    /// Multiplies at last by `mask`, `[batch, channels, time]`, to which no gradient flows.
+    pub fn mask(self, mask: Option<Tensor<3>>) -> Self {
+        Self { mask, ..self }
+    }
+
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    ///
+    /// # Panics
+    /// Panics if the channels do not divide into the groups.
+    pub fn forward(self, x: Tensor<3>) -> Tensor<3> {
+        self.check(x.dims()[1]);
+        if !fuses(&x) {
+            return composed::group_norm(x, self);
+        }
+        let (plan, mut given) = (self.plan, Given::default());
+        let tensors = self.into_tensors(&mut given, &x.device());
+        Tensor::from_dispatch(Dispatch::fused_group_norm(
+            x.into_dispatch(),
+            tensors.weight.into_dispatch(),
+            tensors.bias.into_dispatch(),
+            tensors.film.into_dispatch(),
+            tensors.mask.into_dispatch(),
+            plan,
+            given,
+        ))
+    }
+
+    pub(crate) fn check(&self, channels: usize) {
+        let groups = self.plan.groups;
+        assert!(
+            channels.is_multiple_of(groups),
+            "{channels} channels do not divide into {groups} groups"
+        );
+    }
+
+    pub(crate) fn into_tensors(self, given: &mut Given, device: &Device) -> NormTensors {
+        given.film = self.film.is_some();
+        given.mask = self.mask.is_some();
+        NormTensors {
+            weight: self.weight,
+            bias: self.bias,
+            film: self.film.unwrap_or_else(|| Tensor::zeros([1, 1], device)),
+            mask: self
+                .mask
+                .unwrap_or_else(|| Tensor::zeros([1, 1, 1], device)),
+        }
+    }
+}

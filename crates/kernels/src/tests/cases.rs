@@ -1,0 +1,354 @@
+//! Operations with random tensors, run in either mode.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_random::{Key, Purpose};
+
+use crate::{Activation, Convolution, GroupNorm, concat_channels, cross_attention, self_attention};
+use crate::{Mode, linear};
+
+/// How a tensor lies in memory when an operation gets it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Memory {
+    /// `[batch, channels, time]` without gaps.
+    Contiguous,
+    /// `[batch, time, channels]` without gaps.
+    ChannelsLast,
+    /// Some channels of a wider tensor.
+    Part,
+}
+
+/// One operation and its sizes.
+#[derive(Clone, Debug)]
+pub enum Operation {
+    Convolution {
+        kernel: usize,
+        stride: usize,
+        transposed: bool,
+        /// `Some(true)` keeps twice the frames, `Some(false)` one less.
+        upsample: Option<bool>,
+        norm: Option<Norm>,
+        residual: bool,
+        bias: bool,
+    },
+    GroupNorm(Norm),
+    CrossAttention {
+        num_heads: usize,
+        keys: usize,
+    },
+    SelfAttention {
+        num_heads: usize,
+    },
+    Concat {
+        second: usize,
+    },
+    Linear,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Norm {
+    pub group_channels: usize,
+    pub activation: Activation,
+    pub film: bool,
+    pub mask: bool,
+}
+
+/// An operation on tensors of given sizes.
+#[derive(Clone, Debug)]
+pub struct Case {
+    pub operation: Operation,
+    pub batch: usize,
+    pub time: usize,
+    pub inputs: usize,
+    pub outputs: usize,
+    pub memory: Memory,
+    pub seed: u64,
+}
+
+/// An output and the gradients of all that went in.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    pub output: Vec<f32>,
+    pub gradients: Vec<(&'static str, Vec<f32>)>,
+}
+
+/// A named tensor of three sizes, some of which may be 1.
+#[derive(Clone, Debug)]
+pub struct Leaf {
+    pub name: &'static str,
+    pub shape: [usize; 3],
+    pub values: Vec<f32>,
+}
+
+impl Case {
+    pub fn norm(&self) -> Option<Norm> {
+        match self.operation {
+            Operation::Convolution { norm, .. } => norm,
+            Operation::GroupNorm(norm) => Some(norm),
+            _ => None,
+        }
+    }
+
+    /// Every tensor that goes in, `x` first.
+    pub fn leaves(&self) -> Vec<Leaf> {
+        let (batch, inputs, outputs) = (self.batch, self.inputs, self.outputs);
+        let x = [batch, inputs, self.time];
+        let mut shapes = match self.operation {
+            Operation::Convolution {
+                kernel,
+                transposed,
+                bias,
+                residual,
+                ..
+            } => {
+                let channels = if transposed {
+                    [inputs, outputs]
+                } else {
+                    [outputs, inputs]
+                };
+                let mut shapes = vec![("x", x), ("weight", [channels[0], channels[1], kernel])];
+                if bias {
+                    shapes.push(("bias", [1, outputs, 1]));
+                }
+                if residual {
+                    shapes.push(("residual", [batch, outputs, self.frames()]));
+                }
+                shapes
+            }
+            Operation::GroupNorm(_) => vec![("x", x)],
+            Operation::CrossAttention { keys, .. } => {
+                vec![("x", x), ("keys_values", [batch, 2 * inputs, keys])]
+            }
+            Operation::SelfAttention { .. } => vec![("x", [batch, 3 * inputs, self.time])],
+            Operation::Concat { second } => vec![("x", x), ("second", [batch, second, self.time])],
+            Operation::Linear => {
+                vec![
+                    ("x", x),
+                    ("weight", [1, outputs, inputs]),
+                    ("bias", [1, outputs, 1]),
+                ]
+            }
+        };
+        if let Some(norm) = self.norm() {
+            shapes.push(("norm_weight", [1, inputs, 1]));
+            shapes.push(("norm_bias", [1, inputs, 1]));
+            if norm.film {
+                shapes.push(("film", [1, batch, 2 * inputs]));
+            }
+            if norm.mask {
+                shapes.push(("mask", x));
+            }
+        }
+        let key = Key::new(self.seed, Purpose::Noise);
+        shapes
+            .into_iter()
+            .map(|(name, shape)| Leaf {
+                name,
+                shape,
+                values: key.named(name).normals(shape.iter().product()),
+            })
+            .collect()
+    }
+
+    /// Frames of the output.
+    pub fn frames(&self) -> usize {
+        match self.operation {
+            Operation::Convolution {
+                kernel,
+                stride,
+                transposed,
+                upsample,
+                ..
+            } => {
+                let time = match upsample {
+                    Some(even) => 2 * self.time - usize::from(!even),
+                    None => self.time,
+                };
+                if transposed {
+                    (time - 1) * stride + kernel - 2 * padding(kernel)
+                } else {
+                    time.div_ceil(stride)
+                }
+            }
+            _ => self.time,
+        }
+    }
+
+    /// Output and gradients; the loss is the output's product with a random cotangent.
+    pub fn run(&self, mode: Mode, leaves: &[Leaf]) -> Outcome {
+        mode.scope(|| {
+            let device = Device::flex().autodiff();
+            let tensors: Vec<Tensor<3>> = leaves
+                .iter()
+                .map(|leaf| self.load(leaf, &device).require_grad())
+                .collect();
+            let named = |name: &str| {
+                let index = leaves.iter().position(|leaf| leaf.name == name)?;
+                Some(self.present(&leaves[index], tensors[index].clone()))
+            };
+            let y = self.apply(named);
+            let cotangent =
+                Key::new(self.seed, Purpose::CondDropout).normals(y.shape().num_elements());
+            let cotangent = Tensor::<3>::from_data(TensorData::new(cotangent, y.dims()), &device);
+            let output = values(y.clone().inner());
+            let mut gradients = (y * cotangent).sum().backward();
+            let gradients = leaves
+                .iter()
+                .zip(&tensors)
+                .filter(|(leaf, _)| leaf.name != "mask")
+                .map(|(leaf, tensor)| {
+                    let gradient = tensor.grad_remove(&mut gradients).expect(leaf.name);
+                    (leaf.name, values(self.present(leaf, gradient)))
+                })
+                .collect();
+            Outcome { output, gradients }
+        })
+    }
+
+    /// The output alone, on the device without gradients.
+    pub fn infer(&self, mode: Mode, leaves: &[Leaf]) -> Vec<f32> {
+        mode.scope(|| {
+            let device = Device::flex();
+            let named = |name: &str| {
+                let leaf = leaves.iter().find(|leaf| leaf.name == name)?;
+                Some(self.present(leaf, self.load(leaf, &device)))
+            };
+            values(self.apply(named))
+        })
+    }
+
+    /// The leaf in the memory that [`present`](Self::present) looks at as the leaf's shape.
+    fn load(&self, leaf: &Leaf, device: &Device) -> Tensor<3> {
+        let [batch, channels, time] = leaf.shape;
+        let tensor = |values: Vec<f32>, shape: [usize; 3]| {
+            Tensor::from_data(TensorData::new(values, shape), device)
+        };
+        match self.memory_of(leaf) {
+            Memory::Contiguous => tensor(leaf.values.clone(), leaf.shape),
+            Memory::ChannelsLast => {
+                let mut values = Vec::with_capacity(leaf.values.len());
+                for sample in leaf.values.chunks(channels * time) {
+                    for t in 0..time {
+                        values.extend((0..channels).map(|c| sample[c * time + t]));
+                    }
+                }
+                tensor(values, [batch, time, channels])
+            }
+            Memory::Part => {
+                let mut values = Vec::new();
+                for sample in leaf.values.chunks(channels * time) {
+                    values.extend(vec![7.0; 2 * time]);
+                    values.extend(sample);
+                    values.extend(vec![-7.0; time]);
+                }
+                tensor(values, [batch, channels + 3, time])
+            }
+        }
+    }
+
+    fn present(&self, leaf: &Leaf, tensor: Tensor<3>) -> Tensor<3> {
+        match self.memory_of(leaf) {
+            Memory::Contiguous => tensor,
+            Memory::ChannelsLast => tensor.swap_dims(1, 2),
+            Memory::Part => tensor.narrow(1, 2, leaf.shape[1]),
+        }
+    }
+
+    fn memory_of(&self, leaf: &Leaf) -> Memory {
+        let frames = ["x", "residual", "mask", "keys_values", "second"];
+        if frames.contains(&leaf.name) {
+            self.memory
+        } else {
+            Memory::Contiguous
+        }
+    }
+
+    fn apply(&self, named: impl Fn(&str) -> Option<Tensor<3>>) -> Tensor<3> {
+        let take = |name: &str| named(name).expect("a tensor of the operation");
+        let flat = |name: &str| {
+            let tensor = take(name);
+            let len = tensor.shape().num_elements();
+            tensor.reshape([len])
+        };
+        let norm = |norm: Norm| {
+            let groups = self.inputs / norm.group_channels;
+            let operation = GroupNorm::new(flat("norm_weight"), flat("norm_bias"), groups, 1e-5)
+                .activation(norm.activation)
+                .mask(named("mask"));
+            if norm.film {
+                operation.film(take("film").squeeze_dim(0))
+            } else {
+                operation
+            }
+        };
+        let x = take("x");
+        match self.operation {
+            Operation::Convolution {
+                kernel,
+                stride,
+                transposed,
+                upsample,
+                norm: given,
+                residual,
+                bias,
+            } => {
+                let weight = take("weight");
+                let mut operation = if transposed {
+                    Convolution::transposed(weight, stride, padding(kernel))
+                } else {
+                    Convolution::new(weight, stride)
+                };
+                if bias {
+                    operation = operation.bias(flat("bias"));
+                }
+                if residual {
+                    operation = operation.residual(take("residual"));
+                }
+                if let Some(given) = given {
+                    operation = operation.norm(norm(given));
+                }
+                if let Some(even) = upsample {
+                    operation = operation.upsample(2 * self.time - usize::from(!even));
+                }
+                operation.forward(x)
+            }
+            Operation::GroupNorm(given) => norm(given).forward(x),
+            Operation::CrossAttention { num_heads, .. } => {
+                cross_attention(x, take("keys_values"), num_heads)
+            }
+            Operation::SelfAttention { num_heads } => self_attention(x, num_heads),
+            Operation::Concat { .. } => concat_channels(x, take("second")),
+            Operation::Linear => {
+                let rows = x
+                    .swap_dims(1, 2)
+                    .reshape([self.batch * self.time, self.inputs]);
+                let weight = take("weight").squeeze_dim(0);
+                linear(rows, weight, flat("bias"))
+                    .reshape([self.batch, self.time, self.outputs])
+                    .swap_dims(1, 2)
+            }
+        }
+    }
+}
+
+/// Half of an odd kernel; 1 of a transposed one of 4 taps.
+pub fn padding(kernel: usize) -> usize {
+    (kernel - 1) / 2
+}
+
+fn values(tensor: Tensor<3>) -> Vec<f32> {
+    tensor.try_into_vec_as::<f32>().expect("float32")
+}
+
+/// The largest distance over the largest magnitude.
+pub fn distance(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len(), "elements");
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let scale = largest(&mut expected.iter().map(|e| f64::from(e.abs())));
+    let pairs = found.iter().zip(expected);
+    let furthest = largest(&mut pairs.map(|(f, e)| (f64::from(*f) - f64::from(*e)).abs()));
+    if furthest == 0.0 {
+        0.0
+    } else {
+        furthest / scale
+    }
+}

@@ -1,0 +1,274 @@
+//! The operations written down once more, in double precision and without a thought for speed;
+//! their gradients are differences of its values.
+
+use proptest::prelude::*;
+
+use super::cases::{Case, Leaf, Norm, Operation, padding};
+use super::fused::cases;
+use crate::{Activation, Mode};
+use kinegrad_random::{Key, Purpose};
+
+/// `[batch, channels, time]` in double precision.
+#[derive(Clone)]
+struct Frames {
+    shape: [usize; 3],
+    values: Vec<f64>,
+}
+
+impl Frames {
+    fn zeros(shape: [usize; 3]) -> Self {
+        Self {
+            shape,
+            values: vec![0.0; shape.iter().product()],
+        }
+    }
+
+    fn from_fn(shape: [usize; 3], value: impl Fn(usize, usize, usize) -> f64) -> Self {
+        let mut frames = Self::zeros(shape);
+        for b in 0..shape[0] {
+            for c in 0..shape[1] {
+                for t in 0..shape[2] {
+                    *frames.at_mut(b, c, t) = value(b, c, t);
+                }
+            }
+        }
+        frames
+    }
+
+    fn at(&self, b: usize, c: usize, t: usize) -> f64 {
+        self.values[(b * self.shape[1] + c) * self.shape[2] + t]
+    }
+
+    fn at_mut(&mut self, b: usize, c: usize, t: usize) -> &mut f64 {
+        &mut self.values[(b * self.shape[1] + c) * self.shape[2] + t]
+    }
+}
+
+struct Tensors<'a>(&'a [(&'static str, Frames)]);
+
+impl Tensors<'_> {
+    fn find(&self, name: &str) -> Option<&Frames> {
+        self.0
+            .iter()
+            .find(|(n, _)| *n == name)
+            .map(|(_, frames)| frames)
+    }
+
+    fn get(&self, name: &str) -> &Frames {
+        self.find(name).expect("a tensor of the operation")
+    }
+}
+
+fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
+    let x = tensors.get("x").clone();
+    match case.operation {
+        Operation::Convolution {
+            kernel,
+            stride,
+            transposed,
+            upsample,
+            norm,
+            ..
+        } => {
+            let x = match norm {
+                Some(norm) => group_norm(x, norm, tensors),
+                None => x,
+            };
+            let x = match upsample {
+                Some(even) => {
+                    let frames = 2 * x.shape[2] - usize::from(!even);
+                    let shape = [x.shape[0], x.shape[1], frames];
+                    Frames::from_fn(shape, |b, c, t| x.at(b, c, t / 2))
+                }
+                None => x,
+            };
+            let mut y = Frames::zeros([case.batch, case.outputs, case.frames()]);
+            if let Some(residual) = tensors.find("residual") {
+                y = residual.clone();
+            }
+            let weight = tensors.get("weight");
+            let [long, short] = if transposed {
+                [y.shape[2], x.shape[2]]
+            } else {
+                [x.shape[2], y.shape[2]]
+            };
+            for b in 0..case.batch {
+                for o in 0..case.outputs {
+                    let bias = tensors.find("bias").map_or(0.0, |bias| bias.at(0, o, 0));
+                    for t in 0..y.shape[2] {
+                        *y.at_mut(b, o, t) += bias;
+                    }
+                    for i in 0..case.inputs {
+                        for s in 0..short {
+                            for k in 0..kernel {
+                                let Some(l) = (s * stride + k).checked_sub(padding(kernel)) else {
+                                    continue;
+                                };
+                                if l >= long {
+                                    continue;
+                                }
+                                if transposed {
+                                    *y.at_mut(b, o, l) += x.at(b, i, s) * weight.at(i, o, k);
+                                } else {
+                                    *y.at_mut(b, o, s) += x.at(b, i, l) * weight.at(o, i, k);
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            y
+        }
+        Operation::GroupNorm(norm) => group_norm(x, norm, tensors),
+        Operation::CrossAttention { num_heads, .. } => {
+            let other = tensors.get("keys_values");
+            attention(case, num_heads, &x, (other, 0), (other, case.inputs))
+        }
+        Operation::SelfAttention { num_heads } => attention(
+            case,
+            num_heads,
+            &x,
+            (&x, case.inputs),
+            (&x, 2 * case.inputs),
+        ),
+        Operation::Concat { second: channels } => {
+            let second = tensors.get("second");
+            let shape = [case.batch, case.inputs + channels, case.time];
+            Frames::from_fn(shape, |b, c, t| {
+                if c < case.inputs {
+                    x.at(b, c, t)
+                } else {
+                    second.at(b, c - case.inputs, t)
+                }
+            })
+        }
+        Operation::Linear => {
+            let (weight, bias) = (tensors.get("weight"), tensors.get("bias"));
+            Frames::from_fn([case.batch, case.outputs, case.time], |b, o, t| {
+                let products = (0..case.inputs).map(|i| x.at(b, i, t) * weight.at(0, o, i));
+                products.sum::<f64>() + bias.at(0, o, 0)
+            })
+        }
+    }
+}
+
+fn group_norm(x: Frames, norm: Norm, tensors: &Tensors<'_>) -> Frames {
+    let [_, channels, time] = x.shape;
+    let count = (norm.group_channels * time) as f64;
+    let (weight, bias) = (tensors.get("norm_weight"), tensors.get("norm_bias"));
+    Frames::from_fn(x.shape, |b, c, t| {
+        let first = c / norm.group_channels * norm.group_channels;
+        let group =
+            || (first..first + norm.group_channels).flat_map(|c| (0..time).map(move |t| (c, t)));
+        let mean = group().map(|(c, t)| x.at(b, c, t)).sum::<f64>() / count;
+        let variance = group()
+            .map(|(c, t)| (x.at(b, c, t) - mean).powi(2))
+            .sum::<f64>()
+            / count;
+        let mut u = (x.at(b, c, t) - mean) / (variance + 1e-5).sqrt();
+        u = u * weight.at(0, c, 0) + bias.at(0, c, 0);
+        if let Some(film) = tensors.find("film") {
+            u = u * (1.0 + film.at(0, b, c)) + film.at(0, b, channels + c);
+        }
+        let y = match norm.activation {
+            Activation::None => u,
+            Activation::Silu => u / (1.0 + (-u).exp()),
+            Activation::Mish => u * u.exp().ln_1p().tanh(),
+        };
+        y * tensors.find("mask").map_or(1.0, |mask| mask.at(b, c, t))
+    })
+}
+
+fn attention(
+    case: &Case,
+    num_heads: usize,
+    queries: &Frames,
+    (keys, first_key): (&Frames, usize),
+    (values, first_value): (&Frames, usize),
+) -> Frames {
+    let head = case.inputs / num_heads;
+    Frames::from_fn([case.batch, case.inputs, case.time], |b, c, t| {
+        let first = c / head * head;
+        let weights: Vec<f64> = (0..keys.shape[2])
+            .map(|s| {
+                let products = (first..first + head)
+                    .map(|c| queries.at(b, c, t) * keys.at(b, first_key + c, s));
+                (products.sum::<f64>() / (head as f64).sqrt()).exp()
+            })
+            .collect();
+        let total: f64 = weights.iter().sum();
+        let products = weights
+            .iter()
+            .enumerate()
+            .map(|(s, w)| w * values.at(b, first_value + c, s));
+        products.sum::<f64>() / total
+    })
+}
+
+fn loss(case: &Case, tensors: &Tensors<'_>, cotangent: &[f32]) -> f64 {
+    let y = evaluate(case, tensors);
+    y.values
+        .iter()
+        .zip(cotangent)
+        .map(|(y, c)| y * f64::from(*c))
+        .sum()
+}
+
+fn doubled(leaves: &[Leaf]) -> Vec<(&'static str, Frames)> {
+    leaves
+        .iter()
+        .map(|leaf| {
+            let values = leaf.values.iter().map(|&v| f64::from(v)).collect();
+            (
+                leaf.name,
+                Frames {
+                    shape: leaf.shape,
+                    values,
+                },
+            )
+        })
+        .collect()
+}
+
+/// The output in double precision.
+pub fn reference_output(case: &Case, leaves: &[Leaf]) -> Vec<f64> {
+    evaluate(case, &Tensors(&doubled(leaves))).values
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn kernels_agree_with_double_precision(
+        case in cases().prop_filter("small", |case| case.outputs < 24 && case.time < 20),
+        picks in prop::collection::vec(any::<usize>(), 3),
+    ) {
+        const STEP: f64 = 1e-5;
+        let leaves = case.leaves();
+        let outcome = case.run(Mode::Fused, &leaves);
+        let mut tensors = doubled(&leaves);
+        let expected = evaluate(&case, &Tensors(&tensors));
+        let scale = expected.values.iter().fold(1e-3_f64, |a, v| a.max(v.abs()));
+        for (found, expected) in outcome.output.iter().zip(&expected.values) {
+            let error = (f64::from(*found) - expected).abs() / scale;
+            prop_assert!(error < 1e-5, "output {found} instead of {expected}");
+        }
+        let cotangent = Key::new(case.seed, Purpose::CondDropout).normals(expected.values.len());
+        for (name, gradient) in &outcome.gradients {
+            let index = leaves.iter().position(|leaf| leaf.name == *name).expect("a leaf");
+            let scale = gradient.iter().fold(0.1_f64, |a, v| a.max(f64::from(v.abs())));
+            for pick in &picks {
+                let element = pick % gradient.len();
+                let value = tensors[index].1.values[element];
+                let mut at = |value: f64| {
+                    tensors[index].1.values[element] = value;
+                    loss(&case, &Tensors(&tensors), &cotangent)
+                };
+                let slope = (at(value + STEP) - at(value - STEP)) / (2.0 * STEP);
+                at(value);
+                let error = (f64::from(gradient[element]) - slope).abs() / scale;
+                prop_assert!(error < 5e-4, "gradient of {name}: {} instead of {slope}", gradient[element]);
+            }
+        }
+    }
+}
