@@ -16,6 +16,7 @@ use args::{Arguments, Command, ConfigCommand, DataCommand};
 use failure::Failure;
 
 fn main() -> ExitCode {
+    kinegrad_kernels::memory::keep_freed();
     let arguments = Arguments::parse();
     match run(arguments.command) {
         Ok(code) => code,

@@ -12,6 +12,7 @@ use crate::host::attention::{Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::rows::{Rows, SharedRows};
+use crate::host::team;
 
 /// Which of an operation's optional tensors count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -317,12 +318,14 @@ impl FusedOps for Flex {
         let (first, second) = (first.view(), second.view());
         let channels = first.channels + second.channels;
         let mut rows = vec![0.0; first.batch * first.time * channels];
-        for (index, row) in rows.chunks_exact_mut(channels).enumerate() {
-            let (sample, time) = (index / first.time, index % first.time);
-            let (left, right) = row.split_at_mut(first.channels);
-            left.copy_from_slice(first.row(sample, time));
-            right.copy_from_slice(second.row(sample, time));
-        }
+        let samples = rows.chunks_mut(first.time * channels).enumerate().collect();
+        team::for_each_item(samples, |(sample, rows): (usize, &mut [f32])| {
+            for (time, row) in rows.chunks_exact_mut(channels).enumerate() {
+                let (left, right) = row.split_at_mut(first.channels);
+                left.copy_from_slice(first.row(sample, time));
+                right.copy_from_slice(second.row(sample, time));
+            }
+        });
         from_rows(rows, [first.batch, first.time, channels])
     }
 }

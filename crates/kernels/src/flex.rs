@@ -4,9 +4,9 @@ use std::borrow::Cow;
 
 use burn::backend::flex::{FlexTensor, Layout};
 use burn::tensor::{Bytes, DType, Shape};
-use rayon::prelude::*;
 
 use crate::host::rows::Rows;
+use crate::host::team;
 
 /// The frames of a tensor `[batch, channels, time]`, copied only if its channels do not lie side by
 /// side in memory.
@@ -74,18 +74,19 @@ fn turned(tensor: &FlexTensor) -> Vec<f32> {
     let [_, channels, time] = tensor.layout().shape().dims();
     let from = contiguous(&tensor);
     let mut rows = vec![0.0; from.len()];
-    rows.par_chunks_mut(time * channels)
-        .zip(from.par_chunks(time * channels))
-        .for_each(|(rows, from)| {
-            for t0 in (0..time).step_by(BLOCK) {
-                for c in 0..channels {
-                    let line = &from[c * time..(c + 1) * time];
-                    for t in t0..(t0 + BLOCK).min(time) {
-                        rows[t * channels + c] = line[t];
-                    }
+    let samples = rows
+        .chunks_mut(time * channels)
+        .zip(from.chunks(time * channels));
+    team::for_each_item(samples.collect(), |(rows, from): (&mut [f32], &[f32])| {
+        for t0 in (0..time).step_by(BLOCK) {
+            for c in 0..channels {
+                let line = &from[c * time..(c + 1) * time];
+                for t in t0..(t0 + BLOCK).min(time) {
+                    rows[t * channels + c] = line[t];
                 }
             }
-        });
+        }
+    });
     rows
 }
 

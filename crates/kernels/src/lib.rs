@@ -24,6 +24,7 @@ mod composed;
 mod convolution;
 mod flex;
 mod host;
+pub mod memory;
 mod mode;
 mod normalization;
 pub mod optimizer;

@@ -1,9 +1,8 @@
 //! The optimiser's step on the host's memory: one read of the gradients for their norm, then one
 //! pass for clipping, AdamW and the moving average together, in place.
 
-use rayon::prelude::*;
-
 use crate::host::simd::vectorized;
+use crate::host::team;
 
 /// Elements that one thread handles at a time. Fixed, so that the order of additions, and with it
 /// the last bit of a sum, does not depend on the number of threads.
@@ -14,10 +13,10 @@ const LANES: usize = 32;
 
 /// The sum of the squares of `values`, in double precision and in one order.
 pub fn sum_of_squares(values: &[f32]) -> f64 {
-    let partial: Vec<f64> = values
-        .par_chunks(CHUNK)
-        .map(|chunk| vectorized(|| chunk_sum_of_squares(chunk)))
-        .collect();
+    let chunks: Vec<&[f32]> = values.chunks(CHUNK).collect();
+    let partial = team::map(chunks.len(), |i| {
+        vectorized(|| chunk_sum_of_squares(chunks[i]))
+    });
     partial.iter().sum()
 }
 
@@ -125,16 +124,16 @@ impl AdamW {
         );
         let coefficients = self.coefficients();
         let chunks = parameter
-            .par_chunks_mut(CHUNK)
-            .zip(gradient.par_chunks(CHUNK))
-            .zip(exp_avg.par_chunks_mut(CHUNK))
-            .zip(exp_avg_sq.par_chunks_mut(CHUNK));
+            .chunks_mut(CHUNK)
+            .zip(gradient.chunks(CHUNK))
+            .zip(exp_avg.chunks_mut(CHUNK))
+            .zip(exp_avg_sq.chunks_mut(CHUNK));
         match ema {
             Some((shadow, rate)) => {
                 assert_eq!(shadow.len(), len, "moving average");
                 let rate = rate as f32;
                 chunks
-                    .zip(shadow.par_chunks_mut(CHUNK))
+                    .zip(shadow.chunks_mut(CHUNK))
                     .for_each(|((((p, g), m), v), s)| {
                         vectorized(|| {
                             let pairs = p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()));
@@ -145,7 +144,7 @@ impl AdamW {
                         });
                     });
             }
-            None => chunks.for_each(|(((p, g), m), v)| {
+            None => team::for_each_item(chunks.collect(), |(((p, g), m), v)| {
                 vectorized(|| {
                     for ((p, g), (m, v)) in p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()))
                     {

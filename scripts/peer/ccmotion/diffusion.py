@@ -46,6 +46,7 @@ class NoiseSchedule:
         abar = np.cumprod(1.0 - betas)
         self.sqrt_abar: np.ndarray = np.sqrt(abar)
         self.sqrt_one_minus_abar: np.ndarray = np.sqrt(1.0 - abar)
+        self._on_device: dict[torch.device, tuple[Tensor, Tensor]] = {}
 
     @classmethod
     def cosine(cls, num_train_timesteps: int = 1000) -> "NoiseSchedule":
@@ -86,9 +87,13 @@ class NoiseSchedule:
                 return signal * noise - sigma * x_start
 
     def _per_sample(self, timesteps: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:
-        index = timesteps.cpu().numpy()
-        tables = (self.sqrt_abar[index], self.sqrt_one_minus_abar[index])
-        signal, sigma = (torch.from_numpy(table).to(like)[:, None, None] for table in tables)
+        # Kept there: a copy in each step would make the host wait for a GPU.
+        if like.device not in self._on_device:
+            signal, sigma = map(torch.from_numpy, (self.sqrt_abar, self.sqrt_one_minus_abar))
+            self._on_device[like.device] = (signal.to(like.device), sigma.to(like.device))
+        signal, sigma = (
+            table[timesteps].to(like.dtype)[:, None, None] for table in self._on_device[like.device]
+        )
         return signal, sigma
 
 

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from .decoder import MotionDecoder
 from .diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
 from .losses import TemporalLosses, position_loss, quaternion_loss, temporal_losses
+from .optim import adamw, update
 from .unet1d import UNet1d
 
 
@@ -30,7 +31,8 @@ class EndToEndConfig:
     decoder_learning_rate: float = 5e-5
     weight_decay: float = 1e-4
     max_grad_norm: float | None = None
-    ema_decay: float = 0.9999
+    ema_decay: float | None = 0.9999
+    """None keeps no averaged copy."""
 
 
 @dataclass
@@ -119,26 +121,23 @@ class Trainer:
     def __init__(self, model: EndToEndModel, config: EndToEndConfig) -> None:
         self.model = model
         self.config = config
-        self.ema_model = copy.deepcopy(model).requires_grad_(False)
-        self.optimizer = torch.optim.AdamW(
-            [
-                {"params": model.unet.parameters(), "lr": config.unet_learning_rate},
-                {"params": model.decoder.parameters(), "lr": config.decoder_learning_rate},
-            ],
-            weight_decay=config.weight_decay,
-            fused=True,
-        )
+        self.ema_model = None
+        if config.ema_decay is not None:
+            self.ema_model = copy.deepcopy(model).requires_grad_(False)
+        rates = [
+            (model.unet, config.unet_learning_rate),
+            (model.decoder, config.decoder_learning_rate),
+        ]
+        self.optimizer = adamw(rates, config.weight_decay)
 
     def step(self, batch: Batch) -> float:
         """Trains on one batch; returns the total loss."""
         total, _, _ = backward(self.model, batch, self.config)
-        if self.config.max_grad_norm is not None:
-            nn.utils.clip_grad_norm_(self.model.parameters(), self.config.max_grad_norm)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
-        with torch.no_grad():
-            for shadow, parameter in zip(
-                self.ema_model.parameters(), self.model.parameters(), strict=True
-            ):
-                shadow.lerp_(parameter, 1.0 - self.config.ema_decay)
+        update(self.model, self.optimizer, self.config.max_grad_norm)
+        if self.ema_model is not None:
+            with torch.no_grad():
+                for shadow, parameter in zip(
+                    self.ema_model.parameters(), self.model.parameters(), strict=True
+                ):
+                    shadow.lerp_(parameter, 1.0 - self.config.ema_decay)
         return float(total.detach())

@@ -6,10 +6,10 @@
 use std::cell::RefCell;
 
 use gemm::{Parallelism, gemm};
-use rayon::prelude::*;
 
 use super::rows::{Rows, SharedRows};
 use super::simd::{exp, vectorized};
+use super::team;
 
 /// Queries, keys and values, all heads side by side in the channels.
 #[derive(Clone, Copy)]
@@ -120,11 +120,12 @@ impl<'a> Heads<'a> {
         (self.head_channels() as f32).sqrt().recip()
     }
 
-    fn tasks(&self) -> impl IndexedParallelIterator<Item = (usize, usize)> {
+    /// Runs `work(sample, head)` for every head of every sample.
+    fn for_each(&self, work: impl Fn(usize, usize) + Sync) {
         let heads = self.num_heads;
-        (0..self.queries.batch * heads)
-            .into_par_iter()
-            .map(move |index| (index / heads, index % heads))
+        team::for_each(self.queries.batch * heads, |index| {
+            work(index / heads, index % heads)
+        });
     }
 
     /// Writes the attention `[time, keys]` of one head to `weights`.
@@ -145,7 +146,7 @@ impl<'a> Heads<'a> {
         let shape = [self.queries.batch, time, channels];
         let mut output = vec![0.0; shape.iter().product()];
         let rows = SharedRows::dense(&mut output, shape);
-        self.tasks().for_each(|(sample, head)| {
+        self.for_each(|sample, head| {
             SCORES.with_borrow_mut(|[weights, sums, _]| {
                 self.weights(sample, head, weights);
                 sums.resize(time * head_channels, 0.0);
@@ -163,7 +164,7 @@ impl<'a> Heads<'a> {
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
         let (time, keys) = (self.queries.time, self.keys.time);
         let channels = self.head_channels();
-        self.tasks().for_each(|(sample, head)| {
+        self.for_each(|sample, head| {
             SCORES.with_borrow_mut(|[weights, scores, sums]| {
                 self.weights(sample, head, weights);
                 let gradient = self.matrix(gradient, sample, head);

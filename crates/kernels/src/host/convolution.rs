@@ -4,8 +4,6 @@
 //! (nearest upsampling) or normalised. Those rows are not kept for the backward pass, which writes
 //! them anew from the input: cheaper than storing them and than reading them back from memory.
 
-use rayon::prelude::*;
-
 use super::geometry::{Geometry, Phase, margins};
 use super::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use super::outer::outer;
@@ -13,6 +11,7 @@ use super::packing::{Direction, Weight};
 use super::product::{Addends, OutputRows, Windows, multiply};
 use super::rows::{Padded, Rows, SharedRows};
 use super::simd::vectorized;
+use super::team;
 
 /// What a convolution is, but for its tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -164,22 +163,15 @@ impl ConvolutionPlan {
         let phases = self.backward_phases(frames);
         let padded_gradient = Source::pad(gradient, &phases);
         if wanted.weight {
-            let mut sums = vec![0.0; weight.len()];
             let kernel = self.geometry.kernel;
-            if self.transposed {
+            gradients.weight = Some(if self.transposed {
                 let source = self.prepare(input, &[]);
-                outer(
-                    source.rows(),
-                    padded_gradient.windows(&phases[0]),
-                    kernel,
-                    &mut sums,
-                );
+                outer(source.rows(), padded_gradient.windows(&phases[0]), kernel)
             } else {
                 let forward = self.forward_phases(gradient.time);
                 let source = self.prepare(input, &forward);
-                outer(gradient, source.windows(&forward[0]), kernel, &mut sums);
-            }
-            gradients.weight = Some(sums);
+                outer(gradient, source.windows(&forward[0]), kernel)
+            });
         }
         if wanted.input {
             let shape = [x.batch, frames, x.channels];
@@ -304,7 +296,7 @@ fn multiply_phases(
 
 /// Copies to each of `frames` rows the row that `from` names.
 fn copy(x: Rows<'_>, frames: usize, output: SharedRows<'_>, from: impl Fn(usize) -> usize + Sync) {
-    (0..x.batch).into_par_iter().for_each(|sample| {
+    team::for_each(x.batch, |sample| {
         for time in 0..frames {
             // SAFETY: a task owns its sample, and this is its only slice of the row.
             #[allow(unsafe_code)]
@@ -317,37 +309,36 @@ fn copy(x: Rows<'_>, frames: usize, output: SharedRows<'_>, from: impl Fn(usize)
 /// Sums rows `2 t` and `2 t + 1`, where the second exists.
 fn fold_pairs(rows: Rows<'_>, time: usize) -> Vec<f32> {
     let mut folded = vec![0.0; rows.batch * time * rows.channels];
-    folded
-        .par_chunks_mut(rows.channels)
+    let samples = folded
+        .chunks_mut(time * rows.channels)
         .enumerate()
-        .for_each(|(index, out)| {
-            let (sample, t) = (index / time, index % time);
+        .collect();
+    team::for_each_item(samples, |(sample, folded): (usize, &mut [f32])| {
+        for (t, out) in folded.chunks_exact_mut(rows.channels).enumerate() {
             out.copy_from_slice(rows.row(sample, 2 * t));
             if 2 * t + 1 < rows.time {
                 for (out, second) in out.iter_mut().zip(rows.row(sample, 2 * t + 1)) {
                     *out += second;
                 }
             }
-        });
+        }
+    });
     folded
 }
 
 /// The sum of all rows, sample by sample.
 fn column_sums(rows: Rows<'_>) -> Vec<f32> {
-    let partial: Vec<Vec<f32>> = (0..rows.batch)
-        .into_par_iter()
-        .map(|sample| {
-            let mut sums = vec![0.0; rows.channels];
-            vectorized(|| {
-                for time in 0..rows.time {
-                    for (sum, value) in sums.iter_mut().zip(rows.row(sample, time)) {
-                        *sum += value;
-                    }
+    let partial: Vec<Vec<f32>> = team::map(rows.batch, |sample| {
+        let mut sums = vec![0.0; rows.channels];
+        vectorized(|| {
+            for time in 0..rows.time {
+                for (sum, value) in sums.iter_mut().zip(rows.row(sample, time)) {
+                    *sum += value;
                 }
-            });
-            sums
-        })
-        .collect();
+            }
+        });
+        sums
+    });
     let mut total = vec![0.0; rows.channels];
     for sums in partial {
         for (total, sum) in total.iter_mut().zip(sums) {

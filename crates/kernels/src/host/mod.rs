@@ -10,3 +10,4 @@ pub(crate) mod packing;
 pub(crate) mod product;
 pub(crate) mod rows;
 pub(crate) mod simd;
+pub(crate) mod team;

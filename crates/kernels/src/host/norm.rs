@@ -4,11 +4,10 @@
 //! mean, so the forward pass measures the statistics and then computes
 //! `activation(scale (x - mean) + shift)`.
 
-use rayon::prelude::*;
-
 use super::activation::{Activation, Pointwise, with_activation};
 use super::rows::{ColumnTask, Rows, SharedRows, column_tasks};
 use super::simd::vectorized;
+use super::team;
 
 /// What a group normalisation is, but for its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,29 +62,27 @@ struct Affine {
 pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan) -> Statistics {
     let size = x.channels / plan.groups;
     let tasks = column_tasks(x.batch, x.channels, size);
-    let parts: Vec<Vec<[f32; 2]>> = tasks
-        .into_par_iter()
-        .map(|task| {
-            let count = (size * x.time) as f64;
-            let over_groups = |sums: &[f32]| -> Vec<f64> {
-                sums.chunks(size)
-                    .map(|sums| sums.iter().map(|&s| f64::from(s)).sum::<f64>() / count)
-                    .collect()
-            };
-            let mut sums = vec![0.0; task.channels];
-            channel_sums(x, task, &mut sums, None);
-            let means = over_groups(&sums);
-            let spread: Vec<f32> = (0..task.channels).map(|c| means[c / size] as f32).collect();
-            sums.fill(0.0);
-            channel_sums(x, task, &mut sums, Some(&spread));
-            let variances = over_groups(&sums);
-            means
-                .iter()
-                .zip(variances)
-                .map(|(mean, variance)| [*mean as f32, (variance + plan.eps).sqrt().recip() as f32])
+    let parts: Vec<Vec<[f32; 2]>> = team::map(tasks.len(), |task| {
+        let task = tasks[task];
+        let count = (size * x.time) as f64;
+        let over_groups = |sums: &[f32]| -> Vec<f64> {
+            sums.chunks(size)
+                .map(|sums| sums.iter().map(|&s| f64::from(s)).sum::<f64>() / count)
                 .collect()
-        })
-        .collect();
+        };
+        let mut sums = vec![0.0; task.channels];
+        channel_sums(x, task, &mut sums, None);
+        let means = over_groups(&sums);
+        let spread: Vec<f32> = (0..task.channels).map(|c| means[c / size] as f32).collect();
+        sums.fill(0.0);
+        channel_sums(x, task, &mut sums, Some(&spread));
+        let variances = over_groups(&sums);
+        means
+            .iter()
+            .zip(variances)
+            .map(|(mean, variance)| [*mean as f32, (variance + plan.eps).sqrt().recip() as f32])
+            .collect()
+    });
     Statistics(parts.concat())
 }
 
@@ -153,7 +150,8 @@ pub(crate) fn forward(
     output: SharedRows<'_>,
 ) {
     let tasks = column_tasks(x.batch, x.channels, x.channels / plan.groups);
-    tasks.into_par_iter().for_each(|task| {
+    team::for_each(tasks.len(), |task| {
+        let task = tasks[task];
         let affine = affine(task, x.channels, statistics, plan, parameters);
         with_activation!(plan.activation, |activation| vectorized(|| forward_task(
             x,
@@ -209,17 +207,15 @@ pub(crate) fn backward(
     let channels = x.channels;
     let tasks = column_tasks(x.batch, channels, channels / plan.groups);
     let output = SharedRows::dense(gradient, [x.batch, x.time, channels]);
-    let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = tasks
-        .into_par_iter()
-        .map(|task| {
-            let affine = affine(task, channels, statistics, plan, parameters);
-            let sums = with_activation!(plan.activation, |activation| vectorized(|| {
-                backward_activation(x, task, &affine, parameters.mask, output, activation)
-            }));
-            let sums = backward_affine(x, task, statistics, plan, parameters, output, &sums);
-            (task, sums)
-        })
-        .collect();
+    let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = team::map(tasks.len(), |task| {
+        let task = tasks[task];
+        let affine = affine(task, channels, statistics, plan, parameters);
+        let sums = with_activation!(plan.activation, |activation| vectorized(|| {
+            backward_activation(x, task, &affine, parameters.mask, output, activation)
+        }));
+        let sums = backward_affine(x, task, statistics, plan, parameters, output, &sums);
+        (task, sums)
+    });
 
     let mut gradients = NormGradients {
         weight: vec![0.0; channels],

@@ -1,11 +1,13 @@
 //! Weight gradients: products summed over rows.
 
+use std::mem::MaybeUninit;
+
 use pulp::{Arch, Simd, WithSimd};
-use rayon::prelude::*;
 
 use super::product::{PANEL, TILE_ROWS, Windows, vectors};
 use super::rows::Rows;
 use super::simd::vectorized;
+use super::team;
 
 /// Rows of one pass: those of both sides stay in first-level cache while they are used.
 const PASS: usize = 96;
@@ -13,13 +15,15 @@ const PASS: usize = 96;
 /// Channels of the left side that one task takes at most.
 const LARGEST_PART: usize = 16 * TILE_ROWS;
 
-/// Writes `gradient[a, c, k] = sum over rows of lhs[a] window[k, c]`, where `lhs` has one row a
-/// window, and the windows `taps` rows each.
+/// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, where `lhs` has one row a window, and the
+/// windows `taps` rows each.
 ///
 /// Each element is summed over the rows in their order, whatever the number of threads.
-pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize, gradient: &mut [f32]) {
+pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32> {
     let depth = windows.depth;
-    assert_eq!(gradient.len(), lhs.channels * depth, "weight gradient");
+    let len = lhs.channels * depth;
+    // Not zeroed first: gradients of weights are most of the memory that a step writes.
+    let mut gradient = Vec::with_capacity(len);
     assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
     let tasks = 2 * rayon::current_num_threads();
     let part = lhs
@@ -27,10 +31,11 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize, gradient: 
         .div_ceil(tasks)
         .next_multiple_of(TILE_ROWS)
         .min(LARGEST_PART);
-    gradient
-        .par_chunks_mut(part * depth)
-        .enumerate()
-        .for_each(|(index, gradient)| {
+    let unwritten = &mut gradient.spare_capacity_mut()[..len];
+    let parts = unwritten.chunks_mut(part * depth).enumerate().collect();
+    team::for_each_item(
+        parts,
+        |(index, gradient): (usize, &mut [MaybeUninit<f32>])| {
             let lhs = lhs.narrow(index * part, gradient.len() / depth);
             PANEL.with_borrow_mut(|scratch| {
                 Arch::new().dispatch(RunPart {
@@ -41,7 +46,15 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize, gradient: 
                     scratch,
                 });
             });
-        });
+        },
+    );
+    // SAFETY: the parts cover the first `len` elements, and `RunPart` writes every element of its
+    // part; a panic in one would not have come here.
+    #[allow(unsafe_code)]
+    unsafe {
+        gradient.set_len(len);
+    }
+    gradient
 }
 
 /// One task: all columns of some left channels.
@@ -49,7 +62,7 @@ struct RunPart<'a, 'b> {
     lhs: Rows<'a>,
     windows: Windows<'a>,
     taps: usize,
-    gradient: &'b mut [f32],
+    gradient: &'b mut [MaybeUninit<f32>],
     scratch: &'b mut Vec<f32>,
 }
 
@@ -88,25 +101,30 @@ impl RunPart<'_, '_> {
         let (packed_lhs, packed_windows) = packed.split_at_mut(sizes[1]);
         for first in (0..total).step_by(PASS) {
             let rows = PASS.min(total - first);
-            for (tile, packed) in packed_lhs.chunks_exact_mut(TILE_ROWS * PASS).enumerate() {
-                let columns = tile * TILE_ROWS..((tile + 1) * TILE_ROWS).min(channels);
-                for (i, packed) in packed.chunks_exact_mut(TILE_ROWS).enumerate().take(rows) {
-                    let row = self
-                        .lhs
-                        .row((first + i) / self.lhs.time, (first + i) % self.lhs.time);
-                    packed[..columns.len()].copy_from_slice(&row[columns.clone()]);
+            for i in 0..rows {
+                let index = first + i;
+                let row = self.lhs.row(index / self.lhs.time, index % self.lhs.time);
+                let (full, rest) = row.as_chunks::<TILE_ROWS>();
+                let mut tiles = packed_lhs.chunks_exact_mut(TILE_ROWS * PASS);
+                for (values, tile) in full.iter().zip(&mut tiles) {
+                    tile.as_chunks_mut::<TILE_ROWS>().0[i] = *values;
+                }
+                if let Some(tile) = tiles.next() {
+                    tile[i * TILE_ROWS..][..rest.len()].copy_from_slice(rest);
                 }
             }
             for (panel, sums) in sums.chunks_exact_mut(tiles * tile_len).enumerate() {
                 let columns = panel * width..((panel + 1) * width).min(depth);
-                for (i, packed) in packed_windows
-                    .chunks_exact_mut(width)
-                    .enumerate()
-                    .take(rows)
-                {
+                let lines = packed_windows.chunks_exact_mut(width).enumerate();
+                for (i, packed) in lines.take(rows) {
                     let window = &self.windows.at(first + i)[columns.clone()];
-                    packed[..columns.len()].copy_from_slice(window);
-                    packed[columns.len()..].fill(0.0);
+                    if columns.len() == width {
+                        let window = pulp::as_arrays::<NR, _>(S::as_simd_f32s(window).0).0[0];
+                        pulp::as_arrays_mut::<NR, _>(S::as_mut_simd_f32s(packed).0).0[0] = window;
+                    } else {
+                        packed[..columns.len()].copy_from_slice(window);
+                        packed[columns.len()..].fill(0.0);
+                    }
                 }
                 let vectors = pulp::as_arrays::<NR, _>(S::as_simd_f32s(packed_windows).0).0;
                 for (tile, sums) in sums.chunks_exact_mut(tile_len).enumerate() {
@@ -130,7 +148,7 @@ impl RunPart<'_, '_> {
                     let inner = depth / taps;
                     for (i, out) in out.iter_mut().enumerate() {
                         let from = (i % taps) * inner + i / taps;
-                        *out = piece(from / width)[from % width];
+                        out.write(piece(from / width)[from % width]);
                     }
                 }
             });
@@ -163,7 +181,7 @@ fn add_products<S: Simd, const NR: usize>(
 fn interleave<'a, const K: usize>(
     piece: impl Fn(usize) -> &'a [f32],
     width: usize,
-    out: &mut [f32],
+    out: &mut [MaybeUninit<f32>],
 ) {
     let inner = out.len() / K;
     let out = out.as_chunks_mut::<K>().0;
@@ -174,7 +192,7 @@ fn interleave<'a, const K: usize>(
             let source = &piece(from / width)[from % width..];
             let count = source.len().min(inner - c);
             for (out, value) in out[c..c + count].iter_mut().zip(source) {
-                out[k] = *value;
+                out[k].write(*value);
             }
             c += count;
         }

@@ -6,10 +6,10 @@
 use std::cell::RefCell;
 
 use pulp::{Arch, Simd, WithSimd};
-use rayon::prelude::*;
 
 use super::packing::Weight;
 use super::rows::{Rows, SharedRows};
+use super::team;
 
 /// Rows of a tile: six rows of four vectors keep 24 sums in registers.
 pub(crate) const TILE_ROWS: usize = 6;
@@ -90,7 +90,8 @@ pub(crate) fn multiply(
                 .map(move |row| (panel, row))
         })
         .collect();
-    tasks.into_par_iter().for_each(|(panel, row)| {
+    team::for_each(tasks.len(), |task| {
+        let (panel, row) = tasks[task];
         let task = PanelTask {
             windows,
             weight,

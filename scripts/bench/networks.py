@@ -1,0 +1,37 @@
+"""The networks of a row in PyTorch, with the names and sizes that kinegrad has."""
+
+from collections.abc import Callable
+from typing import Any
+
+from ccmotion.decoder import MotionDecoder
+from ccmotion.e2e import EndToEndModel
+from ccmotion.unet1d import UNet1d, UNetConfig
+from torch import nn
+
+
+def unet1d(model: dict[str, Any]) -> UNet1d:
+    """The audio-conditioned UNet of a table `model`."""
+    config = UNetConfig(
+        base=model["model_channels"],
+        mult=tuple(model["channel_mult"]),
+        time_dim=model["time_embed_dim"],
+        ctx_dim=model["context_dim"],
+    )
+    return UNet1d(config)
+
+
+DENOISERS: dict[str, Callable[[dict[str, Any]], nn.Module]] = {"unet1d": unet1d}
+"""By `model.kind`."""
+
+
+def build(row: dict[str, Any]) -> nn.Module:
+    """Everything the row has weights of, with PyTorch's initial weights."""
+    denoiser = DENOISERS[row["model"]["kind"]](row["model"])
+    if row["task"]["kind"] == "end_to_end":
+        return EndToEndModel(denoiser, MotionDecoder())
+    return denoiser
+
+
+def count(model: nn.Module) -> int:
+    """Number of elements of all parameters."""
+    return sum(parameter.numel() for parameter in model.parameters())

@@ -1,0 +1,379 @@
+//! kinegrad's side of `scripts/bench/run`: does one step whenever it is told to.
+//!
+//! ```text
+//! bench_worker FOLDER DEVICE
+//!
+//! FOLDER/row.json             what a step is: the type `Row` below
+//! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T
+//! ```
+//!
+//! It answers each line of its input with one line of JSON, and says one when it has loaded all:
+//!
+//! ```text
+//!             {"parameters", "start_kib"}
+//! step        {"seconds", "loss", "peak_kib"}; no loss where nothing is trained
+//! save PATH   {}: the last sample is in PATH, little-endian float32
+//! ```
+
+mod files;
+
+use std::error::Error;
+use std::fs;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::AUDIO_CHANNELS;
+use kinegrad_diffusion::{
+    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, diffusion_loss, sample,
+};
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::{DecoderConfig, Initializer, ModelConfig, MotionModel, UNet1d};
+use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_random::{Key, Purpose};
+use kinegrad_train::config::{
+    LossConfig, OptimConfig, ReconstructionWeighting, RolloutConfig, ValidationConfig,
+};
+use kinegrad_train::losses::{SignMatching, TemporalLossConfig};
+use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
+use kinegrad_train::recipes::{
+    DenoisingDraws, DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Inputs, Loss, Recipe, Sampler,
+};
+use serde::Deserialize;
+use serde_json::json;
+
+use files::{NamedTensors, read_weights};
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// What is measured.
+#[derive(Deserialize)]
+struct Row {
+    /// File of weights by state-dict name.
+    weights: PathBuf,
+    model: ModelConfig,
+    prediction_type: PredictionType,
+    task: Task,
+}
+
+/// What a step does.
+#[derive(Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+enum Task {
+    /// Trains the denoiser on noised motion.
+    Train {
+        optim: OptimConfig,
+        max_grad_norm: f64,
+    },
+    /// Trains denoiser and decoder through the sampler.
+    EndToEnd {
+        optim: OptimConfig,
+        max_grad_norm: f64,
+        rollout: RolloutConfig,
+    },
+    /// Draws one batch of motion.
+    Sample { sampler: SamplerConfig },
+}
+
+/// A task with its networks.
+trait Work {
+    /// Number of elements of all parameters.
+    fn parameters(&self) -> usize;
+
+    /// One step.
+    fn step(&mut self) -> Result<Done>;
+}
+
+/// What a step leads to.
+#[derive(Default)]
+struct Done {
+    loss: Option<f32>,
+    sample: Option<Tensor<3>>,
+}
+
+type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss>;
+
+/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same.
+struct Training<R: Recipe> {
+    recipe: R,
+    /// `None` only while an update holds it.
+    model: Option<R::Model>,
+    loss: LossOf<R>,
+    optimizer: AdamW,
+    /// Learning rate of each parameter.
+    rates: Vec<f64>,
+    max_grad_norm: f64,
+}
+
+impl<R: Recipe> Training<R> {
+    fn new(
+        recipe: R,
+        model: R::Model,
+        optim: &OptimConfig,
+        max_grad_norm: f64,
+        loss: impl Fn(&R, &R::Model) -> Loss + 'static,
+    ) -> Self {
+        let infos = parameters::infos(&model);
+        let rate = |info: &ParameterInfo| {
+            let group = ["unet", "decoder"][recipe.group_of(&info.name)];
+            optim.rate_of(group)
+        };
+        Self {
+            optimizer: AdamW::new(optim, infos.iter().map(ParameterInfo::len)),
+            rates: infos.iter().map(rate).collect(),
+            recipe,
+            model: Some(model),
+            loss: Box::new(loss),
+            max_grad_norm,
+        }
+    }
+}
+
+impl<R: Recipe> Work for Training<R> {
+    fn parameters(&self) -> usize {
+        count(self.model.as_ref().expect("held between updates"))
+    }
+
+    fn step(&mut self) -> Result<Done> {
+        let model = self.model.take().expect("held between updates");
+        let mut loss = (self.loss)(&self.recipe, &model);
+        let value = loss.total.clone().into_scalar::<f32>();
+        (loss.terms, loss.probes) = (Vec::new(), Vec::new());
+        let gradients = self.recipe.backward(&model, loss);
+        let scale = clip_factor(global_norm(&gradients), self.max_grad_norm);
+        self.optimizer.begin_step();
+        let (optimizer, rates) = (&mut self.optimizer, &self.rates);
+        self.model = Some(parameters::update(model, |index, values| {
+            optimizer.update(index, values, &gradients[index], scale, rates[index], None);
+        }));
+        Ok(Done {
+            loss: Some(value),
+            ..Done::default()
+        })
+    }
+}
+
+/// A sampler and its start.
+struct Sampling {
+    unet: UNet1d,
+    diffusion: GaussianDiffusion,
+    sampler: SamplerConfig,
+    start_noise: Tensor<3>,
+    cond: Tensor<3>,
+}
+
+impl Work for Sampling {
+    fn parameters(&self) -> usize {
+        count(&self.unet)
+    }
+
+    fn step(&mut self) -> Result<Done> {
+        let drawn = sample(
+            &self.diffusion,
+            &self.unet,
+            self.start_noise.clone(),
+            &self.cond,
+            &self.sampler,
+            &Clip::None,
+            Key::new(0, Purpose::Noise), // no noise is drawn: eta is 0
+            &mut |_, _, _| {},
+        )?;
+        Ok(Done {
+            sample: Some(drawn),
+            ..Done::default()
+        })
+    }
+}
+
+/// The task of `row`, everything it needs loaded onto `device`.
+fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
+    let diffusion = GaussianDiffusion::new(&DiffusionConfig {
+        prediction_type: row.prediction_type,
+        ..DiffusionConfig::default()
+    })?;
+    let device = match row.task {
+        Task::Train { .. } | Task::EndToEnd { .. } => device.clone().autodiff(),
+        Task::Sample { .. } => device.clone(),
+    };
+    let unet = || -> Result<UNet1d> {
+        let config = row.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
+        Ok(config.init(&Initializer::new(0, &device))?)
+    };
+    let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
+    let weights = read_weights(&row.weights)?;
+    let statistics = Arc::new(unit_statistics());
+    let held_out = HeldOut::new(
+        Vec::new(),
+        statistics.clone(),
+        &ValidationConfig::default(),
+        0,
+    );
+    Ok(match row.task {
+        Task::Train {
+            optim,
+            max_grad_norm,
+        } => {
+            let model = parameters::load(unet()?, weights)?;
+            let recipe = DiffusionRecipe::new(diffusion.clone(), held_out);
+            let (batch, draws) = (inputs.batch()?, inputs.denoising_draws()?);
+            let loss = move |_: &DiffusionRecipe, unet: &UNet1d| {
+                denoising_loss(&diffusion, unet, batch.clone(), draws.clone())
+            };
+            Box::new(Training::new(recipe, model, &optim, max_grad_norm, loss))
+        }
+        Task::EndToEnd {
+            optim,
+            max_grad_norm,
+            rollout,
+        } => {
+            let decoder = DecoderConfig {
+                dropout: 0.0,
+                init: DecoderInit::Random,
+                ..DecoderConfig::default()
+            };
+            let normalization = Normalization {
+                mean: statistics.mean.clone(),
+                std: statistics.std.clone(),
+            };
+            let model = MotionModel {
+                unet: unet()?,
+                decoder: decoder.init(normalization, &Initializer::new(0, &device))?,
+            };
+            let model = parameters::load(model, weights)?;
+            let last = diffusion.config.num_train_timesteps - 1;
+            let sampler = Sampler::new(diffusion, &rollout, statistics);
+            let recipe = E2eRecipe::new(sampler, &document_loss(), held_out);
+            let batch = inputs.batch()?;
+            let draws = E2eDraws {
+                denoising: inputs.denoising_draws()?,
+                starts: vec![last; batch.x_start.dims()[0]],
+                start_noise: inputs.tensor("x_T")?,
+                decoder_dropout: None,
+            };
+            let loss = move |recipe: &E2eRecipe, model: &MotionModel| {
+                recipe.loss_of(model, batch.clone(), draws.clone())
+            };
+            Box::new(Training::new(recipe, model, &optim, max_grad_norm, loss))
+        }
+        Task::Sample { sampler } => Box::new(Sampling {
+            unet: parameters::load(unet()?, weights)?,
+            diffusion,
+            sampler,
+            start_noise: inputs.tensor("x_T")?,
+            cond: inputs.tensor("cond")?,
+        }),
+    })
+}
+
+/// The loss of [`DiffusionRecipe`], which draws its noise itself, of noise that is given.
+fn denoising_loss(
+    diffusion: &GaussianDiffusion,
+    unet: &UNet1d,
+    inputs: Inputs,
+    draws: DenoisingDraws,
+) -> Loss {
+    let timesteps = &draws.timesteps;
+    let x_t = diffusion.add_noise(inputs.x_start.clone(), draws.noise.clone(), timesteps);
+    let model_output = unet.forward(x_t, timesteps, inputs.cond, draws.dropout);
+    let target = diffusion.target(inputs.x_start, draws.noise, timesteps);
+    let weights = diffusion.loss_weights(timesteps);
+    let loss_type = diffusion.config.loss_type;
+    let (mask, weights) = (Some(inputs.mask), Some(&*weights));
+    Loss {
+        total: diffusion_loss(model_output, target, mask, weights, loss_type),
+        terms: Vec::new(),
+        probes: Vec::new(),
+        rollout: None,
+    }
+}
+
+/// The end-to-end loss as the document and the PyTorch peer have it.
+fn document_loss() -> LossConfig {
+    LossConfig {
+        w_components: 0.0,
+        reconstruction_weighting: ReconstructionWeighting::Uniform,
+        quaternion_sign: SignMatching::Document,
+        temporal: TemporalLossConfig::document(),
+        ..LossConfig::default()
+    }
+}
+
+/// Of motion that is its own normalised form.
+fn unit_statistics() -> TrainingStatistics {
+    TrainingStatistics {
+        mean: vec![0.0; CHANNELS],
+        std: vec![1.0; CHANNELS],
+        min: vec![-1.0; CHANNELS],
+        max: vec![1.0; CHANNELS],
+        frames: 1,
+        phrases: 1,
+        rms_speed: 1.0,
+        rms_acceleration: 1.0,
+        jerk_p95: 1.0,
+    }
+}
+
+fn count<M: Module>(model: &M) -> usize {
+    parameters::infos(model)
+        .iter()
+        .map(ParameterInfo::len)
+        .sum()
+}
+
+/// A memory figure of this process in KiB, where the system has `/proc`.
+fn status(field: &str) -> Option<u64> {
+    let text = fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find(|line| line.starts_with(field))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+fn say(answer: &serde_json::Value) -> Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{answer}")?;
+    Ok(stdout.flush()?)
+}
+
+fn main() -> Result<()> {
+    kinegrad_kernels::memory::keep_freed();
+    let start_kib = status("VmRSS:");
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [folder, device] = arguments.as_slice() else {
+        return Err("usage: bench_worker FOLDER DEVICE".into());
+    };
+    let (folder, (device, _)) = (Path::new(folder), kinegrad_train::device::open(device)?);
+    let row = serde_json::from_str(&fs::read_to_string(folder.join("row.json"))?)?;
+    let mut work = load(row, folder, &device)?;
+    // The peak shall be that of the steps, not of reading files; where it cannot be set back, it
+    // is the larger of both.
+    let _ = fs::write("/proc/self/clear_refs", "5");
+    say(&json!({"parameters": work.parameters(), "start_kib": start_kib}))?;
+
+    let mut sample = None;
+    for line in std::io::stdin().lock().lines() {
+        let line = line?;
+        match line.split_once(' ') {
+            None if line == "step" => {
+                let start = Instant::now();
+                let done = work.step()?;
+                device.sync()?;
+                let seconds = start.elapsed().as_secs_f64();
+                sample = done.sample;
+                say(&json!({"seconds": seconds, "loss": done.loss, "peak_kib": status("VmHWM:")}))?;
+            }
+            Some(("save", path)) => {
+                let sample = sample.clone().ok_or("nothing was sampled")?;
+                let values: Vec<f32> = sample.try_into_vec_as()?;
+                let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                fs::write(path, bytes)?;
+                say(&json!({}))?;
+            }
+            _ => return Err(format!("`{line}` is neither `step` nor `save PATH`").into()),
+        }
+    }
+    Ok(())
+}
