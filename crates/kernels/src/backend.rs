@@ -11,7 +11,7 @@ use crate::flex::{HostRows, contiguous, from_rows, tensor};
 use crate::host::attention::{Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
-use crate::host::rows::{Rows, SharedRows};
+use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
 
 /// Which of an operation's optional tensors count.
@@ -154,9 +154,13 @@ pub(crate) fn group_norm(
     plan: &GroupNormPlan,
 ) -> FlexTensor {
     let shape = [x.batch, x.time, x.channels];
-    let mut output = vec![0.0; shape.iter().product()];
-    let rows = SharedRows::dense(&mut output, shape);
-    norm::forward(x, statistics, plan, &norm.parameters(), rows);
+    // SAFETY: a normalisation writes every element.
+    #[allow(unsafe_code)]
+    let output = unsafe {
+        rows_written_by(shape, |rows| {
+            norm::forward(x, statistics, plan, &norm.parameters(), rows);
+        })
+    };
     from_rows(output, shape)
 }
 

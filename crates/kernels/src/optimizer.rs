@@ -15,7 +15,10 @@ const LANES: usize = 32;
 pub fn sum_of_squares(values: &[f32]) -> f64 {
     let chunks: Vec<&[f32]> = values.chunks(CHUNK).collect();
     let partial = team::map(chunks.len(), |i| {
-        vectorized(|| chunk_sum_of_squares(chunks[i]))
+        vectorized(
+            #[inline(always)]
+            || chunk_sum_of_squares(chunks[i]),
+        )
     });
     partial.iter().sum()
 }
@@ -135,22 +138,29 @@ impl AdamW {
                 chunks
                     .zip(shadow.chunks_mut(CHUNK))
                     .for_each(|((((p, g), m), v), s)| {
-                        vectorized(|| {
-                            let pairs = p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()));
-                            for (((p, g), (m, v)), s) in pairs.zip(s.iter_mut()) {
-                                *p = coefficients.step(*p, *g, m, v);
-                                *s += rate * (*p - *s);
-                            }
-                        });
+                        vectorized(
+                            #[inline(always)]
+                            || {
+                                let pairs = p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()));
+                                for (((p, g), (m, v)), s) in pairs.zip(s.iter_mut()) {
+                                    *p = coefficients.step(*p, *g, m, v);
+                                    *s += rate * (*p - *s);
+                                }
+                            },
+                        );
                     });
             }
             None => team::for_each_item(chunks.collect(), |(((p, g), m), v)| {
-                vectorized(|| {
-                    for ((p, g), (m, v)) in p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()))
-                    {
-                        *p = coefficients.step(*p, *g, m, v);
-                    }
-                });
+                vectorized(
+                    #[inline(always)]
+                    || {
+                        for ((p, g), (m, v)) in
+                            p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()))
+                        {
+                            *p = coefficients.step(*p, *g, m, v);
+                        }
+                    },
+                );
             }),
         }
     }

@@ -136,7 +136,10 @@ impl<'a> Heads<'a> {
         let keys_matrix = self.matrix(self.keys, sample, head).transposed();
         let size = [time, self.head_channels(), keys];
         product(weights, self.scale(), queries, keys_matrix, size);
-        vectorized(|| weights.chunks_exact_mut(keys).for_each(softmax));
+        vectorized(
+            #[inline(always)]
+            || weights.chunks_exact_mut(keys).for_each(softmax),
+        );
     }
 
     /// `softmax(queries keys^T / sqrt(head channels)) values`: `[batch, time, channels]`.
@@ -178,12 +181,15 @@ impl<'a> Heads<'a> {
                 scores.resize(time * keys, 0.0);
                 let values = self.matrix(self.values, sample, head).transposed();
                 product(scores, 1.0, gradient, values, [time, channels, keys]);
-                vectorized(|| {
-                    let rows = scores
-                        .chunks_exact_mut(keys)
-                        .zip(weights.chunks_exact(keys));
-                    rows.for_each(|(scores, weights)| softmax_backward(scores, weights));
-                });
+                vectorized(
+                    #[inline(always)]
+                    || {
+                        let rows = scores
+                            .chunks_exact_mut(keys)
+                            .zip(weights.chunks_exact(keys));
+                        rows.for_each(|(scores, weights)| softmax_backward(scores, weights));
+                    },
+                );
 
                 let queries = self.matrix(self.queries, sample, head);
                 let scale = self.scale();

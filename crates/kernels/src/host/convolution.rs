@@ -4,12 +4,14 @@
 //! (nearest upsampling) or normalised. Those rows are not kept for the backward pass, which writes
 //! them anew from the input: cheaper than storing them and than reading them back from memory.
 
+use std::mem::MaybeUninit;
+
 use super::geometry::{Geometry, Phase, margins};
 use super::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use super::outer::outer;
 use super::packing::{Direction, Weight};
 use super::product::{Addends, OutputRows, Windows, multiply};
-use super::rows::{Padded, Rows, SharedRows};
+use super::rows::{Padded, Rows, SharedRows, rows_written_by};
 use super::simd::vectorized;
 use super::team;
 
@@ -110,14 +112,16 @@ impl ConvolutionPlan {
         }
         let (before, after) = margins(phases, frames);
         let shape = [x.batch, frames, x.channels];
-        let mut padded = Padded::zeros(shape, before, after);
-        let rows = padded.shared();
-        match (self.norm, input.norm) {
-            (Some(plan), Some((statistics, parameters))) => {
-                norm::forward(x, statistics, &plan, &parameters, rows);
-            }
-            _ => copy(x, frames, rows, |time| time / 2),
-        }
+        // SAFETY: a normalisation and a copy write every element of every row.
+        #[allow(unsafe_code)]
+        let padded = unsafe {
+            Padded::written_by(shape, before, after, |rows| match (self.norm, input.norm) {
+                (Some(plan), Some((statistics, parameters))) => {
+                    norm::forward(x, statistics, &plan, &parameters, rows);
+                }
+                _ => copy(x, frames, rows, |time| time / 2),
+            })
+        };
         Source::Padded(padded, shape)
     }
 
@@ -205,8 +209,13 @@ impl<'a> Source<'a> {
             return Self::Plain(rows);
         }
         let shape = [rows.batch, rows.time, rows.channels];
-        let mut padded = Padded::zeros(shape, before, after);
-        copy(rows, rows.time, padded.shared(), |time| time);
+        // SAFETY: a copy writes every element of every row.
+        #[allow(unsafe_code)]
+        let padded = unsafe {
+            Padded::written_by(shape, before, after, |padded| {
+                copy(rows, rows.time, padded, |time| time);
+            })
+        };
         Self::Padded(padded, shape)
     }
 
@@ -273,35 +282,44 @@ fn multiply_phases(
     addends: Addends<'_>,
     shape: [usize; 3],
 ) -> Vec<f32> {
-    let mut output = vec![0.0; shape.iter().product()];
-    for phase in phases {
-        let weight = Weight {
-            data: weight.data,
-            shape: weight.shape,
-            direction: if weight.gathers {
-                Direction::Gather
-            } else {
-                Direction::Scatter(&phase.taps)
-            },
-        };
-        let output = OutputRows {
-            rows: SharedRows::dense(&mut output, shape),
-            first: phase.first,
-            step: phase.step,
-        };
-        multiply(source.windows(phase), weight, addends, output);
+    // SAFETY: the phases' rows are all rows, and a product writes all columns of its rows.
+    #[allow(unsafe_code)]
+    unsafe {
+        rows_written_by(shape, |rows| {
+            for phase in phases {
+                let weight = Weight {
+                    data: weight.data,
+                    shape: weight.shape,
+                    direction: if weight.gathers {
+                        Direction::Gather
+                    } else {
+                        Direction::Scatter(&phase.taps)
+                    },
+                };
+                let output = OutputRows {
+                    rows,
+                    first: phase.first,
+                    step: phase.step,
+                };
+                multiply(source.windows(phase), weight, addends, output);
+            }
+        })
     }
-    output
 }
 
 /// Copies to each of `frames` rows the row that `from` names.
-fn copy(x: Rows<'_>, frames: usize, output: SharedRows<'_>, from: impl Fn(usize) -> usize + Sync) {
+fn copy(
+    x: Rows<'_>,
+    frames: usize,
+    output: SharedRows<'_, MaybeUninit<f32>>,
+    from: impl Fn(usize) -> usize + Sync,
+) {
     team::for_each(x.batch, |sample| {
         for time in 0..frames {
             // SAFETY: a task owns its sample, and this is its only slice of the row.
             #[allow(unsafe_code)]
             let out = unsafe { output.segment(sample, time, 0, x.channels) };
-            out.copy_from_slice(x.row(sample, from(time)));
+            out.write_copy_of_slice(x.row(sample, from(time)));
         }
     });
 }
@@ -330,13 +348,16 @@ fn fold_pairs(rows: Rows<'_>, time: usize) -> Vec<f32> {
 fn column_sums(rows: Rows<'_>) -> Vec<f32> {
     let partial: Vec<Vec<f32>> = team::map(rows.batch, |sample| {
         let mut sums = vec![0.0; rows.channels];
-        vectorized(|| {
-            for time in 0..rows.time {
-                for (sum, value) in sums.iter_mut().zip(rows.row(sample, time)) {
-                    *sum += value;
+        vectorized(
+            #[inline(always)]
+            || {
+                for time in 0..rows.time {
+                    for (sum, value) in sums.iter_mut().zip(rows.row(sample, time)) {
+                        *sum += value;
+                    }
                 }
-            }
-        });
+            },
+        );
         sums
     });
     let mut total = vec![0.0; rows.channels];

@@ -4,6 +4,7 @@ pub(crate) mod activation;
 pub(crate) mod attention;
 pub(crate) mod convolution;
 pub(crate) mod geometry;
+pub(crate) mod narrow;
 pub(crate) mod norm;
 pub(crate) mod outer;
 pub(crate) mod packing;

@@ -4,6 +4,8 @@
 //! mean, so the forward pass measures the statistics and then computes
 //! `activation(scale (x - mean) + shift)`.
 
+use std::mem::MaybeUninit;
+
 use super::activation::{Activation, Pointwise, with_activation};
 use super::rows::{ColumnTask, Rows, SharedRows, column_tasks};
 use super::simd::vectorized;
@@ -88,24 +90,27 @@ pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan) -> Statistics {
 
 /// Adds to `sums` a task's channels over time, or their squared distances from `means`.
 fn channel_sums(x: Rows<'_>, task: ColumnTask, sums: &mut [f32], means: Option<&[f32]>) {
-    vectorized(|| {
-        for time in 0..x.time {
-            let row = &x.row(task.sample, time)[task.first..][..task.channels];
-            match means {
-                None => {
-                    for (sum, x) in sums.iter_mut().zip(row) {
-                        *sum += x;
+    vectorized(
+        #[inline(always)]
+        || {
+            for time in 0..x.time {
+                let row = &x.row(task.sample, time)[task.first..][..task.channels];
+                match means {
+                    None => {
+                        for (sum, x) in sums.iter_mut().zip(row) {
+                            *sum += x;
+                        }
                     }
-                }
-                Some(means) => {
-                    for ((sum, x), mean) in sums.iter_mut().zip(row).zip(means) {
-                        let distance = x - mean;
-                        *sum += distance * distance;
+                    Some(means) => {
+                        for ((sum, x), mean) in sums.iter_mut().zip(row).zip(means) {
+                            let distance = x - mean;
+                            *sum += distance * distance;
+                        }
                     }
                 }
             }
-        }
-    });
+        },
+    );
 }
 
 /// The map of each of a task's channels, all but the activation.
@@ -141,26 +146,22 @@ fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) ->
     }
 }
 
-/// Writes the normalised rows to `output`.
+/// Writes the normalised rows to `output`, every element of them.
 pub(crate) fn forward(
     x: Rows<'_>,
     statistics: &Statistics,
     plan: &GroupNormPlan,
     parameters: &NormParameters<'_>,
-    output: SharedRows<'_>,
+    output: SharedRows<'_, MaybeUninit<f32>>,
 ) {
     let tasks = column_tasks(x.batch, x.channels, x.channels / plan.groups);
     team::for_each(tasks.len(), |task| {
         let task = tasks[task];
         let affine = affine(task, x.channels, statistics, plan, parameters);
-        with_activation!(plan.activation, |activation| vectorized(|| forward_task(
-            x,
-            task,
-            &affine,
-            parameters.mask,
-            output,
-            activation
-        )));
+        with_activation!(plan.activation, |activation| vectorized(
+            #[inline(always)]
+            || forward_task(x, task, &affine, parameters.mask, output, activation)
+        ));
     });
 }
 
@@ -170,7 +171,7 @@ fn forward_task(
     task: ColumnTask,
     affine: &Affine,
     mask: Option<Rows<'_>>,
-    output: SharedRows<'_>,
+    output: SharedRows<'_, MaybeUninit<f32>>,
     activation: impl Pointwise,
 ) {
     for time in 0..x.time {
@@ -179,13 +180,21 @@ fn forward_task(
         #[allow(unsafe_code)]
         let out = unsafe { output.segment(task.sample, time, task.first, task.channels) };
         let maps = affine.scale.iter().zip(&affine.shift).zip(&affine.mean);
-        for ((out, x), ((scale, shift), mean)) in out.iter_mut().zip(row).zip(maps) {
-            *out = activation.value((x - mean) * scale + shift);
-        }
-        if let Some(mask) = mask {
-            let mask = &mask.row(task.sample, time)[task.first..][..task.channels];
-            for (out, mask) in out.iter_mut().zip(mask) {
-                *out *= mask;
+        let values = row.iter().zip(maps).map(
+            #[inline(always)]
+            |(x, ((scale, shift), mean))| activation.value((x - mean) * scale + shift),
+        );
+        match mask {
+            Some(mask) => {
+                let mask = &mask.row(task.sample, time)[task.first..][..task.channels];
+                for ((out, value), mask) in out.iter_mut().zip(values).zip(mask) {
+                    out.write(value * mask);
+                }
+            }
+            None => {
+                for (out, value) in out.iter_mut().zip(values) {
+                    out.write(value);
+                }
             }
         }
     }
@@ -210,9 +219,10 @@ pub(crate) fn backward(
     let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = team::map(tasks.len(), |task| {
         let task = tasks[task];
         let affine = affine(task, channels, statistics, plan, parameters);
-        let sums = with_activation!(plan.activation, |activation| vectorized(|| {
-            backward_activation(x, task, &affine, parameters.mask, output, activation)
-        }));
+        let sums = with_activation!(plan.activation, |activation| vectorized(
+            #[inline(always)]
+            || { backward_activation(x, task, &affine, parameters.mask, output, activation) }
+        ));
         let sums = backward_affine(x, task, statistics, plan, parameters, output, &sums);
         (task, sums)
     });
@@ -322,18 +332,23 @@ fn backward_affine(
             constants.push(constant as f32);
         }
     }
-    vectorized(|| {
-        for time in 0..x.time {
-            let row = &x.row(task.sample, time)[task.first..][..task.channels];
-            // SAFETY: a task owns its columns of its sample; this is its only slice of them now.
-            #[allow(unsafe_code)]
-            let gradient =
-                unsafe { gradient.segment(task.sample, time, task.first, task.channels) };
-            let maps = of_du.iter().zip(&of_x).zip(&constants);
-            for ((gradient, x), ((du, slope), constant)) in gradient.iter_mut().zip(row).zip(maps) {
-                *gradient = *gradient * du + x * slope + constant;
+    vectorized(
+        #[inline(always)]
+        || {
+            for time in 0..x.time {
+                let row = &x.row(task.sample, time)[task.first..][..task.channels];
+                // SAFETY: a task owns its columns of its sample; this is its only slice of them now.
+                #[allow(unsafe_code)]
+                let gradient =
+                    unsafe { gradient.segment(task.sample, time, task.first, task.channels) };
+                let maps = of_du.iter().zip(&of_x).zip(&constants);
+                for ((gradient, x), ((du, slope), constant)) in
+                    gradient.iter_mut().zip(row).zip(maps)
+                {
+                    *gradient = *gradient * du + x * slope + constant;
+                }
             }
-        }
-    });
+        },
+    );
     moments
 }

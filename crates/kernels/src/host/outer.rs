@@ -10,10 +10,10 @@ use super::simd::vectorized;
 use super::team;
 
 /// Rows of one pass: those of both sides stay in first-level cache while they are used.
-const PASS: usize = 96;
+const PASS: usize = 128;
 
-/// Channels of the left side that one task takes at most.
-const LARGEST_PART: usize = 16 * TILE_ROWS;
+/// Sums that one task keeps at most, which is what fits a second-level cache.
+const LARGEST_PART: usize = 1 << 19;
 
 /// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, where `lhs` has one row a window, and the
 /// windows `taps` rows each.
@@ -25,12 +25,13 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
     // Not zeroed first: gradients of weights are most of the memory that a step writes.
     let mut gradient = Vec::with_capacity(len);
     assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
-    let tasks = 2 * rayon::current_num_threads();
+    // As few parts as keep all threads busy, as each packs the windows for itself.
+    let most = (LARGEST_PART / depth.max(1)).max(TILE_ROWS) / TILE_ROWS * TILE_ROWS;
     let part = lhs
         .channels
-        .div_ceil(tasks)
+        .div_ceil(rayon::current_num_threads())
         .next_multiple_of(TILE_ROWS)
-        .min(LARGEST_PART);
+        .min(most);
     let unwritten = &mut gradient.spare_capacity_mut()[..len];
     let parts = unwritten.chunks_mut(part * depth).enumerate().collect();
     team::for_each_item(
@@ -86,7 +87,8 @@ impl RunPart<'_, '_> {
         let depth = self.windows.depth;
         let channels = self.lhs.channels;
         let total = self.lhs.batch * self.lhs.time;
-        // Sums are kept by tap, for whole tiles: columns and channels beyond the last are zeros.
+        // Sums are kept by tap and for whole tiles; those beyond the last channel or column are
+        // of no meaning, whatever stands in their place of the scratch.
         let panels = depth.div_ceil(width);
         let tiles = channels.div_ceil(TILE_ROWS);
         let tile_len = TILE_ROWS * width;
@@ -95,9 +97,11 @@ impl RunPart<'_, '_> {
             tiles * TILE_ROWS * PASS,
             width * PASS,
         ];
-        self.scratch.clear();
-        self.scratch.resize(sizes.iter().sum(), 0.0);
-        let (sums, packed) = self.scratch.split_at_mut(sizes[0]);
+        let needed = sizes.iter().sum();
+        if self.scratch.len() < needed {
+            self.scratch.resize(needed, 0.0);
+        }
+        let (sums, packed) = self.scratch[..needed].split_at_mut(sizes[0]);
         let (packed_lhs, packed_windows) = packed.split_at_mut(sizes[1]);
         for first in (0..total).step_by(PASS) {
             let rows = PASS.min(total - first);
@@ -130,7 +134,7 @@ impl RunPart<'_, '_> {
                 for (tile, sums) in sums.chunks_exact_mut(tile_len).enumerate() {
                     let values = &packed_lhs[tile * TILE_ROWS * PASS..][..TILE_ROWS * rows];
                     let sums = pulp::as_arrays_mut::<NR, _>(S::as_mut_simd_f32s(sums).0).0;
-                    add_products(simd, values, &vectors[..rows], sums);
+                    add_products(simd, values, &vectors[..rows], sums, first == 0);
                 }
             }
         }
@@ -139,32 +143,34 @@ impl RunPart<'_, '_> {
             let out = &mut self.gradient[channel * depth..][..depth];
             let piece =
                 |panel: usize| &sums[(panel * tiles + tile) * tile_len + row * width..][..width];
-            vectorized(|| match self.taps {
-                1 => interleave::<1>(piece, width, out),
-                3 => interleave::<3>(piece, width, out),
-                4 => interleave::<4>(piece, width, out),
-                5 => interleave::<5>(piece, width, out),
-                taps => {
-                    let inner = depth / taps;
-                    for (i, out) in out.iter_mut().enumerate() {
-                        let from = (i % taps) * inner + i / taps;
-                        out.write(piece(from / width)[from % width]);
-                    }
-                }
-            });
+            vectorized(
+                #[inline(always)]
+                || match self.taps {
+                    1 => interleave::<1>(piece, width, out),
+                    3 => interleave::<3>(piece, width, out),
+                    4 => interleave::<4>(piece, width, out),
+                    5 => interleave::<5>(piece, width, out),
+                    taps => interleave_any(piece, width, taps, out),
+                },
+            );
         }
     }
 }
 
-/// Adds the products of a tile's values, `TILE_ROWS` a row, with the rows' vectors.
+/// Adds the products of a tile's values, `TILE_ROWS` a row, with the rows' vectors to sums that
+/// begin at zero if they are `fresh`.
 #[inline(always)]
 fn add_products<S: Simd, const NR: usize>(
     simd: S,
     values: &[f32],
     vectors: &[[S::f32s; NR]],
     sums: &mut [[S::f32s; NR]],
+    fresh: bool,
 ) {
-    let mut tile: [[S::f32s; NR]; TILE_ROWS] = std::array::from_fn(|i| sums[i]);
+    let mut tile = [[simd.splat_f32s(0.0); NR]; TILE_ROWS];
+    if !fresh {
+        tile.copy_from_slice(sums);
+    }
     for (values, vectors) in values.as_chunks::<TILE_ROWS>().0.iter().zip(vectors) {
         for (sums, value) in tile.iter_mut().zip(values) {
             let value = simd.splat_f32s(*value);
@@ -184,17 +190,33 @@ fn interleave<'a, const K: usize>(
     out: &mut [MaybeUninit<f32>],
 ) {
     let inner = out.len() / K;
-    let out = out.as_chunks_mut::<K>().0;
-    for k in 0..K {
-        let mut c = 0;
-        while c < inner {
-            let from = k * inner + c;
-            let source = &piece(from / width)[from % width..];
-            let count = source.len().min(inner - c);
-            for (out, value) in out[c..c + count].iter_mut().zip(source) {
-                out[k].write(*value);
-            }
-            c += count;
+    if !inner.is_multiple_of(width) {
+        return interleave_any(piece, width, K, out);
+    }
+    let pieces = inner / width;
+    for (index, out) in out
+        .as_chunks_mut::<K>()
+        .0
+        .chunks_exact_mut(width)
+        .enumerate()
+    {
+        let taps: [&[f32]; K] = std::array::from_fn(|k| &piece(k * pieces + index)[..width]);
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = std::array::from_fn(|k| MaybeUninit::new(taps[k][i]));
         }
+    }
+}
+
+#[inline(always)]
+fn interleave_any<'a>(
+    piece: impl Fn(usize) -> &'a [f32],
+    width: usize,
+    taps: usize,
+    out: &mut [MaybeUninit<f32>],
+) {
+    let inner = out.len() / taps;
+    for (i, out) in out.iter_mut().enumerate() {
+        let from = (i % taps) * inner + i / taps;
+        out.write(piece(from / width)[from % width]);
     }
 }

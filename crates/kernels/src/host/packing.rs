@@ -49,13 +49,16 @@ impl Weight<'_> {
         if columns < width {
             panel.fill(0.0);
         }
-        vectorized(|| match self.shape[2] {
-            1 => self.pack_kernel::<1>(first, columns, width, panel),
-            3 => self.pack_kernel::<3>(first, columns, width, panel),
-            4 => self.pack_kernel::<4>(first, columns, width, panel),
-            5 => self.pack_kernel::<5>(first, columns, width, panel),
-            _ => self.pack_any(first, columns, width, panel),
-        });
+        vectorized(
+            #[inline(always)]
+            || match self.shape[2] {
+                1 => self.pack_kernel::<1>(first, columns, width, panel),
+                3 => self.pack_kernel::<3>(first, columns, width, panel),
+                4 => self.pack_kernel::<4>(first, columns, width, panel),
+                5 => self.pack_kernel::<5>(first, columns, width, panel),
+                _ => self.pack_any(first, columns, width, panel),
+            },
+        );
     }
 
     #[inline(always)]
@@ -134,4 +137,44 @@ fn turn<const K: usize, const N: usize>(
             }
         }
     }
+}
+
+/// Writes windows `[kernel, inner]` as columns of the order in which a weight runs:
+/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`, and zeros for the windows that do
+/// not exist.
+pub(crate) fn turn_windows(
+    windows: &[&[f32]],
+    [inner, kernel]: [usize; 2],
+    width: usize,
+    panel: &mut [f32],
+) {
+    vectorized(
+        #[inline(always)]
+        || {
+            for (block, windows) in windows.chunks(LINES).enumerate() {
+                for k in 0..kernel {
+                    let lines: [&[f32]; LINES] = std::array::from_fn(|i| match windows.get(i) {
+                        Some(window) => &window[k * inner..(k + 1) * inner],
+                        None => &[],
+                    });
+                    if windows.len() == LINES {
+                        let lines = lines.map(|line| &line[..inner]);
+                        for c in 0..inner {
+                            let out =
+                                &mut panel[(c * kernel + k) * width + block * LINES..][..LINES];
+                            for (out, line) in out.iter_mut().zip(&lines) {
+                                *out = line[c];
+                            }
+                        }
+                    } else {
+                        for (i, line) in lines.iter().enumerate() {
+                            for (c, value) in line.iter().enumerate() {
+                                panel[(c * kernel + k) * width + block * LINES + i] = *value;
+                            }
+                        }
+                    }
+                }
+            }
+        },
+    );
 }

@@ -4,10 +4,12 @@
 //! other implementations copy together (im2col); here it is read where it stands.
 
 use std::cell::RefCell;
+use std::mem::MaybeUninit;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packing::Weight;
+use super::narrow::{is_narrow, multiply_narrow};
+use super::packing::{Direction, Weight};
 use super::rows::{Rows, SharedRows};
 use super::team;
 
@@ -38,7 +40,7 @@ impl<'a> Windows<'a> {
         &self.data[sample * self.sample_stride + row * self.row_stride..][..self.depth]
     }
 
-    fn len(&self) -> usize {
+    pub fn len(&self) -> usize {
         self.batch * self.rows
     }
 }
@@ -55,7 +57,7 @@ pub(crate) struct Addends<'a> {
 /// Which rows of the output the windows stand for: `first + row step`.
 #[derive(Clone, Copy)]
 pub(crate) struct OutputRows<'a> {
-    pub rows: SharedRows<'a>,
+    pub rows: SharedRows<'a, MaybeUninit<f32>>,
     pub first: usize,
     pub step: usize,
 }
@@ -65,7 +67,7 @@ thread_local! {
     pub(crate) static PANEL: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
-/// `output = windows weight^T + addends`.
+/// `output = windows weight^T + addends`, written to every column of the windows' rows.
 ///
 /// Each element is summed in one order whatever the number of threads.
 pub(crate) fn multiply(
@@ -77,6 +79,11 @@ pub(crate) fn multiply(
     assert_eq!(windows.depth, weight.depth(), "depth");
     if windows.len() == 0 {
         return;
+    }
+    if let Direction::Gather = weight.direction
+        && is_narrow(windows.len(), weight.columns())
+    {
+        return multiply_narrow(windows, weight.data, weight.shape, addends, output);
     }
     let width = Arch::new().dispatch(PanelWidth);
     let panels = weight.columns().div_ceil(width);
@@ -193,6 +200,7 @@ impl PanelTask<'_> {
             .addends
             .residual
             .map(|rows| &rows.row(sample, time)[column..column + columns]);
+        let mut line = [0.0_f32; WIDEST];
         for (n, sum) in sums.iter().enumerate() {
             let lanes = n * S::F32_LANES..((n + 1) * S::F32_LANES).min(columns);
             if lanes.is_empty() {
@@ -205,14 +213,18 @@ impl PanelTask<'_> {
             if let Some(residual) = residual {
                 sum = simd.add_f32s(sum, simd.partial_load_f32s(&residual[lanes.clone()]));
             }
-            simd.partial_store_f32s(&mut out[lanes], sum);
+            simd.partial_store_f32s(&mut line[lanes], sum);
         }
+        out.write_copy_of_slice(&line[..columns]);
     }
 }
 
+/// Columns of the widest panel that any processor has.
+pub(crate) const WIDEST: usize = 64;
+
 /// The sums of one tile: rows of any place times a packed panel.
 #[inline(always)]
-fn tile<S: Simd, const NR: usize>(
+pub(crate) fn tile<S: Simd, const NR: usize>(
     simd: S,
     rows: [&[f32]; TILE_ROWS],
     panel: &[[S::f32s; NR]],

@@ -1,6 +1,7 @@
 //! Frames as rows: the memory order that the kernels work in.
 
 use std::marker::PhantomData;
+use std::mem::MaybeUninit;
 
 /// A view of `[batch, time, channels]` whose channels lie side by side.
 #[derive(Clone, Copy, Debug)]
@@ -72,11 +73,37 @@ pub(crate) struct Padded {
 }
 
 impl Padded {
-    /// Zero rows: `before + time + after` a sample.
-    pub fn zeros([batch, time, channels]: [usize; 3], before: usize, after: usize) -> Self {
+    /// `before` zero rows, `time` rows that `write` writes, and `after` zero rows, a sample.
+    ///
+    /// # Safety
+    /// `write` writes every element of the rows that it is given.
+    #[allow(unsafe_code)]
+    pub unsafe fn written_by(
+        [batch, time, channels]: [usize; 3],
+        before: usize,
+        after: usize,
+        write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
+    ) -> Self {
         let rows = before + time + after;
+        let len = batch * rows * channels;
+        let mut data: Vec<f32> = Vec::with_capacity(len);
+        let unwritten = &mut data.spare_capacity_mut()[..len];
+        if len > 0 {
+            for sample in unwritten.chunks_exact_mut(rows * channels) {
+                let (head, inner) = sample.split_at_mut(before * channels);
+                let (_, tail) = inner.split_at_mut(time * channels);
+                head.fill(MaybeUninit::new(0.0));
+                tail.fill(MaybeUninit::new(0.0));
+            }
+        }
+        let start = before * channels;
+        write(SharedRows::new(unwritten, start, rows * channels, channels));
+        // SAFETY: the zero rows are written above, the others by the caller's promise.
+        unsafe {
+            data.set_len(len);
+        }
         Self {
-            data: vec![0.0; batch * rows * channels],
+            data,
             before,
             rows,
             channels,
@@ -97,37 +124,37 @@ impl Padded {
     pub fn data(&self) -> &[f32] {
         &self.data
     }
-
-    /// The inner rows, to be written by several threads.
-    pub fn shared(&mut self) -> SharedRows<'_> {
-        let start = self.before * self.channels;
-        let (sample_stride, row_stride) = (self.sample_stride(), self.channels);
-        SharedRows::new(&mut self.data, start, sample_stride, row_stride)
-    }
 }
 
 /// Rows that several threads write, each its own columns or its own rows.
-#[derive(Clone, Copy)]
-pub(crate) struct SharedRows<'a> {
-    data: *mut f32,
+pub(crate) struct SharedRows<'a, T = f32> {
+    data: *mut T,
     len: usize,
     start: usize,
     sample_stride: usize,
     row_stride: usize,
-    lifetime: PhantomData<&'a mut [f32]>,
+    lifetime: PhantomData<&'a mut [T]>,
 }
 
+impl<T> Clone for SharedRows<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for SharedRows<'_, T> {}
+
 // SAFETY: the pointer is only followed in `segment`, whose caller promises that no two threads
-// hold overlapping segments; `f32` itself may go to any thread.
+// hold overlapping segments; the elements themselves may go to any thread.
 #[allow(unsafe_code)]
-unsafe impl Send for SharedRows<'_> {}
+unsafe impl<T: Send> Send for SharedRows<'_, T> {}
 // SAFETY: as above.
 #[allow(unsafe_code)]
-unsafe impl Sync for SharedRows<'_> {}
+unsafe impl<T: Send> Sync for SharedRows<'_, T> {}
 
-impl<'a> SharedRows<'a> {
+impl<'a, T> SharedRows<'a, T> {
     /// Rows in `data` from element `start` on.
-    pub fn new(data: &'a mut [f32], start: usize, sample_stride: usize, row_stride: usize) -> Self {
+    pub fn new(data: &'a mut [T], start: usize, sample_stride: usize, row_stride: usize) -> Self {
         Self {
             data: data.as_mut_ptr(),
             len: data.len(),
@@ -139,7 +166,7 @@ impl<'a> SharedRows<'a> {
     }
 
     /// Rows without gaps.
-    pub fn dense(data: &'a mut [f32], [batch, time, channels]: [usize; 3]) -> Self {
+    pub fn dense(data: &'a mut [T], [batch, time, channels]: [usize; 3]) -> Self {
         assert_eq!(data.len(), batch * time * channels, "elements");
         Self::new(data, 0, time * channels, channels)
     }
@@ -158,13 +185,35 @@ impl<'a> SharedRows<'a> {
         time: usize,
         first: usize,
         channels: usize,
-    ) -> &mut [f32] {
+    ) -> &mut [T] {
         let at = self.start + sample * self.sample_stride + time * self.row_stride + first;
         assert!(at + channels <= self.len, "a row outside the buffer");
         // SAFETY: the range was checked against the slice that `new` borrowed mutably for `'a`;
         // the caller keeps segments apart.
         unsafe { std::slice::from_raw_parts_mut(self.data.add(at), channels) }
     }
+}
+
+/// Elements `[batch, time, channels]` that `write` writes.
+///
+/// # Safety
+/// `write` writes every element.
+#[allow(unsafe_code)]
+pub(crate) unsafe fn rows_written_by(
+    shape: [usize; 3],
+    write: impl FnOnce(SharedRows<'_, MaybeUninit<f32>>),
+) -> Vec<f32> {
+    let len = shape.iter().product();
+    let mut data: Vec<f32> = Vec::with_capacity(len);
+    write(SharedRows::dense(
+        &mut data.spare_capacity_mut()[..len],
+        shape,
+    ));
+    // SAFETY: the caller's promise.
+    unsafe {
+        data.set_len(len);
+    }
+    data
 }
 
 /// Cuts `[batch, channels]` into tasks of whole samples, or of parts of their channels where there

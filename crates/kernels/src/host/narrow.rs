@@ -1,0 +1,186 @@
+//! Products of few windows with many weights, as those of a coarse level or of one sample.
+//!
+//! To pack the weights would cost more than to multiply them. Here the windows are turned into
+//! panels instead, and the weights are read once, where they stand.
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::packing::turn_windows;
+use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, tile, vectors};
+use super::team;
+
+/// Windows up to which this way can be the faster one.
+const MOST_ROWS: usize = 32;
+
+/// Output channels that one task takes at least.
+const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
+
+/// Whether few enough windows meet enough output channels.
+pub(crate) fn is_narrow(rows: usize, channels: usize) -> bool {
+    rows <= MOST_ROWS && 2 * rows <= channels
+}
+
+/// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` whose windows run
+/// through all taps in order.
+///
+/// Each element is summed in one order whatever the number of threads.
+pub(crate) fn multiply_narrow(
+    windows: Windows<'_>,
+    weight: &[f32],
+    [channels, inner, kernel]: [usize; 3],
+    addends: Addends<'_>,
+    output: OutputRows<'_>,
+) {
+    let lanes = Arch::new().dispatch(Lanes);
+    let total = windows.len();
+    let groups = total.div_ceil(lanes);
+    let depth = inner * kernel;
+    // Vector g of depth d: windows g lanes.. of the weight's element d.
+    let mut panels = vec![0.0; groups * depth * lanes];
+    let most = Arch::new().dispatch(MostVectors);
+    let parts = panels
+        .chunks_mut(most * depth * lanes)
+        .enumerate()
+        .collect();
+    team::for_each_item(parts, |(part, panel): (usize, &mut [f32])| {
+        let first = part * most * lanes;
+        let width = panel.len() / depth;
+        let rows: Vec<&[f32]> = (first..total.min(first + width))
+            .map(|i| windows.at(i))
+            .collect();
+        turn_windows(&rows, [inner, kernel], width, panel);
+    });
+
+    let wanted = 4 * rayon::current_num_threads();
+    let part = channels
+        .div_ceil(wanted)
+        .max(LEAST_CHANNELS)
+        .next_multiple_of(TILE_ROWS);
+    team::for_each(channels.div_ceil(part), |task| {
+        let first = task * part;
+        Arch::new().dispatch(RunTask {
+            windows,
+            weight,
+            panels: &panels,
+            depth,
+            channels: first..(first + part).min(channels),
+            addends,
+            output,
+        });
+    });
+}
+
+/// Elements of a vector on this processor.
+struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES
+    }
+}
+
+/// Vectors of a panel on this processor.
+struct MostVectors;
+
+impl WithSimd for MostVectors {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        vectors::<S>()
+    }
+}
+
+/// Some output channels of all windows.
+struct RunTask<'a> {
+    windows: Windows<'a>,
+    weight: &'a [f32],
+    panels: &'a [f32],
+    depth: usize,
+    channels: std::ops::Range<usize>,
+    addends: Addends<'a>,
+    output: OutputRows<'a>,
+}
+
+impl WithSimd for RunTask<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let most = vectors::<S>() * S::F32_LANES;
+        for (index, panel) in self.panels.chunks(most * self.depth).enumerate() {
+            let first = index * most;
+            match panel.len() / (self.depth * S::F32_LANES) {
+                1 => self.run::<S, 1>(simd, panel, first),
+                2 => self.run::<S, 2>(simd, panel, first),
+                3 => self.run::<S, 3>(simd, panel, first),
+                _ => self.run::<S, 4>(simd, panel, first),
+            }
+        }
+    }
+}
+
+impl RunTask<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const NR: usize>(&self, simd: S, panel: &[f32], first: usize) {
+        let width = NR * S::F32_LANES;
+        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
+        let rows = first..self.windows.len().min(first + width);
+        for channel in self.channels.clone().step_by(TILE_ROWS) {
+            // Channels beyond the last are the last again; they are not written.
+            let last = self.channels.end - 1;
+            let weights: [&[f32]; TILE_ROWS] = std::array::from_fn(|i| {
+                &self.weight[(channel + i).min(last) * self.depth..][..self.depth]
+            });
+            let sums = tile(simd, weights, panel);
+            let mut turned = [[0.0_f32; TILE_ROWS]; WIDEST];
+            for (i, sums) in sums.iter().enumerate() {
+                for (n, sum) in sums.iter().enumerate() {
+                    let mut lanes = [0.0_f32; LONGEST];
+                    simd.partial_store_f32s(&mut lanes[..S::F32_LANES], *sum);
+                    for (l, value) in lanes[..S::F32_LANES].iter().enumerate() {
+                        turned[n * S::F32_LANES + l][i] = *value;
+                    }
+                }
+            }
+            let count = TILE_ROWS.min(self.channels.end - channel);
+            for (index, values) in rows.clone().zip(&mut turned) {
+                self.write(index, channel, &mut values[..count]);
+            }
+        }
+    }
+
+    /// Writes some channels of one output row, with what is added to them.
+    #[inline(always)]
+    fn write(&self, index: usize, channel: usize, values: &mut [f32]) {
+        let (sample, row) = (index / self.windows.rows, index % self.windows.rows);
+        let time = self.output.first + row * self.output.step;
+        // SAFETY: a task owns its channels of all rows, and this is its only slice of them.
+        #[allow(unsafe_code)]
+        let out = unsafe {
+            self.output
+                .rows
+                .segment(sample, time, channel, values.len())
+        };
+        if let Some(bias) = self.addends.bias {
+            for (value, bias) in values.iter_mut().zip(&bias[channel..]) {
+                *value += bias;
+            }
+        }
+        if let Some(residual) = self.addends.residual {
+            for (value, residual) in values
+                .iter_mut()
+                .zip(&residual.row(sample, time)[channel..])
+            {
+                *value += residual;
+            }
+        }
+        out.write_copy_of_slice(values);
+    }
+}
+
+/// Elements of the longest vector that any processor has.
+const LONGEST: usize = 16;
