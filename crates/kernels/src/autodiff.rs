@@ -14,6 +14,7 @@ use crate::backend::{
 };
 use crate::flex::{HostRows, contiguous, from_rows, tensor};
 use crate::host::convolution::{ConvolutionPlan, Input, Wanted};
+use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, Statistics};
 
 /// What a convolution's backward pass needs.
@@ -207,6 +208,22 @@ impl Backward<Flex, 2> for Concat {
     }
 }
 
+#[derive(Debug)]
+struct Gelu;
+
+impl Backward<Flex, 1> for Gelu {
+    type State = FlexTensor;
+
+    fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        if let [Some(node)] = ops.parents {
+            let x = ops.state;
+            let values = gelu::backward(&contiguous(&x), &contiguous(&gradient));
+            gradients.register::<Flex>(node.id, tensor(values, x.layout().shape().clone()));
+        }
+    }
+}
+
 impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
     fn fused_convolution(
         x: FloatTensor<Self>,
@@ -338,6 +355,16 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         let output = Flex::concat_channels(first, second);
         match Concat.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(channels, output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self> {
+        let nodes = [x.node()];
+        let x = x.into_primitive();
+        let output = Flex::fused_gelu(x.clone());
+        match Gelu.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(x, output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }

@@ -10,6 +10,7 @@ use burn::backend::{Backend, Flex, backend_extension};
 use crate::flex::{HostRows, contiguous, from_rows, tensor};
 use crate::host::attention::{Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
+use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
@@ -73,6 +74,9 @@ pub trait FusedOps: Backend {
 
     /// The channels of `first`, then those of `second`.
     fn concat_channels(first: FloatTensor<Self>, second: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// GELU of each element.
+    fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 /// The tensors of a normalisation on the host.
@@ -315,6 +319,10 @@ impl FusedOps for Flex {
     fn fused_self_attention(queries_keys_values: FlexTensor, num_heads: usize) -> FlexTensor {
         let all = HostRows::of(queries_keys_values);
         attend(self_heads(all.view(), num_heads))
+    }
+
+    fn fused_gelu(x: FlexTensor) -> FlexTensor {
+        tensor(gelu::forward(&contiguous(&x)), x.layout().shape().clone())
     }
 
     fn concat_channels(first: FlexTensor, second: FlexTensor) -> FlexTensor {

@@ -34,7 +34,7 @@ pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
 pub use host::geometry::Geometry;
 pub use mode::{Mode, ModeError, VARIABLE};
-pub use normalization::GroupNorm;
+pub use normalization::{GroupNorm, gelu, layer_norm};
 
 #[cfg(test)]
 mod tests;

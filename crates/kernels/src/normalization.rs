@@ -1,3 +1,4 @@
+use burn::backend::Dispatch;
 use burn::tensor::{Device, Tensor};
 
 use crate::Activation;
@@ -5,7 +6,6 @@ use crate::backend::{FusedOps, Given};
 use crate::composed;
 use crate::host::norm::GroupNormPlan;
 use crate::mode::fuses;
-use burn::backend::Dispatch;
 
 /// Group normalisation over channels and time (biased variance), then FiLM, an activation and a
 /// mask, where they are given:
@@ -110,5 +110,26 @@ impl GroupNorm {
                 .mask
                 .unwrap_or_else(|| Tensor::zeros([1, 1, 1], device)),
         }
+    }
+}
+
+/// Normalises each row over its features (biased variance), then scales and shifts each feature: a
+/// group normalisation of rows of one frame in one group.
+///
+/// # Shapes
+/// - x, output: `[rows, features]`
+/// - weight, bias: `[features]`
+pub fn layer_norm(x: Tensor<2>, weight: Tensor<1>, bias: Tensor<1>, eps: f64) -> Tensor<2> {
+    GroupNorm::new(weight, bias, 1, eps)
+        .forward(x.unsqueeze_dim(2))
+        .squeeze_dim(2)
+}
+
+/// `x (1 + erf(x / sqrt 2)) / 2` of each element.
+pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+    if fuses(&x) {
+        Tensor::from_dispatch(Dispatch::fused_gelu(x.into_dispatch()))
+    } else {
+        burn::tensor::activation::gelu(x)
     }
 }

@@ -236,15 +236,35 @@ fn dense(data: &[f32], columns: usize) -> Matrix<'_> {
     }
 }
 
+/// Elements that are folded side by side, as vector code wants them.
+const LANES: usize = 16;
+
 #[inline(always)]
 fn softmax(row: &mut [f32]) {
-    let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let mut sum = 0.0;
-    for value in row.iter_mut() {
-        *value = exp(*value - largest);
+    let mut largest = [f32::NEG_INFINITY; LANES];
+    let (lines, rest) = row.as_chunks::<LANES>();
+    for line in lines {
+        for (largest, value) in largest.iter_mut().zip(line) {
+            *largest = largest.max(*value);
+        }
     }
-    for value in row.iter() {
-        sum += value;
+    let largest = largest
+        .iter()
+        .chain(rest)
+        .copied()
+        .fold(f32::NEG_INFINITY, f32::max);
+    let mut sums = [0.0_f32; LANES];
+    let (lines, rest) = row.as_chunks_mut::<LANES>();
+    for line in lines {
+        for (sum, value) in sums.iter_mut().zip(line) {
+            *value = exp(*value - largest);
+            *sum += *value;
+        }
+    }
+    let mut sum: f32 = sums.iter().sum();
+    for value in rest {
+        *value = exp(*value - largest);
+        sum += *value;
     }
     let reciprocal = 1.0 / sum;
     for value in row.iter_mut() {
@@ -255,10 +275,16 @@ fn softmax(row: &mut [f32]) {
 /// `ds = p (dp - sum(dp p))`.
 #[inline(always)]
 fn softmax_backward(gradient: &mut [f32], weights: &[f32]) {
-    let mut sum = 0.0;
-    for (gradient, weight) in gradient.iter().zip(weights) {
-        sum += gradient * weight;
+    let mut sums = [0.0_f32; LANES];
+    let (gradients, rest) = gradient.as_chunks::<LANES>();
+    let (lines, weights_rest) = weights.as_chunks::<LANES>();
+    for (gradient, weights) in gradients.iter().zip(lines) {
+        for ((sum, gradient), weight) in sums.iter_mut().zip(gradient).zip(weights) {
+            *sum += gradient * weight;
+        }
     }
+    let rest = rest.iter().zip(weights_rest).map(|(g, w)| g * w);
+    let sum = sums.into_iter().chain(rest).sum::<f32>();
     for (gradient, weight) in gradient.iter_mut().zip(weights) {
         *gradient = weight * (*gradient - sum);
     }

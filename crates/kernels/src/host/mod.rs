@@ -3,6 +3,7 @@
 pub(crate) mod activation;
 pub(crate) mod attention;
 pub(crate) mod convolution;
+pub(crate) mod gelu;
 pub(crate) mod geometry;
 pub(crate) mod narrow;
 pub(crate) mod norm;

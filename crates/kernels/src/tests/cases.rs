@@ -3,7 +3,10 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
-use crate::{Activation, Convolution, GroupNorm, concat_channels, cross_attention, self_attention};
+use crate::{
+    Activation, Convolution, GroupNorm, concat_channels, cross_attention, gelu, layer_norm,
+    self_attention,
+};
 use crate::{Mode, linear};
 
 /// How a tensor lies in memory when an operation gets it.
@@ -42,6 +45,8 @@ pub enum Operation {
         second: usize,
     },
     Linear,
+    LayerNorm,
+    Gelu,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -88,6 +93,19 @@ impl Case {
         }
     }
 
+    /// Whether a normalisation's groups have so few elements that what is left of a gradient is
+    /// rounding.
+    pub fn few(&self) -> bool {
+        let elements = match self.operation {
+            Operation::LayerNorm => self.inputs,
+            _ => match self.norm() {
+                Some(norm) => norm.group_channels * self.time,
+                None => return false,
+            },
+        };
+        elements < 4
+    }
+
     /// Every tensor that goes in, `x` first.
     pub fn leaves(&self) -> Vec<Leaf> {
         let (batch, inputs, outputs) = (self.batch, self.inputs, self.outputs);
@@ -114,7 +132,12 @@ impl Case {
                 }
                 shapes
             }
-            Operation::GroupNorm(_) => vec![("x", x)],
+            Operation::GroupNorm(_) | Operation::Gelu => vec![("x", x)],
+            Operation::LayerNorm => vec![
+                ("x", x),
+                ("norm_weight", [1, inputs, 1]),
+                ("norm_bias", [1, inputs, 1]),
+            ],
             Operation::CrossAttention { keys, .. } => {
                 vec![("x", x), ("keys_values", [batch, 2 * inputs, keys])]
             }
@@ -317,6 +340,15 @@ impl Case {
             }
             Operation::SelfAttention { num_heads } => self_attention(x, num_heads),
             Operation::Concat { .. } => concat_channels(x, take("second")),
+            Operation::Gelu => gelu(x.mul_scalar(3.0)),
+            Operation::LayerNorm => {
+                let rows = x
+                    .swap_dims(1, 2)
+                    .reshape([self.batch * self.time, self.inputs]);
+                layer_norm(rows, flat("norm_weight"), flat("norm_bias"), 1e-5)
+                    .reshape([self.batch, self.time, self.inputs])
+                    .swap_dims(1, 2)
+            }
             Operation::Linear => {
                 let rows = x
                     .swap_dims(1, 2)

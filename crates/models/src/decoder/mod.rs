@@ -4,8 +4,9 @@ mod config;
 mod identity;
 
 use burn::module::Module;
-use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
+use kinegrad_kernels::gelu;
 use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
 use kinegrad_motion::phrase::{ACCELERATION, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY};
 

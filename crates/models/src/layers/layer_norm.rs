@@ -1,5 +1,6 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
+use kinegrad_kernels::layer_norm;
 
 use crate::Initializer;
 
@@ -26,9 +27,6 @@ impl LayerNorm {
     /// # Shapes
     /// - x, output: `[rows, features]`
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        let x = x.clone() - x.mean_dim(1);
-        let variance = x.clone().square().mean_dim(1);
-        let x = x / variance.add_scalar(LAYER_NORM_EPS).sqrt();
-        x * self.weight.val().unsqueeze() + self.bias.val().unsqueeze()
+        layer_norm(x, self.weight.val(), self.bias.val(), LAYER_NORM_EPS)
     }
 }
