@@ -4,7 +4,7 @@ use std::fs;
 
 use kinegrad_data::{AudioFeatures, write_features, write_motion};
 use kinegrad_motion::Motion;
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -126,6 +126,18 @@ fn missing_config_and_device_are_named() {
         &["`run.device` is \"warp\"", "cpu"],
     );
     refused(&sandbox, "--device cuda:x", &["cuda:x"]);
+}
+
+#[test]
+fn unknown_kernels_in_the_environment_are_named() {
+    let sandbox = sandbox();
+    let mut train = sandbox.command(["train", "c.toml"]);
+    train.env("KINEGRAD_KERNELS", "fast");
+    finish(train).failed(2, &["KINEGRAD_KERNELS", "fast", "fused", "composed"]);
+    assert!(
+        !sandbox.path("runs").exists(),
+        "a refused run wrote something"
+    );
 }
 
 /// Writes a good phrase of `frames`, then lets `spoil` change its files.

@@ -165,7 +165,7 @@ fn killed_run_ends_the_same_with_a_tensor_that_the_backend_sums_in_any_order() {
 #[test]
 fn a_run_killed_before_its_best_step_was_recorded_records_it() {
     let sandbox = sandbox();
-    let train = "train c.toml --set train.max_steps=20";
+    let train = "train c.toml --set train.max_steps=20 --runs-dir runs";
     sandbox.run(train).succeeded();
     let record = sandbox.path("runs/smallest/checkpoints/best.json");
     let best = fs::read(&record).expect("a best step");

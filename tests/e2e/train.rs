@@ -1,10 +1,11 @@
 //! The whole way: make data, train, sample, check, plot.
 
 use std::fs;
+use std::path::Path;
 
 use kinegrad_data::read_motion;
 use kinegrad_tests::golden::workspace;
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -189,4 +190,39 @@ fn the_named_sizes_have_the_documented_numbers_of_parameters() {
             shown.stdout
         );
     }
+}
+
+/// Each recipe's losses with and without the kernels, which are the same numbers to rounding.
+#[test]
+fn kernels_change_no_loss() {
+    let sandbox = sandbox();
+    let fine_tuning = "--set train.recipe=e2e --set init.pretrain.diffusion_steps=3 \
+        --set init.pretrain.decoder_steps=3 --set decoder.hidden_dim=32 --set rollout.steps=2";
+    for (name, settings) in [("diffusion", ""), ("e2e", fine_tuning)] {
+        let [fused, composed] = ["fused", "composed"].map(|kernels| {
+            let runs = format!("{name}-{kernels}");
+            let settings = format!("train c.toml --set train.max_steps=4 {settings}");
+            let arguments = format!("{settings} --set model.dropout=0.2 --runs-dir {runs}");
+            let mut train = sandbox.command(arguments.split_whitespace());
+            train.env("KINEGRAD_KERNELS", kernels);
+            finish(train).succeeded();
+            losses(&sandbox.path(format!("{runs}/smallest/metrics.jsonl")))
+        });
+        assert!(fused.len() >= 4, "{name}: {fused:?}");
+        assert_eq!(fused.len(), composed.len());
+        for (fused, composed) in fused.iter().zip(composed) {
+            let error = (fused - composed).abs() / composed;
+            assert!(error < 1e-4, "{name}: {fused} instead of {composed}");
+        }
+    }
+}
+
+fn losses(metrics: &Path) -> Vec<f64> {
+    let text = fs::read_to_string(metrics).expect("metrics");
+    let records = text
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
+    records
+        .filter_map(|record| record["loss"].as_f64())
+        .collect()
 }

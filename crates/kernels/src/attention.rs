@@ -17,12 +17,13 @@ use crate::mode::fuses;
 /// # Panics
 /// Panics if the channels do not divide into the heads.
 pub fn cross_attention(queries: Tensor<3>, keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
-    let channels = queries.dims()[1];
+    let [batch, channels, _] = queries.dims();
     check(channels, num_heads);
+    let [other_batch, both, _] = keys_values.dims();
     assert_eq!(
-        keys_values.dims()[1],
-        2 * channels,
-        "channels of keys and values"
+        (other_batch, both),
+        (batch, 2 * channels),
+        "samples and channels of keys and values"
     );
     if !fuses(&queries) {
         let keys = keys_values.clone().narrow(1, 0, channels);
@@ -45,7 +46,12 @@ pub fn cross_attention(queries: Tensor<3>, keys_values: Tensor<3>, num_heads: us
 /// # Panics
 /// Panics if the channels do not divide into the heads.
 pub fn self_attention(queries_keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
-    let channels = queries_keys_values.dims()[1] / 3;
+    let all = queries_keys_values.dims()[1];
+    assert!(
+        all.is_multiple_of(3),
+        "{all} channels are not three times as many"
+    );
+    let channels = all / 3;
     check(channels, num_heads);
     if !fuses(&queries_keys_values) {
         let part = |index: usize| {

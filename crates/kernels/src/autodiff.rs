@@ -249,11 +249,11 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         .map(|tensor| tensor.node());
         let x = x.into_primitive();
         let weight = weight.into_primitive();
+        let rows = HostRows::of(x.clone());
         let norm = plan.norm.map(|plan| {
             let parameters =
                 [norm_weight, norm_bias, film, mask].map(|tensor| tensor.into_primitive());
-            let statistics = norm::statistics(HostRows::of(x.clone()).view(), &plan);
-            (parameters, statistics)
+            (parameters, norm::statistics(rows.view(), &plan))
         });
         let host_norm = norm
             .as_ref()
@@ -261,7 +261,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                 (statistics, HostNorm::new([weight, bias, film], mask, given))
             });
         let output = convolution(
-            HostRows::of(x.clone()).view(),
+            rows.view(),
             &weight,
             given.bias.then_some(bias.primitive()),
             given.residual.then(|| residual.into_primitive()),

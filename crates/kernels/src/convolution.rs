@@ -3,13 +3,14 @@ use burn::tensor::Tensor;
 
 use crate::backend::{FusedOps, Given};
 use crate::host::convolution::ConvolutionPlan;
+use crate::host::geometry::Geometry;
 use crate::mode::fuses;
 use crate::normalization::NormTensors;
-use crate::{Geometry, GroupNorm, composed};
+use crate::{GroupNorm, composed};
 
 /// A convolution over time, with what stands right before and after it.
 ///
-/// On the CPU all of it is one operation that keeps nothing but its input for the backward pass:
+/// On the CPU all of it is one operation that keeps its input and parameters for the backward pass:
 /// what is normalised or repeated before the products is computed again there.
 ///
 /// ```text
@@ -101,14 +102,14 @@ impl Convolution {
     /// # Panics
     /// Panics if the shapes do not fit.
     pub fn forward(self, x: Tensor<3>) -> Tensor<3> {
-        let [_, inputs, time] = x.dims();
+        let [batch, inputs, time] = x.dims();
         let expected = self.weight.dims()[usize::from(!self.transposed)];
         assert_eq!(
             inputs, expected,
             "channels of a convolution's input and weight"
         );
         if let Some(norm) = &self.norm {
-            norm.check(inputs);
+            norm.check(x.dims());
             assert!(self.upsample.is_none(), "normalised and repeated at once");
         }
         if let Some(frames) = self.upsample {
@@ -118,16 +119,27 @@ impl Convolution {
                 "{time} frames to {frames}"
             );
         }
-        if !fuses(&x) {
-            return composed::convolution(x, self);
-        }
-        let device = x.device();
         let plan = ConvolutionPlan {
             geometry: self.geometry,
             transposed: self.transposed,
             upsample: self.upsample,
             norm: self.norm.as_ref().map(|norm| norm.plan),
         };
+        let outputs = plan.out_channels(self.weight.dims());
+        if let Some(bias) = &self.bias {
+            assert_eq!(bias.dims(), [outputs], "bias");
+        }
+        if let Some(residual) = &self.residual {
+            assert_eq!(
+                residual.dims(),
+                [batch, outputs, plan.frames(time)],
+                "residual"
+            );
+        }
+        if !fuses(&x) {
+            return composed::convolution(x, self);
+        }
+        let device = x.device();
         let mut given = Given {
             bias: self.bias.is_some(),
             residual: self.residual.is_some(),
@@ -185,7 +197,16 @@ pub fn linear(x: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
 /// # Shapes
 /// - first: `[batch, a, time]`, second: `[batch, b, time]`
 /// - output: `[batch, a + b, time]`
+///
+/// # Panics
+/// Panics if the shapes do not fit.
 pub fn concat_channels(first: Tensor<3>, second: Tensor<3>) -> Tensor<3> {
+    let ([batch, _, time], [other_batch, _, other_time]) = (first.dims(), second.dims());
+    assert_eq!(
+        (batch, time),
+        (other_batch, other_time),
+        "samples and frames"
+    );
     if !fuses(&first) {
         return Tensor::cat(vec![first, second], 1);
     }

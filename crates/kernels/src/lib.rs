@@ -32,7 +32,6 @@ pub mod optimizer;
 pub use attention::{cross_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
-pub use host::geometry::Geometry;
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
 

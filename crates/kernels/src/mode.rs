@@ -31,9 +31,6 @@ thread_local! {
 }
 
 impl Mode {
-    /// The names of the modes.
-    pub const NAMES: [&str; 2] = ["fused", "composed"];
-
     /// What the environment variable says; fused without one.
     ///
     /// # Errors

@@ -72,9 +72,9 @@ impl GroupNorm {
     /// - x, output: `[batch, channels, time]`
     ///
     /// # Panics
-    /// Panics if the channels do not divide into the groups.
+    /// Panics if the channels do not divide into the groups, or a shape does not fit.
     pub fn forward(self, x: Tensor<3>) -> Tensor<3> {
-        self.check(x.dims()[1]);
+        self.check(x.dims());
         if !fuses(&x) {
             return composed::group_norm(x, self);
         }
@@ -91,12 +91,21 @@ impl GroupNorm {
         ))
     }
 
-    pub(crate) fn check(&self, channels: usize) {
+    /// Asserts that the parameters fit an input of this shape.
+    pub(crate) fn check(&self, [batch, channels, time]: [usize; 3]) {
         let groups = self.plan.groups;
         assert!(
             channels.is_multiple_of(groups),
             "{channels} channels do not divide into {groups} groups"
         );
+        assert_eq!(self.weight.dims(), [channels], "weight of a normalisation");
+        assert_eq!(self.bias.dims(), [channels], "bias of a normalisation");
+        if let Some(film) = &self.film {
+            assert_eq!(film.dims(), [batch, 2 * channels], "FiLM");
+        }
+        if let Some(mask) = &self.mask {
+            assert_eq!(mask.dims(), [batch, channels, time], "mask");
+        }
     }
 
     pub(crate) fn into_tensors(self, given: &mut Given, device: &Device) -> NormTensors {

@@ -135,20 +135,20 @@ impl AdamW {
             Some((shadow, rate)) => {
                 assert_eq!(shadow.len(), len, "moving average");
                 let rate = rate as f32;
-                chunks
-                    .zip(shadow.chunks_mut(CHUNK))
-                    .for_each(|((((p, g), m), v), s)| {
-                        vectorized(
-                            #[inline(always)]
-                            || {
-                                let pairs = p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()));
-                                for (((p, g), (m, v)), s) in pairs.zip(s.iter_mut()) {
-                                    *p = coefficients.step(*p, *g, m, v);
-                                    *s += rate * (*p - *s);
-                                }
-                            },
-                        );
-                    });
+                let chunks = chunks.zip(shadow.chunks_mut(CHUNK)).collect();
+                team::for_each_item(chunks, |((((p, g), m), v), s)| {
+                    let (p, s): (&mut [f32], &mut [f32]) = (p, s);
+                    vectorized(
+                        #[inline(always)]
+                        || {
+                            let pairs = p.iter_mut().zip(g).zip(m.iter_mut().zip(v.iter_mut()));
+                            for (((p, g), (m, v)), s) in pairs.zip(s.iter_mut()) {
+                                *p = coefficients.step(*p, *g, m, v);
+                                *s += rate * (*p - *s);
+                            }
+                        },
+                    );
+                });
             }
             None => team::for_each_item(chunks.collect(), |(((p, g), m), v)| {
                 vectorized(

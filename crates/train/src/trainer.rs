@@ -12,7 +12,7 @@ use kinegrad_data::Loader;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::TrainingStatistics;
 
-use crate::checkpoint::{Best, Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
+use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
 use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;
@@ -171,10 +171,6 @@ impl<R: Recipe> Trainer<R> {
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.config.train.max_steps;
         let validates = self.config.validation.every_steps > 0;
-        if self.last_saved.is_some() {
-            // A crash may have come between a checkpoint and the record of its being the best.
-            self.record_best()?;
-        }
         if self.step == 0 && validates && self.recipe.measures_first() {
             let val_loss = self.measure()?;
             observer.validated(0, val_loss, false);
@@ -377,7 +373,7 @@ impl<R: Recipe> Trainer<R> {
             ema: self.ema.shadow(),
             moments: self.optimizer.moments(),
         })?;
-        self.record_best()?;
+        self.checkpoints.set_best(self.progress.best().as_ref())?;
         self.checkpoints.prune(
             self.step,
             self.config.checkpoint.keep_last,
@@ -386,19 +382,6 @@ impl<R: Recipe> Trainer<R> {
         observer.saved(&path);
         self.last_saved = Some(path);
         Ok(())
-    }
-
-    /// Writes down which step is the best so far.
-    fn record_best(&self) -> Result<(), Error> {
-        let best = match self.progress {
-            Progress {
-                best_step: Some(step),
-                best_val_loss: Some(val_loss),
-                ..
-            } => Some(Best { step, val_loss }),
-            _ => None,
-        };
-        self.checkpoints.set_best(best.as_ref())
     }
 
     fn not_finite(&self, tensor: String) -> Error {

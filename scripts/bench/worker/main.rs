@@ -98,7 +98,8 @@ struct Done {
 
 type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss>;
 
-/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same.
+/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same and without a moving
+/// average.
 struct Training<R: Recipe> {
     recipe: R,
     /// `None` only while an update holds it.

@@ -107,6 +107,15 @@ impl ConvolutionPlan {
     fn prepare<'a>(&self, input: Input<'a>, phases: &[Phase]) -> Source<'a> {
         let x = input.x;
         let frames = self.source_frames(x.time);
+        assert!(
+            self.norm.is_none() || self.upsample.is_none(),
+            "normalised and repeated at once"
+        );
+        assert_eq!(
+            self.norm.is_some(),
+            input.norm.is_some(),
+            "a normalisation's tensors"
+        );
         if (self.upsample, self.norm) == (None, None) {
             return Source::pad(x, phases);
         }
@@ -156,6 +165,8 @@ impl ConvolutionPlan {
         wanted: Wanted,
     ) -> ConvolutionGradients {
         let x = input.x;
+        assert_eq!(gradient.batch, x.batch, "samples of input and gradient");
+        assert_eq!(gradient.time, self.frames(x.time), "frames of the gradient");
         let frames = self.source_frames(x.time);
         let mut gradients = ConvolutionGradients {
             input: None,
@@ -217,6 +228,13 @@ impl<'a> Source<'a> {
             })
         };
         Self::Padded(padded, shape)
+    }
+
+    fn batch(&self) -> usize {
+        match self {
+            Self::Plain(rows) => rows.batch,
+            Self::Padded(_, [batch, ..]) => *batch,
+        }
     }
 
     /// The windows of a phase.
@@ -282,7 +300,15 @@ fn multiply_phases(
     addends: Addends<'_>,
     shape: [usize; 3],
 ) -> Vec<f32> {
-    // SAFETY: the phases' rows are all rows, and a product writes all columns of its rows.
+    let columns = weight.shape[usize::from(!weight.gathers)];
+    assert_eq!(
+        (source.batch(), columns),
+        (shape[0], shape[2]),
+        "samples and columns"
+    );
+    let rows: usize = phases.iter().map(|phase| phase.rows).sum();
+    assert_eq!(rows, shape[1], "rows of the phases");
+    // SAFETY: the phases' rows are all rows of all samples, and a product writes all columns.
     #[allow(unsafe_code)]
     unsafe {
         rows_written_by(shape, |rows| {

@@ -53,6 +53,7 @@ impl Geometry {
     /// # Panics
     /// Panics if no frame is left.
     pub fn long(&self, short: usize) -> usize {
+        assert!(short > 0, "a transposed convolution of no frame");
         let reached = (short - 1) * self.stride + self.kernel;
         assert!(
             reached > 2 * self.padding,

@@ -314,8 +314,10 @@ fn backward_affine(
         f64::from(parameters.weight[channel])
             * f64::from(film(task.sample, channel, channels, parameters.film).0)
     };
-    // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and x.
-    let [mut of_du, mut of_x, mut constants] = [(); 3].map(|()| Vec::with_capacity(task.channels));
+    // dx = reciprocal (factor du - mean1 - n mean2), as a map of du and of the distance of x from
+    // its mean.
+    let [mut of_du, mut of_distance, mut constants, mut centers] =
+        [(); 4].map(|()| Vec::with_capacity(task.channels));
     for (group, moments) in moments.chunks(size).enumerate() {
         let mut means = [0.0_f64; 2];
         for (i, moments) in moments.iter().enumerate() {
@@ -325,11 +327,12 @@ fn backward_affine(
         }
         let [mean, reciprocal] = statistics.0[first_group + group].map(f64::from);
         let slope = -reciprocal * reciprocal * means[1];
-        let constant = -reciprocal * means[0] - slope * mean;
+        let constant = -reciprocal * means[0];
         for i in 0..size {
             of_du.push((reciprocal * factor(group * size + i)) as f32);
-            of_x.push(slope as f32);
+            of_distance.push(slope as f32);
             constants.push(constant as f32);
+            centers.push(mean as f32);
         }
     }
     vectorized(
@@ -341,11 +344,12 @@ fn backward_affine(
                 #[allow(unsafe_code)]
                 let gradient =
                     unsafe { gradient.segment(task.sample, time, task.first, task.channels) };
-                let maps = of_du.iter().zip(&of_x).zip(&constants);
-                for ((gradient, x), ((du, slope), constant)) in
+                let slopes = of_du.iter().zip(&of_distance);
+                let maps = slopes.zip(constants.iter().zip(&centers));
+                for ((gradient, x), ((du, slope), (constant, center))) in
                     gradient.iter_mut().zip(row).zip(maps)
                 {
-                    *gradient = *gradient * du + x * slope + constant;
+                    *gradient = *gradient * du + (x - center) * slope + constant;
                 }
             }
         },

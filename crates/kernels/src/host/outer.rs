@@ -25,6 +25,13 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
     // Not zeroed first: gradients of weights are most of the memory that a step writes.
     let mut gradient = Vec::with_capacity(len);
     assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
+    assert!(
+        depth.is_multiple_of(taps),
+        "a window of {depth} elements and {taps} taps"
+    );
+    if windows.len() == 0 || len == 0 {
+        return vec![0.0; len];
+    }
     // As few parts as keep all threads busy, as each packs the windows for itself.
     let most = (LARGEST_PART / depth.max(1)).max(TILE_ROWS) / TILE_ROWS * TILE_ROWS;
     let part = lhs

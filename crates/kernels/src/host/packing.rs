@@ -140,8 +140,8 @@ fn turn<const K: usize, const N: usize>(
 }
 
 /// Writes windows `[kernel, inner]` as columns of the order in which a weight runs:
-/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`, and zeros for the windows that do
-/// not exist.
+/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`. Columns of windows that do not exist
+/// stay as they are.
 pub(crate) fn turn_windows(
     windows: &[&[f32]],
     [inner, kernel]: [usize; 2],

@@ -63,9 +63,11 @@ struct Team {
 /// Panics if a task does.
 pub(crate) fn for_each(tasks: usize, work: impl Fn(usize) + Sync) {
     let helpers = rayon::current_num_threads().min(tasks).saturating_sub(1);
+    if helpers == 0 {
+        return (0..tasks).for_each(work);
+    }
     let team = team();
     let held = match team.helpers.try_lock() {
-        _ if helpers == 0 => None,
         Ok(held) => Some(held),
         Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
         Err(TryLockError::WouldBlock) => None,
@@ -153,8 +155,15 @@ impl Shared {
         }
         let mine = catch_unwind(AssertUnwindSafe(|| self.work_off(job)));
         self.state.fetch_and(!OPEN, Ordering::AcqRel);
+        let mut spins = 0;
         while self.state.load(Ordering::Acquire) & INSIDE != 0 {
-            spin_loop();
+            spins += 1;
+            if spins < SPINS {
+                spin_loop();
+            } else {
+                // The helper may be waiting for this very core.
+                thread::yield_now();
+            }
         }
         if let Err(panic) = mine {
             resume_unwind(panic);

@@ -18,6 +18,8 @@ pub enum Memory {
     ChannelsLast,
     /// Some channels of a wider tensor.
     Part,
+    /// Time runs backwards.
+    Flipped,
 }
 
 /// One operation and its sizes.
@@ -66,6 +68,10 @@ pub struct Case {
     pub inputs: usize,
     pub outputs: usize,
     pub memory: Memory,
+    /// Bit `i`: whether leaf `i` has gradients; with none set all have.
+    pub tracked: u16,
+    /// Whether Burn computes what is cheap again in the backward pass.
+    pub checkpointing: bool,
     pub seed: u64,
 }
 
@@ -200,10 +206,20 @@ impl Case {
     pub fn run(&self, mode: Mode, leaves: &[Leaf]) -> Outcome {
         mode.scope(|| {
             let device = Device::flex().autodiff();
-            let tensors: Vec<Tensor<3>> = leaves
-                .iter()
-                .map(|leaf| self.load(leaf, &device).require_grad())
-                .collect();
+            let device = if self.checkpointing {
+                device.gradient_checkpointing()
+            } else {
+                device
+            };
+            let is_tracked = |index: usize| {
+                let mask = self.tracked & ((1 << leaves.len()) - 1);
+                leaves[index].name != "mask" && (mask.count_ones() < 2 || mask >> index & 1 == 1)
+            };
+            let load = |(index, leaf): (usize, &Leaf)| {
+                let tensor = self.load(leaf, &device);
+                tensor.set_require_grad(is_tracked(index))
+            };
+            let tensors: Vec<Tensor<3>> = leaves.iter().enumerate().map(load).collect();
             let named = |name: &str| {
                 let index = leaves.iter().position(|leaf| leaf.name == name)?;
                 Some(self.present(&leaves[index], tensors[index].clone()))
@@ -217,8 +233,9 @@ impl Case {
             let gradients = leaves
                 .iter()
                 .zip(&tensors)
-                .filter(|(leaf, _)| leaf.name != "mask")
-                .map(|(leaf, tensor)| {
+                .enumerate()
+                .filter(|(index, _)| is_tracked(*index))
+                .map(|(_, (leaf, tensor))| {
                     let gradient = tensor.grad_remove(&mut gradients).expect(leaf.name);
                     (leaf.name, values(self.present(leaf, gradient)))
                 })
@@ -256,6 +273,11 @@ impl Case {
                 }
                 tensor(values, [batch, time, channels])
             }
+            Memory::Flipped => {
+                let lines = leaf.values.chunks(time);
+                let values = lines.flat_map(|line| line.iter().rev().copied());
+                tensor(values.collect(), leaf.shape)
+            }
             Memory::Part => {
                 let mut values = Vec::new();
                 for sample in leaf.values.chunks(channels * time) {
@@ -273,6 +295,7 @@ impl Case {
             Memory::Contiguous => tensor,
             Memory::ChannelsLast => tensor.swap_dims(1, 2),
             Memory::Part => tensor.narrow(1, 2, leaf.shape[1]),
+            Memory::Flipped => tensor.flip([2]),
         }
     }
 

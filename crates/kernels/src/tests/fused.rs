@@ -7,7 +7,8 @@ fn memories() -> impl Strategy<Value = Memory> {
     prop_oneof![
         Just(Memory::Contiguous),
         Just(Memory::ChannelsLast),
-        Just(Memory::Part)
+        Just(Memory::Part),
+        Just(Memory::Flipped)
     ]
 }
 
@@ -88,16 +89,10 @@ fn operations() -> impl Strategy<Value = Operation> {
 
 /// Sizes that are 1, odd, no multiple of a vector, of a tile or of a panel.
 pub fn cases() -> impl Strategy<Value = Case> {
-    (
-        operations(),
-        1..4usize,
-        1..40usize,
-        1..50usize,
-        1..140usize,
-        memories(),
-        any::<u64>(),
-    )
-        .prop_map(|(operation, batch, time, inputs, outputs, memory, seed)| {
+    let sizes = (1..4usize, 1..40usize, 1..50usize, 1..140usize);
+    let ways = (memories(), any::<u16>(), any::<bool>(), any::<u64>());
+    (operations(), sizes, ways).prop_map(
+        |(operation, (batch, time, inputs, outputs), (memory, tracked, checkpointing, seed))| {
             let unit = match operation {
                 Operation::Convolution {
                     norm: Some(norm), ..
@@ -114,9 +109,12 @@ pub fn cases() -> impl Strategy<Value = Case> {
                 inputs: inputs.next_multiple_of(unit),
                 outputs,
                 memory,
+                tracked,
+                checkpointing,
                 seed,
             }
-        })
+        },
+    )
 }
 
 proptest! {

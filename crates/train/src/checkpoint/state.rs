@@ -5,6 +5,7 @@ use kinegrad_motion::TrainingStatistics;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::Best;
 use crate::Error;
 use crate::config::Config;
 
@@ -21,6 +22,16 @@ pub struct Progress {
     pub best_val_loss: Option<f64>,
     /// Validations since then.
     pub validations_since_best: u64,
+}
+
+impl Progress {
+    /// The best step, once there is one.
+    pub fn best(&self) -> Option<Best> {
+        Some(Best {
+            step: self.best_step?,
+            val_loss: self.best_val_loss?,
+        })
+    }
 }
 
 /// `state.json`: what a checkpoint holds beside its tensors.

@@ -70,7 +70,7 @@ impl Setup {
         }
     }
 
-    /// Trains to the end, or until stopped; nothing is written before.
+    /// Trains to the end, or until stopped; nothing but the record of the best step is written before.
     pub fn train<R: recipes::Recipe>(
         self,
         recipe: R,
@@ -113,6 +113,11 @@ impl Setup {
             step,
             max_steps: config.train.max_steps,
         };
+        let checkpoints = Checkpoints::of(&folder);
+        if checkpoint.is_some() && checkpoints.best() != progress.best() {
+            // All that is written before anything can be refused: a crash came between the checkpoint and the record of its being the best.
+            checkpoints.set_best(progress.best().as_ref())?;
+        }
         let patience = config.train.patience;
         let stopped = patience > 0 && progress.validations_since_best >= patience;
         if step > 0 && (step >= config.train.max_steps || stopped) {
