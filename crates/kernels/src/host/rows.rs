@@ -41,7 +41,7 @@ impl<'a> Rows<'a> {
     }
 
     /// All elements without gaps.
-    pub fn to_dense(&self) -> Vec<f32> {
+    pub fn to_dense(self) -> Vec<f32> {
         let mut dense = Vec::with_capacity(self.batch * self.time * self.channels);
         for sample in 0..self.batch {
             for time in 0..self.time {
