@@ -7,6 +7,7 @@
 use std::mem::MaybeUninit;
 
 use super::geometry::{Geometry, Phase, margins};
+use super::narrow::{is_narrow, multiply_narrow};
 use super::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use super::outer::outer;
 use super::packing::{Direction, Weight};
@@ -327,7 +328,12 @@ fn multiply_phases(
                     first: phase.first,
                     step: phase.step,
                 };
-                multiply(source.windows(phase), weight, addends, output);
+                let windows = source.windows(phase);
+                if weight.gathers() && is_narrow(windows.len(), columns) {
+                    multiply_narrow(windows, weight.data, weight.shape, addends, output);
+                } else {
+                    multiply(windows, weight, addends, output);
+                }
             }
         })
     }

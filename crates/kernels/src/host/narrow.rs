@@ -17,7 +17,7 @@ const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
 
 /// Whether few enough windows meet enough output channels.
 pub(crate) fn is_narrow(rows: usize, channels: usize) -> bool {
-    rows <= MOST_ROWS && 2 * rows <= channels
+    (1..=MOST_ROWS).contains(&rows) && 2 * rows <= channels
 }
 
 /// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` whose windows run

@@ -34,6 +34,11 @@ impl Weight<'_> {
         }
     }
 
+    /// Whether windows run through all taps in order.
+    pub fn gathers(&self) -> bool {
+        matches!(self.direction, Direction::Gather)
+    }
+
     /// Elements of a window.
     pub fn depth(&self) -> usize {
         match self.direction {

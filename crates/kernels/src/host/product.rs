@@ -8,8 +8,7 @@ use std::mem::MaybeUninit;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::narrow::{is_narrow, multiply_narrow};
-use super::packing::{Direction, Weight};
+use super::packing::Weight;
 use super::rows::{Rows, SharedRows};
 use super::team;
 
@@ -79,11 +78,6 @@ pub(crate) fn multiply(
     assert_eq!(windows.depth, weight.depth(), "depth");
     if windows.len() == 0 {
         return;
-    }
-    if let Direction::Gather = weight.direction
-        && is_narrow(windows.len(), weight.columns())
-    {
-        return multiply_narrow(windows, weight.data, weight.shape, addends, output);
     }
     let width = Arch::new().dispatch(PanelWidth);
     let panels = weight.columns().div_ceil(width);
