@@ -234,7 +234,7 @@ def measure(row: Row, setting: Setting, rounds: int) -> Measured:
 
 def timed_rounds(contenders: list[Worker], rounds: int) -> bool:
     """Times so many rounds in which the machine does nothing else, trying up to twice as many;
-    whether there was one. If not, the disturbed ones count."""
+    whether half as many were found. If not, the disturbed ones count too."""
     processes = [os.getpid(), *(worker.process.pid for worker in contenders)]
     quiet: list[dict[str, float]] = []
     disturbed: list[dict[str, float]] = []
@@ -246,9 +246,11 @@ def timed_rounds(contenders: list[Worker], rounds: int) -> bool:
         after = load_now(processes)
         busy = before and after and after.elsewhere_since(before) > TOLERABLE
         (disturbed if busy else quiet).append(seconds)
+    enough = 2 * len(quiet) >= rounds
     for worker in contenders:
-        worker.side.seconds = [seconds[worker.name] for seconds in quiet or disturbed]
-    return bool(quiet)
+        counted = quiet if enough else quiet + disturbed
+        worker.side.seconds = [seconds[worker.name] for seconds in counted]
+    return enough
 
 
 def peak_only(row: Row, setting: Setting, name: str) -> float | None:

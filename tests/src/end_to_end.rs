@@ -7,40 +7,12 @@ use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, Predi
 use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_train::config::{
-    Clip, LossConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
-    ValidationConfig,
+    Clip, LossConfig, RolloutConfig, RolloutMode, RolloutStart, ValidationConfig,
 };
-use kinegrad_train::losses::{SignMatching, TemporalLossConfig};
 use kinegrad_train::recipes::{DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler};
 
 use crate::golden::{Golden, Reference};
 use crate::{decoder, unet, weights};
-
-/// The document's loss, literally.
-pub fn document() -> LossConfig {
-    LossConfig {
-        w_components: 0.0,
-        reconstruction_weighting: ReconstructionWeighting::Uniform,
-        quaternion_sign: SignMatching::Document,
-        temporal: TemporalLossConfig::document(),
-        ..LossConfig::default()
-    }
-}
-
-/// Motion that is its own normalised form, as in the golden file.
-fn unit_statistics() -> TrainingStatistics {
-    TrainingStatistics {
-        mean: vec![0.0; 25],
-        std: vec![1.0; 25],
-        min: vec![-1.0; 25],
-        max: vec![1.0; 25],
-        frames: 1,
-        phrases: 1,
-        rms_speed: 1.0,
-        rms_acceleration: 1.0,
-        jerk_p95: 1.0,
-    }
-}
 
 /// A case of golden file 07_e2e.
 pub struct Case {
@@ -113,7 +85,7 @@ impl Case {
 
     /// The recipe with the document's settings.
     pub fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
-        let statistics = Arc::new(unit_statistics());
+        let statistics = Arc::new(TrainingStatistics::unit());
         let last = self.diffusion.config.num_train_timesteps - 1;
         let config = RolloutConfig {
             steps: self.steps(),
@@ -133,7 +105,7 @@ impl Case {
             16,
         );
         let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
-        E2eRecipe::new(sampler, &document(), held_out)
+        E2eRecipe::new(sampler, &LossConfig::document(), held_out)
     }
 
     /// DDIM steps.

@@ -8,8 +8,8 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, rollout_timesteps};
 use kinegrad_models::{UNet1d, parameters};
-use kinegrad_tests::end_to_end::{Case, document};
-use kinegrad_train::config::{OptimConfig, RolloutMode};
+use kinegrad_tests::end_to_end::Case;
+use kinegrad_train::config::{LossConfig, OptimConfig, RolloutMode};
 use kinegrad_train::losses::{ReconstructionLoss, temporal_losses};
 use kinegrad_train::optim::{AdamW, global_norm};
 use kinegrad_train::recipes::Recipe;
@@ -55,7 +55,7 @@ fn assert_close(what: &str, actual: &[f32], reference: &[f32], tolerance: f32) {
 
 /// The recipe's loss, term by term, and its gradients, as far as the golden file has them.
 fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f32>> {
-    let (model, recipe, weights) = (case.model(), case.recipe(mode), document());
+    let (model, recipe, weights) = (case.model(), case.recipe(mode), LossConfig::document());
     let loss = recipe.loss_of(&model, case.inputs(), case.draws());
     let value = |term: &Tensor<1>| f64::from(term.clone().into_scalar::<f32>());
     case.out("total")
@@ -163,7 +163,7 @@ fn rollout(case: &Case) -> Rollout {
 
 /// The part of the loss that comes through the rollout.
 fn decoded_loss(case: &Case, decoded: &Tensor<3>) -> Tensor<1> {
-    let (inputs, config) = (case.inputs(), document());
+    let (inputs, config) = (case.inputs(), LossConfig::document());
     let batch = decoded.dims()[0];
     let weights = Tensor::ones([batch, 1, 1], &case.device);
     let ReconstructionLoss {

@@ -45,6 +45,21 @@ pub struct TrainingStatistics {
 }
 
 impl TrainingStatistics {
+    /// Those of motion that is its own normalised form, in -1 to 1.
+    pub fn unit() -> Self {
+        Self {
+            mean: vec![0.0; CHANNELS],
+            std: vec![1.0; CHANNELS],
+            min: vec![-1.0; CHANNELS],
+            max: vec![1.0; CHANNELS],
+            frames: 1,
+            phrases: 1,
+            rms_speed: 1.0,
+            rms_acceleration: 1.0,
+            jerk_p95: 1.0,
+        }
+    }
+
     /// Computes the statistics of phrases without padding, in double precision.
     ///
     /// # Errors

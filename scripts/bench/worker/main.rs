@@ -28,7 +28,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
-    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, diffusion_loss, sample,
+    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
@@ -36,13 +36,10 @@ use kinegrad_models::{DecoderConfig, Initializer, ModelConfig, MotionModel, UNet
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::config::{
-    LossConfig, OptimConfig, ReconstructionWeighting, RolloutConfig, ValidationConfig,
-};
-use kinegrad_train::losses::{SignMatching, TemporalLossConfig};
+use kinegrad_train::config::{LossConfig, OptimConfig, RolloutConfig, ValidationConfig};
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
 use kinegrad_train::recipes::{
-    DenoisingDraws, DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Inputs, Loss, Recipe, Sampler,
+    DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Loss, Recipe, Sampler,
 };
 use serde::Deserialize;
 use serde_json::json;
@@ -207,7 +204,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     };
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
     let weights = read_weights(&row.weights)?;
-    let statistics = Arc::new(unit_statistics());
+    let statistics = Arc::new(TrainingStatistics::unit());
     let held_out = HeldOut::new(
         Vec::new(),
         statistics.clone(),
@@ -220,10 +217,10 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             max_grad_norm,
         } => {
             let model = parameters::load(unet()?, weights)?;
-            let recipe = DiffusionRecipe::new(diffusion.clone(), held_out);
+            let recipe = DiffusionRecipe::new(diffusion, held_out);
             let (batch, draws) = (inputs.batch()?, inputs.denoising_draws()?);
-            let loss = move |_: &DiffusionRecipe, unet: &UNet1d| {
-                denoising_loss(&diffusion, unet, batch.clone(), draws.clone())
+            let loss = move |recipe: &DiffusionRecipe, unet: &UNet1d| {
+                recipe.loss_of(unet, batch.clone(), draws.clone())
             };
             Box::new(Training::new(recipe, model, &optim, max_grad_norm, loss))
         }
@@ -248,7 +245,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let model = parameters::load(model, weights)?;
             let last = diffusion.config.num_train_timesteps - 1;
             let sampler = Sampler::new(diffusion, &rollout, statistics);
-            let recipe = E2eRecipe::new(sampler, &document_loss(), held_out);
+            let recipe = E2eRecipe::new(sampler, &LossConfig::document(), held_out);
             let batch = inputs.batch()?;
             let draws = E2eDraws {
                 denoising: inputs.denoising_draws()?,
@@ -269,54 +266,6 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             cond: inputs.tensor("cond")?,
         }),
     })
-}
-
-/// The loss of [`DiffusionRecipe`], which draws its noise itself, of noise that is given.
-fn denoising_loss(
-    diffusion: &GaussianDiffusion,
-    unet: &UNet1d,
-    inputs: Inputs,
-    draws: DenoisingDraws,
-) -> Loss {
-    let timesteps = &draws.timesteps;
-    let x_t = diffusion.add_noise(inputs.x_start.clone(), draws.noise.clone(), timesteps);
-    let model_output = unet.forward(x_t, timesteps, inputs.cond, draws.dropout);
-    let target = diffusion.target(inputs.x_start, draws.noise, timesteps);
-    let weights = diffusion.loss_weights(timesteps);
-    let loss_type = diffusion.config.loss_type;
-    let (mask, weights) = (Some(inputs.mask), Some(&*weights));
-    Loss {
-        total: diffusion_loss(model_output, target, mask, weights, loss_type),
-        terms: Vec::new(),
-        probes: Vec::new(),
-        rollout: None,
-    }
-}
-
-/// The end-to-end loss as the document and the PyTorch peer have it.
-fn document_loss() -> LossConfig {
-    LossConfig {
-        w_components: 0.0,
-        reconstruction_weighting: ReconstructionWeighting::Uniform,
-        quaternion_sign: SignMatching::Document,
-        temporal: TemporalLossConfig::document(),
-        ..LossConfig::default()
-    }
-}
-
-/// Of motion that is its own normalised form.
-fn unit_statistics() -> TrainingStatistics {
-    TrainingStatistics {
-        mean: vec![0.0; CHANNELS],
-        std: vec![1.0; CHANNELS],
-        min: vec![-1.0; CHANNELS],
-        max: vec![1.0; CHANNELS],
-        frames: 1,
-        phrases: 1,
-        rms_speed: 1.0,
-        rms_acceleration: 1.0,
-        jerk_p95: 1.0,
-    }
 }
 
 fn count<M: Module>(model: &M) -> usize {

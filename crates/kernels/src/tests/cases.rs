@@ -394,13 +394,19 @@ fn values(tensor: Tensor<3>) -> Vec<f32> {
     tensor.try_into_vec_as::<f32>().expect("float32")
 }
 
-/// The largest distance over the largest magnitude.
+/// The largest distance over the largest magnitude; infinite if anything is not a number.
 pub fn distance(found: &[f32], expected: &[f32]) -> f64 {
     assert_eq!(found.len(), expected.len(), "elements");
-    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-    let scale = largest(&mut expected.iter().map(|e| f64::from(e.abs())));
-    let pairs = found.iter().zip(expected);
-    let furthest = largest(&mut pairs.map(|(f, e)| (f64::from(*f) - f64::from(*e)).abs()));
+    let (mut furthest, mut scale) = (0.0_f64, 0.0_f64);
+    for (found, expected) in found.iter().zip(expected) {
+        let (found, expected) = (f64::from(*found), f64::from(*expected));
+        // `f64::max` would pass over what is not a number.
+        if !found.is_finite() || !expected.is_finite() {
+            return f64::INFINITY;
+        }
+        furthest = furthest.max((found - expected).abs());
+        scale = scale.max(expected.abs());
+    }
     if furthest == 0.0 {
         0.0
     } else {

@@ -160,6 +160,19 @@ pub struct LossConfig {
     pub temporal: TemporalLossConfig,
 }
 
+impl LossConfig {
+    /// The document's loss, literally.
+    pub fn document() -> Self {
+        Self {
+            w_components: 0.0,
+            reconstruction_weighting: ReconstructionWeighting::Uniform,
+            quaternion_sign: SignMatching::Document,
+            temporal: TemporalLossConfig::document(),
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for LossConfig {
     fn default() -> Self {
         Self {

@@ -31,6 +31,11 @@ impl DiffusionRecipe {
             held_out,
         }
     }
+
+    /// The loss of given draws.
+    pub fn loss_of(&self, model: &UNet1d, inputs: Inputs, draws: DenoisingDraws) -> Loss {
+        denoising_loss(&self.diffusion, model, inputs, draws)
+    }
 }
 
 impl Recipe for DiffusionRecipe {
@@ -39,7 +44,7 @@ impl Recipe for DiffusionRecipe {
     fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
         let draws = DenoisingDraws::new(&self.diffusion, inputs.x_start.dims(), key, device);
-        denoising_loss(&self.diffusion, model, inputs, draws)
+        self.loss_of(model, inputs, draws)
     }
 
     fn validation_loss(&self, model: &UNet1d, device: &Device) -> Measured {
