@@ -155,6 +155,13 @@ fn every_shipped_config_is_valid() {
     let mut seen = 0;
     for config in configs {
         let path = config.expect("an entry").path();
+        if path.ends_with("prepare.toml") {
+            // A plan; its captures are not there.
+            let plan = format!("data prepare {}", path.display());
+            sandbox.run(&plan).failed(2, &["captures"]);
+            seen += 1;
+            continue;
+        }
         let show = format!("config show {} --set data.source=set", path.display());
         let shown = sandbox.run(&show).succeeded();
         assert!(shown.stdout.starts_with("# model: "), "{}", shown.stdout);

@@ -5,6 +5,7 @@ pub mod end_to_end;
 pub mod golden;
 pub mod parity;
 pub mod sandbox;
+pub mod servers;
 pub mod unet;
 
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};

@@ -88,6 +88,7 @@ impl Sandbox {
             .args(arguments)
             .current_dir(self.folder.path())
             .env("NO_COLOR", "1")
+            .env("XDG_CACHE_HOME", self.path(".cache"))
             .env_remove("RUST_BACKTRACE")
             .stdin(Stdio::null());
         command
@@ -120,6 +121,26 @@ impl Sandbox {
         names.sort();
         names
     }
+}
+
+/// Name and bytes of every file below a folder, sorted.
+pub fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found = Vec::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(next) = open.pop() {
+        for entry in std::fs::read_dir(next).expect("a folder").flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                open.push(path);
+                continue;
+            }
+            let name = path.strip_prefix(folder).expect("below the folder");
+            let bytes = std::fs::read(&path).expect("a file");
+            found.push((name.display().to_string(), bytes));
+        }
+    }
+    found.sort();
+    found
 }
 
 /// Runs a command to its end.

@@ -35,6 +35,9 @@ pub enum Command {
     /// Make and look at datasets
     #[command(subcommand)]
     Data(DataCommand),
+    /// Hear what is in songs
+    #[command(subcommand)]
+    Audio(AudioCommand),
     /// Look at configs
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -99,13 +102,14 @@ pub enum ClipName {
 
 /// Writes PATH.npy (post-processed) and PATH.raw.npy (as the model drew it), both `[T, 25]`
 /// float32 in the dataset's layout and units; with several samples PATH-000.npy and so on. The
-/// condition is a phrase of a dataset, a features.npz, or by default the first held-out phrase of
-/// the run's own dataset. Sampler settings default to those of the run's config.
+/// condition is a phrase of a dataset, a features.npz, a song, or by default the first held-out
+/// phrase of the run's own dataset. Sampler settings default to those of the run's config.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad sample runs/quickstart --out dance
   kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
+  kinegrad sample runs/phrases --audio song.mp3 --start 30 --out dance
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
 pub struct SampleArguments {
     /// Folder of a run (its best checkpoint is taken) or of a checkpoint
@@ -124,10 +128,22 @@ pub struct SampleArguments {
     /// Audio features that are the condition
     #[arg(long, value_name = "FEATURES.npz", conflicts_with = "source")]
     pub cond: Option<PathBuf>,
+    /// Song (mp3, wav, flac, ogg) that is the condition; its features are those of the whole song
+    #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "phrase", "cond"])]
+    pub audio: Option<PathBuf>,
+    /// Seconds into the song at which the motion begins
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.0,
+        requires = "audio"
+    )]
+    pub start: f64,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
-    /// Frames to draw, at most those of the condition [default: all of them]
+    /// Frames to draw, at most those of the condition [default: all of them, of a song as many as
+    /// the run trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     /// Sampler [default: the run's, else ddim]
@@ -287,7 +303,7 @@ pub struct PlotArguments {
     #[arg(value_name = "MOTION.npy|RUN")]
     pub input: PathBuf,
     /// The picture to write
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub out: PathBuf,
 }
 
@@ -296,8 +312,53 @@ pub enum DataCommand {
     /// Make a dataset of synthetic phrases: smooth motion driven by a beat that its audio
     /// features carry
     Synth(SynthArguments),
+    /// Make a dataset from motion captures and songs, as a plan says
+    Prepare(PrepareArguments),
     /// Count and measure a dataset, and list the problems found
     Inspect(InspectArguments),
+}
+
+/// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts phrases and writes
+/// them with a manifest into a folder or bucket; docs/dataset.md describes plans. Stopped, it goes
+/// on with what is left when it is run again.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad data prepare configs/prepare.toml --out gs://bucket/dances")]
+pub struct PrepareArguments {
+    /// The plan
+    #[arg(value_name = "PLAN.toml")]
+    pub plan: PathBuf,
+    /// Where to write: a folder, gs:// or s3:// [default: the plan's `output`]
+    #[arg(long, value_name = "URI")]
+    pub out: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum AudioCommand {
+    /// Write the audio features of songs, as the dataset stores them
+    Features(FeaturesArguments),
+}
+
+/// Writes DIR/NAME/features.npz for each song: mel, chroma, mfcc, rms, spectral_centroid and
+/// onset_strength at 30 frames per second, and beside them tempo and beat_times.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad audio features songs/*.mp3 --out features --plot")]
+pub struct FeaturesArguments {
+    /// Songs (mp3, wav, flac, ogg)
+    #[arg(required = true, value_name = "SONG")]
+    pub songs: Vec<PathBuf>,
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Draw them as well, with the beats, into DIR/NAME/features.png
+    #[arg(long)]
+    pub plot: bool,
 }
 
 #[derive(Debug, Args)]
@@ -321,12 +382,21 @@ pub struct SynthArguments {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Example:
-  kinegrad data inspect phrases")]
+Examples:
+  kinegrad data inspect phrases
+  kinegrad data inspect gs://bucket/dances --where 'tempo > 100 and split = train' --plot tempo.png")]
 pub struct InspectArguments {
-    /// Folder of the dataset, or a file:// URI
+    /// The dataset: a folder, file://, gs://, s3://, http:// or https:// URI; endpoint and
+    /// credentials come from the environment
     #[arg(value_name = "URI")]
     pub source: String,
+    /// List the phrases of the manifest that meet a condition on its columns, as `tempo > 100` or
+    /// `split = train and not flags like *no_audio*`, without reading them
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub condition: Option<String>,
+    /// Draw tempo, length and beats of the manifest's phrases, of those that meet the condition
+    #[arg(long, value_name = "FILE.png|FILE.svg")]
+    pub plot: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

@@ -52,6 +52,15 @@ impl From<kinegrad_motion::Error> for Failure {
     }
 }
 
+impl From<kinegrad_audio::Error> for Failure {
+    fn from(error: kinegrad_audio::Error) -> Self {
+        Self {
+            exit_code: 2,
+            diagnostic: Box::new(error),
+        }
+    }
+}
+
 impl From<UsageError> for Failure {
     fn from(error: UsageError) -> Self {
         Self {

@@ -6,13 +6,14 @@ mod commands;
 mod comparison;
 mod failure;
 mod output;
+mod picture;
 mod progress;
 
 use std::process::ExitCode;
 
 use clap::Parser;
 
-use args::{Arguments, Command, ConfigCommand, DataCommand};
+use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand};
 use failure::Failure;
 
 fn main() -> ExitCode {
@@ -36,7 +37,9 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Eval(arguments) => commands::eval::run(arguments),
         Command::Plot(arguments) => commands::plot::run(arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
+        Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),
+        Command::Audio(AudioCommand::Features(arguments)) => commands::audio::features(arguments),
         Command::Config(ConfigCommand::Show(arguments)) => commands::config::show(arguments),
         Command::Devices => commands::devices::run(),
     }

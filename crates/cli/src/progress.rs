@@ -29,16 +29,7 @@ pub struct TrainProgress {
 impl TrainProgress {
     /// Shows nothing yet; Ctrl-C asks for a stop from now on, a second Ctrl-C ends the process.
     pub fn new() -> Self {
-        let stop = Arc::new(AtomicBool::new(false));
-        let flag = stop.clone();
-        let handler = move || {
-            if flag.swap(true, Ordering::SeqCst) {
-                std::process::exit(130);
-            }
-            eprintln!("\nstopping after this step and writing a checkpoint; again to stop at once");
-        };
-        // Fails only if a handler is set already; then that one decides.
-        let _ = ctrlc::set_handler(handler);
+        let stop = stop_on_ctrl_c("stopping after this step and writing a checkpoint");
         Self {
             bar: None,
             smoothed: None,
@@ -145,6 +136,17 @@ impl Observer for TrainProgress {
         self.line(&format!("warning: {text}"));
     }
 
+    fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
+        let bar = counting_bar("phrases read");
+        Box::new(move |read, total| {
+            bar.set_length(total as u64);
+            bar.set_position(read as u64);
+            if read == total {
+                bar.finish_and_clear();
+            }
+        })
+    }
+
     fn stop_requested(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }
@@ -158,6 +160,29 @@ pub fn duration(seconds: f64) -> String {
         (0, m, s) => format!("{m}m{s:02}s"),
         (h, m, _) => format!("{h}h{m:02}m"),
     }
+}
+
+/// A flag that Ctrl-C sets, saying `message`; a second Ctrl-C ends the process.
+pub fn stop_on_ctrl_c(message: &'static str) -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    let handler = move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(130);
+        }
+        eprintln!("\n{message}; again to stop at once");
+    };
+    // Fails only if a handler is set already; then that one decides.
+    let _ = ctrlc::set_handler(handler);
+    stop
+}
+
+/// A bar that counts `what`, whose length is set by its user. Draws nothing where standard error
+/// is no terminal.
+pub fn counting_bar(what: &str) -> ProgressBar {
+    let template = format!("{{bar:24}} {{pos}}/{{len}} {what}  {{elapsed}}<{{eta}}");
+    let style = ProgressStyle::with_template(&template).expect("a valid template");
+    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
 }
 
 /// A bar for the drawing of samples, whose length is set by its user. Draws nothing where standard

@@ -3,8 +3,12 @@
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::Error;
+
+/// Writes begun by this process.
+static WRITERS: AtomicU64 = AtomicU64::new(0);
 
 /// Writes `path` by `fill`: into a temporary name beside it, flushed to disk, then renamed, so that
 /// a reader never sees half a file. Missing parent folders are made.
@@ -26,7 +30,9 @@ pub(crate) fn write(
         fs::create_dir_all(folder).map_err(failed)?;
     }
     let mut temporary_name = name.to_owned();
-    temporary_name.push(format!(".{}.tmp", std::process::id()));
+    // Threads, too, may write the same file: then one of them wins, whole.
+    let writer = WRITERS.fetch_add(1, Ordering::Relaxed);
+    temporary_name.push(format!(".{}-{writer}.tmp", std::process::id()));
     let temporary = path.with_file_name(temporary_name);
     let written = (|| {
         let mut writer = BufWriter::new(File::create(&temporary)?);

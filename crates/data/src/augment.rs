@@ -1,10 +1,12 @@
 //! From a phrase to a training sample: which window of it, and how it is changed.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
+use crate::batch::Window;
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 use crate::passage::Passage;
 use crate::{AugmentConfig, Crop, DataConfig};
@@ -40,7 +42,11 @@ impl Sampler {
 
     /// Motion and audio of sample `n`, taken from `passage`: at most `target_frames` frames, in
     /// the dataset's units.
-    pub fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
+    pub fn windows<'a>(
+        &self,
+        passage: &'a Passage,
+        n: u64,
+    ) -> (Window<'a, Motion>, Window<'a, AudioFeatures>) {
         let AugmentConfig {
             rotate_yaw: turn,
             mirror: reflect,
@@ -55,31 +61,52 @@ impl Sampler {
         if let Some(min_frames) = min_frames {
             window = sub_window(window, min_frames, key.at(WINDOW));
         }
-        let mut motion = passage.take.motion.slice(window.clone());
-        if reflect && key.at(MIRROR).uniform() < 0.5 {
-            mirror(&mut motion);
-        }
-        if turn {
-            rotate_yaw(&mut motion, std::f64::consts::TAU * key.at(YAW).uniform());
-        }
-        if flip && key.at(FLIP).uniform() < 0.5 {
-            negate_quaternions(&mut motion);
-        }
         // A leading crop without any of these stays as stored.
-        if window.start > 0 || reflect || turn || min_frames.is_some() {
-            anchor_floor(&mut motion);
+        let anchor = window.start > 0 || reflect || turn || min_frames.is_some();
+        let mut motion = Window {
+            of: Cow::Borrowed(&passage.take.motion),
+            frames: window.clone(),
+        };
+        if anchor || flip {
+            let mut changed = passage.take.motion.slice(window.clone());
+            if reflect && key.at(MIRROR).uniform() < 0.5 {
+                mirror(&mut changed);
+            }
+            if turn {
+                rotate_yaw(&mut changed, std::f64::consts::TAU * key.at(YAW).uniform());
+            }
+            if flip && key.at(FLIP).uniform() < 0.5 {
+                negate_quaternions(&mut changed);
+            }
+            if anchor {
+                anchor_floor(&mut changed);
+            }
+            motion = Window {
+                frames: 0..changed.frames(),
+                of: Cow::Owned(changed),
+            };
         }
-        let mut audio = passage.take.audio.slice(window);
-        if audio_noise > 0.0 {
-            audio = with_noise(audio, audio_noise, key.at(AUDIO_NOISE));
-        }
-        for mask in 0..audio_masks {
-            mask_audio(&mut audio, key.at(AUDIO_MASKS).at(mask as u64));
-        }
-        let replace = key.at(AUDIO_REPLACE);
-        if audio_replace_prob > 0.0 && replace.at(0).uniform() < audio_replace_prob {
-            let noise = replace.at(1).normals(audio.as_slice().len());
-            audio = AudioFeatures::new(audio.frames(), noise).unwrap_or(audio);
+        let mut audio = Window {
+            of: Cow::Borrowed(&passage.take.audio),
+            frames: window.clone(),
+        };
+        if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 {
+            let mut changed = passage.take.audio.slice(window);
+            if audio_noise > 0.0 {
+                changed = with_noise(changed, audio_noise, key.at(AUDIO_NOISE));
+            }
+            for mask in 0..audio_masks {
+                mask_audio(&mut changed, key.at(AUDIO_MASKS).at(mask as u64));
+            }
+            let replace = key.at(AUDIO_REPLACE);
+            if audio_replace_prob > 0.0 && replace.at(0).uniform() < audio_replace_prob {
+                let noise = replace.at(1).normals(changed.as_slice().len());
+                changed = AudioFeatures::new(changed.frames(), noise).unwrap_or(changed);
+            }
+            audio = Window {
+                frames: 0..changed.frames(),
+                of: Cow::Owned(changed),
+            };
         }
         (motion, audio)
     }
@@ -154,6 +181,14 @@ mod tests {
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
     use std::sync::Arc;
+
+    impl Sampler {
+        /// The windows by themselves.
+        fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
+            let (motion, audio) = self.windows(passage, n);
+            (motion.of.slice(motion.frames), audio.of.slice(audio.frames))
+        }
+    }
 
     fn sampler(change: impl Fn(&mut DataConfig)) -> Sampler {
         let mut config = DataConfig {

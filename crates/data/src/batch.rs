@@ -1,5 +1,7 @@
 //! A batch: normalised motion, audio features and a mask, as flat host arrays.
 
+use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use kinegrad_motion::{CHANNELS, Motion, TrainingStatistics};
@@ -37,35 +39,45 @@ impl Batch {
         }
     }
 
-    /// Adds a sample, normalised and padded. `motion` and `audio` have the same length, at most
-    /// that of the batch.
+    /// Adds a sample, normalised and padded. Both windows have the same length, at most that of
+    /// the batch.
     pub(crate) fn push(
         &mut self,
         id: &str,
-        motion: &Motion,
-        audio: &AudioFeatures,
+        motion: Window<Motion>,
+        audio: Window<AudioFeatures>,
         statistics: &TrainingStatistics,
     ) {
-        let valid = motion.frames();
-        pad_rows(
-            &mut self.x_start,
-            &statistics.normalize_motion(motion),
-            valid,
-            self.frames,
-        );
-        pad_rows(&mut self.cond, audio.as_slice(), valid, self.frames);
-        pad_rows(&mut self.mask, &vec![1.0; valid], valid, self.frames);
+        let padding = self.frames - motion.frames.len();
+        for channel in 0..CHANNELS {
+            let range = motion.frames.clone();
+            let row = statistics.normalize_channel(&motion.of, channel, range);
+            self.x_start.extend(row);
+            pad(&mut self.x_start, padding);
+        }
+        for channel in 0..AUDIO_CHANNELS {
+            let row = &audio.of.channel(channel)[audio.frames.clone()];
+            self.cond.extend_from_slice(row);
+            pad(&mut self.cond, padding);
+        }
+        self.mask.resize(self.mask.len() + motion.frames.len(), 1.0);
+        pad(&mut self.mask, padding);
         self.ids.push(id.to_owned());
         self.batch_size += 1;
     }
 }
 
-/// Appends the rows of `rows`, `[any, valid]`, each filled up with zeros to `frames`.
-fn pad_rows(target: &mut Vec<f32>, rows: &[f32], valid: usize, frames: usize) {
-    for row in rows.chunks_exact(valid) {
-        target.extend_from_slice(row);
-        target.resize(target.len() + frames - valid, 0.0);
-    }
+fn pad(row: &mut Vec<f32>, padding: usize) {
+    row.resize(row.len() + padding, 0.0);
+}
+
+/// Some frames of motion or audio, which is copied only where it was changed.
+#[derive(Clone, Debug)]
+pub(crate) struct Window<'a, T: Clone> {
+    /// What they are frames of.
+    pub of: Cow<'a, T>,
+    /// Which.
+    pub frames: Range<usize>,
 }
 
 /// The phrases as one batch of `target_frames` frames, in their order: leading crop, padding, no
@@ -77,16 +89,16 @@ pub fn collate_validation(
 ) -> Batch {
     let mut batch = Batch::with_capacity(phrases.len(), target_frames);
     for phrase in phrases {
-        let frames = phrase.frames().min(target_frames);
-        if frames == phrase.frames() {
-            batch.push(&phrase.id, &phrase.motion, &phrase.audio, statistics);
-        } else {
-            let (motion, audio) = (
-                phrase.motion.slice(0..frames),
-                phrase.audio.slice(0..frames),
-            );
-            batch.push(&phrase.id, &motion, &audio, statistics);
-        }
+        let frames = 0..phrase.frames().min(target_frames);
+        let motion = Window {
+            of: Cow::Borrowed(&phrase.motion),
+            frames: frames.clone(),
+        };
+        let audio = Window {
+            of: Cow::Borrowed(&phrase.audio),
+            frames,
+        };
+        batch.push(&phrase.id, motion, audio, statistics);
     }
     batch
 }

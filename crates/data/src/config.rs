@@ -1,8 +1,11 @@
 //! The `data` table of a training config.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::location::Location;
 
 /// Fewest frames a sample may have: the third difference of the jerk check needs four.
 pub const MIN_FRAMES: usize = 4;
@@ -15,7 +18,9 @@ pub const MIN_FRAMES: usize = 4;
 pub struct DataConfig {
     /// Phrases from files, or made up.
     pub kind: DataKind,
-    /// The dataset's folder, as a path or a `file://` URI. Needed for `kind = "phrases"`.
+    /// Where the dataset lies: a folder as a path or `file://` URI, a bucket as `gs://BUCKET/PREFIX`
+    /// or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`. Needed for
+    /// `kind = "phrases"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
     /// Frames of a sample (30 a second). Longer phrases are cropped, shorter ones padded and masked.
@@ -28,7 +33,7 @@ pub struct DataConfig {
     pub join_neighbours: bool,
     /// Samples in a batch; may exceed the number of phrases.
     pub batch_size: usize,
-    /// Threads that prepare batches ahead; 0 prepares them in the trainer's own thread.
+    /// Threads that prepare batches ahead; 0 prepares each when it is asked for, on all cores.
     pub num_workers: usize,
     /// Whether a phrase that cannot be used ends the run.
     pub on_bad_phrase: OnBadPhrase,
@@ -39,6 +44,10 @@ pub struct DataConfig {
     pub validation: ValidationSplit,
     /// Changes made to training samples.
     pub augment: AugmentConfig,
+    /// What is kept of what has been read.
+    pub cache: CacheConfig,
+    /// How buckets and web servers are spoken to.
+    pub store: StoreConfig,
     /// The made-up phrases of `kind = "synthetic"`.
     pub synthetic: SyntheticConfig,
 }
@@ -57,6 +66,8 @@ impl Default for DataConfig {
             num_phrases: None,
             validation: ValidationSplit::default(),
             augment: AugmentConfig::default(),
+            cache: CacheConfig::default(),
+            store: StoreConfig::default(),
             synthetic: SyntheticConfig::default(),
         }
     }
@@ -92,14 +103,16 @@ pub enum OnBadPhrase {
     Skip,
 }
 
-/// Which phrases are held out for validation. `patterns` and `ids_file` add up; `fraction` is used
-/// when neither is given.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Which phrases are held out for validation. `patterns` and `ids_file` add up. When neither is
+/// given, `fraction` decides; without that the `split` column of the dataset's manifest, and where
+/// there is none, a tenth of the phrases are held out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationSplit {
     /// Share of the phrases held out, chosen by a hash of each id alone, so that adding phrases
     /// never moves another one across the split.
-    pub fraction: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fraction: Option<f64>,
     /// Ids, or patterns with `*` for any run of characters: `"C_5_*"`.
     pub patterns: Vec<String>,
     /// A file with one id or pattern a line; empty lines and lines that begin with `#` are passed
@@ -108,12 +121,79 @@ pub struct ValidationSplit {
     pub ids_file: Option<String>,
 }
 
-impl Default for ValidationSplit {
+/// What is kept of what has been read. Changes speed and memory, never a batch.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CacheConfig {
+    /// Most phrases kept in memory, in MiB; a phrase of 120 frames takes 0.09. The held-out
+    /// phrases are always kept.
+    pub memory_mib: usize,
+    /// Most files of remote datasets kept on disk, in MiB, for all runs together; 0 keeps none.
+    pub disk_mib: u64,
+    /// The folder they are kept in. By default `kinegrad` in `XDG_CACHE_HOME`, else in `~/.cache`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dir: Option<String>,
+}
+
+impl Default for CacheConfig {
     fn default() -> Self {
         Self {
-            fraction: 0.1,
-            patterns: Vec::new(),
-            ids_file: None,
+            memory_mib: 1024,
+            disk_mib: 10_240,
+            dir: None,
+        }
+    }
+}
+
+impl CacheConfig {
+    /// Most bytes of phrases in memory.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.memory_mib << 20
+    }
+
+    /// Most bytes of files on disk.
+    pub(crate) fn disk_bytes(&self) -> u64 {
+        self.disk_mib << 20
+    }
+
+    /// The cache's folder; `None` where the system names no place for one.
+    pub(crate) fn folder(&self) -> Option<PathBuf> {
+        if let Some(dir) = &self.dir {
+            return Some(PathBuf::from(dir));
+        }
+        let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+        let caches = named("XDG_CACHE_HOME")
+            .map(PathBuf::from)
+            .or_else(|| named("HOME").map(|home| PathBuf::from(home).join(".cache")));
+        caches.map(|folder| folder.join("kinegrad"))
+    }
+}
+
+/// How buckets and web servers are spoken to. Credentials come from the environment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StoreConfig {
+    /// Base address to use instead of the service's own, for emulators and other providers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub endpoint: Option<String>,
+    /// Send no credentials: for public buckets and emulators.
+    pub anonymous: bool,
+    /// Seconds without a byte after which a request is given up.
+    pub timeout_seconds: f64,
+    /// How often a failed request is tried again, after pauses from 0.1 s that double up to 5 s.
+    pub max_retries: usize,
+    /// Most requests at a time.
+    pub concurrency: usize,
+}
+
+impl Default for StoreConfig {
+    fn default() -> Self {
+        Self {
+            endpoint: None,
+            anonymous: false,
+            timeout_seconds: 30.0,
+            max_retries: 6,
+            concurrency: 16,
         }
     }
 }
@@ -226,6 +306,8 @@ impl DataConfig {
             DataKind::Synthetic => self.synthetic.validate()?,
         }
         self.validation.validate()?;
+        self.cache.validate()?;
+        self.store.validate()?;
         self.augment.validate(self.target_frames)
     }
 
@@ -237,20 +319,21 @@ impl DataConfig {
                 false,
                 "data.source",
                 "(nothing)",
-                "a folder or file:// URI",
+                "a folder, file://, gs://, s3://, http:// or https:// URI",
                 hint,
             );
         };
-        crate::source::local_folder(source).map(drop)
+        Location::parse(source).map(drop)
     }
 }
 
 impl ValidationSplit {
     fn validate(&self) -> Result<(), Error> {
         require(
-            (0.0..1.0).contains(&self.fraction),
+            self.fraction
+                .is_none_or(|share| (0.0..1.0).contains(&share)),
             "data.validation.fraction",
-            self.fraction,
+            self.fraction.unwrap_or_default(),
             "a number from 0 up to, not including, 1",
             "0.1 holds out a tenth of the phrases, 0 none",
         )?;
@@ -262,6 +345,64 @@ impl ValidationSplit {
             "\"\"",
             "ids, or patterns with `*`",
             "remove the empty pattern",
+        )
+    }
+}
+
+impl CacheConfig {
+    fn validate(&self) -> Result<(), Error> {
+        require(
+            self.memory_mib <= 1 << 24,
+            "data.cache.memory_mib",
+            self.memory_mib,
+            "a whole number from 0 to 16777216",
+            "1024 is a gibibyte",
+        )?;
+        require(
+            self.disk_mib <= 1 << 30,
+            "data.cache.disk_mib",
+            self.disk_mib,
+            "a whole number from 0 to 1073741824",
+            "10240 are ten gibibytes, 0 keeps nothing",
+        )
+    }
+}
+
+impl StoreConfig {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn validate(&self) -> Result<(), Error> {
+        if let Some(endpoint) = &self.endpoint {
+            require(
+                endpoint.starts_with("http://") || endpoint.starts_with("https://"),
+                "data.store.endpoint",
+                format!("\"{endpoint}\""),
+                "an http:// or https:// address",
+                "leave the key out to use the service itself",
+            )?;
+        }
+        require(
+            (0.01..=3600.0).contains(&self.timeout_seconds),
+            "data.store.timeout_seconds",
+            self.timeout_seconds,
+            "a number from 0.01 to 3600",
+            "30 suits most networks",
+        )?;
+        require(
+            self.max_retries <= 100,
+            "data.store.max_retries",
+            self.max_retries,
+            "a whole number from 0 to 100",
+            "6 is some ten seconds of trying",
+        )?;
+        require(
+            (1..=1024).contains(&self.concurrency),
+            "data.store.concurrency",
+            self.concurrency,
+            "a whole number from 1 to 1024",
+            "16 keeps most connections busy",
         )
     }
 }
@@ -345,7 +486,7 @@ mod tests {
             (config.target_frames, config.batch_size, config.num_workers),
             (120, 32, 4)
         );
-        assert_eq!(config.validation.fraction, 0.1);
+        assert_eq!(config.validation.fraction, None);
         let full = DataConfig {
             num_phrases: Some(7),
             augment: AugmentConfig {
@@ -375,15 +516,25 @@ mod tests {
     #[test]
     fn values_out_of_range_are_refused_by_their_key() {
         type Change = fn(&mut DataConfig);
-        let cases: [(&str, Change); 13] = [
+        let cases: [(&str, Change); 17] = [
             ("data.target_frames", |c| c.target_frames = 3),
             ("data.batch_size", |c| c.batch_size = 0),
             ("data.num_workers", |c| c.num_workers = 1000),
             ("data.num_phrases", |c| c.num_phrases = Some(0)),
             ("data.source", |c| c.source = None),
-            ("data.validation.fraction", |c| c.validation.fraction = 1.0),
             ("data.validation.fraction", |c| {
-                c.validation.fraction = f64::NAN
+                c.validation.fraction = Some(1.0)
+            }),
+            ("data.store.endpoint", |c| {
+                c.store.endpoint = Some("host".into())
+            }),
+            ("data.store.timeout_seconds", |c| {
+                c.store.timeout_seconds = 0.0
+            }),
+            ("data.store.concurrency", |c| c.store.concurrency = 0),
+            ("data.cache.memory_mib", |c| c.cache.memory_mib = 1 << 30),
+            ("data.validation.fraction", |c| {
+                c.validation.fraction = Some(f64::NAN)
             }),
             ("data.validation.patterns", |c| {
                 c.validation.patterns = vec![String::new()]

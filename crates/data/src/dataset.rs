@@ -1,26 +1,31 @@
-//! A dataset in memory: every phrase read, checked and put on its side of the split.
+//! A dataset: every phrase read once, checked and put on its side of the split.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
-use crate::phrase::Listing;
+use crate::cache::MemoryCache;
+use crate::library::{Entry, Library};
 use crate::split::Split;
-use crate::{DataConfig, DataKind, Error, FileError, OnBadPhrase, Phrase, local_folder, synthetic};
+use crate::survey::{OpenProgress, Survey};
+use crate::{
+    Counters, DataConfig, DataKind, Digest, Error, LoaderReport, OnBadPhrase, Phrase, PhraseSet,
+};
 
 /// The phrases of a dataset, sorted by id within each side of the split.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     /// Phrases to train on; at least one.
-    pub train: Vec<Arc<Phrase>>,
+    pub train: PhraseSet,
     /// Phrases held out; may be none.
-    pub validation: Vec<Arc<Phrase>>,
+    pub validation: PhraseSet,
     /// Id and reason of each bad phrase left out under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
     /// What a user should hear of without the run being stopped: unequal lengths of motion and
     /// audio, unpaired folders, validation patterns that match nothing.
     pub warnings: Vec<String>,
+    /// A checksum of the ids, files and side of the split of all phrases used. Equal datasets have equal ones,
+    /// wherever they lie.
+    pub digest: Digest,
+    counters: Arc<Counters>,
 }
 
 impl Dataset {
@@ -29,27 +34,38 @@ impl Dataset {
     /// Bad phrases are reported before anything is said of the split.
     ///
     /// # Errors
-    /// [`Error::Config`] and [`Error::Scheme`] for settings out of range;
-    /// [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Io`] for a dataset that is not
-    /// there; [`Error::BadPhrase`] for the first bad phrase by id, or [`Error::AllSkipped`];
+    /// [`Error::Config`], [`Error::Scheme`] and [`Error::Feature`] for settings that cannot be
+    /// followed; [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Manifest`],
+    /// [`Error::Store`], [`Error::Io`] for a dataset that is not there or cannot be reached;
+    /// [`Error::BadPhrase`] for the first bad phrase by id, or [`Error::AllSkipped`];
     /// [`Error::EmptyTrainSplit`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
+        Self::open_with_progress(config, &|_, _| {})
+    }
+
+    /// [`open`](Self::open), telling `progress` how far it is.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
         let split = Split::new(&config.validation)?;
-        let Gathered {
-            phrases,
-            mut warnings,
-            ..
-        } = gather(config)?;
-        let listed: Vec<&str> = phrases.iter().map(|(id, _)| id.as_str()).collect();
-        warnings.extend(split.idle_entries(&listed));
-        let mut good = Vec::with_capacity(phrases.len());
+        let survey = Survey::new(config)?;
+        let memory = MemoryCache::new(config.cache.memory_bytes());
+        let outcomes = survey.meet_all(progress, |number, met| {
+            memory.put(number, met.phrase);
+            (met.entry, met.note)
+        })?;
+        let ids: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
+        let mut warnings = survey.warnings;
+        warnings.extend(split.idle_entries(&ids));
+        let mut entries: Vec<Entry> = Vec::with_capacity(outcomes.len());
         let mut skipped = Vec::new();
-        for (id, result) in phrases {
-            match result {
-                Ok((phrase, note)) => {
+        for (id, outcome) in outcomes {
+            match outcome {
+                Ok((entry, note)) => {
                     warnings.extend(note.map(|note| format!("phrase `{id}`: {note}")));
-                    good.push(Arc::new(phrase));
+                    entries.push(entry);
                 }
                 Err(cause) if config.on_bad_phrase == OnBadPhrase::Skip => {
                     skipped.push((id, cause.to_string()));
@@ -62,26 +78,30 @@ impl Dataset {
                 }
             }
         }
-        if let (true, Some((id, reason))) = (good.is_empty(), skipped.first()) {
+        if let (true, Some((id, reason))) = (entries.is_empty(), skipped.first()) {
             let first = format!("phrase `{id}`: {reason}");
             return Err(Error::AllSkipped {
                 skipped: skipped.len(),
                 first,
             });
         }
-        let (validation, train): (Vec<_>, Vec<_>) = good
-            .into_iter()
-            .partition(|phrase| split.holds_out(&phrase.id));
+        let (validation, train): (Vec<usize>, Vec<usize>) = (0..entries.len())
+            .partition(|&index| split.holds_out(&entries[index].id, entries[index].side));
         if train.is_empty() {
             return Err(Error::EmptyTrainSplit {
                 phrases: validation.len(),
             });
         }
+        let counters = survey.counters;
+        let library = Library::new(survey.origin, entries, memory, counters.clone());
+        let library = Arc::new(library);
         Ok(Self {
-            train,
-            validation,
+            digest: library.digest(&validation),
+            train: PhraseSet::new(library.clone(), train),
+            validation: PhraseSet::new(library, validation),
             skipped,
             warnings,
+            counters,
         })
     }
 
@@ -97,94 +117,29 @@ impl Dataset {
         })
     }
 
-    /// The phrase `id`, from either side of the split.
-    pub fn find(&self, id: &str) -> Option<&Arc<Phrase>> {
-        self.train
-            .iter()
-            .chain(&self.validation)
-            .find(|phrase| phrase.id == id)
-    }
-}
-
-/// A phrase with its note, or why it cannot be used.
-pub(crate) type Read = Result<(Phrase, Option<String>), FileError>;
-
-/// All phrases of a dataset, good and bad.
-pub(crate) struct Gathered {
-    /// Id and outcome, sorted by id.
-    pub phrases: Vec<(String, Read)>,
-    /// What is odd about the dataset's folders.
-    pub warnings: Vec<String>,
-    /// The dataset's folder, unless it is synthetic.
-    pub folder: Option<PathBuf>,
-}
-
-/// Reads or makes up every phrase of a valid `config`, none refused.
-///
-/// # Errors
-/// [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Io`].
-pub(crate) fn gather(config: &DataConfig) -> Result<Gathered, Error> {
-    let limit = config.num_phrases.unwrap_or(usize::MAX);
-    if config.kind == DataKind::Synthetic {
-        let wanted = &config.synthetic;
-        let phrases = (0..wanted.phrases.min(limit))
-            .into_par_iter()
-            .map(|index| {
-                let phrase = synthetic::phrase(index, wanted.frames, wanted.seed);
-                (phrase.id.clone(), Ok((phrase, None)))
-            })
-            .collect();
-        return Ok(Gathered {
-            phrases,
-            warnings: Vec::new(),
-            folder: None,
-        });
-    }
-    let folder = local_folder(config.source.as_deref().unwrap_or_default())?;
-    let Listing {
-        mut ids,
-        only_motion,
-        only_audio,
-    } = Listing::read(&folder)?;
-    if ids.is_empty() {
-        return Err(Error::EmptyDataset {
-            path: folder,
-            only_motion: only_motion.len(),
-            only_audio: only_audio.len(),
-        });
-    }
-    let mut warnings = Vec::new();
-    for (alone, place, lacking) in [
-        (&only_motion, "motion", "audio_features"),
-        (&only_audio, "audio_features", "motion"),
-    ] {
-        if let Some(first) = alone.first() {
-            let count = alone.len();
-            warnings.push(format!(
-                "{count} folder(s) under {place}/ have no counterpart under {lacking}/ and are left \
-                 out, the first: {first}"
-            ));
+    /// Reads the phrase `id`, from either side of the split; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`PhraseSet::get`].
+    pub fn find(&self, id: &str) -> Result<Option<Arc<Phrase>>, Error> {
+        for side in [&self.train, &self.validation] {
+            if let Some(position) = side.ids().position(|found| found == id) {
+                return side.get(position).map(Some);
+            }
         }
+        Ok(None)
     }
-    ids.truncate(limit);
-    let phrases = ids
-        .into_par_iter()
-        .map(|id| {
-            let read = Phrase::load(&folder, &id);
-            (id, read)
-        })
-        .collect();
-    Ok(Gathered {
-        phrases,
-        warnings,
-        folder: Some(folder),
-    })
+
+    /// What reading has cost since the dataset was opened.
+    pub fn report(&self) -> LoaderReport {
+        self.counters.report()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::phrase::{features_path, motion_path};
+    use crate::{features_path, motion_path, synthetic};
     use std::fs;
     use std::path::Path;
 
@@ -198,12 +153,12 @@ mod tests {
         (folder, config)
     }
 
-    fn ids(phrases: &[Arc<Phrase>]) -> Vec<&str> {
-        phrases.iter().map(|phrase| phrase.id.as_str()).collect()
+    fn ids(phrases: &PhraseSet) -> Vec<&str> {
+        phrases.ids().collect()
     }
 
     fn spoil(folder: &Path, index: usize) {
-        let path = motion_path(folder, &synthetic::id(index));
+        let path = folder.join(motion_path(&synthetic::id(index)));
         let mut motion = crate::read_motion(&path).unwrap();
         motion.frame_mut(3)[16] = f32::INFINITY;
         crate::write_motion(&path, &motion).unwrap();
@@ -220,8 +175,11 @@ mod tests {
             seed: 5,
         };
         let made = Dataset::synthetic(&made).unwrap();
-        assert_eq!(read.train, made.train);
-        assert_eq!(read.validation, made.validation);
+        assert_eq!(read.train.load().unwrap(), made.train.load().unwrap());
+        assert_eq!(
+            read.validation.load().unwrap(),
+            made.validation.load().unwrap()
+        );
         assert_eq!(read.train.len() + read.validation.len(), 6);
         assert!(read.warnings.is_empty() && read.skipped.is_empty());
     }
@@ -237,9 +195,15 @@ mod tests {
         );
         assert_eq!(read.train.len(), 9);
         assert_eq!(read.warnings, ["data.validation: `*1?` matches no phrase"]);
-        assert_eq!(read.find("synthetic_00010").unwrap().id, "synthetic_00010");
-        assert_eq!(read.find("synthetic_00004").unwrap().id, "synthetic_00004");
-        assert!(read.find("nobody").is_none());
+        assert_eq!(
+            read.find("synthetic_00010").unwrap().unwrap().id,
+            "synthetic_00010"
+        );
+        assert_eq!(
+            read.find("synthetic_00004").unwrap().unwrap().id,
+            "synthetic_00004"
+        );
+        assert!(read.find("nobody").unwrap().is_none());
     }
 
     #[test]
@@ -282,7 +246,7 @@ mod tests {
     #[test]
     fn missing_and_cut_off_files_are_bad_phrases() {
         let (folder, config) = dataset(3);
-        let features = features_path(folder.path(), "synthetic_00001");
+        let features = folder.path().join(features_path("synthetic_00001"));
         let bytes = fs::read(&features).unwrap();
         fs::write(&features, &bytes[..bytes.len() / 2]).unwrap();
         let message = Dataset::open(&config).unwrap_err().to_string();
@@ -290,12 +254,45 @@ mod tests {
             message.contains("`synthetic_00001`") && message.contains("features.npz"),
             "{message}"
         );
-        fs::remove_file(motion_path(folder.path(), "synthetic_00000")).unwrap();
+        fs::remove_file(folder.path().join(motion_path("synthetic_00000"))).unwrap();
         let message = Dataset::open(&config).unwrap_err().to_string();
         assert!(
-            message.contains("`synthetic_00000`") && message.contains("cannot be read"),
+            message.contains("`synthetic_00000`") && message.contains("not found"),
             "{message}"
         );
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_a_bad_phrase_among_others() {
+        let (folder, mut config) = dataset(4);
+        let path = folder.path().join(motion_path(&synthetic::id(2)));
+        fs::remove_file(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        config.on_bad_phrase = OnBadPhrase::Skip;
+        let read = Dataset::open(&config).unwrap();
+        assert_eq!(read.skipped.len(), 1);
+        assert!(
+            read.skipped[0].1.contains("trajectory.npy"),
+            "{:?}",
+            read.skipped
+        );
+    }
+
+    #[test]
+    fn the_digest_knows_files_and_split_and_not_the_place() {
+        let (folder, mut config) = dataset(6);
+        let digest = |config: &DataConfig| Dataset::open(config).unwrap().digest;
+        let first = digest(&config);
+        let (_other, elsewhere) = dataset(6);
+        assert_eq!(digest(&elsewhere), first);
+        config.validation.patterns = vec!["*_00002".into()];
+        let split = digest(&config);
+        assert_ne!(split, first);
+        let path = folder.path().join(motion_path(&synthetic::id(1)));
+        let mut motion = crate::read_motion(&path).unwrap();
+        motion.frame_mut(0)[0] += 1.0;
+        crate::write_motion(&path, &motion).unwrap();
+        assert_ne!(digest(&config), split);
     }
 
     #[test]
@@ -335,7 +332,7 @@ mod tests {
         let (folder, mut config) = dataset(5);
         fs::create_dir_all(folder.path().join("motion/zz")).unwrap();
         config.num_phrases = Some(2);
-        config.validation.fraction = 0.0;
+        config.validation.fraction = Some(0.0);
         let read = Dataset::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00000", "synthetic_00001"]);
         assert!(read.warnings[0].contains("zz"), "{:?}", read.warnings);

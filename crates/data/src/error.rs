@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use miette::Diagnostic;
 use thiserror::Error;
 
+use crate::StoreError;
+
 /// Why one array file could not be used. `file` is its path, followed by `:member` inside an
 /// archive.
 #[derive(Debug, Error, Diagnostic)]
@@ -100,6 +102,10 @@ pub enum FileError {
         /// The frames of `mel`.
         frames: usize,
     },
+    /// The store could not give the file.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Store(#[from] StoreError),
     /// A value is NaN or infinite.
     #[error("{file}: {value} in frame {frame}, channel {channel}; finite numbers allowed")]
     #[diagnostic(help("repair or leave out the phrase; kinegrad never fills gaps by itself"))]
@@ -132,15 +138,51 @@ pub enum Error {
         hint: String,
     },
     /// `data.source` is of a kind that this version cannot read.
-    #[error("data.source = \"{found}\": scheme `{scheme}` found, a folder or file:// URI allowed")]
-    #[diagnostic(help(
-        "copy the dataset to a local folder and name that; buckets and http are not supported yet"
-    ))]
+    #[error(
+        "data.source = \"{found}\": `{scheme}` found; a folder, file:///FOLDER, gs://BUCKET/PREFIX, \
+         s3://BUCKET/PREFIX, http:// and https:// allowed"
+    )]
+    #[diagnostic(help("copy the dataset to a local folder and name that"))]
     Scheme {
         /// The whole value.
         found: String,
         /// Its scheme.
         scheme: String,
+    },
+    /// This build lacks what it takes.
+    #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
+    #[diagnostic(help(
+        "build it with `cargo build --release --features full` (or `--features {feature}`)"
+    ))]
+    Feature {
+        /// What was asked for.
+        what: String,
+        /// The Cargo feature.
+        feature: &'static str,
+    },
+    /// A store, or an object in it, cannot be used.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Store(#[from] StoreError),
+    /// A plan, or a file it names, cannot be followed.
+    #[error("{file}: {problem}")]
+    #[diagnostic(help("docs/dataset.md describes plans; configs/prepare.toml is one"))]
+    Plan {
+        /// The plan, or the file.
+        file: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The manifest is not one.
+    #[error("{object}: {problem}")]
+    #[diagnostic(help(
+        "docs/dataset.md lists the columns; `kinegrad data prepare` writes a new one"
+    ))]
+    Manifest {
+        /// The manifest.
+        object: String,
+        /// What is wrong with it.
+        problem: String,
     },
     /// The dataset's folder, or one that the layout asks for, is not there.
     #[error("data.source: folder {} not found", path.display())]
@@ -153,14 +195,16 @@ pub enum Error {
         path: PathBuf,
     },
     /// No phrase has both motion and audio features.
-    #[error("data.source: {} holds no phrase ({only_motion} only in motion/, {only_audio} only in \
-             audio_features/)", path.display())]
+    #[error(
+        "data.source: {source_uri} holds no phrase ({only_motion} only in motion/, {only_audio} \
+         only in audio_features/)"
+    )]
     #[diagnostic(help(
         "a phrase ID is a folder of the same name under motion/ and under audio_features/"
     ))]
     EmptyDataset {
-        /// The dataset's folder.
-        path: PathBuf,
+        /// The dataset's address.
+        source_uri: String,
         /// Ids that have motion alone.
         only_motion: usize,
         /// Ids that have audio features alone.
@@ -181,19 +225,6 @@ pub enum Error {
     EmptyTrainSplit {
         /// Phrases in the dataset.
         phrases: usize,
-    },
-    /// The dataset has no phrase of that id.
-    #[error("phrase `{id}` not found in {} ({phrases} phrases, the first: {first})", path.display())]
-    #[diagnostic(help("an id is the name of a folder under motion/ and under audio_features/"))]
-    UnknownPhrase {
-        /// The id asked for.
-        id: String,
-        /// The dataset's folder.
-        path: PathBuf,
-        /// How many phrases it has.
-        phrases: usize,
-        /// The first of them.
-        first: String,
     },
     /// A phrase is bad and `data.on_bad_phrase` is `error`.
     #[error("phrase `{id}`: {cause}")]
@@ -232,6 +263,19 @@ pub enum Error {
 }
 
 impl Error {
+    /// Whether the surroundings failed (a network, a disk) and not what was given.
+    pub fn is_failure(&self) -> bool {
+        let failed = |error: &StoreError| matches!(error, StoreError::Failed { .. });
+        match self {
+            Self::Io { .. } => true,
+            Self::Store(error) => failed(error),
+            Self::BadPhrase { cause, .. } => {
+                matches!(&**cause, FileError::Store(error) if failed(error))
+            }
+            _ => false,
+        }
+    }
+
     /// An [`Error::Io`]: `action` is a verb ("read", "write").
     pub(crate) fn io(
         action: &'static str,

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use kinegrad_audio::Features;
+
 /// The arrays of `features.npz` in the order in which they are stacked, with their rows.
 pub const FEATURES: [(&str, usize); 6] = [
     ("mel", 128),
@@ -42,6 +44,16 @@ pub fn audio_channel_name(channel: usize) -> String {
 pub struct AudioFeatures {
     frames: usize,
     values: Vec<f32>,
+}
+
+impl From<&Features> for AudioFeatures {
+    /// A whole song's features, as a dataset stores them.
+    fn from(features: &Features) -> Self {
+        Self {
+            frames: features.frames(),
+            values: features.stacked().to_vec(),
+        }
+    }
 }
 
 impl AudioFeatures {
@@ -91,9 +103,10 @@ impl AudioFeatures {
     /// # Panics
     /// Panics if `range` reaches beyond the last frame.
     pub fn slice(&self, range: Range<usize>) -> Self {
-        let values = (0..AUDIO_CHANNELS)
-            .flat_map(|channel| self.channel(channel)[range.clone()].iter().copied())
-            .collect();
+        let mut values = Vec::with_capacity(AUDIO_CHANNELS * range.len());
+        for channel in 0..AUDIO_CHANNELS {
+            values.extend_from_slice(&self.channel(channel)[range.clone()]);
+        }
         Self {
             frames: range.len(),
             values,
@@ -102,6 +115,14 @@ impl AudioFeatures {
 
     /// Frame and channel of the first value, in time, that is NaN or infinite.
     pub fn first_non_finite(&self) -> Option<(usize, usize)> {
+        // Without branches, which is quick, for all but the bad ones.
+        if self
+            .values
+            .iter()
+            .fold(true, |all, value| all & value.is_finite())
+        {
+            return None;
+        }
         (0..AUDIO_CHANNELS)
             .filter_map(|channel| {
                 let frame = self

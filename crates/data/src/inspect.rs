@@ -1,18 +1,21 @@
 //! What is in a dataset, and what is wrong with it.
 
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
 use kinegrad_motion::{CHANNELS, FPS, Profile, TrainingStatistics, check};
 use serde::Serialize;
 
-use crate::dataset::{Gathered, gather};
 use crate::features::AUDIO_CHANNELS;
 use crate::split::Split;
 use crate::summary::{summarise_audio, summarise_motion};
+use crate::survey::Survey;
 use crate::{ChannelSummary, DataConfig, Error, Phrase};
 
 /// The contents of a dataset. Numbers describe the phrases that can be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inspection {
-    /// The dataset's folder, or `synthetic`.
+    /// The dataset's address, or `synthetic`.
     pub source: String,
     /// Phrases that can be used.
     pub phrases: usize,
@@ -63,23 +66,24 @@ pub struct Problem {
 /// with the statistics of the training phrases (of all phrases, where none is left to train on).
 ///
 /// # Errors
-/// [`Error::Config`], [`Error::Scheme`], [`Error::MissingFolder`], [`Error::EmptyDataset`],
-/// [`Error::Io`]; never for a single bad phrase.
+/// As [`Dataset::open`](crate::Dataset::open), but never for a single bad phrase.
 pub fn inspect(config: &DataConfig) -> Result<Inspection, Error> {
     config.validate()?;
     let split = Split::new(&config.validation)?;
-    let Gathered {
-        phrases: gathered,
-        mut warnings,
-        folder,
-    } = gather(config)?;
-    let listed: Vec<&str> = gathered.iter().map(|(id, _)| id.as_str()).collect();
+    let survey = Survey::new(config)?;
+    let outcomes = survey.meet_all(&|_, _| {}, |_, met| (met.entry.side, met.phrase, met.note))?;
+    let listed: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
+    let mut warnings = survey.warnings;
     warnings.extend(split.idle_entries(&listed));
     let mut problems = Vec::new();
     let mut phrases = Vec::new();
-    for (id, read) in gathered {
-        match read {
-            Ok((phrase, note)) => {
+    let mut held_out = BTreeSet::new();
+    for (id, outcome) in outcomes {
+        match outcome {
+            Ok((side, phrase, note)) => {
+                if split.holds_out(&id, side) {
+                    held_out.insert(id.clone());
+                }
                 problems.extend(note.map(|problem| Problem {
                     id,
                     problem,
@@ -97,30 +101,34 @@ pub fn inspect(config: &DataConfig) -> Result<Inspection, Error> {
         }
     }
     let bad_phrases = problems.iter().filter(|problem| problem.unusable).count();
-    let validation = phrases
-        .iter()
-        .filter(|phrase| split.holds_out(&phrase.id))
-        .count();
-    let train = phrases.len() - validation;
+    let train = phrases.len() - held_out.len();
     if train == 0 {
         warnings.push("no phrase is left to train on".to_owned());
     }
     problems.extend(failed_checks(&phrases, |phrase| {
-        train == 0 || !split.holds_out(&phrase.id)
+        train == 0 || !held_out.contains(&phrase.id)
     }));
     problems.sort_by(|a, b| a.id.cmp(&b.id));
-    let frames: usize = phrases.iter().map(Phrase::frames).sum();
+    let frames: usize = phrases.iter().map(|phrase| phrase.frames()).sum();
     Ok(Inspection {
-        source: folder.map_or_else(|| "synthetic".to_owned(), |path| path.display().to_string()),
+        source: survey.source,
         phrases: phrases.len(),
         bad_phrases,
         train,
-        validation,
+        validation: held_out.len(),
         frames,
         hours: frames as f64 / FPS / 3600.0,
         fps: FPS,
-        shortest_frames: phrases.iter().map(Phrase::frames).min().unwrap_or(0),
-        longest_frames: phrases.iter().map(Phrase::frames).max().unwrap_or(0),
+        shortest_frames: phrases
+            .iter()
+            .map(|phrase| phrase.frames())
+            .min()
+            .unwrap_or(0),
+        longest_frames: phrases
+            .iter()
+            .map(|phrase| phrase.frames())
+            .max()
+            .unwrap_or(0),
         motion_channels: CHANNELS,
         audio_channels: AUDIO_CHANNELS,
         motion: summarise_motion(&phrases),
@@ -132,7 +140,7 @@ pub fn inspect(config: &DataConfig) -> Result<Inspection, Error> {
 
 /// Every sanity check that a phrase fails, one line each. `reference` picks the phrases that the
 /// strict profile compares with.
-fn failed_checks(phrases: &[Phrase], reference: impl Fn(&Phrase) -> bool) -> Vec<Problem> {
+fn failed_checks(phrases: &[Arc<Phrase>], reference: impl Fn(&Phrase) -> bool) -> Vec<Problem> {
     let references = phrases
         .iter()
         .filter(|phrase| reference(phrase))
@@ -167,7 +175,7 @@ fn failed_checks(phrases: &[Phrase], reference: impl Fn(&Phrase) -> bool) -> Vec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::phrase::{features_path, motion_path};
+    use crate::{features_path, motion_path};
     use crate::{read_motion, synthetic, write_features, write_motion};
     use kinegrad_motion::phrase::{PHASE, QUATERNION};
     use std::fs;
@@ -236,7 +244,7 @@ mod tests {
         synthetic::write_dataset(folder.path(), 8, 30, 3).unwrap();
         let id = synthetic::id;
         let change = |index: usize, change: &dyn Fn(&mut kinegrad_motion::Motion)| {
-            let path = motion_path(folder.path(), &id(index));
+            let path = folder.path().join(motion_path(&id(index)));
             let mut motion = read_motion(&path).unwrap();
             change(&mut motion);
             write_motion(&path, &motion).unwrap();
@@ -252,9 +260,9 @@ mod tests {
         change(4, &|motion| {
             (0..30).for_each(|t| motion.frame_mut(t)[3] += 20.0)
         });
-        let features = features_path(folder.path(), &id(5));
+        let features = folder.path().join(features_path(&id(5)));
         write_features(&features, &synthetic::phrase(5, 20, 3).audio).unwrap();
-        fs::write(features_path(folder.path(), &id(6)), b"PK").unwrap();
+        fs::write(folder.path().join(features_path(&id(6))), b"PK").unwrap();
         let source = Some(folder.path().display().to_string());
         let found = inspect(&DataConfig {
             source,

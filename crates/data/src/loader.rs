@@ -1,14 +1,16 @@
 //! The endless stream of training batches.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use kinegrad_motion::TrainingStatistics;
+use rayon::prelude::*;
 
 use crate::augment::Sampler;
 use crate::order::Order;
-use crate::passage::{Passage, join_neighbours};
+use crate::passage::{Passage, Passages};
 use crate::prefetch::Prefetch;
-use crate::{Batch, DataConfig, Phrase};
+use crate::{Batch, Counters, DataConfig, Error, LoaderReport, PhraseSet};
 
 /// Hands out training batches, one after the other, without end.
 ///
@@ -19,19 +21,20 @@ use crate::{Batch, DataConfig, Phrase};
 pub struct Loader {
     maker: BatchMaker,
     next_batch: u64,
-    prefetch: Option<Prefetch<Batch>>,
+    prefetch: Option<Prefetch<Result<Batch, Error>>>,
+    counters: Arc<Counters>,
 }
 
 impl Loader {
     /// A loader that begins with batch `first_batch` of the stream of this `seed`.
     ///
     /// `data.num_workers` threads make batches ahead, at most two each; with 0, or where the system
-    /// gives no threads, [`next`](Self::next) makes them itself.
+    /// gives no threads, [`next`](Self::next) makes them itself, reading on all cores with 0.
     ///
     /// # Panics
     /// Panics if there are no phrases, or if `config` has not passed [`DataConfig::validate`].
     pub fn new(
-        phrases: Vec<Arc<Phrase>>,
+        phrases: PhraseSet,
         statistics: Arc<TrainingStatistics>,
         config: &DataConfig,
         seed: u64,
@@ -39,18 +42,20 @@ impl Loader {
     ) -> Self {
         assert!(!phrases.is_empty(), "a loader needs at least one phrase");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
-        let passages: Vec<Passage> = if config.join_neighbours {
-            join_neighbours(&phrases)
+        let counters = phrases.counters().clone();
+        let passages = if config.join_neighbours {
+            Passages::joined(phrases, config.target_frames)
         } else {
-            phrases.into_iter().map(Passage::alone).collect()
+            Passages::alone(phrases, config.target_frames)
         };
         let maker = BatchMaker {
             order: Order::new(passages.len(), seed),
             sampler: Sampler::new(config, seed),
-            passages: passages.into(),
+            passages,
             statistics,
             batch_size: config.batch_size,
             frames: config.target_frames,
+            all_cores: config.num_workers == 0,
         };
         let prefetch = match config.num_workers {
             0 => None,
@@ -63,10 +68,15 @@ impl Loader {
             maker,
             next_batch: first_batch,
             prefetch,
+            counters,
         }
     }
 
     /// The next batch; blocks until it is ready.
+    ///
+    /// # Errors
+    /// [`Error::BadPhrase`] for a phrase whose files are gone, have changed or cannot be read any
+    /// more since the dataset was opened.
     ///
     /// # Panics
     /// Goes on with the panic of a worker, if there was one.
@@ -74,13 +84,21 @@ impl Loader {
         clippy::should_implement_trait,
         reason = "the stream has no end, so no Option"
     )]
-    pub fn next(&mut self) -> Batch {
+    pub fn next(&mut self) -> Result<Batch, Error> {
+        let asked = Instant::now();
         let number = self.next_batch;
         self.next_batch += 1;
-        match &mut self.prefetch {
+        let batch = match &mut self.prefetch {
             Some(prefetch) => prefetch.next(),
             None => self.maker.make(number),
-        }
+        }?;
+        self.counters.batch(batch.batch_size, asked.elapsed());
+        Ok(batch)
+    }
+
+    /// What loading has cost since the dataset was opened.
+    pub fn report(&self) -> LoaderReport {
+        self.counters.report()
     }
 
     /// The number of the batch that [`next`](Self::next) will give.
@@ -92,30 +110,49 @@ impl Loader {
 /// Makes any batch from its number. A clone makes the same batches.
 #[derive(Clone)]
 struct BatchMaker {
-    passages: Arc<[Passage]>,
+    passages: Passages,
     statistics: Arc<TrainingStatistics>,
     order: Order,
     sampler: Sampler,
     batch_size: usize,
     frames: usize,
+    /// Whether the phrases of a batch are read by rayon's threads and not one after the other.
+    all_cores: bool,
 }
 
 impl BatchMaker {
-    fn make(&mut self, number: u64) -> Batch {
+    fn make(&mut self, number: u64) -> Result<Batch, Error> {
         let mut batch = Batch::with_capacity(self.batch_size, self.frames);
         let first = number.wrapping_mul(self.batch_size as u64);
-        for n in (0..self.batch_size as u64).map(|i| first.wrapping_add(i)) {
-            let passage = &self.passages[self.order.phrase(n)];
-            let (motion, audio) = self.sampler.sample(passage, n);
-            batch.push(&passage.id, &motion, &audio, &self.statistics);
+        let samples = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
+        let samples: Vec<(u64, usize)> = samples.map(|n| (n, self.order.phrase(n))).collect();
+        let mut ahead = self.read_ahead(&samples).into_iter();
+        for (n, position) in samples {
+            let passage = match ahead.next() {
+                Some(passage) => passage?,
+                None => self.passages.get(position)?,
+            };
+            let (motion, audio) = self.sampler.windows(&passage, n);
+            batch.push(&passage.id, motion, audio, &self.statistics);
         }
-        batch
+        Ok(batch)
+    }
+
+    /// The passages of `samples`, read on all cores; none where that would gain nothing.
+    fn read_ahead(&self, samples: &[(u64, usize)]) -> Vec<Result<Passage, Error>> {
+        let at_hand = |&(_, position): &(u64, usize)| self.passages.is_at_hand(position);
+        if !self.all_cores || samples.iter().all(at_hand) {
+            return Vec::new();
+        }
+        let read = |&(_, position): &(u64, usize)| self.passages.get(position);
+        samples.par_iter().map(read).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Phrase;
     use crate::synthetic;
     use std::collections::BTreeMap;
 
@@ -142,12 +179,12 @@ mod tests {
         let phrases = phrases();
         let motions = phrases.iter().map(|phrase| &phrase.motion);
         let statistics = Arc::new(TrainingStatistics::compute(motions).unwrap());
-        Loader::new(phrases, statistics, config, seed, first_batch)
+        Loader::new(phrases.into(), statistics, config, seed, first_batch)
     }
 
     fn batches(config: &DataConfig, seed: u64, first_batch: u64, count: usize) -> Vec<Batch> {
         let mut loader = loader(config, seed, first_batch);
-        (0..count).map(|_| loader.next()).collect()
+        (0..count).map(|_| loader.next().unwrap()).collect()
     }
 
     #[test]
@@ -178,6 +215,28 @@ mod tests {
                 .all(|(a, b)| a.x_start != b.x_start)
         );
         assert!(expected.iter().zip(&expected[1..]).all(|(a, b)| a != b));
+    }
+
+    #[test]
+    fn batches_of_files_are_those_of_memory_whoever_reads_them() {
+        let folder = tempfile::tempdir().unwrap();
+        synthetic::write_dataset(folder.path(), 9, 20, 3).unwrap();
+        let batches = |num_workers, memory_mib| {
+            let mut config = DataConfig {
+                source: Some(folder.path().display().to_string()),
+                num_workers,
+                ..config()
+            };
+            config.cache.memory_mib = memory_mib;
+            let phrases = crate::Dataset::open(&config).unwrap().train;
+            let statistics = Arc::new(phrases.statistics().unwrap());
+            let mut loader = Loader::new(phrases, statistics, &config, 1, 0);
+            (0..8).map(|_| loader.next().unwrap()).collect::<Vec<_>>()
+        };
+        let expected = batches(2, 1024);
+        for (workers, memory) in [(0, 0), (0, 1024), (2, 0)] {
+            assert_eq!(batches(workers, memory), expected, "{workers} {memory}");
+        }
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use kinegrad_motion::{Motion, phrase::CHANNELS};
-use npyz::{DType, NpyFile, NpyHeader, Order, WriterBuilder};
+use npyz::{DType, NpyHeader, Order, WriterBuilder};
 
 use crate::{Error, FileError, atomic};
 
@@ -28,8 +28,11 @@ pub(crate) struct Array {
     pub values: Vec<f32>,
 }
 
+/// The longest motion file.
+pub(crate) const MAX_MOTION_BYTES: u64 = max_bytes(CHANNELS);
+
 /// Most bytes that an array with `rows` values per frame may have in its file.
-pub(crate) fn max_bytes(rows: usize) -> u64 {
+pub(crate) const fn max_bytes(rows: usize) -> u64 {
     (rows * MAX_FRAMES * 8 + MAX_HEADER_BYTES + 12) as u64
 }
 
@@ -37,22 +40,29 @@ pub(crate) fn max_bytes(rows: usize) -> u64 {
 ///
 /// # Errors
 /// [`FileError`] for a file that cannot be read, another dtype or shape, a cut-off file. Numbers
-/// that are not finite pass: see [`crate::Phrase::load`].
+/// that are not finite pass: they are refused where a phrase is read.
 pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
     let label = path.display().to_string();
     let unreadable = |reason: std::io::Error| FileError::Read {
         file: path.display().to_string(),
         reason: reason.to_string(),
     };
-    let limit = max_bytes(CHANNELS);
     let mut bytes = Vec::new();
     File::open(path)
-        .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
+        .and_then(|file| file.take(MAX_MOTION_BYTES + 1).read_to_end(&mut bytes))
         .map_err(unreadable)?;
-    let array = parse(&bytes, &label)?;
+    parse_motion(&bytes, &label)
+}
+
+/// Parses the bytes of a motion's `.npy` file; `file` names it in errors.
+///
+/// # Errors
+/// As [`read_motion`].
+pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Motion, FileError> {
+    let array = parse(bytes, file)?;
     let shape = array.shape;
     let refused = || FileError::Shape {
-        file: label.clone(),
+        file: file.to_owned(),
         found: format!("{shape:?}"),
         allowed: format!("[frames, {CHANNELS}] with 2 to {MAX_FRAMES} frames"),
     };
@@ -69,9 +79,15 @@ pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
 /// # Errors
 /// [`Error::Io`].
 pub fn write_motion(path: &Path, motion: &Motion) -> Result<(), Error> {
-    atomic::write(path, |writer| {
-        write_array(writer, &[motion.frames(), CHANNELS], motion.as_slice())
-    })
+    atomic::write(path, |writer| writer.write_all(&motion_bytes(motion)))
+}
+
+/// The bytes of the `.npy` file that holds `motion`.
+pub(crate) fn motion_bytes(motion: &Motion) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_array(&mut bytes, &[motion.frames(), CHANNELS], motion.as_slice())
+        .expect("memory takes every byte");
+    bytes
 }
 
 /// Writes `values` as a `.npy` stream of this `shape`.
@@ -94,25 +110,26 @@ pub(crate) fn write_array(
 
 /// Parses the bytes of a `.npy` file; `file` names it in errors.
 pub(crate) fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
-    let not_npy = |reason: String| FileError::NotNpy {
-        file: file.to_owned(),
-        reason,
-    };
-    let data_start = check_header(bytes).map_err(&not_npy)?;
-    let header =
-        NpyHeader::from_reader(&bytes[..data_start]).map_err(|e| not_npy(e.to_string()))?;
-    let item_bytes: u64 = match header.dtype().descr().as_str() {
-        "'<f4'" => 4,
-        "'<f8'" => 8,
-        found => {
-            return Err(FileError::Dtype {
-                file: file.to_owned(),
-                found: found.to_owned(),
-            });
-        }
-    };
+    let mut values = Vec::new();
+    let shape = parse_onto(&mut values, bytes, file)?;
+    Ok(Array { shape, values })
+}
+
+/// Parses the bytes of a `.npy` file and appends its values to `values`; its shape.
+pub(crate) fn parse_onto(
+    values: &mut Vec<f32>,
+    bytes: &[u8],
+    file: &str,
+) -> Result<Vec<usize>, FileError> {
+    let Header {
+        double,
+        order,
+        shape,
+        length,
+        data_start,
+    } = read_header(bytes, file)?;
     let data = &bytes[data_start..];
-    let needed = header.len().saturating_mul(item_bytes);
+    let needed = length.saturating_mul(if double { 8 } else { 4 });
     if data.len() as u64 != needed {
         return Err(FileError::Length {
             file: file.to_owned(),
@@ -120,24 +137,12 @@ pub(crate) fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
             needed,
         });
     }
-    let order = header.order();
-    // A zero elsewhere can hide an axis longer than the file.
-    let shape = header
-        .shape()
-        .iter()
-        .map(|&length| length as usize)
-        .collect::<Vec<_>>();
-    let array = NpyFile::with_header(header, data);
-    let stored: Vec<f32> = if item_bytes == 4 {
-        array.into_vec().map_err(|e| not_npy(e.to_string()))?
-    } else {
-        let doubles: Vec<f64> = array.into_vec().map_err(|e| not_npy(e.to_string()))?;
-        doubles.into_iter().map(|value| value as f32).collect()
-    };
-    let values = match (order, &shape[..]) {
-        (Order::Fortran, &[rows, columns]) if !stored.is_empty() => (0..rows * columns)
-            .map(|i| stored[i % columns * rows + i / columns])
-            .collect(),
+    match (order, &shape[..]) {
+        (Order::Fortran, &[rows, columns]) if length > 0 => {
+            let mut stored = Vec::new();
+            decode(&mut stored, data, double);
+            values.extend((0..rows * columns).map(|i| stored[i % columns * rows + i / columns]));
+        }
         (Order::Fortran, [_, _, _, ..]) => {
             return Err(FileError::Shape {
                 file: file.to_owned(),
@@ -145,14 +150,112 @@ pub(crate) fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
                 allowed: "one or two axes".to_owned(),
             });
         }
-        _ => stored,
-    };
-    Ok(Array { shape, values })
+        _ => decode(values, data, double),
+    }
+    Ok(shape)
 }
 
-/// Where the data begin. Refuses headers on which the parser behind would recurse without bound,
-/// overflow, or allocate what the file does not hold.
-fn check_header(bytes: &[u8]) -> Result<usize, String> {
+/// Appends the little-endian numbers of `data`.
+fn decode(values: &mut Vec<f32>, data: &[u8], double: bool) {
+    if double {
+        let (numbers, _) = data.as_chunks();
+        values.extend(
+            numbers
+                .iter()
+                .map(|&number| f64::from_le_bytes(number) as f32),
+        );
+    } else {
+        let (numbers, _) = data.as_chunks();
+        values.extend(numbers.iter().map(|&number| f32::from_le_bytes(number)));
+    }
+}
+
+/// What a header says.
+#[derive(Debug, PartialEq)]
+struct Header {
+    /// Double precision, otherwise single.
+    double: bool,
+    order: Order,
+    shape: Vec<usize>,
+    /// The product of the axes.
+    length: u64,
+    /// Where the data begin.
+    data_start: usize,
+}
+
+fn read_header(bytes: &[u8], file: &str) -> Result<Header, FileError> {
+    let not_npy = |reason: String| FileError::NotNpy {
+        file: file.to_owned(),
+        reason,
+    };
+    let (text, data_start) = check_header(bytes).map_err(&not_npy)?;
+    if let Some(header) = plain_header(text, data_start) {
+        return Ok(header);
+    }
+    let header =
+        NpyHeader::from_reader(&bytes[..data_start]).map_err(|e| not_npy(e.to_string()))?;
+    let double = match header.dtype().descr().as_str() {
+        "'<f4'" => false,
+        "'<f8'" => true,
+        found => {
+            return Err(FileError::Dtype {
+                file: file.to_owned(),
+                found: found.to_owned(),
+            });
+        }
+    };
+    Ok(Header {
+        double,
+        order: header.order(),
+        // A zero elsewhere can hide an axis longer than the file.
+        shape: header.shape().iter().map(|&axis| axis as usize).collect(),
+        length: header.len(),
+        data_start,
+    })
+}
+
+/// A header spelt as NumPy and this crate do, which is quick to read; none for any other spelling.
+fn plain_header(text: &[u8], data_start: usize) -> Option<Header> {
+    let text = str::from_utf8(text).ok()?.strip_prefix("{'descr': '<f")?;
+    let (precision, text) = text.split_once("', 'fortran_order': ")?;
+    let (order, text) = text.split_once(", 'shape': (")?;
+    let (axes, end) = text.split_once(')')?;
+    if end.trim_end_matches([' ', '\n']) != ", }" {
+        return None;
+    }
+    let axis = |digits: &str| -> Option<usize> {
+        let plain = digits.bytes().all(|digit| digit.is_ascii_digit());
+        let zeros = digits.len() > 1 && digits.starts_with('0');
+        (plain && !zeros).then(|| digits.parse().ok())?
+    };
+    let closed = axes.strip_suffix(", ").or(axes.strip_suffix(','));
+    let shape = closed.unwrap_or(axes).split(", ").map(axis);
+    let shape: Vec<usize> = shape.collect::<Option<_>>()?;
+    // One number in brackets is no tuple without its comma.
+    if shape.len() > 2 || (shape.len() == 1 && closed.is_none()) {
+        return None;
+    }
+    Some(Header {
+        double: match precision {
+            "4" => false,
+            "8" => true,
+            _ => return None,
+        },
+        order: match order {
+            "False" => Order::C,
+            "True" => Order::Fortran,
+            _ => return None,
+        },
+        // `check_header` has seen that this fits.
+        length: shape.iter().map(|&axis| axis as u64).product(),
+        shape,
+        data_start,
+    })
+}
+
+/// The header's text and where the data begin. Refuses headers on which the parser behind would
+/// recurse without bound, overflow, or allocate what the file does not hold.
+fn check_header(bytes: &[u8]) -> Result<(&[u8], usize), String> {
     if bytes.len() < 10 || &bytes[..6] != b"\x93NUMPY" {
         return Err("it does not begin as one".to_owned());
     }
@@ -191,7 +294,7 @@ fn check_header(bytes: &[u8]) -> Result<usize, String> {
     if digits > 18 {
         return Err("its header declares an array too large to exist".to_owned());
     }
-    Ok(text_start + text_bytes)
+    Ok((text, text_start + text_bytes))
 }
 
 #[cfg(test)]
@@ -295,6 +398,44 @@ pub(crate) mod tests {
             assert!(message.starts_with("file.npy: "), "{message}");
             assert!(message.contains(expected), "{message} lacks {expected}");
         }
+    }
+
+    #[test]
+    fn the_quick_reading_of_a_header_is_the_full_one() {
+        let header = |descr: &str, order: &str, shape: &str, end: &str| {
+            let dictionary =
+                format!("{{'descr': {descr}, 'fortran_order': {order}, 'shape': ({shape}){end}");
+            let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+            bytes.extend((dictionary.len() as u16).to_le_bytes());
+            bytes.extend(dictionary.bytes());
+            bytes
+        };
+        let mut quick = 0;
+        for descr in ["'<f4'", "'<f8'", "'<f2'", "'<f44'", "\"<f4\""] {
+            for order in ["True", "False", "true", "0"] {
+                for shape in [
+                    "3, 25", "3,25", "3, 25, ", "3, 25,", "3,", "3, ", "3", "", ",", "03, 2",
+                    "0, 7", "+3, 2", "3,, ", "3, , ", " 3, 2", "1, 2, 3", "-3, 2", "3L, 2",
+                ] {
+                    for end in [", }\n", ", }   \n", "}", ", }", ", } x\n", ", 'a': 1, }\n"] {
+                        let bytes = header(descr, order, shape, end);
+                        let (text, start) = check_header(&bytes).unwrap();
+                        let Some(header) = plain_header(text, start) else {
+                            continue;
+                        };
+                        quick += 1;
+                        let full = NpyHeader::from_reader(&bytes[..]).unwrap();
+                        assert_eq!(full.dtype().descr(), descr);
+                        assert_eq!(header.double, descr == "'<f8'");
+                        assert_eq!(header.order, full.order());
+                        assert_eq!(header.length, full.len());
+                        let axes: Vec<u64> = header.shape.iter().map(|&a| a as u64).collect();
+                        assert_eq!(axes, full.shape());
+                    }
+                }
+            }
+        }
+        assert!(quick >= 48, "{quick}");
     }
 
     #[test]

@@ -1,14 +1,22 @@
 //! `features.npz`: reading and writing the six audio features of a phrase.
 
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{Cursor, Read, Write};
 use std::path::Path;
 
-use npyz::zip::{CompressionMethod, ZipArchive, ZipWriter, write::FileOptions};
+use kinegrad_audio::Features;
+use libdeflater::{Crc, Decompressor};
+use npyz::zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::FileOptions};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures, FEATURES};
 use crate::npy::{self, Array, MAX_FRAMES};
 use crate::{Error, FileError, atomic};
+
+/// The longest archive of features; more than any that unpacks to [`MAX_FRAMES`] frames.
+pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS) + (1 << 20);
+
+/// Bytes that one packed byte can become at most, when deflated.
+const MOST_UNPACKED: usize = 1032;
 
 /// Reads a `features.npz` (members stored or deflated) and stacks it to `[163, frames]` in the
 /// order of [`FEATURES`] (CC-MotionGen, section 4.3). Other members are passed over.
@@ -19,33 +27,74 @@ use crate::{Error, FileError, atomic};
 /// [`crate::load_audio`].
 pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
     let file = path.display().to_string();
-    let opened = File::open(path).map_err(|e| FileError::Read {
-        file: file.clone(),
-        reason: e.to_string(),
-    })?;
-    let mut archive = ZipArchive::new(BufReader::new(opened)).map_err(|e| FileError::NotNpz {
-        file: file.clone(),
-        reason: e.to_string(),
-    })?;
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|opened| opened.take(MAX_FEATURES_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(|e| FileError::Read {
+            file: file.clone(),
+            reason: e.to_string(),
+        })?;
+    parse_features(&bytes, &file)
+}
+
+/// Parses the bytes of a `features.npz`; `file` names it in errors.
+///
+/// # Errors
+/// As [`read_features`].
+pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileError> {
+    let mut archive = Archive::new(bytes, file)?;
     let mut frames = None;
     let mut values = Vec::new();
     for (name, rows) in FEATURES {
-        let array = read_member(&mut archive, &file, name, rows)?;
-        let length = check_shape(&array, &format!("{file}:{name}"), rows)?;
-        let expected = *frames.get_or_insert(length);
+        let shape = archive.read(name, rows, &mut values)?;
+        let length = check_shape(&shape, file, name, rows)?;
+        let expected = *frames.get_or_insert_with(|| {
+            values.reserve_exact(AUDIO_CHANNELS * length - values.len());
+            length
+        });
         if length != expected {
             return Err(FileError::UnequalFrames {
-                file,
+                file: file.to_owned(),
                 member: name,
                 found: length,
                 frames: expected,
             });
         }
-        values.extend(array.values);
     }
     let frames = frames.unwrap_or_default();
     debug_assert_eq!(values.len(), AUDIO_CHANNELS * frames);
     Ok(AudioFeatures::new(frames, values).unwrap_or_else(|| AudioFeatures::zeros(frames)))
+}
+
+/// Parses the named arrays of an archive: `[frames, width]` each, all of the same length.
+pub(crate) fn parse_arrays(
+    bytes: &[u8],
+    file: &str,
+    wanted: &[(&'static str, usize)],
+) -> Result<Vec<Array>, FileError> {
+    let mut archive = Archive::new(bytes, file)?;
+    let mut arrays: Vec<Array> = Vec::new();
+    for &(name, width) in wanted {
+        let mut values = Vec::new();
+        let shape = archive.read(name, width, &mut values)?;
+        let array = Array { shape, values };
+        let frames = arrays.first().map(|first| first.shape[0]);
+        match array.shape[..] {
+            [found, columns]
+                if columns == width
+                    && (1..=MAX_FRAMES).contains(&found)
+                    && frames.is_none_or(|frames| frames == found) => {}
+            _ => {
+                return Err(FileError::Shape {
+                    file: format!("{file}:{name}"),
+                    found: format!("{:?}", array.shape),
+                    allowed: format!("[frames, {width}], as many frames in every array"),
+                });
+            }
+        }
+        arrays.push(array);
+    }
+    Ok(arrays)
 }
 
 /// Writes `features` as compressed float32 members that NumPy can read, whole or not at all.
@@ -53,42 +102,159 @@ pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
 /// # Errors
 /// [`Error::Io`].
 pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error> {
-    let frames = features.frames();
-    atomic::write(path, |writer| {
-        let mut archive = ZipWriter::new(writer);
-        // The default date of an entry is fixed, so equal features make equal files.
-        let options = FileOptions::default().compression_method(CompressionMethod::Deflated);
-        let mut rest = features.as_slice();
-        for (name, rows) in FEATURES {
-            let (values, after) = rest.split_at(rows * frames);
-            rest = after;
-            archive.start_file(format!("{name}.npy"), options)?;
-            match rows {
-                1 => npy::write_array(&mut archive, &[frames], values)?,
-                _ => npy::write_array(&mut archive, &[rows, frames], values)?,
-            }
-        }
-        archive.finish()?;
-        Ok(())
-    })
+    atomic::write(path, |writer| writer.write_all(&features_bytes(features)))
 }
 
-/// Unpacks and parses one member, never more of it than [`MAX_FRAMES`] frames fill.
-fn read_member<R: std::io::Read + std::io::Seek>(
-    archive: &mut ZipArchive<R>,
-    file: &str,
-    name: &'static str,
-    rows: usize,
-) -> Result<Array, FileError> {
-    let label = format!("{file}:{name}");
-    let broken = |reason: String| FileError::NotNpz {
-        file: label.clone(),
-        reason,
-    };
-    let member = format!("{name}.npy");
-    if !archive.file_names().any(|found| found == member) {
-        let mut found: Vec<&str> = archive
-            .file_names()
+/// Writes a whole song's features, with its `tempo` `[1]` (beats per minute) and `beat_times`
+/// `[beats]` (seconds) beside them, whole or not at all.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error> {
+    let beats = features.beats();
+    let times: Vec<f32> = beats.times().into_iter().map(|time| time as f32).collect();
+    let stacked = AudioFeatures::from(features);
+    let beside = [("tempo", &[beats.tempo as f32][..]), ("beat_times", &times)];
+    atomic::write(path, |writer| writer.write_all(&archive(&stacked, &beside)))
+}
+
+/// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
+pub(crate) fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
+    archive(features, &[])
+}
+
+fn archive(features: &AudioFeatures, beside: &[(&str, &[f32])]) -> Vec<u8> {
+    let frames = features.frames();
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    // Without a date of its own an entry has the time of day.
+    let options = FileOptions::default()
+        .compression_method(CompressionMethod::Deflated)
+        .last_modified_time(DateTime::default());
+    let mut rest = features.as_slice();
+    let mut members: Vec<(&str, Vec<usize>, &[f32])> = Vec::new();
+    for (name, rows) in FEATURES {
+        let (values, after) = rest.split_at(rows * frames);
+        rest = after;
+        let shape = if rows == 1 {
+            vec![frames]
+        } else {
+            vec![rows, frames]
+        };
+        members.push((name, shape, values));
+    }
+    let beside = beside.iter();
+    members.extend(beside.map(|&(name, values)| (name, vec![values.len()], values)));
+    let written = members.into_iter().try_for_each(|(name, shape, values)| {
+        archive.start_file(format!("{name}.npy"), options)?;
+        npy::write_array(&mut archive, &shape, values)
+    });
+    let finished = written.and_then(|()| Ok(archive.finish()?));
+    finished.expect("memory takes every byte").into_inner()
+}
+
+/// The members of an archive in memory.
+struct Archive<'a> {
+    file: &'a str,
+    bytes: &'a [u8],
+    directory: ZipArchive<Cursor<&'a [u8]>>,
+    inflater: Decompressor,
+    /// The member unpacked last.
+    unpacked: Vec<u8>,
+}
+
+impl<'a> Archive<'a> {
+    fn new(bytes: &'a [u8], file: &'a str) -> Result<Self, FileError> {
+        let directory = ZipArchive::new(Cursor::new(bytes)).map_err(|e| FileError::NotNpz {
+            file: file.to_owned(),
+            reason: e.to_string(),
+        })?;
+        Ok(Self {
+            file,
+            bytes,
+            directory,
+            inflater: Decompressor::new(),
+            unpacked: Vec::new(),
+        })
+    }
+
+    /// Appends the values of member `name`, with `rows` values in a frame; its shape.
+    fn read(
+        &mut self,
+        name: &'static str,
+        rows: usize,
+        values: &mut Vec<f32>,
+    ) -> Result<Vec<usize>, FileError> {
+        let label = format!("{}:{name}", self.file);
+        let broken = |reason: String| FileError::NotNpz {
+            file: label.clone(),
+            reason,
+        };
+        let member = format!("{name}.npy");
+        if !self.directory.file_names().any(|found| found == member) {
+            return Err(self.missing(name));
+        }
+        // With a password, even an empty one, a forged encryption mark is an error and not a panic.
+        let entry = self
+            .directory
+            .by_name_decrypt(&member, b"")
+            .map_err(|e| broken(e.to_string()))?
+            .map_err(|_| broken("it is encrypted".to_owned()))?;
+        let packed = usize::try_from(entry.data_start())
+            .ok()
+            .zip(usize::try_from(entry.compressed_size()).ok())
+            .and_then(|(start, length)| self.bytes.get(start..)?.get(..length))
+            .ok_or_else(|| broken("it reaches beyond the end of the file".to_owned()))?;
+        let (declared, limit) = (entry.size(), npy::max_bytes(rows));
+        if declared > limit {
+            return Err(broken(format!(
+                "{declared} bytes unpacked, {limit} allowed: {MAX_FRAMES} frames"
+            )));
+        }
+        let size = declared as usize;
+        let unpacked = match entry.compression() {
+            CompressionMethod::Stored => packed,
+            CompressionMethod::Deflated => {
+                // No word of the directory makes more room than the packed bytes could fill.
+                if size > MOST_UNPACKED.saturating_mul(packed.len()) {
+                    return Err(broken(format!(
+                        "{size} bytes declared, {} packed bytes cannot hold so many",
+                        packed.len()
+                    )));
+                }
+                if self.unpacked.len() < size {
+                    // One block at a time.
+                    self.unpacked = Vec::new();
+                    self.unpacked = vec![0; size];
+                }
+                let room = &mut self.unpacked[..size];
+                let filled = self.inflater.deflate_decompress(packed, room);
+                let filled = filled.map_err(|e| broken(format!("it cannot be unpacked: {e}")))?;
+                &self.unpacked[..filled]
+            }
+            other => {
+                return Err(broken(format!(
+                    "compression {other} found, stored or deflated allowed"
+                )));
+            }
+        };
+        if unpacked.len() != size {
+            return Err(broken(format!(
+                "{} bytes unpacked, {size} declared",
+                unpacked.len()
+            )));
+        }
+        let mut checksum = Crc::new();
+        checksum.update(unpacked);
+        if checksum.sum() != entry.crc32() {
+            return Err(broken("its checksum does not match its bytes".to_owned()));
+        }
+        npy::parse_onto(values, unpacked, &label)
+    }
+
+    /// The error about a member that is not there.
+    fn missing(&self, member: &'static str) -> FileError {
+        let names = self.directory.file_names();
+        let mut found: Vec<&str> = names
             .map(|name| name.strip_suffix(".npy").unwrap_or(name))
             .collect();
         found.sort_unstable();
@@ -102,43 +268,17 @@ fn read_member<R: std::io::Read + std::io::Seek>(
         if count > 12 {
             found.push_str(&format!(" and {} more", count - 12));
         }
-        return Err(FileError::MissingMember {
-            file: file.to_owned(),
-            member: name,
+        FileError::MissingMember {
+            file: self.file.to_owned(),
+            member,
             found,
-        });
+        }
     }
-    // With a password, even an empty one, a forged encryption mark is an error and not a panic.
-    let mut entry = archive
-        .by_name_decrypt(&member, b"")
-        .map_err(|e| broken(e.to_string()))?
-        .map_err(|_| broken("it is encrypted".to_owned()))?;
-    if !matches!(
-        entry.compression(),
-        CompressionMethod::Stored | CompressionMethod::Deflated
-    ) {
-        return Err(broken(format!(
-            "compression {} found, stored or deflated allowed",
-            entry.compression()
-        )));
-    }
-    let limit = npy::max_bytes(rows);
-    let mut bytes = Vec::new();
-    (&mut entry)
-        .take(limit + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|e| broken(e.to_string()))?;
-    if bytes.len() as u64 > limit {
-        return Err(broken(format!(
-            "more than {limit} bytes unpacked, {MAX_FRAMES} frames allowed"
-        )));
-    }
-    npy::parse(&bytes, &label)
 }
 
 /// The frames of a member with so many rows; `[frames]` or `[1, frames]` where there is one row.
-fn check_shape(array: &Array, label: &str, rows: usize) -> Result<usize, FileError> {
-    let frames = match array.shape[..] {
+fn check_shape(shape: &[usize], file: &str, name: &str, rows: usize) -> Result<usize, FileError> {
+    let frames = match *shape {
         [frames] if rows == 1 => Some(frames),
         [found_rows, frames] if found_rows == rows => Some(frames),
         _ => None,
@@ -146,8 +286,8 @@ fn check_shape(array: &Array, label: &str, rows: usize) -> Result<usize, FileErr
     frames
         .filter(|frames| (1..=MAX_FRAMES).contains(frames))
         .ok_or_else(|| FileError::Shape {
-            file: label.to_owned(),
-            found: format!("{:?}", array.shape),
+            file: format!("{file}:{name}"),
+            found: format!("{shape:?}"),
             allowed: match rows {
                 1 => format!("[frames] with 1 to {MAX_FRAMES} frames"),
                 _ => format!("[{rows}, frames] with 1 to {MAX_FRAMES} frames"),
@@ -160,7 +300,6 @@ mod tests {
     use super::*;
     use crate::npy::tests::raw;
     use proptest::prelude::*;
-    use std::io::{Cursor, Write};
 
     fn ramp(frames: usize) -> AudioFeatures {
         let values = (0..AUDIO_CHANNELS * frames)
@@ -251,10 +390,42 @@ mod tests {
                     "rms" => Some(vec![0; npy::max_bytes(1) as usize + 1]),
                     _ => Some(member(rows, 4)),
                 }),
-                "216000 frames allowed",
+                "allowed: 216000 frames",
             ),
         ] {
             let message = read(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message} lacks {expected}");
+        }
+    }
+
+    /// A deflated archive, the declared size of whose members is `change`d in the directory.
+    fn with_declared_size(change: impl Fn(u32) -> u32) -> Vec<u8> {
+        let mut bytes = features_bytes(&ramp(4));
+        let places = bytes.windows(4).enumerate();
+        let places: Vec<usize> = places
+            .filter(|(_, mark)| *mark == b"PK\x01\x02")
+            .map(|(place, _)| place + 24)
+            .collect();
+        assert_eq!(places.len(), 6);
+        for place in places {
+            let size = &mut bytes[place..place + 4];
+            let declared = u32::from_le_bytes(size.try_into().unwrap());
+            size.copy_from_slice(&change(declared).to_le_bytes());
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_declared_size_is_not_believed() {
+        let read = |change: fn(u32) -> u32| read(&with_declared_size(change));
+        assert_eq!(read(|size| size).unwrap(), ramp(4));
+        for (change, expected) in [
+            (read(|size| size + 1), "declared"),
+            (read(|size| size - 1), "cannot be unpacked"),
+            (read(|_| 100_000_000), "cannot hold so many"),
+            (read(|_| u32::MAX - 1), "216000 frames"),
+        ] {
+            let message = change.unwrap_err().to_string();
             assert!(message.contains(expected), "{message} lacks {expected}");
         }
     }

@@ -7,13 +7,13 @@ use kinegrad_motion::kinematics::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
 use kinegrad_motion::{FPS, Motion};
 
-use crate::Phrase;
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::{Error, Phrase, PhraseSet};
 
 /// A phrase and what was recorded around it.
 #[derive(Clone, Debug)]
 pub(crate) struct Passage {
-    /// The phrase, joined with the neighbours of its recording that are training phrases too.
+    /// The phrase, joined with so much of its recording as a crop can reach.
     pub take: Arc<Phrase>,
     /// The phrase's own frames in the take.
     pub own: Range<usize>,
@@ -39,7 +39,7 @@ impl Passage {
         let reach = if self.own.len() == frames {
             0
         } else {
-            self.own.len() / 2
+            reach(self.own.len())
         };
         let last_own = self.own.end.max(self.own.start + length) - length;
         let last = (last_own + reach).min(frames - length);
@@ -48,41 +48,100 @@ impl Passage {
     }
 }
 
-/// A passage for each phrase, in their order; `phrases` are sorted by id.
-pub(crate) fn join_neighbours(phrases: &[Arc<Phrase>]) -> Vec<Passage> {
-    let mut passages = Vec::with_capacity(phrases.len());
-    let mut rest = phrases;
-    while !rest.is_empty() {
-        let following = rest
-            .windows(2)
-            .take_while(|pair| follows(&pair[0], &pair[1]))
-            .count();
-        let (run, after) = rest.split_at(following + 1);
-        rest = after;
-        let take = Arc::new(join(run));
-        let mut start = 0;
-        for phrase in run {
-            let own = start..start + phrase.frames();
-            start = own.end;
-            passages.push(Passage {
-                take: take.clone(),
-                own,
-                id: phrase.id.clone(),
-            });
-        }
-    }
-    passages
+/// How far before or after a phrase of so many frames a crop may begin.
+fn reach(frames: usize) -> usize {
+    frames / 2
 }
 
-/// Whether `next` begins where `phrase` ends: ids `NAME_FIRSTFRAME` of the same recording.
-fn follows(phrase: &Phrase, next: &Phrase) -> bool {
+/// A passage for each phrase of a set, made when it is asked for.
+#[derive(Clone, Debug)]
+pub(crate) struct Passages {
+    phrases: PhraseSet,
+    /// For each phrase the positions of its recording; only itself where none are joined.
+    recordings: Arc<[Range<usize>]>,
+    target_frames: usize,
+}
+
+impl Passages {
+    /// Each of the `phrases` alone.
+    pub fn alone(phrases: PhraseSet, target_frames: usize) -> Self {
+        Self {
+            recordings: (0..phrases.len()).map(|i| i..i + 1).collect(),
+            phrases,
+            target_frames,
+        }
+    }
+
+    /// Each of the `phrases`, sorted by id, with its neighbours of the same recording.
+    pub fn joined(phrases: PhraseSet, target_frames: usize) -> Self {
+        let mut recordings = Vec::with_capacity(phrases.len());
+        let mut first = 0;
+        for position in 0..phrases.len() {
+            let next = position + 1;
+            if next == phrases.len() || !follows(&phrases, position) {
+                recordings.extend(std::iter::repeat_n(first..next, next - first));
+                first = next;
+            }
+        }
+        Self {
+            recordings: recordings.into(),
+            phrases,
+            target_frames,
+        }
+    }
+
+    /// Number of passages.
+    pub fn len(&self) -> usize {
+        self.phrases.len()
+    }
+
+    /// Whether passage `position` needs no work: a phrase alone that is in memory now.
+    pub fn is_at_hand(&self, position: usize) -> bool {
+        self.recordings[position].len() == 1 && self.phrases.is_at_hand(position)
+    }
+
+    /// Passage `position`, read from where it lies.
+    ///
+    /// # Errors
+    /// As [`PhraseSet::get`].
+    pub fn get(&self, position: usize) -> Result<Passage, Error> {
+        let recording = &self.recordings[position];
+        if recording.len() == 1 {
+            return self.phrases.get(position).map(Passage::alone);
+        }
+        let own = self.phrases.frames(position);
+        let needed = reach(own) + self.target_frames.saturating_sub(own);
+        let (mut before, mut after) = (0, 0);
+        let (mut first, mut end) = (position, position + 1);
+        while end < recording.end && after < needed {
+            after += self.phrases.frames(end);
+            end += 1;
+        }
+        while first > recording.start && before < needed {
+            first -= 1;
+            before += self.phrases.frames(first);
+        }
+        let parts: Vec<_> = (first..end)
+            .map(|part| self.phrases.get(part))
+            .collect::<Result<_, _>>()?;
+        Ok(Passage {
+            take: Arc::new(join(&parts)),
+            own: before..before + own,
+            id: self.phrases.id(position).to_owned(),
+        })
+    }
+}
+
+/// Whether the phrase after `position` begins where this one ends: ids `NAME_FIRSTFRAME` of the
+/// same recording.
+fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {
         let (name, first) = id.rsplit_once('_')?;
         Some((name.to_owned(), first.parse::<usize>().ok()?))
     };
-    match (parse(&phrase.id), parse(&next.id)) {
+    match (parse(phrases.id(position)), parse(phrases.id(position + 1))) {
         (Some((name, first)), Some((next_name, next_first))) => {
-            name == next_name && first + phrase.frames() == next_first
+            name == next_name && first.checked_add(phrases.frames(position)) == Some(next_first)
         }
         _ => false,
     }
@@ -173,10 +232,11 @@ mod tests {
     #[test]
     fn joined_phrases_are_the_recording_again() {
         let (whole, phrases) = cut();
-        let passages = join_neighbours(&phrases);
+        let passages = Passages::joined(phrases.into(), 30);
         assert_eq!(passages.len(), 3);
-        let take = &passages[1].take;
-        assert_eq!((take.frames(), passages[1].own.clone()), (90, 30..60));
+        let passage = passages.get(1).unwrap();
+        let take = &passage.take;
+        assert_eq!((take.frames(), passage.own.clone()), (90, 30..60));
         assert_eq!(take.audio, whole.audio);
         let mut expected = whole.motion.clone();
         anchor_floor(&mut expected);
@@ -201,17 +261,25 @@ mod tests {
     #[test]
     fn only_neighbours_are_joined() {
         let (_, phrases) = cut();
-        let apart = join_neighbours(&[phrases[0].clone(), phrases[2].clone()]);
-        assert!(apart.iter().all(|passage| passage.own == (0..30)));
-        assert_eq!(apart[0].starts(20), 0..11);
+        let apart = vec![phrases[0].clone(), phrases[2].clone()];
+        let apart = Passages::joined(apart.into(), 20);
+        assert!((0..2).all(|position| apart.get(position).unwrap().own == (0..30)));
+        assert_eq!(apart.get(0).unwrap().starts(20), 0..11);
     }
 
     #[test]
     fn crops_begin_up_to_half_a_phrase_around() {
         let (_, phrases) = cut();
-        let passages = join_neighbours(&phrases);
-        let starts: Vec<_> = passages.iter().map(|passage| passage.starts(30)).collect();
-        assert_eq!(starts, [0..16, 15..46, 45..61]);
-        assert_eq!(passages[2].starts(120), 0..1);
+        let starts = |target_frames: usize| {
+            let passages = Passages::joined(phrases.clone().into(), target_frames);
+            [0, 1, 2].map(|position| {
+                let passage = passages.get(position).unwrap();
+                let starts = passage.starts(target_frames);
+                let first = 30 * position - passage.own.start;
+                first + starts.start..first + starts.end
+            })
+        };
+        assert_eq!(starts(30), [0..16, 15..46, 45..61]);
+        assert_eq!(starts(120), [0..1, 0..1, 0..1]);
     }
 }

@@ -4,14 +4,49 @@ use std::fs;
 use std::path::Path;
 
 use kinegrad_random::{Key, Purpose};
+use serde::{Deserialize, Serialize};
 
 use crate::{Error, ValidationSplit};
+
+/// Share held out where neither the config nor the dataset says anything.
+const DEFAULT_FRACTION: f64 = 0.1;
 
 /// The rule of a [`ValidationSplit`], with its file read.
 #[derive(Debug)]
 pub(crate) struct Split {
     patterns: Vec<String>,
-    fraction: f64,
+    rule: Rule,
+}
+
+/// A side of the split, as a manifest states it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// To train on.
+    Train,
+    /// Held out.
+    Validation,
+}
+
+impl Side {
+    /// `train` or `validation`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Validation => "validation",
+        }
+    }
+}
+
+/// What decides beside the patterns.
+#[derive(Debug, PartialEq)]
+enum Rule {
+    /// Nothing: only what the patterns name is held out.
+    Listed,
+    /// A hash of the id.
+    Fraction(f64),
+    /// The manifest, where it says something.
+    Manifest,
 }
 
 impl Split {
@@ -32,17 +67,27 @@ impl Split {
                     .map(String::from),
             );
         }
-        Ok(Self {
-            patterns,
-            fraction: if listed { 0.0 } else { config.fraction },
-        })
+        let rule = match config.fraction {
+            _ if listed => Rule::Listed,
+            Some(fraction) => Rule::Fraction(fraction),
+            None => Rule::Manifest,
+        };
+        Ok(Self { patterns, rule })
     }
 
-    /// Whether the phrase `id` is held out. Depends on nothing but the rule and the id.
-    pub fn holds_out(&self, id: &str) -> bool {
-        self.patterns.iter().any(|pattern| matches(pattern, id))
-            // The same phrases whatever the run's seed, so that runs can be compared.
-            || Key::new(0, Purpose::Split).named(id).uniform() < self.fraction
+    /// Whether the phrase `id` is held out, where the manifest says `stated` of it. Depends on
+    /// nothing else.
+    pub fn holds_out(&self, id: &str, stated: Option<Side>) -> bool {
+        // The same phrases whatever the run's seed, so that runs can be compared.
+        let hashed = |fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
+        match self.rule {
+            Rule::Listed => self.patterns.iter().any(|pattern| matches(pattern, id)),
+            Rule::Fraction(fraction) => hashed(fraction),
+            Rule::Manifest => match stated {
+                Some(side) => side == Side::Validation,
+                None => hashed(DEFAULT_FRACTION),
+            },
+        }
     }
 
     /// A warning for each id or pattern of the rule that holds out none of `ids`.
@@ -81,10 +126,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn split(fraction: f64, patterns: &[&str], ids_file: Option<String>) -> Split {
+    fn split(
+        fraction: impl Into<Option<f64>>,
+        patterns: &[&str],
+        ids_file: Option<String>,
+    ) -> Split {
         let patterns = patterns.iter().map(|&pattern| pattern.to_owned()).collect();
         Split::new(&ValidationSplit {
-            fraction,
+            fraction: fraction.into(),
             patterns,
             ids_file,
         })
@@ -115,13 +164,16 @@ mod tests {
     fn the_fraction_is_met_and_adding_phrases_moves_none() {
         let rule = split(0.1, &[], None);
         let ids: Vec<String> = (0..5000).map(|i| format!("song_{i:05}")).collect();
-        let held = ids.iter().filter(|id| rule.holds_out(id)).count();
+        let held = ids.iter().filter(|id| rule.holds_out(id, None)).count();
         assert!((430..570).contains(&held), "{held}");
-        assert!(ids.iter().all(|id| !split(0.0, &[], None).holds_out(id)));
+        assert!(
+            ids.iter()
+                .all(|id| !split(0.0, &[], None).holds_out(id, None))
+        );
         let more = split(0.3, &[], None);
         assert!(
             ids.iter()
-                .all(|id| !rule.holds_out(id) || more.holds_out(id))
+                .all(|id| !rule.holds_out(id, None) || more.holds_out(id, None))
         );
     }
 
@@ -132,13 +184,34 @@ mod tests {
         fs::write(&file, "\u{feff}# held out\r\nW_1\r\n\r\n  X_*\n").unwrap();
         let rule = split(0.99, &["C_5_*"], Some(file.clone()));
         let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
-        assert_eq!(ids.map(|id| rule.holds_out(id)), [true, false, true, false]);
+        assert_eq!(
+            ids.map(|id| rule.holds_out(id, None)),
+            [true, false, true, false]
+        );
         assert_eq!(
             rule.idle_entries(&ids),
             ["data.validation: `X_*` matches no phrase"]
         );
         fs::write(&file, "").unwrap();
-        assert!(!split(0.99, &[], Some(file)).holds_out("C_5_1"));
+        assert!(!split(0.99, &[], Some(file)).holds_out("C_5_1", None));
+    }
+
+    #[test]
+    fn the_manifest_s_split_counts_where_the_config_says_nothing() {
+        let rule = split(None, &[], None);
+        assert!(rule.holds_out("a", Some(Side::Validation)));
+        assert!(!rule.holds_out("a", Some(Side::Train)));
+        let tenth = split(0.1, &[], None);
+        for id in ["a", "b", "c_00120", "d"] {
+            assert_eq!(rule.holds_out(id, None), tenth.holds_out(id, None));
+            assert_eq!(
+                tenth.holds_out(id, Some(Side::Validation)),
+                tenth.holds_out(id, None)
+            );
+        }
+        let listed = split(None, &["a"], None);
+        assert!(!listed.holds_out("b", Some(Side::Validation)));
+        assert!(listed.holds_out("a", Some(Side::Train)));
     }
 
     #[test]

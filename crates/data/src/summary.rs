@@ -1,6 +1,7 @@
 //! Range, mean and deviation of what phrases hold.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use kinegrad_motion::{CHANNELS, ChannelMoments, channel_name};
 use serde::Serialize;
@@ -24,7 +25,7 @@ pub struct ChannelSummary {
 }
 
 /// Each of the 25 channels; nothing where there are no phrases.
-pub(crate) fn summarise_motion(phrases: &[Phrase]) -> Vec<ChannelSummary> {
+pub(crate) fn summarise_motion(phrases: &[Arc<Phrase>]) -> Vec<ChannelSummary> {
     let Ok(moments) = ChannelMoments::compute(phrases.iter().map(|phrase| &phrase.motion)) else {
         return Vec::new();
     };
@@ -40,7 +41,7 @@ pub(crate) fn summarise_motion(phrases: &[Phrase]) -> Vec<ChannelSummary> {
 }
 
 /// Each array of audio features, its rows taken together; nothing where there are no phrases.
-pub(crate) fn summarise_audio(phrases: &[Phrase]) -> Vec<ChannelSummary> {
+pub(crate) fn summarise_audio(phrases: &[Arc<Phrase>]) -> Vec<ChannelSummary> {
     if phrases.is_empty() {
         return Vec::new();
     }
@@ -55,7 +56,7 @@ pub(crate) fn summarise_audio(phrases: &[Phrase]) -> Vec<ChannelSummary> {
         .collect()
 }
 
-fn summarise(name: &str, phrases: &[Phrase], channels: &Range<usize>) -> ChannelSummary {
+fn summarise(name: &str, phrases: &[Arc<Phrase>], channels: &Range<usize>) -> ChannelSummary {
     let values = || {
         phrases.iter().flat_map(|phrase| {
             let rows = phrase.audio.frames();

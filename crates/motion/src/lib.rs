@@ -1,5 +1,5 @@
 //! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
-//! phrases' statistics, augmentation, post-processing, sanity checks and metrics.
+//! phrases' statistics, motion capture, augmentation, post-processing, sanity checks and metrics.
 //!
 //! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
 //! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen
@@ -17,6 +17,7 @@
 //! ```
 
 pub mod augment;
+pub mod capture;
 pub mod coherence;
 pub mod error;
 pub mod kinematics;
@@ -27,6 +28,7 @@ pub mod postprocess;
 pub mod rotation;
 pub mod sanity;
 pub mod statistics;
+pub mod style;
 
 #[cfg(test)]
 mod wandering;

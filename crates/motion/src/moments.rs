@@ -83,6 +83,25 @@ impl ChannelMoments {
             phrases: phrases.len(),
         })
     }
+
+    /// Takes in the moments of further phrases, as if all had been measured together (Chan,
+    /// Golub and LeVeque 1979).
+    pub fn merge(&mut self, other: &Self) {
+        let (n, m) = (self.frames as f64, other.frames as f64);
+        let total = n + m;
+        for channel in 0..CHANNELS {
+            let apart = other.mean[channel] - self.mean[channel];
+            let squares = n * self.std[channel].powi(2)
+                + m * other.std[channel].powi(2)
+                + apart.powi(2) * n * m / total;
+            self.mean[channel] += apart * m / total;
+            self.std[channel] = (squares / total).sqrt();
+            self.min[channel] = self.min[channel].min(other.min[channel]);
+            self.max[channel] = self.max[channel].max(other.max[channel]);
+        }
+        self.frames += other.frames;
+        self.phrases += other.phrases;
+    }
 }
 
 #[cfg(test)]
@@ -119,5 +138,25 @@ mod tests {
                 channel: "phase".to_string()
             }
         );
+    }
+
+    #[test]
+    fn merged_moments_are_those_of_all_phrases_together() {
+        let motion = |frames: usize, scale: f32| {
+            let values = (0..frames * CHANNELS).map(|i| scale * ((i * 7919) % 101) as f32 - 3.0);
+            Motion::new(values.collect()).expect("whole frames")
+        };
+        let phrases = [motion(5, 0.01), motion(40, 1.0), motion(1, -2.0)];
+        let together = ChannelMoments::compute(&phrases).expect("finite numbers");
+        let mut merged = ChannelMoments::compute([&phrases[0]]).expect("finite numbers");
+        for phrase in &phrases[1..] {
+            merged.merge(&ChannelMoments::compute([phrase]).expect("finite numbers"));
+        }
+        for channel in 0..CHANNELS {
+            assert!((merged.mean[channel] - together.mean[channel]).abs() < 1e-12);
+            assert!((merged.std[channel] - together.std[channel]).abs() < 1e-12);
+        }
+        assert_eq!((&merged.min, &merged.max), (&together.min, &together.max));
+        assert_eq!((merged.frames, merged.phrases), (46, 3));
     }
 }

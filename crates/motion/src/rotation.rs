@@ -151,6 +151,14 @@ impl Quaternion {
         [turned.x, turned.y, turned.z]
     }
 
+    /// The rotation that lies `fraction` of the way to `other`, at constant angular speed and the
+    /// shorter way, for unit quaternions.
+    #[must_use]
+    pub fn slerp(self, other: Self, fraction: f64) -> Self {
+        let turn = (other * self.conjugate()).to_rotation_vector();
+        Self::from_rotation_vector(turn.map(|v| v * fraction)) * self
+    }
+
     /// Heading in radians, from -pi to pi: the angle about +y from +z to the turned +z, seen from
     /// above. Zero where the turned +z is vertical.
     pub fn yaw(self) -> f64 {
@@ -255,6 +263,18 @@ mod tests {
                 (q.w - 0.6).abs() < 1e-15 && (q.y + 0.8).abs() < 1e-15,
                 "{size}: {q:?}"
             );
+        }
+    }
+
+    #[test]
+    fn slerp_goes_the_shorter_way_at_constant_speed() {
+        let (from, to) = (Quaternion::from_yaw(3.0), Quaternion::from_yaw(-3.0));
+        for (fraction, yaw) in [(0.0, 3.0), (0.25, 3.0708), (0.75, -3.0708), (1.0, -3.0)] {
+            for to in [to, to.scale(-1.0)] {
+                let between = from.slerp(to, fraction);
+                assert!((between.yaw() - yaw).abs() < 1e-4, "{fraction}");
+                assert!((between.norm() - 1.0).abs() < 1e-12);
+            }
         }
     }
 

@@ -5,6 +5,8 @@
 //! except where a channel has a natural scale: the quaternion stays as it is (its norm would no
 //! longer be 1), and the phase is centred from [0, 1] to [-1, 1].
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::mean_jerk_norm;
@@ -67,13 +69,26 @@ impl TrainingStatistics {
     pub fn compute<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Result<Self, Error> {
         let phrases: Vec<&Motion> = phrases.into_iter().collect();
         let moments = ChannelMoments::compute(phrases.iter().copied())?;
+        let jerks = phrases
+            .iter()
+            .map(|motion| mean_jerk_norm(motion))
+            .collect();
+        Ok(Self::from_moments(moments, jerks))
+    }
+
+    /// The statistics that follow from the phrases' `moments` and the mean jerk norm of each
+    /// ([`mean_jerk_norm`], m/s^3).
+    ///
+    /// # Panics
+    /// Panics if there are no jerks.
+    pub fn from_moments(moments: ChannelMoments, jerks: Vec<f64>) -> Self {
         let ChannelMoments {
             mut mean,
             mut std,
             min,
             max,
             frames,
-            ..
+            phrases,
         } = moments;
         // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
         let rms = |channels: std::ops::Range<usize>| {
@@ -89,21 +104,17 @@ impl TrainingStatistics {
         mean[QUATERNION].fill(0.0);
         std[QUATERNION].fill(1.0);
         (mean[PHASE], std[PHASE]) = (0.5, 0.5);
-        let jerks = phrases
-            .iter()
-            .map(|motion| mean_jerk_norm(motion))
-            .collect();
-        Ok(Self {
+        Self {
             mean,
             std,
             min,
             max,
             frames,
-            phrases: phrases.len(),
+            phrases,
             rms_speed,
             rms_acceleration,
             jerk_p95: percentile(jerks, 95.0),
-        })
+        }
     }
 
     /// Normalises frame-major values `[frames, 25]` in place.
@@ -111,7 +122,7 @@ impl TrainingStatistics {
     /// # Panics
     /// Panics if the length is no multiple of 25.
     pub fn normalize(&self, values: &mut [f32]) {
-        self.each(values, |value, mean, std| (value - mean) / std);
+        self.each(values, normalized);
     }
 
     /// Brings normalised frame-major values `[frames, 25]` back to the dataset's units, in place.
@@ -119,16 +130,32 @@ impl TrainingStatistics {
     /// # Panics
     /// Panics if the length is no multiple of 25.
     pub fn denormalize(&self, values: &mut [f32]) {
-        self.each(values, |value, mean, std| value * std + mean);
+        self.each(values, |value, mean, std| {
+            (f64::from(value) * std + mean) as f32
+        });
     }
 
     /// The normalised values of a phrase, channel-major `[25, frames]`: what a network sees.
     pub fn normalize_motion(&self, motion: &Motion) -> Vec<f32> {
-        let mut normalized = motion.clone();
-        for t in 0..normalized.frames() {
-            self.normalize(normalized.frame_mut(t));
-        }
-        normalized.channel_major()
+        let channels = (0..CHANNELS)
+            .flat_map(|channel| self.normalize_channel(motion, channel, 0..motion.frames()));
+        channels.collect()
+    }
+
+    /// The normalised values of one channel in the frames of `range`, `[range.len()]`.
+    ///
+    /// # Panics
+    /// Panics unless `channel < 25`, or if `range` reaches beyond the last frame.
+    pub fn normalize_channel<'a>(
+        &self,
+        motion: &'a Motion,
+        channel: usize,
+        range: Range<usize>,
+    ) -> impl ExactSizeIterator<Item = f32> + use<'a> {
+        let (mean, std) = (self.mean[channel], self.std[channel]);
+        let (frames, _) = motion.as_slice().as_chunks::<CHANNELS>();
+        let values = frames[range].iter().map(move |frame| frame[channel]);
+        values.map(move |value| normalized(value, mean, std))
     }
 
     /// The phrase of a network's output, normalised channel-major values `[25, frames]`.
@@ -174,17 +201,21 @@ impl TrainingStatistics {
         (bound(&self.min), bound(&self.max))
     }
 
-    fn each(&self, values: &mut [f32], map: impl Fn(f64, f64, f64) -> f64) {
+    fn each(&self, values: &mut [f32], map: impl Fn(f32, f64, f64) -> f32) {
         assert!(
             values.len().is_multiple_of(CHANNELS),
             "whole frames of 25 channels"
         );
         for frame in values.chunks_exact_mut(CHANNELS) {
             for (channel, value) in frame.iter_mut().enumerate() {
-                *value = map(f64::from(*value), self.mean[channel], self.std[channel]) as f32;
+                *value = map(*value, self.mean[channel], self.std[channel]);
             }
         }
     }
+}
+
+fn normalized(value: f32, mean: f64, std: f64) -> f32 {
+    ((f64::from(value) - mean) / std) as f32
 }
 
 /// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,

@@ -79,8 +79,8 @@ pub enum Error {
     /// A resumed run whose config was changed.
     #[error("`{key}` is {given}, but the run was started with {saved}")]
     #[diagnostic(help(
-        "a resumed run continues as it was; only train.max_steps, run.device, checkpoint.* and \
-         validation.* may differ. For other settings start a new run"
+        "a resumed run continues as it was; only train.max_steps, run.device, checkpoint.*, \
+         validation.*, data.source, data.cache.* and data.store.* may differ. For other settings start a new run"
     ))]
     ResumeDiffers {
         /// Dotted key.
@@ -89,6 +89,18 @@ pub enum Error {
         saved: String,
         /// Value now.
         given: String,
+    },
+    /// A resumed run whose phrases were changed.
+    #[error("the dataset is not the one trained on so far: sha256 {found}, before {saved}")]
+    #[diagnostic(help(
+        "phrases were added, removed or changed: restore them to continue, or start a new run, \
+         from this one's weights with `init.*`"
+    ))]
+    DatasetDiffers {
+        /// Checksum in the checkpoint.
+        saved: String,
+        /// Checksum now.
+        found: String,
     },
     /// A checkpoint that no fine-tuning can start from.
     #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
@@ -213,6 +225,7 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::NotFinite { .. } | Self::NoGoodCheckpoint { .. } | Self::Io { .. } => 1,
+            Self::Data(error) if error.is_failure() => 1,
             _ => 2,
         }
     }

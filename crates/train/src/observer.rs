@@ -16,6 +16,11 @@ pub trait Observer {
     fn note(&mut self, text: &str);
     /// Something is doubtful and does not stop the run.
     fn warning(&mut self, text: &str);
+    /// What is told how many of how many phrases have been read while the dataset is opened; called
+    /// from several threads.
+    fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
+        Box::new(|_, _| {})
+    }
     /// Whether the user wants the run to stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;
 }

@@ -13,7 +13,7 @@ use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
 use toml::Table;
 
-use crate::checkpoint::{Checkpoints, Progress};
+use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::{self, Config, Recipe};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -165,9 +165,12 @@ fn train_config(
     };
 
     let (device, device_name) = crate::device::open(&config.run.device)?;
-    let dataset = Dataset::open(&config.data)?;
+    let dataset = Dataset::open_with_progress(&config.data, &*observer.reading())?;
     for warning in &dataset.warnings {
         observer.warning(warning);
+    }
+    if let Some(checkpoint) = &checkpoint {
+        same_dataset(&dataset, checkpoint)?;
     }
     let starts = match config.train.recipe {
         Recipe::Diffusion => None,
@@ -199,18 +202,20 @@ fn train_config(
     match config.train.recipe {
         Recipe::Diffusion => {
             let model = denoiser(config, device)?;
-            let recipe =
-                DiffusionRecipe::new(GaussianDiffusion::new(&config.diffusion)?, setup.held_out());
+            let recipe = DiffusionRecipe::new(
+                GaussianDiffusion::new(&config.diffusion)?,
+                setup.held_out()?,
+            );
             setup.train(recipe, model, checkpoint, observer)
         }
         Recipe::Decoder => {
             let model = setup.networks(starts)?;
-            let recipe = DecoderRecipe::new(setup.sampler()?, &config.loss, setup.held_out());
+            let recipe = DecoderRecipe::new(setup.sampler()?, &config.loss, setup.held_out()?);
             setup.train(recipe, model, checkpoint, observer)
         }
         Recipe::E2e => {
             let model = setup.networks(starts)?;
-            let recipe = E2eRecipe::new(setup.sampler()?, &config.loss, setup.held_out());
+            let recipe = E2eRecipe::new(setup.sampler()?, &config.loss, setup.held_out()?);
             setup.train(recipe, model, checkpoint, observer)
         }
     }
@@ -242,12 +247,23 @@ pub fn parameter_count(config: &Config) -> Result<usize, Error> {
 
 /// Statistics of the training phrases as stored; augmentation widens their ranges only.
 fn statistics_of(dataset: &Dataset, config: &Config) -> Result<TrainingStatistics, Error> {
-    let motions = dataset.train.iter().map(|phrase| &phrase.motion);
-    let mut statistics = TrainingStatistics::compute(motions)?;
+    let mut statistics = dataset.train.statistics()?;
     if config.data.augment.rotate_yaw {
         statistics.widen_ranges_for_yaw();
     }
     Ok(statistics)
+}
+
+/// Refuses to continue on other phrases than those trained on so far.
+fn same_dataset(dataset: &Dataset, checkpoint: &Checkpoint) -> Result<(), Error> {
+    let found = dataset.digest.to_string();
+    match &checkpoint.state.dataset_sha256 {
+        Some(saved) if *saved != found => Err(Error::DatasetDiffers {
+            saved: saved.clone(),
+            found,
+        }),
+        _ => Ok(()),
+    }
 }
 
 /// The device gradients are computed on.

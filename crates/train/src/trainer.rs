@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::Loader;
+use kinegrad_data::{Digest, Loader};
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::TrainingStatistics;
 
@@ -19,7 +19,7 @@ use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
 use crate::recipes::{Loss, Measured, Recipe, StepKey};
-use crate::telemetry::{Metrics, Record};
+use crate::telemetry::{LoaderLog, Metrics, Record};
 use not_finite::find_not_finite;
 use restore::order_of;
 
@@ -48,6 +48,8 @@ pub struct Trainer<R: Recipe> {
     statistics: Arc<TrainingStatistics>,
     device: Device,
     loader: Loader,
+    loader_log: LoaderLog,
+    dataset: Digest,
     step: u64,
     progress: Progress,
     metrics: Metrics,
@@ -69,6 +71,8 @@ pub struct TrainerParts<R: Recipe> {
     pub device: Device,
     /// Batches from the next step's on.
     pub loader: Loader,
+    /// What the dataset holds.
+    pub dataset: Digest,
     /// The run's folder.
     pub folder: PathBuf,
 }
@@ -86,6 +90,7 @@ impl<R: Recipe> Trainer<R> {
             statistics,
             device,
             loader,
+            dataset,
             folder,
         } = parts;
         let infos = parameters::infos(&model);
@@ -146,7 +151,9 @@ impl<R: Recipe> Trainer<R> {
             config,
             statistics,
             device,
+            loader_log: LoaderLog::open(&folder, loader.report())?,
             loader,
+            dataset,
             step,
             progress,
             checkpoints,
@@ -167,7 +174,7 @@ impl<R: Recipe> Trainer<R> {
     /// Trains to the end, or until it is stopped. A checkpoint of the last step exists after it.
     ///
     /// # Errors
-    /// If a number stops being one, or a file cannot be written.
+    /// If a number stops being one, a phrase can no longer be read, or a file cannot be written.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.config.train.max_steps;
         let validates = self.config.validation.every_steps > 0;
@@ -185,10 +192,18 @@ impl<R: Recipe> Trainer<R> {
             if observer.stop_requested() {
                 break Ending::Interrupted;
             }
-            let record = self.train_step(observer)?;
+            let record = match self.train_step(observer) {
+                // The data failed, not the training: what has been learned is kept.
+                Err(error @ Error::Data(_)) => {
+                    self.save_unless_saved(observer)?;
+                    return Err(error);
+                }
+                outcome => outcome?,
+            };
             if self.step.is_multiple_of(self.config.train.log_every_steps) || self.step == max_steps
             {
                 self.metrics.write(&record)?;
+                self.loader_log.write(self.step, self.loader.report())?;
             }
             let best =
                 self.is_due(self.config.validation.every_steps) && self.validate(observer)?;
@@ -196,10 +211,15 @@ impl<R: Recipe> Trainer<R> {
                 self.save(observer)?;
             }
         };
-        if self.last_saved.as_ref() != Some(&self.checkpoints.step_path(self.step)) {
-            self.save(observer)?;
-        }
+        self.save_unless_saved(observer)?;
         Ok(ending)
+    }
+
+    fn save_unless_saved(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
+        if self.last_saved.as_ref() == Some(&self.checkpoints.step_path(self.step)) {
+            return Ok(());
+        }
+        self.save(observer)
     }
 
     /// Whether something that happens every so many steps, and at the last one, happens now.
@@ -220,7 +240,7 @@ impl<R: Recipe> Trainer<R> {
         let mut loss = 0.0;
         let mut terms: Vec<(&'static str, f64)> = Vec::new();
         for micro_batch in 0..micro_batches {
-            let batch = self.loader.next();
+            let batch = self.loader.next()?;
             let key = StepKey {
                 seed: self.config.run.seed,
                 step: self.step,
@@ -358,6 +378,7 @@ impl<R: Recipe> Trainer<R> {
             step: self.step,
             config: self.config.clone(),
             statistics: (*self.statistics).clone(),
+            dataset_sha256: Some(self.dataset.to_string()),
             progress: self.progress.clone(),
             checksums: Default::default(),
         };

@@ -64,16 +64,13 @@ fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, 
     let Some(source) = &arguments.source else {
         return Ok(None);
     };
-    let dataset = Dataset::open(&DataConfig {
+    let mut data = DataConfig {
         source: Some(source.clone()),
         ..Default::default()
-    })?;
-    let motions = dataset
-        .train
-        .iter()
-        .chain(&dataset.validation)
-        .map(|phrase| &phrase.motion);
-    Ok(Some(TrainingStatistics::compute(motions)?))
+    };
+    // All of the phrases, whatever its manifest holds out.
+    data.validation.fraction = Some(0.0);
+    Ok(Some(Dataset::open(&data)?.train.statistics()?))
 }
 
 /// The files meant by `paths`, folders searched through.

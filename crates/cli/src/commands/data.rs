@@ -1,12 +1,17 @@
 //! `kinegrad data`
 
+use std::path::Path;
 use std::process::ExitCode;
 
-use kinegrad_data::{ChannelSummary, DataConfig, Inspection, synthetic};
+use kinegrad_data::manifest::Selection;
+use kinegrad_data::{
+    ChannelSummary, DataConfig, Inspection, MANIFEST, Store, StoreConfig, synthetic,
+};
 
 use crate::args::{InspectArguments, SynthArguments};
-use crate::failure::Failure;
+use crate::failure::{Failure, UsageError};
 use crate::output::{grouped, table};
+use crate::picture::{Panel, draw};
 
 /// Writes a synthetic dataset.
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
@@ -23,6 +28,9 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
 
 /// Prints what a dataset holds; exit code 1 if phrases cannot be used.
 pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
+    if arguments.condition.is_some() || arguments.plot.is_some() {
+        return select(&arguments);
+    }
     let config = DataConfig {
         source: Some(arguments.source),
         ..Default::default()
@@ -40,6 +48,93 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::from(1),
     })
+}
+
+/// Lists or draws the rows of a dataset's manifest.
+fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
+    let store = Store::open(&arguments.source, &StoreConfig::default())?;
+    let Some(all) = Selection::read(&store)? else {
+        let message = format!("{} has no {MANIFEST}", store.uri());
+        let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
+                    writes";
+        return Err(UsageError::new(message, hint).into());
+    };
+    let chosen = match &arguments.condition {
+        None => all.clone(),
+        Some(condition) => all.filter(condition).map_err(|problem| {
+            let hint = "as in `tempo > 100 and split = train`; =, !=, <, <=, >, >=, like, and, or, \
+                        not and brackets are known";
+            UsageError::new(format!("`--where {condition}`: {problem}"), hint)
+        })?,
+    };
+    if let Some(out) = &arguments.plot {
+        plot(&chosen, out)?;
+        eprintln!("{}", out.display());
+    }
+    if arguments.json {
+        println!(
+            "{}",
+            serde_json::to_string(&chosen.texts("id").unwrap_or_default()).expect("plain data")
+        );
+    } else if arguments.condition.is_some() {
+        print_selection(&chosen, all.len());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_selection(chosen: &Selection, all: usize) {
+    const COLUMNS: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
+    let columns = COLUMNS.map(|name| {
+        let texts = chosen.texts(name).unwrap_or_default();
+        let numbers = chosen
+            .numbers(name)
+            .filter(|_| name == "tempo" || name == "beats");
+        match numbers {
+            Some(numbers) => numbers
+                .iter()
+                .map(|number| number.map_or(String::new(), |number| format!("{number:.1}")))
+                .collect(),
+            None => texts,
+        }
+    });
+    let header = COLUMNS.map(String::from).to_vec();
+    let rows = (0..chosen.len()).map(|row| {
+        let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
+        columns.iter().map(cell).collect()
+    });
+    println!("{}", table(std::iter::once(header).chain(rows)));
+    let frames = chosen.numbers("frames").unwrap_or_default();
+    let frames: f64 = frames.into_iter().flatten().sum();
+    println!(
+        "{} of {} phrases, {:.2} minutes",
+        grouped(chosen.len()),
+        grouped(all),
+        frames / kinegrad_motion::FPS / 60.0
+    );
+}
+
+fn plot(chosen: &Selection, out: &Path) -> Result<(), Failure> {
+    let histogram = |title: &str, label, column: &str| {
+        let values: Vec<f64> = chosen
+            .numbers(column)
+            .unwrap_or_default()
+            .into_iter()
+            .flatten()
+            .collect();
+        Panel::histogram(
+            format!("{title} of {} phrases", values.len()),
+            label,
+            &values,
+            24,
+        )
+    };
+    let panels = [
+        histogram("tempo", "beats per minute", "tempo"),
+        histogram("length", "frames", "frames"),
+        histogram("beats", "beats in a phrase", "beats"),
+        histogram("place in the song", "first frame", "first_frame"),
+    ];
+    draw(&panels, 2, (520, 250), out)
 }
 
 fn print(inspection: &Inspection) {

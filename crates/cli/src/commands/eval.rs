@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
-use kinegrad_data::{DataKind, Dataset};
+use kinegrad_data::{DataKind, Dataset, Phrase};
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::device;
 use kinegrad_train::evaluate::{CondSource, Evaluation, EvaluationSettings, evaluate};
@@ -74,7 +75,8 @@ struct Subject {
     checkpoint: PathBuf,
     device: String,
     state: State,
-    dataset: Dataset,
+    held_out: Vec<Arc<Phrase>>,
+    training: Vec<Arc<Phrase>>,
     settings: EvaluationSettings,
     reports: PathBuf,
 }
@@ -97,7 +99,7 @@ impl Subject {
             data.kind = DataKind::Phrases;
             data.source = Some(source.clone());
         }
-        let mut dataset = Dataset::open(&data)?;
+        let dataset = Dataset::open(&data)?;
         if dataset.validation.is_empty() {
             let message = format!(
                 "no phrase is held out for {}: all {} are trained on",
@@ -110,7 +112,8 @@ impl Subject {
             return Err(UsageError::new(message, hint).into());
         }
         let limit = arguments.phrases.unwrap_or(usize::MAX);
-        dataset.validation.truncate(limit);
+        let mut held_out = dataset.validation.load()?;
+        held_out.truncate(limit);
         let settings = EvaluationSettings {
             seeds: arguments.seeds,
             seed: arguments.seed,
@@ -129,7 +132,8 @@ impl Subject {
             checkpoint,
             device: device.to_string(),
             state,
-            dataset,
+            held_out,
+            training: dataset.train.load()?,
             settings,
             reports,
         })
@@ -146,8 +150,8 @@ impl Subject {
         let bar = denoising_bar().with_prefix(format!("{}  ", self.state.config.run.name));
         let evaluation = evaluate(
             &generator,
-            &self.dataset.validation,
-            &self.dataset.train,
+            &self.held_out,
+            &self.training,
             &self.settings,
             &mut |step, total| {
                 bar.set_length(total as u64);

@@ -1,5 +1,6 @@
 //! One file per command.
 
+pub mod audio;
 pub mod check;
 pub mod config;
 pub mod data;
@@ -7,5 +8,6 @@ pub mod devices;
 pub mod eval;
 pub mod merge;
 pub mod plot;
+pub mod prepare;
 pub mod sample;
 pub mod train;

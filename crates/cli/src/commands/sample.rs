@@ -109,7 +109,10 @@ fn conditions(
 ) -> Result<Vec<(String, AudioFeatures)>, Failure> {
     let found = match &arguments.cond {
         Some(path) => vec![("cond".to_string(), load_audio(path)?)],
-        None => phrases(arguments, config)?,
+        None => match &arguments.audio {
+            Some(song) => vec![song_condition(song, arguments, config)?],
+            None => phrases(arguments, config)?,
+        },
     };
     let Some(frames) = arguments.frames else {
         return Ok(found);
@@ -127,6 +130,34 @@ fn conditions(
     found.into_iter().map(cut).collect()
 }
 
+/// The features of a whole song, from `--start` on: of a part alone they would be normalised
+/// otherwise than what the model was trained on.
+fn song_condition(
+    song: &Path,
+    arguments: &SampleArguments,
+    config: &Config,
+) -> Result<(String, AudioFeatures), Failure> {
+    let waveform = kinegrad_audio::decode(song)?;
+    let features = kinegrad_audio::extract(&waveform.samples)
+        .map_err(|error| super::audio::unusable(song, &error))?;
+    let audio = AudioFeatures::from(&features);
+    let start = arguments.start * kinegrad_audio::FPS;
+    let left = audio.frames() as f64 - start;
+    let name = song.file_stem().unwrap_or_default().to_string_lossy();
+    if !(start >= 0.0 && left >= 1.0) {
+        let message = format!(
+            "`--start` is {}, the song {name} has {:.1} seconds",
+            arguments.start,
+            audio.frames() as f64 / kinegrad_audio::FPS
+        );
+        return Err(UsageError::new(message, "give a moment within the song").into());
+    }
+    let start = start as usize;
+    let most = arguments.frames.unwrap_or(config.data.target_frames);
+    let end = audio.frames().min(start + most.max(1));
+    Ok((name.into_owned(), audio.slice(start..end)))
+}
+
 fn phrases(
     arguments: &SampleArguments,
     config: &Config,
@@ -141,13 +172,17 @@ fn phrases(
         }
     }
     let dataset = Dataset::open(&data)?;
-    let all = dataset.validation.iter().chain(&dataset.train);
-    let found: Vec<_> = match &arguments.phrase {
-        None => all.take(1).collect(),
-        Some(pattern) => all
-            .filter(|phrase| kinegrad_data::matches(pattern, &phrase.id))
-            .collect(),
-    };
+    let mut found = Vec::new();
+    for side in [&dataset.validation, &dataset.train] {
+        match &arguments.phrase {
+            None if found.is_empty() && !side.is_empty() => found.push(side.get(0)?),
+            None => {}
+            Some(pattern) => {
+                let chosen = side.filter(|id| kinegrad_data::matches(pattern, id));
+                found.extend(chosen.load()?);
+            }
+        }
+    }
     if found.is_empty() {
         let wanted = arguments.phrase.as_deref().unwrap_or_default();
         let message = format!("the dataset has no phrase `{wanted}`");

@@ -85,7 +85,9 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
         true => &dataset.train,
         false => &dataset.validation,
     };
-    let chosen = &phrases[..sampling.count_at_end.min(phrases.len())];
+    let chosen: Vec<_> = (0..sampling.count_at_end.min(phrases.len()))
+        .map(|position| phrases.get(position))
+        .collect::<Result<_, _>>()?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let seed = outcome.config.run.seed;

@@ -17,8 +17,9 @@ use std::{fs, io};
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
-use crate::phrase::{features_path, motion_path};
-use crate::{Error, Phrase, SyntheticConfig, write_features, write_motion};
+use crate::{
+    Error, Phrase, SyntheticConfig, features_path, motion_path, write_features, write_motion,
+};
 use music::Music;
 
 /// Id of synthetic phrase number `index`: `synthetic_00007`.
@@ -77,8 +78,8 @@ pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) ->
         .into_par_iter()
         .try_for_each(|index| {
             let phrase = phrase(index, frames, seed);
-            write_motion(&motion_path(&staging, &phrase.id), &phrase.motion)?;
-            write_features(&features_path(&staging, &phrase.id), &phrase.audio)
+            write_motion(&staging.join(motion_path(&phrase.id)), &phrase.motion)?;
+            write_features(&staging.join(features_path(&phrase.id)), &phrase.audio)
         })
         .and_then(|()| {
             parts

@@ -1,8 +1,8 @@
 //! Do the dancer's beats fall on the music's?
 //!
 //! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, with
-//! the beats that this data allows: the phrase carries the root alone, and the music's beats are
-//! peaks of its onset strength, not tracked beats.
+//! the beats that this data allows: the phrase carries the root alone. The music's beats are
+//! whatever a beat tracker found.
 
 use crate::phrase::VELOCITY;
 use crate::rotation::length;
@@ -10,13 +10,6 @@ use crate::{FPS, Motion};
 
 /// Width of the score's bell, seconds: the paper's 3 frames at 60 frames per second.
 pub const BEAT_SIGMA: f64 = 0.05;
-
-/// How far above the mean a peak of the onset strength must rise, in standard deviations over the
-/// phrase.
-const PEAK_HEIGHT: f64 = 0.5;
-
-/// Least distance between two music beats, frames: 0.3 s, a beat at 200 beats per minute.
-const PEAK_DISTANCE: f64 = 9.0;
 
 /// Times in seconds at which the root is slowest: the local minima of the length of the velocity
 /// channels. A stretch of equal speed below both of its neighbours is one beat, at its middle. The
@@ -30,41 +23,6 @@ pub fn kinematic_beats(motion: &Motion) -> Vec<f64> {
         .into_iter()
         .map(|place| place / FPS)
         .collect()
-}
-
-/// Times in seconds of the music's beats: the local maxima (as for [`kinematic_beats`]) of
-/// `onset_strength`, `[frames]`, that rise more than half a standard deviation above the phrase's
-/// mean. Where two are closer than 0.3 s the higher one stays, of equals the earlier.
-pub fn music_beats(onset_strength: &[f32]) -> Vec<f64> {
-    let strength: Vec<f64> = onset_strength
-        .iter()
-        .map(|&value| f64::from(value))
-        .collect();
-    let frames = strength.len().max(1) as f64;
-    let mean = strength.iter().sum::<f64>() / frames;
-    let variance = strength
-        .iter()
-        .map(|value| (value - mean).powi(2))
-        .sum::<f64>()
-        / frames;
-    let bound = mean + PEAK_HEIGHT * variance.sqrt();
-    // A plateau is level, so the frame below its middle has its height.
-    let height = |place: f64| strength[place as usize];
-    let mut peaks = local_maxima(&strength);
-    peaks.retain(|&place| height(place) > bound);
-    // Stable, so of equal peaks the earlier one comes first.
-    peaks.sort_by(|&a, &b| height(b).total_cmp(&height(a)));
-    let mut beats: Vec<f64> = Vec::new();
-    for place in peaks {
-        if beats
-            .iter()
-            .all(|beat| (beat - place).abs() >= PEAK_DISTANCE)
-        {
-            beats.push(place);
-        }
-    }
-    beats.sort_by(f64::total_cmp);
-    beats.into_iter().map(|place| place / FPS).collect()
 }
 
 /// Mean over the kinematic beats of `exp(-d^2 / (2 sigma^2))`, d the distance in seconds to the
@@ -124,15 +82,6 @@ mod tests {
         motion
     }
 
-    /// Silence of 60 frames with these peaks (frame, height).
-    fn with_peaks(peaks: &[(usize, f32)]) -> Vec<f32> {
-        let mut strength = vec![0.0; 60];
-        for &(frame, height) in peaks {
-            strength[frame] = height;
-        }
-        strength
-    }
-
     fn frames(beats: &[f64]) -> Vec<f64> {
         beats.iter().map(|seconds| seconds * FPS).collect()
     }
@@ -146,24 +95,6 @@ mod tests {
         assert!(beats(&[1.0, 1.0, 2.0, 3.0, 1.0]).is_empty(), "the edges");
         assert!(beats(&[2.0, 2.0]).is_empty() && beats(&[2.0]).is_empty());
         assert!(beats(&[2.0, f64::NAN, 2.0, f64::NAN]).is_empty());
-    }
-
-    #[test]
-    fn high_peaks_at_a_distance_are_music_beats() {
-        let beats = |peaks: &[(usize, f32)]| frames(&music_beats(&with_peaks(peaks)));
-        assert_eq!(beats(&[(5, 1.0), (20, 0.8), (50, 1.0)]), [5.0, 20.0, 50.0]);
-        // Mean 2.1 / 60 and deviation 0.18: 0.1 is below 0.127.
-        assert_eq!(beats(&[(5, 1.0), (20, 0.1), (50, 1.0)]), [5.0, 50.0]);
-        assert_eq!(beats(&[(20, 0.8), (28, 1.0)]), [28.0], "the higher one");
-        assert_eq!(beats(&[(20, 0.8), (29, 1.0)]), [20.0, 29.0], "9 frames");
-        assert_eq!(
-            beats(&[(20, 1.0), (28, 1.0)]),
-            [20.0],
-            "of equals the first"
-        );
-        assert_eq!(beats(&[(20, 1.0), (21, 1.0)]), [20.5], "a plateau");
-        assert!(beats(&[(0, 1.0), (59, 1.0)]).is_empty(), "the edges");
-        assert!(beats(&[]).is_empty() && music_beats(&[]).is_empty());
     }
 
     #[test]
@@ -191,16 +122,6 @@ mod tests {
             let again = beat_alignment(&moved(&kinematic), &moved(&music)).unwrap();
             prop_assert!((score - again).abs() < 1e-9);
             prop_assert_eq!(beat_alignment(&kinematic, &kinematic), Some(1.0));
-        }
-
-        #[test]
-        fn music_beats_keep_their_distance(strength in proptest::collection::vec(0.0f32..1.0, 0..200)) {
-            let beats = frames(&music_beats(&strength));
-            for pair in beats.windows(2) {
-                prop_assert!(pair[1] - pair[0] >= PEAK_DISTANCE - 1e-9);
-            }
-            let louder: Vec<f32> = strength.iter().map(|value| 4.0 * value).collect();
-            prop_assert_eq!(frames(&music_beats(&louder)), beats, "loudness does not matter");
         }
     }
 }

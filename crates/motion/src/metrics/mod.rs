@@ -9,7 +9,7 @@ mod beats;
 mod diversity;
 mod frechet;
 
-pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats, music_beats};
+pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats};
 pub use diversity::{diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
 

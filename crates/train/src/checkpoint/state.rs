@@ -48,6 +48,10 @@ pub struct State {
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
     pub statistics: TrainingStatistics,
+    /// [`Digest`](kinegrad_data::Digest) of the dataset trained on, in hexadecimal; none in
+    /// checkpoints of before it was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dataset_sha256: Option<String>,
     /// Where the search for the best weights stands.
     pub progress: Progress,
     /// SHA-256 of each file of the checkpoint, in hexadecimal.

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use kinegrad_audio::beats::track;
 use kinegrad_data::Phrase;
 use kinegrad_motion::kinematics::mean_jerk_norm;
 use kinegrad_motion::metrics::{
-    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, music_beats,
+    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats,
     trajectory_features,
 };
 use kinegrad_motion::{Motion, Profile, Report, TrainingStatistics, Value, check};
@@ -127,7 +128,7 @@ impl<'a> Reference<'a> {
         };
         let music = held_out
             .iter()
-            .map(|phrase| music_beats(phrase.audio.onset_strength()))
+            .map(|phrase| track(phrase.audio.onset_strength()).times())
             .collect();
         Self {
             statistics,

@@ -12,6 +12,11 @@ fn may_change(key: &str) -> bool {
         || key == "run.device"
         || key.starts_with("checkpoint.")
         || key.starts_with("validation.")
+        // Where phrases lie and how they are fetched and kept changes no batch: that they are the
+        // same is checked by itself.
+        || key == "data.source"
+        || key.starts_with("data.cache.")
+        || key.starts_with("data.store.")
 }
 
 /// Refuses a config that would not continue the saved one.

@@ -36,13 +36,14 @@ pub(super) struct Setup {
 }
 
 impl Setup {
-    pub fn held_out(&self) -> HeldOut {
-        HeldOut::new(
-            self.dataset.validation.clone(),
+    /// The held-out phrases, in memory from now on.
+    pub fn held_out(&self) -> Result<HeldOut, Error> {
+        Ok(HeldOut::new(
+            self.dataset.validation.load()?,
             self.statistics.clone(),
             &self.config.validation,
             self.config.data.target_frames,
-        )
+        ))
     }
 
     pub fn sampler(&self) -> Result<Sampler, Error> {
@@ -158,6 +159,7 @@ impl Setup {
             statistics,
             device,
             loader,
+            dataset: dataset.digest,
             folder: folder.clone(),
         };
         let mut trainer = Trainer::new(parts, checkpoint)?;

@@ -1,0 +1,138 @@
+//! Every tensor between the samples and the features.
+
+use crate::onset::{self, OnsetStrength};
+use crate::{
+    Beats, Error, Features, FrameMatrix, beats, chroma, cqt, mel, mfcc, rms, spectral, tuning,
+};
+
+/// Samples beyond this magnitude are refused: their power would leave single precision. Full scale
+/// is 1.
+pub const LARGEST_SAMPLE: f32 = 1e6;
+
+/// The features of a clip before their normalisation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Analysis {
+    /// Mel power between 20 and 8000 Hz, `[T, 128]`.
+    pub mel_power: FrameMatrix,
+    /// Mel spectrogram between 0 and 22050 Hz in decibels relative to 1, `[T, 128]`.
+    pub mel_full_db: FrameMatrix,
+    /// Mel-frequency cepstral coefficients, `[T, 20]`.
+    pub mfcc: FrameMatrix,
+    /// Deviation from concert pitch in fractions of a 1/36-octave bin.
+    pub tuning: f64,
+    /// Magnitude of the constant-Q transform, `[T, 252]`.
+    pub cqt: FrameMatrix,
+    /// Constant-Q magnitude of each pitch class, `[T, 12]`.
+    pub chroma: FrameMatrix,
+    /// Root mean square, `[T]`.
+    pub rms: Vec<f32>,
+    /// Spectral centroid in Hz, `[T]`.
+    pub centroid: Vec<f32>,
+    /// Onset strength, mean and median over the bands.
+    pub onset: OnsetStrength,
+    /// Tempo and beats.
+    pub beats: Beats,
+}
+
+impl Analysis {
+    /// Analyses mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
+    ///
+    /// # Errors
+    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`].
+    pub fn new(signal: &[f32]) -> Result<Self, Error> {
+        check(signal)?;
+        Ok(Self::of_checked(signal, tuning::estimate(signal)))
+    }
+
+    /// [`new`](Self::new) with a known deviation from concert pitch.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_tuning(signal: &[f32], tuning: f64) -> Result<Self, Error> {
+        check(signal)?;
+        Ok(Self::of_checked(signal, tuning))
+    }
+
+    fn of_checked(signal: &[f32], tuning: f64) -> Self {
+        let spectral = spectral::analyse(signal);
+        let mel_full_db = mel::decibels(&spectral.mel_full_power, 1.0);
+        let cqt = cqt::magnitudes(signal, tuning);
+        let onset = onset::strength(&mel_full_db);
+        Self {
+            mel_power: spectral.mel_power,
+            mfcc: mfcc::coefficients(&mel_full_db),
+            mel_full_db,
+            tuning,
+            chroma: chroma::fold(&cqt),
+            cqt,
+            rms: rms::root_mean_square(signal),
+            centroid: spectral.centroid,
+            beats: beats::track(&onset.median),
+            onset,
+        }
+    }
+
+    /// Normalises and stacks the features.
+    pub fn features(&self) -> Features {
+        Features::new(self)
+    }
+}
+
+/// The features of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
+///
+/// # Errors
+/// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`].
+pub fn extract(signal: &[f32]) -> Result<Features, Error> {
+    Ok(Analysis::new(signal)?.features())
+}
+
+fn check(signal: &[f32]) -> Result<(), Error> {
+    match unusable_sample(signal) {
+        Some(index) => Err(Error::Sample {
+            index,
+            found: signal[index],
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Position of the first sample that is not finite or beyond [`LARGEST_SAMPLE`].
+pub(crate) fn unusable_sample(signal: &[f32]) -> Option<usize> {
+    signal
+        .iter()
+        .position(|y| !y.is_finite() || y.abs() > LARGEST_SAMPLE)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{CHANNELS, num_frames};
+
+    #[test]
+    fn bad_samples_are_named() {
+        for bad in [f32::NAN, f32::INFINITY, 1e7] {
+            let found = extract(&[0.0, 0.5, bad]);
+            assert!(matches!(found, Err(Error::Sample { index: 2, .. })));
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn every_length_has_finite_features(len in 0usize..4000, level in 0f32..1e6, seed: u32) {
+            let mut state = seed | 1;
+            let noise: Vec<f32> = (0..len)
+                .map(|_| {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (state as f32 / u32::MAX as f32 * 2.0 - 1.0) * level
+                })
+                .collect();
+            let features = extract(&noise)?;
+            prop_assert_eq!(features.frames(), num_frames(len));
+            prop_assert_eq!(features.stacked().len(), CHANNELS * num_frames(len));
+            prop_assert!(features.stacked().iter().all(|v| v.is_finite()));
+        }
+    }
+}

@@ -1,0 +1,305 @@
+//! From an audio file to mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
+
+use std::ffi::OsStr;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use symphonia::core::audio::GenericAudioBufferRef;
+use symphonia::core::codecs::audio::{AudioDecoder, AudioDecoderOptions};
+use symphonia::core::errors::Error as StreamError;
+use symphonia::core::formats::probe::Hint;
+use symphonia::core::formats::{FormatOptions, FormatReader, TrackType};
+use symphonia::core::io::{MediaSource, MediaSourceStream};
+use symphonia::core::meta::MetadataOptions;
+use symphonia::core::packet::Packet;
+
+use crate::analysis::unusable_sample;
+use crate::guard::guarded;
+use crate::{Error, resample};
+
+/// Longest recording that is read.
+pub const MAX_HOURS: u64 = 4;
+
+/// Smallest sample rate that is read, in Hz.
+pub const LOWEST_RATE: u32 = 4000;
+
+/// Largest sample rate that is read, in Hz.
+pub const HIGHEST_RATE: u32 = 768_000;
+
+/// A decoded recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Waveform {
+    /// Mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), full scale 1.
+    pub samples: Vec<f32>,
+    /// Samples per second in the file.
+    pub source_rate: u32,
+    /// Channels in the file, averaged.
+    pub source_channels: usize,
+    /// Damaged packets, replaced by silence of the same length as players do; a file that was cut
+    /// off counts one.
+    pub skipped_packets: usize,
+}
+
+/// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding
+/// taken off, resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
+///
+/// # Errors
+/// [`Error`] names the file and what is wrong with it: unreadable, empty, of unknown format,
+/// without audio, damaged, of an odd sample rate, too long, or with samples out of range.
+pub fn decode(path: &Path) -> Result<Waveform, Error> {
+    let name = path.display().to_string();
+    let file = File::open(path).map_err(|e| Error::Read {
+        file: name.clone(),
+        reason: e.to_string(),
+    })?;
+    let extension = path.extension().and_then(OsStr::to_str);
+    decode_reader(file, extension, &name)
+}
+
+/// [`decode()`] from any source of bytes. `extension` helps to find the format, `name` stands for
+/// the file in errors.
+///
+/// # Errors
+/// As [`decode()`].
+pub fn decode_reader(
+    reader: impl Read + Seek + Send + Sync,
+    extension: Option<&str>,
+    name: &str,
+) -> Result<Waveform, Error> {
+    let source = Source::new(reader).map_err(|e| Error::Read {
+        file: name.to_owned(),
+        reason: e.to_string(),
+    })?;
+    if source.bytes == 0 {
+        return Err(Error::Empty {
+            file: name.to_owned(),
+        });
+    }
+    let mut mono = Mono::new(name);
+    // The format readers compute with sizes of forged headers and can panic on them.
+    let read = guarded(|| mono.read(source, extension));
+    read.unwrap_or_else(|| Err(mono.corrupt("its sizes contradict each other".to_owned())))?;
+    Ok(Waveform {
+        source_rate: mono.rate,
+        source_channels: mono.channels,
+        skipped_packets: mono.skipped_packets,
+        samples: resample::to_sample_rate(mono.samples, mono.rate),
+    })
+}
+
+/// Finds out the format.
+fn open_format<'s>(
+    source: impl MediaSource + 's,
+    extension: Option<&str>,
+    name: &str,
+) -> Result<Box<dyn FormatReader + 's>, Error> {
+    let mut hint = Hint::new();
+    if let Some(extension) = extension {
+        hint.with_extension(extension);
+    }
+    symphonia::default::get_probe()
+        .probe(
+            &hint,
+            MediaSourceStream::new(Box::new(source), Default::default()),
+            FormatOptions::default(),
+            MetadataOptions::default(),
+        )
+        .map_err(|e| Error::UnknownFormat {
+            file: name.to_owned(),
+            reason: e.to_string(),
+        })
+}
+
+/// The first audio track with a known coding, and its decoder.
+fn open_track(
+    format: &dyn FormatReader,
+    name: &str,
+) -> Result<(u32, Box<dyn AudioDecoder>), Error> {
+    let file = || name.to_owned();
+    let no_track = || Error::NoAudioTrack { file: file() };
+    let track = format
+        .default_track(TrackType::Audio)
+        .ok_or_else(no_track)?;
+    let parameters = track
+        .codec_params
+        .as_ref()
+        .and_then(|parameters| parameters.audio())
+        .ok_or_else(no_track)?;
+    if let Some(rate) = parameters.sample_rate {
+        check_rate(rate, name)?;
+    }
+    let decoder = symphonia::default::get_codecs()
+        .make_audio_decoder(parameters, &AudioDecoderOptions::default())
+        .map_err(|e| Error::UnsupportedCodec {
+            file: file(),
+            reason: e.to_string(),
+        })?;
+    Ok((track.id, decoder))
+}
+
+fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
+    if (LOWEST_RATE..=HIGHEST_RATE).contains(&rate) {
+        return Ok(());
+    }
+    Err(Error::SampleRate {
+        file: name.to_owned(),
+        found: rate,
+        lowest: LOWEST_RATE,
+        highest: HIGHEST_RATE,
+    })
+}
+
+/// Averages the channels of one packet after the other.
+struct Mono<'a> {
+    name: &'a str,
+    /// Samples per second, 0 before the first packet.
+    rate: u32,
+    channels: usize,
+    skipped_packets: usize,
+    samples: Vec<f32>,
+    interleaved: Vec<f32>,
+}
+
+impl<'a> Mono<'a> {
+    fn new(name: &'a str) -> Self {
+        Self {
+            name,
+            rate: 0,
+            channels: 0,
+            skipped_packets: 0,
+            samples: Vec::new(),
+            interleaved: Vec::new(),
+        }
+    }
+
+    /// Reads the audio track to its end.
+    fn read(&mut self, source: impl MediaSource, extension: Option<&str>) -> Result<(), Error> {
+        let mut format = open_format(source, extension, self.name)?;
+        let (track, mut decoder) = open_track(format.as_ref(), self.name)?;
+        loop {
+            let packet = match format.next_packet() {
+                Ok(Some(packet)) => packet,
+                Ok(None) => break,
+                Err(StreamError::IoError(e)) if e.kind() == io::ErrorKind::UnexpectedEof => {
+                    self.skipped_packets += 1;
+                    break;
+                }
+                Err(e) => return Err(self.corrupt(e.to_string())),
+            };
+            if packet.track_id != track {
+                continue;
+            }
+            match decoder.decode(&packet) {
+                Ok(decoded) => self.append(&decoded)?,
+                Err(StreamError::DecodeError(_) | StreamError::IoError(_)) => self.skip(&packet),
+                Err(e) => return Err(self.corrupt(e.to_string())),
+            }
+        }
+        if self.rate == 0 {
+            return Err(Error::NothingDecoded {
+                file: self.name.to_owned(),
+                skipped_packets: self.skipped_packets,
+            });
+        }
+        Ok(())
+    }
+
+    fn append(&mut self, decoded: &GenericAudioBufferRef<'_>) -> Result<(), Error> {
+        let (rate, channels) = (decoded.spec().rate(), decoded.num_planes());
+        if channels == 0 {
+            return Ok(());
+        }
+        if self.rate == 0 {
+            check_rate(rate, self.name)?;
+            (self.rate, self.channels) = (rate, channels);
+        } else if self.rate != rate {
+            return Err(Error::RateChanges {
+                file: self.name.to_owned(),
+                second: self.seconds(),
+                before: self.rate,
+                after: rate,
+            });
+        }
+        let start = self.samples.len();
+        if (start + decoded.frames()) as u64 > MAX_HOURS * 3600 * u64::from(rate) {
+            return Err(Error::TooLong {
+                file: self.name.to_owned(),
+                hours: MAX_HOURS,
+            });
+        }
+        decoded.copy_to_vec_interleaved(&mut self.interleaved);
+        let share = 1.0 / channels as f32;
+        let frames = self.interleaved.chunks_exact(channels);
+        self.samples
+            .extend(frames.map(|frame| frame.iter().sum::<f32>() * share));
+        if let Some(offset) = unusable_sample(&self.samples[start..]) {
+            return Err(Error::DecodedSample {
+                file: self.name.to_owned(),
+                second: (start + offset) as f64 / f64::from(rate),
+                found: self.samples[start + offset],
+            });
+        }
+        Ok(())
+    }
+
+    /// Keeps the time of what follows a damaged packet. Before the first good packet nothing is
+    /// known to keep.
+    fn skip(&mut self, packet: &Packet) {
+        self.skipped_packets += 1;
+        if self.rate > 0 {
+            // The formats that are read count packets in samples. A forged duration adds at most
+            // a second.
+            let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
+            self.samples.resize(self.samples.len() + silence, 0.0);
+        }
+    }
+
+    fn corrupt(&self, reason: String) -> Error {
+        Error::Corrupt {
+            file: self.name.to_owned(),
+            second: self.seconds(),
+            reason,
+        }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.samples.len() as f64 / f64::from(self.rate.max(1))
+    }
+}
+
+/// A reader whose length is known.
+struct Source<R> {
+    reader: R,
+    bytes: u64,
+}
+
+impl<R: Read + Seek> Source<R> {
+    fn new(mut reader: R) -> io::Result<Self> {
+        let bytes = reader.seek(SeekFrom::End(0))?;
+        reader.seek(SeekFrom::Start(0))?;
+        Ok(Self { reader, bytes })
+    }
+}
+
+impl<R: Read> Read for Source<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.reader.read(buffer)
+    }
+}
+
+impl<R: Seek> Seek for Source<R> {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.reader.seek(position)
+    }
+}
+
+impl<R: Read + Seek + Send + Sync> MediaSource for Source<R> {
+    fn is_seekable(&self) -> bool {
+        true
+    }
+
+    fn byte_len(&self) -> Option<u64> {
+        Some(self.bytes)
+    }
+}

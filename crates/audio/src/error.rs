@@ -1,0 +1,139 @@
+//! What can be wrong with an audio file or its samples.
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// Why a file could not be decoded or a signal not be analysed. `file` is the path, or the name
+/// given for a reader.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum Error {
+    /// The file could not be opened or read.
+    #[error("{file}: cannot be read: {reason}")]
+    #[diagnostic(help("check that the file exists and that you may read it"))]
+    Read {
+        /// The file.
+        file: String,
+        /// What the operating system says.
+        reason: String,
+    },
+
+    /// The file has no bytes.
+    #[error("{file}: the file is empty")]
+    #[diagnostic(help("copy or download it again"))]
+    Empty {
+        /// The file.
+        file: String,
+    },
+
+    /// The file is in no format that can be read.
+    #[error("{file}: no known audio format: {reason}")]
+    #[diagnostic(help("MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one"))]
+    UnknownFormat {
+        /// The file.
+        file: String,
+        /// What the reader says.
+        reason: String,
+    },
+
+    /// The file holds no audio track.
+    #[error("{file}: no audio track found")]
+    #[diagnostic(help("name a file with music in it"))]
+    NoAudioTrack {
+        /// The file.
+        file: String,
+    },
+
+    /// The audio track is coded in a way that cannot be read.
+    #[error("{file}: the audio track cannot be decoded: {reason}")]
+    #[diagnostic(help(
+        "PCM, FLAC, MP3 and Vorbis can be decoded: convert the file to WAV, FLAC, MP3 or Ogg"
+    ))]
+    UnsupportedCodec {
+        /// The file.
+        file: String,
+        /// What the decoder says.
+        reason: String,
+    },
+
+    /// The file is damaged.
+    #[error("{file}: damaged at second {second:.2}: {reason}")]
+    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
+    Corrupt {
+        /// The file.
+        file: String,
+        /// Seconds decoded so far.
+        second: f64,
+        /// What the reader or decoder says.
+        reason: String,
+    },
+
+    /// The file ends without one decodable packet.
+    #[error("{file}: nothing could be decoded; {skipped_packets} damaged packets found")]
+    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
+    NothingDecoded {
+        /// The file.
+        file: String,
+        /// Packets that could not be decoded.
+        skipped_packets: usize,
+    },
+
+    /// The sample rate is out of range.
+    #[error("{file}: a sample rate of {found} Hz found, {lowest} to {highest} Hz allowed")]
+    #[diagnostic(help("convert the file to 44100 Hz"))]
+    SampleRate {
+        /// The file.
+        file: String,
+        /// The sample rate found.
+        found: u32,
+        /// Smallest allowed.
+        lowest: u32,
+        /// Largest allowed.
+        highest: u32,
+    },
+
+    /// The sample rate changes inside the file.
+    #[error("{file}: the sample rate changes from {before} to {after} Hz at second {second:.2}")]
+    #[diagnostic(help("the file seems to be several files in a row: split or convert it"))]
+    RateChanges {
+        /// The file.
+        file: String,
+        /// Seconds decoded so far.
+        second: f64,
+        /// Rate at the beginning, in Hz.
+        before: u32,
+        /// Rate from here on, in Hz.
+        after: u32,
+    },
+
+    /// The file is longer than what is read.
+    #[error("{file}: longer than {hours} hours")]
+    #[diagnostic(help("cut it into pieces: features are normalised over one whole file"))]
+    TooLong {
+        /// The file.
+        file: String,
+        /// Largest length allowed, in hours.
+        hours: u64,
+    },
+
+    /// A decoded sample is not finite or far beyond full scale.
+    #[error("{file}: the sample {found} found at second {second:.2}, -1 to 1 is full scale")]
+    #[diagnostic(help("export the file again as 16-bit PCM or as float between -1 and 1"))]
+    DecodedSample {
+        /// The file.
+        file: String,
+        /// Where.
+        second: f64,
+        /// The value.
+        found: f32,
+    },
+
+    /// A sample given for analysis is not finite or far beyond full scale.
+    #[error("sample {index} is {found}, -1 to 1 is full scale")]
+    #[diagnostic(help("scale the samples to full scale 1 and repair those that are not finite"))]
+    Sample {
+        /// Position, counted from 0.
+        index: usize,
+        /// The value.
+        found: f32,
+    },
+}

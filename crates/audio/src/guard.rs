@@ -1,0 +1,38 @@
+//! Calling libraries that panic on forged input.
+
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
+use std::sync::Once;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Guarded calls under way.
+static GUARDED: AtomicUsize = AtomicUsize::new(0);
+
+/// What `call` returns; `None` if it panics. The panic's message is not shown: what it means is
+/// for the caller to say.
+pub fn guarded<T>(call: impl FnOnce() -> T) -> Option<T> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let before = take_hook();
+        set_hook(Box::new(move |panic| {
+            // The library may panic on threads of its own, so the flag is not this thread's.
+            if GUARDED.load(Ordering::SeqCst) == 0 {
+                before(panic);
+            }
+        }));
+    });
+    GUARDED.fetch_add(1, Ordering::SeqCst);
+    let outcome = catch_unwind(AssertUnwindSafe(call));
+    GUARDED.fetch_sub(1, Ordering::SeqCst);
+    outcome.ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_none() {
+        assert_eq!(guarded(|| 3), Some(3));
+        assert_eq!(guarded(|| -> u8 { panic!("forged") }), None);
+    }
+}

@@ -1,0 +1,57 @@
+//! From a music file to the `[163, T]` audio conditioning tensor, tempo and beats.
+//!
+//! [`decode()`] reads a file to mono samples at [`SAMPLE_RATE`]; [`extract`] computes the features,
+//! [`FPS`] frames a second, `T = 1 + floor(n / `[`HOP`]`)`. [`Analysis`] holds every tensor on the
+//! way, and [`beats::track`] works on a stored onset envelope. The definitions are librosa's
+//! (0.11) with the document's settings. Source: CC-MotionGen documentation, section 4.
+//!
+//! ```
+//! use kinegrad_audio::{CHANNELS, SAMPLE_RATE, extract};
+//! let second: Vec<f32> = (0..SAMPLE_RATE).map(|n| (n as f32 * 0.05).sin()).collect();
+//! let features = extract(&second)?;
+//! assert_eq!((features.frames(), features.stacked().len()), (31, 31 * CHANNELS));
+//! # Ok::<(), kinegrad_audio::Error>(())
+//! ```
+
+pub mod analysis;
+pub mod beats;
+pub mod chroma;
+pub mod cqt;
+pub mod decode;
+pub mod error;
+pub mod features;
+pub mod frames;
+pub mod guard;
+pub mod mel;
+pub mod mfcc;
+mod octaves;
+pub mod onset;
+pub mod resample;
+pub mod rms;
+pub mod spectral;
+pub mod stft;
+pub mod tempo;
+pub mod tuning;
+mod wavelets;
+
+pub use analysis::{Analysis, extract};
+pub use beats::Beats;
+pub use decode::{Waveform, decode, decode_reader};
+pub use error::Error;
+pub use features::{CHANNELS, Features};
+pub use frames::FrameMatrix;
+
+/// Samples per second that every feature is computed at.
+pub const SAMPLE_RATE: u32 = 44_100;
+
+/// Samples from one frame to the next: a thirtieth of a second.
+pub const HOP: usize = 1470;
+
+/// Frames per second of every feature.
+pub const FPS: f64 = 30.0;
+
+/// Number of frames of a signal of `samples` samples, at least 1. Frame `t` is centred on sample
+/// `t * HOP`.
+pub fn num_frames(samples: usize) -> usize {
+    1 + samples / HOP
+}

@@ -1,0 +1,136 @@
+//! Tempo from the autocorrelation of an onset envelope.
+//!
+//! Source: librosa 0.11 `feature.tempogram` and `feature.tempo`: a prior of one octave around
+//! 120 beats per minute.
+
+use std::f64::consts::TAU;
+
+use rayon::prelude::*;
+use realfft::RealFftPlanner;
+
+/// Frames of a window, and lags of the autocorrelation.
+pub const LAGS: usize = 240;
+
+/// Frames in a minute: a lag of `lag` frames is `1800 / lag` beats per minute.
+pub const FRAMES_PER_MINUTE: f64 = 60.0 * crate::FPS;
+
+const PRIOR_BPM: f64 = 120.0;
+/// Tempi from here on are no beats.
+const TOO_FAST_BPM: f64 = 320.0;
+/// Windows a thread adds up in one go; fixed, so that the sum does not depend on the threads.
+const WINDOWS: usize = 256;
+
+/// A tempo and the curve it was read from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tempo {
+    /// Beats per minute, `1800 / lag` for a whole lag.
+    pub bpm: f64,
+    /// Time-mean of the normalised local autocorrelation, `[240]`.
+    pub tempogram_mean: Vec<f64>,
+}
+
+/// The tempo of `onset_envelope`, `[T]`, any scale.
+pub fn estimate(onset_envelope: &[f32]) -> Tempo {
+    let tempogram_mean = tempogram_mean(onset_envelope);
+    let mut best = (f64::NEG_INFINITY, 1);
+    for (lag, &mean) in tempogram_mean.iter().enumerate().skip(1) {
+        let bpm = FRAMES_PER_MINUTE / lag as f64;
+        let score = (1e6 * mean).ln_1p() - 0.5 * (bpm / PRIOR_BPM).log2().powi(2);
+        if bpm < TOO_FAST_BPM && score > best.0 {
+            best = (score, lag);
+        }
+    }
+    Tempo {
+        bpm: FRAMES_PER_MINUTE / best.1 as f64,
+        tempogram_mean,
+    }
+}
+
+/// Mean over all frames of the autocorrelation of the Hann window around each, divided by its
+/// largest magnitude: `[240]`.
+fn tempogram_mean(onset_envelope: &[f32]) -> Vec<f64> {
+    let frames = onset_envelope.len();
+    let extended = extend(onset_envelope);
+    let hann: Vec<f64> = (0..LAGS)
+        .map(|n| 0.5 - 0.5 * (TAU * n as f64 / LAGS as f64).cos())
+        .collect();
+    let mut planner = RealFftPlanner::<f64>::new();
+    // Twice as long as a window: the autocorrelation does not wrap.
+    let size = (2 * LAGS).next_power_of_two();
+    let (forward, inverse) = (
+        planner.plan_fft_forward(size),
+        planner.plan_fft_inverse(size),
+    );
+    let sums: Vec<Vec<f64>> = (0..frames.div_ceil(WINDOWS))
+        .into_par_iter()
+        .map(|block| {
+            let mut sum = vec![0.0; LAGS];
+            let (mut window, mut spectrum) = (forward.make_input_vec(), forward.make_output_vec());
+            for t in block * WINDOWS..frames.min((block + 1) * WINDOWS) {
+                window.fill(0.0);
+                for (w, (h, x)) in window.iter_mut().zip(hann.iter().zip(&extended[t..])) {
+                    *w = h * x;
+                }
+                forward
+                    .process(&mut window, &mut spectrum)
+                    .expect("the buffers were made for this transform");
+                spectrum
+                    .iter_mut()
+                    .for_each(|bin| *bin = bin.norm_sqr().into());
+                inverse
+                    .process(&mut spectrum, &mut window)
+                    .expect("the spectrum of a real signal");
+                let largest = window[..LAGS].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+                if largest >= f64::from(f32::MIN_POSITIVE) {
+                    for (s, v) in sum.iter_mut().zip(&window) {
+                        *s += v / largest;
+                    }
+                }
+            }
+            sum
+        })
+        .collect();
+    let mut mean = vec![0.0; LAGS];
+    for sum in &sums {
+        mean.iter_mut().zip(sum).for_each(|(m, s)| *m += s);
+    }
+    mean.iter_mut().for_each(|m| *m /= frames.max(1) as f64);
+    mean
+}
+
+/// The curve with half a window on either side that falls linearly to zero.
+fn extend(curve: &[f32]) -> Vec<f64> {
+    const HALF: usize = LAGS / 2;
+    let first = f64::from(curve.first().copied().unwrap_or(0.0));
+    let last = f64::from(curve.last().copied().unwrap_or(0.0));
+    let ramp = |i: usize| i as f64 / HALF as f64;
+    let rise = (0..HALF).map(|i| first * ramp(i));
+    let fall = (0..HALF).rev().map(|i| last * ramp(i));
+    rise.chain(curve.iter().map(|&v| f64::from(v)))
+        .chain(fall)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pulse_every_fifteen_frames_is_120_bpm() {
+        let pulses: Vec<f32> = (0..600).map(|t| f32::from(u8::from(t % 15 == 0))).collect();
+        let tempo = estimate(&pulses);
+        assert_eq!(tempo.bpm, 120.0);
+        assert!((tempo.tempogram_mean[0] - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_ends_fall_to_zero() {
+        let extended = extend(&[2.0, 3.0]);
+        assert_eq!(extended.len(), LAGS + 2);
+        assert_eq!((extended[0], extended[60], extended[120]), (0.0, 1.0, 2.0));
+        assert_eq!(
+            (extended[121], extended[122], extended[241]),
+            (3.0, 3.0 * 119.0 / 120.0, 0.0)
+        );
+    }
+}

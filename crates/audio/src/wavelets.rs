@@ -1,0 +1,189 @@
+//! The filters of the constant-Q transform, as sparse rows over the spectrum of a frame.
+//!
+//! Every octave reads frames of [`FRAME`] samples. Source: librosa 0.11 `filters.wavelet` and
+//! `util.sparsify_rows`.
+
+use std::f64::consts::{PI, TAU};
+
+use rayon::prelude::*;
+use realfft::RealFftPlanner;
+use realfft::num_complex::{Complex32, Complex64};
+
+use crate::SAMPLE_RATE;
+use crate::cqt::{BINS, BINS_PER_OCTAVE, OCTAVES, bin_frequency};
+
+/// Samples of a frame once its octave's stride is applied.
+pub(crate) const FRAME: usize = 1024;
+
+/// The smallest magnitudes of a row that together stay below this share of it are dropped.
+const DROPPED_SHARE: f64 = 0.01;
+
+/// One filter: weights of neighbouring bins of a frame's spectrum.
+pub(crate) struct Wavelet {
+    first_bin: usize,
+    weights: Vec<Complex32>,
+}
+
+impl Wavelet {
+    /// Magnitude of the filter's response to a frame with this spectrum.
+    pub fn response(&self, spectrum: &[Complex32]) -> f32 {
+        let covered = &spectrum[self.first_bin..][..self.weights.len()];
+        let pairs = covered.iter().zip(&self.weights);
+        let sum: Complex32 = pairs.map(|(y, w)| y * w).sum();
+        (sum.re * sum.re + sum.im * sum.im).sqrt()
+    }
+}
+
+/// Samples at 22050 Hz between two samples of a frame; octave 0 is the top one.
+pub(crate) fn stride(octave: usize) -> usize {
+    1 << octave
+}
+
+/// The filters of all [`BINS`], lowest first, `tuning` bins above concert pitch.
+pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
+    let transform = RealFftPlanner::<f64>::new().plan_fft_forward(FRAME);
+    let spectrum = |samples: &mut [f64]| {
+        let mut bins = transform.make_output_vec();
+        transform
+            .process(samples, &mut bins)
+            .expect("the buffers were made for this transform");
+        bins
+    };
+    (0..BINS)
+        .into_par_iter()
+        .with_min_len(BINS_PER_OCTAVE)
+        .map(|bin| {
+            let kernel = Kernel::new(bin, tuning);
+            let [mut re, mut im] = kernel.samples();
+            let (re, im) = (spectrum(&mut re), spectrum(&mut im));
+            let whole = re
+                .iter()
+                .zip(&im)
+                .map(|(re, im)| (re + Complex64::i() * im) * kernel.gain);
+            sparsify(&whole.collect::<Vec<_>>(), kernel.tail() * kernel.gain)
+        })
+        .collect()
+}
+
+/// A wavelet in time, centred in its frame.
+///
+/// ```text
+/// h[n] = exp(2 pi i f n / sr') w[n] / sum w,  floor(-L/2) <= n < floor(L/2),  L = Q sr' / f
+/// ```
+/// `w` is a periodic Hann window. The working rate `sr'` is 44100 in the top octave, else 22050;
+/// of its samples only every `stride`-th is taken.
+struct Kernel {
+    /// Cycles per sample at the working rate.
+    frequency: f64,
+    /// First sample and the one after the last, counted from the centre.
+    start: f64,
+    end: f64,
+    /// Working-rate samples between two samples of the frame.
+    stride: f64,
+    /// From a sum over bins to a response: `stride * sqrt(L at 44100) / FRAME`.
+    gain: f64,
+}
+
+impl Kernel {
+    fn new(bin: usize, tuning: f64) -> Self {
+        let octave = OCTAVES - 1 - bin / BINS_PER_OCTAVE;
+        let full_rate = f64::from(SAMPLE_RATE);
+        let (rate, stride) = match octave {
+            0 => (full_rate, 2.0),
+            _ => (full_rate / 2.0, stride(octave) as f64),
+        };
+        let ratio = 2f64.powf(2.0 / BINS_PER_OCTAVE as f64);
+        let quality = (ratio + 1.0) / (ratio - 1.0);
+        let hz = bin_frequency(bin, tuning);
+        let length = quality * rate / hz;
+        Self {
+            frequency: hz / rate,
+            start: (-length / 2.0).floor(),
+            end: (length / 2.0).floor(),
+            stride,
+            gain: stride * (quality * full_rate / hz).sqrt() / FRAME as f64,
+        }
+    }
+
+    /// Sum of the magnitudes of all bins between the highest of the frame and the highest of a
+    /// frame read without a stride, relative to `gain`. It decides close calls of the
+    /// sparsification.
+    ///
+    /// ```text
+    /// |H(x)| = |sin(pi x)| / (pi x (x^2 - 1)),  x bins of a transform as long as the wavelet away
+    /// ```
+    /// For large `x` the mean of the sine is 2 / pi, and the sum of `x^-3` an integral.
+    fn tail(&self) -> f64 {
+        let full = FRAME as f64 * self.stride;
+        let bin_width = (self.end - self.start) / full;
+        let distance = |bin: f64| (bin + 0.5 - self.frequency * full) * bin_width;
+        let [near, far] = [FRAME as f64 / 2.0, full / 2.0].map(distance);
+        (near.powi(-2) - far.powi(-2)) / (PI * PI * bin_width) / self.stride
+    }
+
+    /// Real and imaginary part of the frame.
+    fn samples(&self) -> [Vec<f64>; 2] {
+        let (mut re, mut im) = (vec![0.0; FRAME], vec![0.0; FRAME]);
+        let length = self.end - self.start;
+        for (m, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
+            let n = (m as f64 - FRAME as f64 / 2.0) * self.stride;
+            if n < self.start || n >= self.end {
+                continue;
+            }
+            // sin^2(pi i / M) is the Hann window, and its sum is M / 2.
+            let window = (PI * (n - self.start) / length).sin().powi(2) / (length / 2.0);
+            let (sin, cos) = (TAU * self.frequency * n).sin_cos();
+            (*re, *im) = (window * cos, window * sin);
+        }
+        [re, im]
+    }
+}
+
+/// Drops the smallest magnitudes and cuts the row to what remains. `tail` is the magnitude sum of
+/// small values beyond the row.
+fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
+    let mut sorted: Vec<f64> = row.iter().map(|w| w.norm()).collect();
+    let total = sorted.iter().sum::<f64>() + tail;
+    sorted.sort_unstable_by(f64::total_cmp);
+    let mut sum = tail;
+    let smallest_kept = sorted.iter().copied().find(|magnitude| {
+        sum += magnitude;
+        sum >= DROPPED_SHARE * total
+    });
+    let kept = |w: &Complex64| smallest_kept.is_some_and(|smallest| w.norm() >= smallest);
+    let first_bin = row.iter().position(kept).unwrap_or(0);
+    let end = row.iter().rposition(kept).map_or(0, |last| last + 1);
+    let weights = row[first_bin..end].iter().map(|w| {
+        if kept(w) {
+            Complex32::new(w.re as f32, w.im as f32)
+        } else {
+            Complex32::ZERO
+        }
+    });
+    Wavelet {
+        first_bin,
+        weights: weights.collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_narrow_bands() {
+        for tuning in [-0.5, 0.0, 0.49] {
+            let rows = all(tuning);
+            assert_eq!(rows.len(), BINS);
+            for row in rows {
+                assert!(
+                    (8..40).contains(&row.weights.len()),
+                    "{}",
+                    row.weights.len()
+                );
+                // Below a quarter of the frame's rate the octave filters have full gain.
+                assert!(row.first_bin + row.weights.len() < FRAME / 4);
+            }
+        }
+    }
+}

@@ -1,0 +1,428 @@
+//! Every tensor of the reference clips, against librosa 0.11.
+//!
+//! The folder is `KINEGRAD_GOLDEN` + `/audio` when that is set, and then a missing clip fails;
+//! otherwise it is `data_fixtures/golden/audio`, which holds the small clips only, with the
+//! tensors that matter most. The tolerances are the reference data's own.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_audio::features::{CENTROID, CHROMA, MEL, MFCC, ONSET, RMS};
+use kinegrad_audio::stft::{BINS, Stft};
+use kinegrad_audio::{
+    Analysis, CHANNELS, Features, FrameMatrix, HOP, beats, chroma, decode, mel, num_frames, tempo,
+    tuning,
+};
+use safetensors::{Dtype, SafeTensors};
+
+/// One reference clip: its samples and its tensors.
+struct Clip {
+    name: &'static str,
+    recording: PathBuf,
+    bytes: Vec<u8>,
+}
+
+/// What the two signals of a clip that needs resampling may differ by, in the stacked tensor.
+struct Resampled {
+    mel_max: f64,
+    mel_mean: f64,
+    mfcc_mean: f64,
+    onset_max: f64,
+}
+
+impl Clip {
+    /// The clip `name`, or `None` when the small set does not hold it.
+    fn open(name: &'static str) -> Option<Self> {
+        let workspace = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+        let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
+        let root = match &set {
+            // Tests run in their package's folder; a relative folder is meant from the root.
+            Some(folder) => workspace.join(folder),
+            None => workspace.join("data_fixtures/golden"),
+        };
+        let tensors = root.join(format!("audio/{name}.safetensors"));
+        if !tensors.exists() {
+            assert!(set.is_none(), "{} is missing", tensors.display());
+            eprintln!("{name} is not among the small fixtures: nothing compared");
+            return None;
+        }
+        // The small set keeps longer clips as FLAC.
+        let recording = ["wav", "flac"]
+            .map(|extension| tensors.with_extension(extension))
+            .into_iter()
+            .find(|path| path.exists())
+            .expect("a recording lies beside the tensors");
+        Some(Self {
+            name,
+            recording,
+            bytes: std::fs::read(tensors).expect("golden file is readable"),
+        })
+    }
+
+    /// The samples as decoded and converted here.
+    fn decoded(&self) -> Vec<f32> {
+        decode(&self.recording).expect("the clip decodes").samples
+    }
+
+    /// The tensor `key`, widened, or `None` if the file leaves it out.
+    fn find(&self, key: &str) -> Option<Vec<f64>> {
+        let parsed = SafeTensors::deserialize(&self.bytes).expect("golden file parses");
+        let view = parsed.tensor(key).ok()?;
+        let bytes = view.data();
+        Some(match view.dtype() {
+            Dtype::F64 => each(bytes, f64::from_le_bytes),
+            Dtype::F32 => each(bytes, |b| f64::from(f32::from_le_bytes(b))),
+            Dtype::I64 => each(bytes, |b| i64::from_le_bytes(b) as f64),
+            Dtype::I32 => each(bytes, |b| f64::from(i32::from_le_bytes(b))),
+            other => panic!("`{key}` has the unexpected type {other:?}"),
+        })
+    }
+
+    fn get(&self, key: &str) -> Vec<f64> {
+        self.find(key)
+            .unwrap_or_else(|| panic!("{} has no tensor `{key}`", self.name))
+    }
+
+    /// Asserts `|found - reference| <= tolerance` everywhere, if the file holds the tensor.
+    fn compare(&self, key: &str, found: &[f64], tolerance: f64) {
+        if let Some(reference) = self.find(key) {
+            self.bound(key, largest_difference(key, found, &reference), tolerance);
+        }
+    }
+
+    /// [`compare`](Self::compare), relative to the reference's largest magnitude.
+    fn compare_relative(&self, key: &str, found: &[f64], tolerance: f64) {
+        if let Some(reference) = self.find(key) {
+            let largest = reference.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            let error = largest_difference(key, found, &reference);
+            let scale = if largest == 0.0 { 1.0 } else { largest };
+            self.bound(key, error / scale, tolerance);
+        }
+    }
+
+    fn bound(&self, what: &str, error: f64, tolerance: f64) {
+        println!("{} {what}: error {error:.1e} of {tolerance:.0e}", self.name);
+        assert!(
+            error <= tolerance,
+            "{} {what}: error {error:.3e} exceeds {tolerance:.1e}",
+            self.name
+        );
+    }
+}
+
+fn each<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f64) -> Vec<f64> {
+    let (chunks, _) = bytes.as_chunks::<N>();
+    chunks.iter().map(|chunk| convert(*chunk)).collect()
+}
+
+fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&v| f64::from(v)).collect()
+}
+
+fn major(matrix: &FrameMatrix) -> Vec<f64> {
+    wide(&matrix.channel_major())
+}
+
+fn largest_difference(what: &str, found: &[f64], reference: &[f64]) -> f64 {
+    differences(what, found, reference).fold(0.0, f64::max)
+}
+
+fn mean_difference(what: &str, found: &[f64], reference: &[f64]) -> f64 {
+    differences(what, found, reference).sum::<f64>() / reference.len().max(1) as f64
+}
+
+fn differences<'a>(
+    what: &'a str,
+    found: &'a [f64],
+    reference: &'a [f64],
+) -> impl Iterator<Item = f64> + 'a {
+    assert_eq!(found.len(), reference.len(), "{what}: number of values");
+    found.iter().zip(reference).map(move |(a, r)| {
+        assert!(a.is_finite(), "{what} is {a}");
+        (a - r).abs()
+    })
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let product = |x: &[f64], y: &[f64], mx: f64, my: f64| -> f64 {
+        x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum()
+    };
+    product(a, b, mean_a, mean_b)
+        / (product(a, a, mean_a, mean_a) * product(b, b, mean_b, mean_b)).sqrt()
+}
+
+/// Everything of a clip that does not need resampling, or whose converted signal is stored.
+fn check_clip(name: &'static str) {
+    let Some(clip) = Clip::open(name) else {
+        return;
+    };
+    let signal = match clip.find("y_44100") {
+        Some(stored) => stored.iter().map(|&v| v as f32).collect(),
+        None => clip.decoded(),
+    };
+    assert_eq!(clip.get("n_samples"), [signal.len() as f64]);
+    let pitch = clip.get("tuning")[0];
+    clip.bound("tuning", (tuning::estimate(&signal) - pitch).abs(), 0.0101);
+    let analysis = Analysis::with_tuning(&signal, pitch).expect("finite samples");
+    check_stages(&clip, &signal, &analysis);
+    check_beats(&clip, &analysis.onset.median);
+    check_stacked(&clip, &analysis);
+}
+
+fn check_stages(clip: &Clip, signal: &[f32], analysis: &Analysis) {
+    if let Some(index) = clip.find("stft_mag_frames_idx") {
+        let stft = Stft::new();
+        let mut scratch = stft.scratch();
+        let mut found = Vec::new();
+        for t in index {
+            found.extend(wide(stft.magnitudes(
+                signal,
+                t as usize * HOP,
+                &mut scratch,
+            )));
+        }
+        assert!(found.len().is_multiple_of(BINS));
+        clip.compare_relative("stft_mag_frames", &found, 1e-5);
+    }
+    let loudest = mel::maximum(&analysis.mel_power);
+    let mel_db = mel::decibels(&analysis.mel_power, loudest);
+    clip.compare_relative("mel_power", &major(&analysis.mel_power), 1e-5);
+    clip.compare("mel_db", &major(&mel_db), 2e-3);
+    clip.compare("mel_full_db", &major(&analysis.mel_full_db), 2e-3);
+    clip.compare("mfcc_raw", &major(&analysis.mfcc), 1e-2);
+    clip.compare_relative("cqt_mag", &major(&analysis.cqt), 1.5e-3);
+    clip.compare_relative("chroma_unnorm", &major(&analysis.chroma), 1.5e-3);
+    clip.compare("rms", &wide(&analysis.rms), 1e-5);
+    clip.compare("centroid", &wide(&analysis.centroid), 0.05);
+    clip.compare("onset", &wide(&analysis.onset.mean), 1e-3);
+    clip.compare("onset_median", &wide(&analysis.onset.median), 1e-3);
+}
+
+fn check_beats(clip: &Clip, onset_median: &[f32]) {
+    let found = beats::track(onset_median);
+    let frames: Vec<f64> = found.frames.iter().map(|&t| t as f64).collect();
+    clip.compare("tempo", &[found.tempo], 1e-9);
+    assert_eq!(frames, clip.get("beat_frames"), "{} beats", clip.name);
+    clip.compare("beat_times", &found.times(), 1e-5);
+    if found.tempo == 0.0 {
+        return;
+    }
+    let tempo = tempo::estimate(onset_median);
+    let search = beats::Search::new(onset_median, &tempo);
+    clip.compare("tempogram_mean", &tempo.tempogram_mean, 1e-4);
+    clip.compare("frames_per_beat", &[search.frames_per_beat as f64], 0.0);
+    clip.compare_relative("beat_local_score", &search.local_score, 1e-4);
+    clip.compare_relative("beat_cumscore", &search.cumulative_score, 1e-4);
+    check_links(clip, &search);
+}
+
+/// The links agree, or the reference's is as good: its single-precision scores can tie.
+fn check_links(clip: &Clip, search: &beats::Search) {
+    let Some(reference) = clip.find("beat_backlink") else {
+        return;
+    };
+    let period = search.frames_per_beat as f64;
+    let chain = |i: usize, link: usize| {
+        let stretch = ((i - link) as f64).ln() - period.ln();
+        search.cumulative_score[link] - 100.0 * stretch * stretch
+    };
+    let mut worst = 0.0f64;
+    for (i, (link, expected)) in search.backlinks.iter().zip(reference).enumerate() {
+        let expected = (expected >= 0.0).then_some(expected as usize);
+        assert_eq!(link.is_some(), expected.is_some(), "{} link {i}", clip.name);
+        if let (Some(link), Some(expected)) = (*link, expected) {
+            worst = worst.max(chain(i, link) - chain(i, expected));
+        }
+    }
+    clip.bound("beat_backlink", worst, 1e-4);
+}
+
+fn check_stacked(clip: &Clip, analysis: &Analysis) {
+    let features = analysis.features();
+    let frames = features.frames();
+    let reference = clip.get("stacked");
+    assert_eq!(reference.len(), CHANNELS * frames);
+    let row = |c: usize| &reference[c * frames..(c + 1) * frames];
+    let found = |c: usize| wide(features.rows(c..c + 1));
+    let worst = |rows: std::ops::Range<usize>| {
+        rows.map(|c| largest_difference("stacked", &found(c), row(c)))
+            .fold(0.0, f64::max)
+    };
+    clip.bound("stacked mel", worst(MEL), 1e-4);
+    clip.bound("stacked rms", worst(RMS..RMS + 1), 1e-5);
+    clip.bound("stacked centroid", worst(CENTROID..CENTROID + 1), 1e-5);
+    clip.bound("stacked onset", worst(ONSET..ONSET + 1), 1e-4);
+    for (i, c) in MFCC.enumerate() {
+        let raw: Vec<f64> = analysis.mfcc.channel(i).map(f64::from).collect();
+        if deviation(&raw) < 1e-3 {
+            // A constant row: the reference holds rounding debris.
+            assert!(found(c).iter().all(|v| v.abs() <= 1.0), "{}", clip.name);
+        } else {
+            let error = largest_difference("stacked mfcc", &found(c), row(c));
+            clip.bound("stacked mfcc", error, 1e-3);
+        }
+    }
+    check_chroma(clip, &analysis.chroma, &features, &reference);
+}
+
+/// Frames with next to no energy hold magnified leakage and are only checked for their range.
+fn check_chroma(clip: &Clip, unnormalised: &FrameMatrix, features: &Features, reference: &[f64]) {
+    assert_eq!(
+        chroma::normalise(unnormalised).channel_major(),
+        features.rows(CHROMA)
+    );
+    let frames = features.frames();
+    let peak = |t: usize| unnormalised.frame(t).iter().copied().fold(0.0, f32::max);
+    let loudest = (0..frames).map(peak).fold(0.0, f32::max);
+    let (mut found, mut expected) = (Vec::new(), Vec::new());
+    for (i, &value) in features.rows(CHROMA).iter().enumerate() {
+        assert!((0.0..=1.0).contains(&value), "{} chroma {value}", clip.name);
+        if peak(i % frames) > 0.01 * loudest {
+            found.push(f64::from(value));
+            expected.push(reference[CHROMA.start * frames + i]);
+        }
+    }
+    if found.is_empty() {
+        return;
+    }
+    clip.bound(
+        "stacked chroma",
+        largest_difference("chroma", &found, &expected),
+        0.01,
+    );
+    clip.bound(
+        "stacked chroma mean",
+        mean_difference("chroma", &found, &expected),
+        2e-3,
+    );
+    clip.bound(
+        "stacked chroma 1 - correlation",
+        1.0 - correlation(&found, &expected),
+        1e-4,
+    );
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+}
+
+/// The whole way from the file, with this crate's resampler in place of the reference's.
+fn check_resampled(name: &'static str, allowed: &Resampled) {
+    let Some(clip) = Clip::open(name) else {
+        return;
+    };
+    let signal = clip.decoded();
+    assert_eq!(clip.get("n_samples"), [signal.len() as f64]);
+    let analysis = Analysis::new(&signal).expect("finite samples");
+    let features = analysis.features();
+    let frames = features.frames();
+    assert_eq!(frames, num_frames(signal.len()));
+    let reference = clip.get("stacked");
+    let part = |rows: std::ops::Range<usize>| {
+        let expected = &reference[rows.start * frames..rows.end * frames];
+        (wide(features.rows(rows)), expected)
+    };
+    let (mel, mel_reference) = part(MEL);
+    let (mfcc, mfcc_reference) = part(MFCC);
+    let (onset, onset_reference) = part(ONSET..ONSET + 1);
+    let mel_max = largest_difference("mel", &mel, mel_reference);
+    let mel_mean = mean_difference("mel", &mel, mel_reference);
+    let mfcc_mean = mean_difference("mfcc", &mfcc, mfcc_reference);
+    let onset_max = largest_difference("onset", &onset, onset_reference);
+    clip.bound("resampled mel", mel_max, allowed.mel_max);
+    clip.bound("resampled mel mean", mel_mean, allowed.mel_mean);
+    clip.bound("resampled mfcc mean", mfcc_mean, allowed.mfcc_mean);
+    clip.bound("resampled onset", onset_max, allowed.onset_max);
+    clip.bound(
+        "resampled tuning",
+        (analysis.tuning - clip.get("tuning")[0]).abs(),
+        0.0101,
+    );
+    check_chroma(&clip, &analysis.chroma, &features, &reference);
+    let beats: Vec<f64> = features.beats().frames.iter().map(|&t| t as f64).collect();
+    assert_eq!(beats, clip.get("beat_frames"));
+}
+
+#[test]
+fn golden_drum120() {
+    check_clip("drum120");
+}
+
+#[test]
+fn golden_sweep() {
+    check_clip("sweep");
+}
+
+#[test]
+fn golden_chords() {
+    check_clip("chords");
+}
+
+#[test]
+fn golden_stereo48k() {
+    check_clip("stereo48k");
+}
+
+#[test]
+fn golden_mono22k_detuned() {
+    check_clip("mono22k_detuned");
+}
+
+#[test]
+fn golden_edge_silence() {
+    check_clip("edge_silence");
+}
+
+#[test]
+fn golden_edge_short() {
+    check_clip("edge_short");
+}
+
+#[test]
+fn golden_edge_single_frame() {
+    check_clip("edge_single_frame");
+}
+
+#[test]
+fn golden_edge_dc() {
+    check_clip("edge_dc");
+}
+
+#[test]
+fn golden_edge_quiet() {
+    check_clip("edge_quiet");
+}
+
+#[test]
+fn golden_edge_padded_silence() {
+    check_clip("edge_padded_silence");
+}
+
+#[test]
+fn golden_stereo48k_resampled_here() {
+    check_resampled(
+        "stereo48k",
+        &Resampled {
+            mel_max: 0.02,
+            mel_mean: 3e-4,
+            mfcc_mean: 0.05,
+            onset_max: 2e-3,
+        },
+    );
+}
+
+#[test]
+fn golden_mono22k_detuned_resampled_here() {
+    check_resampled(
+        "mono22k_detuned",
+        &Resampled {
+            mel_max: 1e-3,
+            mel_mean: 3e-4,
+            mfcc_mean: 0.02,
+            onset_max: 2e-3,
+        },
+    );
+}

@@ -1,0 +1,241 @@
+//! Files of remote datasets on disk, named by what they hold.
+//!
+//! `objects/AB/SHA256` holds the bytes whose SHA-256 is its name, so that a damaged file is known
+//! when it is read, and equal files of two datasets are one. `names/KEY` holds the checksum that
+//! belongs to one version of one object of a store that keeps no manifest. Every file appears by a
+//! rename and is never changed, so any number of processes may share the folder; one of them at a
+//! time makes room.
+
+use std::fs::{self, File, TryLockError};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::SystemTime;
+
+use crate::digest::Digest;
+use crate::{Error, atomic};
+
+/// After a clean-up, so much of the bound is in use: room for the next files.
+const KEPT_SHARE: f64 = 0.9;
+
+/// A folder of files, bounded in bytes.
+#[derive(Debug)]
+pub(crate) struct DiskCache {
+    folder: PathBuf,
+    limit: u64,
+    /// Bytes written since the folder was last measured.
+    unmeasured: AtomicU64,
+}
+
+impl DiskCache {
+    /// The cache in `folder`, made where it is missing.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn open(folder: PathBuf, limit: u64) -> Result<Self, Error> {
+        for part in ["objects", "names"] {
+            let part = folder.join(part);
+            fs::create_dir_all(&part)
+                .map_err(|reason| Error::io("create data.cache.dir", &part, reason))?;
+        }
+        let cache = Self {
+            folder,
+            limit,
+            unmeasured: AtomicU64::new(0),
+        };
+        cache.make_room();
+        Ok(cache)
+    }
+
+    /// The bytes with this checksum, if they are here and whole. A damaged file is removed.
+    pub fn get(&self, digest: &Digest) -> Option<Vec<u8>> {
+        let path = self.object(digest);
+        let bytes = fs::read(&path).ok()?;
+        if Digest::of(&bytes) != *digest {
+            let _ = fs::remove_file(&path);
+            return None;
+        }
+        // The time of last use decides what goes first; a read-only cache works without.
+        if let Ok(file) = File::options().append(true).open(&path) {
+            let _ = file.set_modified(SystemTime::now());
+        }
+        Some(bytes)
+    }
+
+    /// Keeps `bytes`. A full disk only means that they are not kept.
+    pub fn put(&self, digest: &Digest, bytes: &[u8]) {
+        if bytes.len() as u64 > self.limit {
+            return;
+        }
+        let path = self.object(digest);
+        if path.exists() || atomic::write(&path, |writer| writer.write_all(bytes)).is_err() {
+            return;
+        }
+        let written = bytes.len() as u64;
+        let unmeasured = self.unmeasured.fetch_add(written, Ordering::Relaxed) + written;
+        if unmeasured > self.limit / 20 {
+            self.make_room();
+        }
+    }
+
+    /// The checksum kept under `key`.
+    pub fn name(&self, key: &Digest) -> Option<Digest> {
+        let text = fs::read_to_string(self.folder.join("names").join(key.to_string())).ok()?;
+        Digest::parse(text.trim())
+    }
+
+    /// Keeps a checksum under `key`.
+    pub fn put_name(&self, key: &Digest, digest: &Digest) {
+        let path = self.folder.join("names").join(key.to_string());
+        let text = digest.to_string();
+        // Without it the object is read again, no more.
+        let _ = atomic::write(&path, |writer| writer.write_all(text.as_bytes()));
+    }
+
+    fn object(&self, digest: &Digest) -> PathBuf {
+        let name = digest.to_string();
+        self.folder.join("objects").join(&name[..2]).join(name)
+    }
+
+    /// Removes the files unused for longest until the bound holds. If another process is doing
+    /// so, leaves it to that one.
+    fn make_room(&self) {
+        let Ok(lock) = File::create(self.folder.join("lock")) else {
+            return;
+        };
+        // Where files cannot be locked, each process makes room by itself.
+        if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+            return;
+        }
+        self.unmeasured.store(0, Ordering::Relaxed);
+        let mut files = Vec::new();
+        collect(&self.folder.join("objects"), &mut files);
+        collect(&self.folder.join("names"), &mut files);
+        let mut total: u64 = files.iter().map(|file| file.bytes).sum();
+        if total <= self.limit {
+            return;
+        }
+        files.sort_unstable_by(|a, b| (a.used, &a.path).cmp(&(b.used, &b.path)));
+        let kept = (self.limit as f64 * KEPT_SHARE) as u64;
+        for file in files {
+            if total <= kept {
+                break;
+            }
+            if fs::remove_file(&file.path).is_ok() {
+                total -= file.bytes;
+            }
+        }
+    }
+}
+
+/// A cached file.
+struct Cached {
+    path: PathBuf,
+    bytes: u64,
+    used: SystemTime,
+}
+
+/// All files below `folder`; what vanishes meanwhile is passed over.
+fn collect(folder: &Path, files: &mut Vec<Cached>) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let Ok(metadata) = entry.metadata() else {
+            continue;
+        };
+        if metadata.is_dir() {
+            collect(&entry.path(), files);
+        } else {
+            files.push(Cached {
+                path: entry.path(),
+                bytes: metadata.len(),
+                used: metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH),
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn bytes_in(folder: &Path) -> u64 {
+        let mut files = Vec::new();
+        collect(folder, &mut files);
+        files.iter().map(|file| file.bytes).sum()
+    }
+
+    #[test]
+    fn a_damaged_file_is_not_given_out_and_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path().to_owned(), 1000).unwrap();
+        let digest = Digest::of(b"phrase");
+        assert!(cache.get(&digest).is_none());
+        cache.put(&digest, b"phrase");
+        assert_eq!(cache.get(&digest).unwrap(), b"phrase");
+        fs::write(cache.object(&digest), b"phrasf").unwrap();
+        assert!(cache.get(&digest).is_none());
+        assert!(!cache.object(&digest).exists());
+    }
+
+    #[test]
+    fn names_lead_to_checksums() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path().to_owned(), 1000).unwrap();
+        let (key, digest) = (Digest::of(b"key"), Digest::of(b"bytes"));
+        assert!(cache.name(&key).is_none());
+        cache.put_name(&key, &digest);
+        assert_eq!(cache.name(&key), Some(digest));
+        fs::write(folder.path().join("names").join(key.to_string()), "short").unwrap();
+        assert!(cache.name(&key).is_none());
+    }
+
+    #[test]
+    fn the_bound_holds_and_the_files_used_last_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path().to_owned(), 1000).unwrap();
+        let first = Digest::of(b"first");
+        for number in 0..30u8 {
+            let bytes = [number; 100];
+            cache.put(&Digest::of(&bytes), &bytes);
+            let used = SystemTime::now() - Duration::from_secs(1000 - u64::from(number));
+            let path = cache.object(&Digest::of(&bytes));
+            if let Ok(file) = File::options().append(true).open(path) {
+                file.set_modified(used).unwrap();
+            }
+            if number == 0 {
+                cache.put(&first, b"first");
+            }
+            assert!(cache.get(&first).is_some(), "used each time");
+        }
+        assert!(
+            bytes_in(folder.path()) <= 1000,
+            "{}",
+            bytes_in(folder.path())
+        );
+        assert!(cache.get(&Digest::of(&[29u8; 100])).is_some());
+        assert!(cache.get(&Digest::of(&[0u8; 100])).is_none());
+    }
+
+    #[test]
+    fn several_processes_may_share_it() {
+        let folder = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            for worker in 0..4u8 {
+                let folder = folder.path().to_owned();
+                scope.spawn(move || {
+                    let cache = DiskCache::open(folder, 2000).unwrap();
+                    for number in 0..200u8 {
+                        let bytes = [number.wrapping_mul(worker % 2 + 1); 100];
+                        let digest = Digest::of(&bytes);
+                        cache.put(&digest, &bytes);
+                        if let Some(found) = cache.get(&digest) {
+                            assert_eq!(found, bytes);
+                        }
+                    }
+                });
+            }
+        });
+        let cache = DiskCache::open(folder.path().to_owned(), 2000).unwrap();
+        assert!(bytes_in(&cache.folder) <= 2000);
+    }
+}

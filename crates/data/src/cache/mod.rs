@@ -1,0 +1,7 @@
+//! What has been read already: phrases in memory, files of remote datasets on disk.
+
+mod disk;
+mod memory;
+
+pub(crate) use disk::DiskCache;
+pub(crate) use memory::MemoryCache;

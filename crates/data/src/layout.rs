@@ -1,0 +1,102 @@
+//! The names of a dataset's files (CC-MotionGen, section 1.3), and which names are allowed.
+
+use crate::StoreError;
+
+/// The folder of all motion, and the file in each phrase's folder below it.
+pub(crate) const MOTION: (&str, &str) = ("motion", "trajectory.npy");
+
+/// The folder of all audio features, and the file in each phrase's folder below it.
+pub(crate) const AUDIO: (&str, &str) = ("audio_features", "features.npz");
+
+/// The table of all phrases.
+pub const MANIFEST: &str = "manifest.parquet";
+
+/// The report of the preparation that wrote the dataset, there from its beginning.
+pub(crate) const PREPARATION: &str = "prepare/report.json";
+
+/// The longest id; file systems take 255 bytes for a name.
+const MAX_ID_BYTES: usize = 200;
+
+/// Where the motion of phrase `id` lies within its dataset.
+pub fn motion_path(id: &str) -> String {
+    format!("{}/{id}/{}", MOTION.0, MOTION.1)
+}
+
+/// Where the audio features of phrase `id` lie within its dataset.
+pub fn features_path(id: &str) -> String {
+    format!("{}/{id}/{}", AUDIO.0, AUDIO.1)
+}
+
+/// Refuses ids that are no plain name.
+///
+/// # Errors
+/// [`StoreError::Path`].
+pub fn check_id(id: &str) -> Result<(), StoreError> {
+    let reason = match id {
+        _ if id.contains(['/', '\\']) => "an id has no slash in it",
+        _ if id.len() > MAX_ID_BYTES => "an id has at most 200 bytes",
+        _ => return check_path(id),
+    };
+    Err(StoreError::Path {
+        path: id.to_owned(),
+        reason,
+    })
+}
+
+/// Refuses paths that are absolute, lead upwards, or are spelt so that another reader could take
+/// them for something else.
+pub(crate) fn check_path(path: &str) -> Result<(), StoreError> {
+    let odd = |part: &str| matches!(part, "" | "." | "..");
+    let reason = if path.starts_with('/') {
+        "it is absolute"
+    } else if path.contains('\\') || path.chars().any(char::is_control) {
+        "it holds a backslash or a control character"
+    } else if path.split('/').any(odd) {
+        "it has an empty part, `.` or `..`"
+    } else {
+        return Ok(());
+    };
+    Err(StoreError::Path {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::path::{Component, Path};
+
+    #[test]
+    fn tricks_are_refused_and_names_are_not() {
+        for id in [
+            "",
+            ".",
+            "..",
+            "../a",
+            "a/b",
+            "/etc",
+            "a\\b",
+            "a\0b",
+            "a\nb",
+            &"a".repeat(201),
+        ] {
+            assert!(check_id(id).is_err(), "{id:?}");
+        }
+        for id in ["C_5_00188", "a b", "a..b", "..a", "Größe", &"a".repeat(200)] {
+            assert!(check_id(id).is_ok(), "{id:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn an_allowed_path_never_leaves_its_folder(path in "[a./\\\\ ]{0,12}") {
+            if check_path(&path).is_ok() {
+                let parts: Vec<_> = Path::new(&path).components().collect();
+                prop_assert!(!parts.is_empty());
+                prop_assert!(parts.iter().all(|part| matches!(part, Component::Normal(_))), "{path}");
+            }
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! What a manifest says of one phrase.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Digest, Side};
+
+/// A row of the manifest.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+pub struct ManifestRow {
+    /// The phrase's id: the name of its folders.
+    pub id: String,
+    /// The motion it was cut from, as the plan names it.
+    pub motion_source: String,
+    /// The song, as the plan names it; none where the features are zeros.
+    pub audio_source: Option<String>,
+    /// Its first frame on the time line of the song, or of the motion where there is none.
+    pub first_frame: i64,
+    /// Frames.
+    pub frames: i64,
+    /// Frames per second.
+    pub fps: f64,
+    /// Beats within it; none where no beats are known.
+    pub beats: Option<f64>,
+    /// Beats per minute; none where no beats are known.
+    pub tempo: Option<f64>,
+    /// Its side of the split; none where the plan leaves that to training.
+    pub split: Option<Side>,
+    /// Length of its motion file in bytes.
+    pub motion_bytes: i64,
+    /// Checksum of its motion file.
+    pub motion_sha256: Digest,
+    /// Length of its audio file in bytes.
+    pub audio_bytes: i64,
+    /// Checksum of its audio file.
+    pub audio_sha256: Digest,
+    /// What is notable about it, see [`Flag`].
+    pub flags: Vec<Flag>,
+}
+
+/// What is notable about a phrase.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Flag {
+    /// It has no song: its audio features are zeros.
+    NoAudio,
+    /// It has no beats: its phase is zero throughout.
+    NoBeats,
+    /// A border between two captured units lies within it.
+    JoinedUnits,
+    /// Markers were missing over short gaps and were interpolated.
+    FilledGaps,
+    /// It fails the document's sanity checks.
+    FailsDocumentChecks,
+}
+
+impl Flag {
+    /// All flags.
+    pub const ALL: [Self; 5] = [
+        Self::NoAudio,
+        Self::NoBeats,
+        Self::JoinedUnits,
+        Self::FilledGaps,
+        Self::FailsDocumentChecks,
+    ];
+
+    /// As the manifest writes it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::NoAudio => "no_audio",
+            Self::NoBeats => "no_beats",
+            Self::JoinedUnits => "joined_units",
+            Self::FilledGaps => "filled_gaps",
+            Self::FailsDocumentChecks => "fails_document_checks",
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! The ChoreoNet data as takes: each dance is a list of captured units, end to end on the even
+//! beats between two moments of its song.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use kinegrad_motion::capture::BeatGrid;
+use serde::Deserialize;
+
+use super::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan, Units};
+use crate::Error;
+
+/// Frames per second of `start_pos` and `end_pos`.
+const POSITIONS_PER_SECOND: f64 = 25.0;
+
+/// A dance, as its JSON states it.
+#[derive(Debug, Deserialize)]
+struct Dance {
+    dance_type: String,
+    dance_id: u64,
+    start_pos: f64,
+    end_pos: f64,
+    movements: Vec<String>,
+    durations: Vec<f64>,
+}
+
+/// A row of the table of intervals.
+#[derive(Debug, Deserialize)]
+struct Interval {
+    c3d_file: String,
+    movement_tag: String,
+    start_frame: f64,
+    end_frame: f64,
+}
+
+/// The takes of a plan's choreographies. A unit without an interval (START, HOLD) is a segment of
+/// no file, and so a gap.
+///
+/// # Errors
+/// [`Error::Plan`] for a file that is missing or not of that form.
+pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePlan>, Error> {
+    let dances = plan.resolve(&choreonet.choreography);
+    let dances: Vec<Dance> = std::fs::read(&dances)
+        .map_err(|e| e.to_string())
+        .and_then(|bytes| serde_json::from_slice(&bytes).map_err(|e| e.to_string()))
+        .map_err(|problem| wrong(&dances, problem))?;
+    let intervals = intervals(&plan.resolve(&choreonet.intervals))?;
+    dances
+        .into_iter()
+        .map(|dance| take(choreonet, &intervals, dance))
+        .collect()
+}
+
+fn wrong(file: &Path, problem: String) -> Error {
+    Error::Plan {
+        file: file.display().to_string(),
+        problem,
+    }
+}
+
+/// The first interval of each movement.
+fn intervals(path: &Path) -> Result<HashMap<String, Interval>, Error> {
+    let mut reader = csv::Reader::from_path(path).map_err(|e| wrong(path, e.to_string()))?;
+    let mut intervals = HashMap::new();
+    for row in reader.deserialize::<Interval>() {
+        let row = row.map_err(|e| wrong(path, e.to_string()))?;
+        intervals.entry(row.movement_tag.clone()).or_insert(row);
+    }
+    Ok(intervals)
+}
+
+fn take(
+    choreonet: &ChoreonetPlan,
+    intervals: &HashMap<String, Interval>,
+    dance: Dance,
+) -> Result<TakePlan, Error> {
+    let name = format!("{}_{}", dance.dance_type, dance.dance_id);
+    let beats: f64 = dance.durations.iter().sum();
+    let seconds = (dance.end_pos - dance.start_pos) / POSITIONS_PER_SECOND;
+    let sound = dance.durations.iter().all(|&beats| beats > 0.0);
+    if dance.movements.len() != dance.durations.len()
+        || !sound
+        || seconds.is_nan()
+        || seconds <= 0.0
+    {
+        let problem = format!(
+            "dance {name}: as many positive durations as movements and an end after its start \
+             allowed; {} movements, {} durations, {seconds} s found",
+            dance.movements.len(),
+            dance.durations.len()
+        );
+        return Err(wrong(Path::new(&choreonet.choreography), problem));
+    }
+    let segments = dance
+        .movements
+        .iter()
+        .zip(&dance.durations)
+        .map(|(tag, &beats)| {
+            let interval = intervals.get(tag);
+            SegmentPlan {
+                motion: interval.map_or(format!("{tag} (no interval)"), |interval| {
+                    format!("{}/{}.c3d", choreonet.captures, interval.c3d_file)
+                }),
+                frames: interval.map_or([0.0, 1.0], |interval| {
+                    [interval.start_frame, interval.end_frame]
+                }),
+                beats,
+            }
+        });
+    let waltz = choreonet.three_beats_per_bar.contains(&dance.dance_type);
+    let beats_per_bar = if waltz { 3 } else { 4 };
+    Ok(TakePlan {
+        segments: segments.collect(),
+        audio: choreonet
+            .music
+            .replace("{type}", &dance.dance_type)
+            .replace("{id}", &dance.dance_id.to_string()),
+        beats: Some(BeatGrid {
+            start_seconds: dance.start_pos / POSITIONS_PER_SECOND,
+            seconds_per_beat: seconds / beats,
+            beats_per_bar,
+            beats: Some(beats),
+        }),
+        beats_per_bar,
+        markers: choreonet.markers.clone(),
+        name: Some(name),
+        motion: None,
+        motion_start_seconds: 0.0,
+        motion_end_seconds: None,
+        audio_start_seconds: 0.0,
+        units: Units::default(),
+        up: Default::default(),
+        joint: None,
+        fps: kinegrad_motion::FPS,
+    })
+}

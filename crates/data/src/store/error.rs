@@ -1,0 +1,127 @@
+//! Why a store could not give or take an object.
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// What went wrong with one object. `object` is its path or address.
+#[derive(Clone, Debug, Error, Diagnostic)]
+pub enum StoreError {
+    /// There is no such object.
+    #[error("{object}: not found")]
+    #[diagnostic(help("check data.source; was the file moved or deleted?"))]
+    Missing {
+        /// The object.
+        object: String,
+    },
+    /// The store does not let this user in.
+    #[error("{object}: access denied: {reason}")]
+    #[diagnostic(help(
+        "credentials come from the environment (GOOGLE_APPLICATION_CREDENTIALS for gs://, \
+         AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY for s3://); data.store.anonymous = true sends \
+         none"
+    ))]
+    Denied {
+        /// The object.
+        object: String,
+        /// What the store says.
+        reason: String,
+    },
+    /// It did not work, however often it was tried.
+    #[error("{object}: cannot {action} after {attempts} attempt(s): {reason}")]
+    #[diagnostic(help(
+        "check the network, the path and its permissions; data.store.max_retries and \
+         data.store.timeout_seconds say how long kinegrad tries"
+    ))]
+    Failed {
+        /// The object.
+        object: String,
+        /// What was tried: `read`, `write`, `list`, `open`.
+        action: &'static str,
+        /// How often.
+        attempts: usize,
+        /// What went wrong the last time.
+        reason: String,
+    },
+    /// Its bytes are not those that the manifest or the start of the run recorded.
+    #[error(
+        "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
+    )]
+    #[diagnostic(help(
+        "the object was changed or damaged; restore it, or prepare the dataset again and start a \
+         new run"
+    ))]
+    Changed {
+        /// The object.
+        object: String,
+        /// Where the expected checksum comes from.
+        recorded: &'static str,
+        /// The checksum of what was read, hexadecimal.
+        found: String,
+        /// The checksum expected.
+        expected: String,
+    },
+    /// The object is longer than anything that belongs there.
+    #[error("{object}: {found} bytes found, {limit} allowed")]
+    #[diagnostic(help("this is no file of a phrase dataset"))]
+    TooLarge {
+        /// The object.
+        object: String,
+        /// Its length in bytes.
+        found: u64,
+        /// The longest allowed.
+        limit: u64,
+    },
+    /// A symbolic link leads out of the dataset's folder.
+    #[error("{object}: a symbolic link leads out of the dataset, to {target}")]
+    #[diagnostic(help("copy the file into the dataset; links may only stay within it"))]
+    Outside {
+        /// The object.
+        object: String,
+        /// Where it leads.
+        target: String,
+    },
+    /// The path would lead out of the dataset, or is none.
+    #[error("path `{path}`: {reason}")]
+    #[diagnostic(help("ids are plain names: no `/`, no `\\`, no `..`, at most 200 bytes"))]
+    Path {
+        /// The path.
+        path: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// A web server cannot list what it holds.
+    #[error("{uri}: http cannot list phrases and there is no manifest.parquet")]
+    #[diagnostic(help(
+        "`kinegrad data prepare` writes a manifest; without one a dataset works from a folder, \
+         gs:// or s3://"
+    ))]
+    NoListing {
+        /// The address.
+        uri: String,
+    },
+    /// A web server takes no files.
+    #[error("{uri}: http sources can only be read")]
+    #[diagnostic(help("write to a folder, gs:// or s3://"))]
+    ReadOnly {
+        /// The address.
+        uri: String,
+    },
+}
+
+impl StoreError {
+    /// Whether it says something of this one object alone: nothing of the store behind it, nor
+    /// that the dataset is not the one that was recorded.
+    pub fn concerns_one_object(&self) -> bool {
+        match self {
+            Self::Missing { .. }
+            | Self::TooLarge { .. }
+            | Self::Outside { .. }
+            | Self::Path { .. } => true,
+            Self::Changed { .. }
+            | Self::Denied { .. }
+            | Self::Failed { .. }
+            | Self::NoListing { .. }
+            | Self::ReadOnly { .. } => false,
+        }
+    }
+}

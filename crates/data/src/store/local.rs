@@ -1,0 +1,197 @@
+//! A dataset in a folder of this machine.
+
+use std::fs::{self, File};
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+
+use super::{Object, StoreError};
+use crate::layout::check_path;
+use crate::{Error, atomic};
+
+/// A folder that nothing is read outside of.
+#[derive(Clone, Debug)]
+pub(super) struct Folder {
+    root: PathBuf,
+}
+
+impl Folder {
+    pub fn new(root: PathBuf) -> Self {
+        Self { root }
+    }
+
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
+        let full = self.inside(path)?;
+        let object = full.display().to_string();
+        let mut bytes = Vec::new();
+        let found = File::open(&full)
+            .and_then(|file| {
+                let length = file.metadata()?.len();
+                // A byte more, so that the end is found without making room again.
+                bytes.reserve_exact(length.min(limit) as usize + 1);
+                file.take(limit + 1).read_to_end(&mut bytes)?;
+                Ok(length)
+            })
+            .map_err(|reason| failed(&object, "read", &reason))?;
+        if bytes.len() as u64 > limit {
+            return Err(StoreError::TooLarge {
+                object,
+                found,
+                limit,
+            });
+        }
+        Ok(bytes)
+    }
+
+    pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
+        check_path(path)?;
+        let full = self.root.join(path);
+        atomic::write(&full, |writer| writer.write_all(bytes)).map_err(|error| match error {
+            Error::Io { reason, .. } => failed(&full.display().to_string(), "write", &reason),
+            other => StoreError::Failed {
+                object: full.display().to_string(),
+                action: "write",
+                attempts: 1,
+                reason: other.to_string(),
+            },
+        })
+    }
+
+    pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
+        let place = self.root.join(folder);
+        let unreadable = |reason| failed(&place.display().to_string(), "list", &reason);
+        let mut objects = Vec::new();
+        for entry in fs::read_dir(&place).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if name.starts_with('.') || !entry.path().is_dir() {
+                continue;
+            }
+            let path = format!("{folder}/{name}/{file}");
+            // A folder without its file is listed as well: reading it says what is missing.
+            let metadata = fs::metadata(self.root.join(&path));
+            objects.push(Object {
+                bytes: metadata.as_ref().map_or(0, |metadata| metadata.len()),
+                version: String::new(),
+                path,
+            });
+        }
+        Ok(objects)
+    }
+
+    /// The full path, all links followed, if that still lies within the folder.
+    fn inside(&self, path: &str) -> Result<PathBuf, StoreError> {
+        check_path(path)?;
+        let full = self.root.join(path);
+        let object = full.display().to_string();
+        let real = full
+            .canonicalize()
+            .map_err(|reason| failed(&object, "read", &reason))?;
+        let root = self
+            .root
+            .canonicalize()
+            .map_err(|reason| failed(&object, "read", &reason))?;
+        if !real.starts_with(&root) {
+            return Err(StoreError::Outside {
+                object,
+                target: real.display().to_string(),
+            });
+        }
+        Ok(full)
+    }
+}
+
+fn failed(object: &str, action: &'static str, reason: &std::io::Error) -> StoreError {
+    let object = object.to_owned();
+    match reason.kind() {
+        ErrorKind::NotFound => StoreError::Missing { object },
+        ErrorKind::PermissionDenied => StoreError::Denied {
+            object,
+            reason: reason.to_string(),
+        },
+        _ => StoreError::Failed {
+            object,
+            action,
+            attempts: 1,
+            reason: reason.to_string(),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_and_listed() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Folder::new(folder.path().to_owned());
+        store.write("motion/a/trajectory.npy", b"abc").unwrap();
+        fs::create_dir_all(folder.path().join("motion/.hidden")).unwrap();
+        fs::create_dir_all(folder.path().join("motion/empty")).unwrap();
+        fs::write(folder.path().join("motion/loose"), b"").unwrap();
+        assert_eq!(store.read("motion/a/trajectory.npy", 3).unwrap(), b"abc");
+        let mut listed = store.list("motion", "trajectory.npy").unwrap();
+        listed.sort_unstable_by(|a, b| a.path.cmp(&b.path));
+        let listed: Vec<_> = listed.iter().map(|o| (o.path.as_str(), o.bytes)).collect();
+        assert_eq!(
+            listed,
+            [
+                ("motion/a/trajectory.npy", 3),
+                ("motion/empty/trajectory.npy", 0)
+            ]
+        );
+        assert!(matches!(
+            store.read("motion/a/trajectory.npy", 2),
+            Err(StoreError::TooLarge { .. })
+        ));
+        assert!(matches!(
+            store.read("motion/b/trajectory.npy", 9),
+            Err(StoreError::Missing { .. })
+        ));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_may_stay_inside_and_not_lead_out() {
+        use std::os::unix::fs::symlink;
+        let outside = tempfile::tempdir().unwrap();
+        fs::write(outside.path().join("secret"), b"secret").unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let store = Folder::new(folder.path().to_owned());
+        store.write("motion/a/x", b"inside").unwrap();
+        symlink(
+            folder.path().join("motion/a"),
+            folder.path().join("motion/b"),
+        )
+        .unwrap();
+        symlink(
+            outside.path().join("secret"),
+            folder.path().join("motion/a/y"),
+        )
+        .unwrap();
+        symlink(outside.path(), folder.path().join("motion/c")).unwrap();
+        assert_eq!(store.read("motion/b/x", 99).unwrap(), b"inside");
+        for path in ["motion/a/y", "motion/c/secret"] {
+            let error = store.read(path, 99).unwrap_err();
+            assert!(
+                matches!(error, StoreError::Outside { .. }),
+                "{path}: {error}"
+            );
+        }
+        for path in [
+            "../secret",
+            "/etc/passwd",
+            "motion/../../x",
+            "motion//x",
+            "a\\b",
+        ] {
+            let error = store.read(path, 99).unwrap_err();
+            assert!(matches!(error, StoreError::Path { .. }), "{path}: {error}");
+            assert!(store.write(path, b"").is_err(), "{path}");
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Stores: one way to read, write and list the files of a dataset, wherever it lies.
+//!
+//! A folder of this machine is read directly: unlike `object_store`'s own local store, which
+//! follows them, symbolic links that lead out of the folder are refused. Buckets and web servers
+//! go through `object_store` (Cargo feature `cloud`).
+
+#[cfg(feature = "cloud")]
+mod client;
+mod error;
+#[cfg(feature = "cloud")]
+mod gcs;
+mod local;
+#[cfg(feature = "cloud")]
+mod remote;
+
+use std::sync::Arc;
+
+pub use error::StoreError;
+
+use crate::location::Location;
+use crate::{Counters, Error, StoreConfig};
+
+/// A dataset's place. Clones share connections and counters.
+#[derive(Clone, Debug)]
+pub struct Store {
+    kind: Kind,
+    counters: Arc<Counters>,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Local(local::Folder),
+    #[cfg(feature = "cloud")]
+    Remote(Arc<remote::Remote>),
+}
+
+/// What a store's listing tells of one object.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Object {
+    /// Its path within the store.
+    pub path: String,
+    /// Its length in bytes.
+    pub bytes: u64,
+    /// What changes when its contents do: an entity tag or the time of its last change.
+    pub version: String,
+}
+
+impl Store {
+    /// The store that `source` names; see [`crate::DataConfig::source`]. A local folder need not
+    /// exist yet.
+    ///
+    /// # Errors
+    /// [`Error::Scheme`] for a source of another kind; [`Error::Feature`] for a bucket or web
+    /// server in a build without `cloud`; [`Error::Store`] for credentials or an endpoint that
+    /// cannot be used.
+    pub fn open(source: &str, config: &StoreConfig) -> Result<Self, Error> {
+        let counters = Arc::new(Counters::default());
+        let kind = match Location::parse(source)? {
+            Location::Folder(folder) => Kind::Local(local::Folder::new(folder)),
+            #[cfg(feature = "cloud")]
+            Location::Remote { service, uri } => {
+                let remote = remote::Remote::open(service, uri, config, counters.clone())?;
+                Kind::Remote(Arc::new(remote))
+            }
+            #[cfg(not(feature = "cloud"))]
+            Location::Remote { uri, .. } => {
+                let _ = config;
+                return Err(Error::Feature {
+                    what: format!("data.source = \"{uri}\""),
+                    feature: "cloud",
+                });
+            }
+        };
+        Ok(Self { kind, counters })
+    }
+
+    /// The store's address, as messages name it.
+    pub fn uri(&self) -> String {
+        match &self.kind {
+            Kind::Local(folder) => folder.root().display().to_string(),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.uri().to_owned(),
+        }
+    }
+
+    /// The store's address with the endpoint behind it: two providers may have the same bucket.
+    pub(crate) fn address(&self) -> String {
+        match &self.kind {
+            Kind::Local(_) => self.uri(),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.address(),
+        }
+    }
+
+    /// Whether it can be written to.
+    pub(crate) fn is_writable(&self) -> bool {
+        match &self.kind {
+            Kind::Local(_) => true,
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.is_writable(),
+        }
+    }
+
+    /// How messages name the object at `path`.
+    pub fn name_of(&self, path: &str) -> String {
+        format!("{}/{path}", self.uri().trim_end_matches('/'))
+    }
+
+    /// Whether reads go over a network, so that keeping a copy pays.
+    pub fn is_remote(&self) -> bool {
+        match &self.kind {
+            Kind::Local(_) => false,
+            #[cfg(feature = "cloud")]
+            Kind::Remote(_) => true,
+        }
+    }
+
+    /// Reads the object at `path` whole. `limit` bounds its length in bytes.
+    ///
+    /// # Errors
+    /// [`StoreError`]: [`StoreError::Missing`] where there is none, [`StoreError::TooLarge`].
+    pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
+        Ok(self.read_version(path, limit)?.0)
+    }
+
+    /// [`read`](Self::read), with the version of what was read, as a listing tells it.
+    pub(crate) fn read_version(
+        &self,
+        path: &str,
+        limit: u64,
+    ) -> Result<(Vec<u8>, String), StoreError> {
+        let (bytes, version) = match &self.kind {
+            Kind::Local(folder) => (folder.read(path, limit)?, String::new()),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.read(path, limit)?,
+        };
+        self.counters.read(bytes.len());
+        Ok((bytes, version))
+    }
+
+    /// Writes the object at `path`, whole or not at all.
+    ///
+    /// # Errors
+    /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
+    pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
+        match &self.kind {
+            Kind::Local(folder) => folder.write(path, &bytes),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.write(path, bytes),
+        }
+    }
+
+    /// All objects named `FOLDER/ANY/FILE`, sorted by path.
+    ///
+    /// # Errors
+    /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
+    pub(crate) fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
+        let mut objects = match &self.kind {
+            Kind::Local(root) => root.list(folder, file)?,
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.list(folder, file)?,
+        };
+        objects.sort_unstable_by(|a, b| a.path.cmp(&b.path));
+        Ok(objects)
+    }
+
+    /// What has been read so far.
+    pub fn counters(&self) -> &Arc<Counters> {
+        &self.counters
+    }
+}
+
+/// The object's folder below `folder`, if `path` is `FOLDER/ANY/FILE`.
+#[cfg(feature = "cloud")]
+fn middle<'a>(path: &'a str, folder: &str, file: &str) -> Option<&'a str> {
+    let rest = path.strip_prefix(folder)?.strip_prefix('/')?;
+    let (middle, name) = rest.rsplit_once('/')?;
+    (name == file && !middle.contains('/') && !middle.starts_with('.')).then_some(middle)
+}

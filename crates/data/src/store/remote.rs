@@ -1,0 +1,339 @@
+//! A dataset in a bucket or on a web server, through `object_store`.
+//!
+//! Credentials and endpoints come from the environment as `object_store` reads it
+//! (`GOOGLE_APPLICATION_CREDENTIALS`, `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the
+//! endpoint. Every request is tried again here, with the body it should have brought, so that a
+//! connection cut in the middle of an object is a retry like any other.
+
+use std::sync::{Arc, Once};
+use std::time::Duration;
+
+use futures_util::TryStreamExt;
+use object_store::aws::AmazonS3Builder;
+use object_store::http::HttpBuilder;
+use object_store::path::Path;
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
+use tokio::runtime::Runtime;
+use tokio::sync::Semaphore;
+
+use super::client::{client_options, no_retries};
+use super::gcs::{self, GcsUploader};
+use super::{Object, StoreError, middle};
+use crate::layout::check_path;
+use crate::location::Service;
+use crate::{Counters, Error, StoreConfig};
+
+/// The first pause before trying again; each next one is twice as long.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+
+/// The longest pause.
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+
+/// A bucket with its prefix, or a web server with its path.
+#[derive(Debug)]
+pub(super) struct Remote {
+    uri: String,
+    store: Box<dyn ObjectStore>,
+    /// Takes what is written, where `store` cannot.
+    uploader: Option<GcsUploader>,
+    /// The path within the bucket; a web server's is part of its address.
+    prefix: String,
+    can_list: bool,
+    /// The endpoint that the config names; empty for the service's own.
+    endpoint: String,
+    max_retries: usize,
+    requests: Semaphore,
+    runtime: Runtime,
+    counters: Arc<Counters>,
+}
+
+impl Remote {
+    pub fn open(
+        service: Service,
+        uri: String,
+        config: &StoreConfig,
+        counters: Arc<Counters>,
+    ) -> Result<Self, Error> {
+        static PROVIDER: Once = Once::new();
+        PROVIDER.call_once(|| {
+            // An error means that the program has chosen one already.
+            let _ = rustls::crypto::ring::default_provider().install_default();
+        });
+        let unusable = |reason: String| {
+            Error::Store(StoreError::Failed {
+                object: uri.clone(),
+                action: "open",
+                attempts: 1,
+                reason,
+            })
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .thread_name("store")
+            .enable_all()
+            .build()
+            .map_err(|reason| unusable(reason.to_string()))?;
+        let (_, rest) = uri.split_once("://").expect("an address");
+        let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
+        let built = match service {
+            Service::Gcs => gcs::open(bucket, config),
+            Service::S3 => s3(bucket, config).map(|store| (store, None)),
+            Service::Http => http(&uri, config).map(|store| (store, None)),
+        };
+        let (store, uploader) = built.map_err(|reason| unusable(reason.to_string()))?;
+        Ok(Self {
+            prefix: match service {
+                Service::Http => String::new(),
+                Service::Gcs | Service::S3 => prefix.to_owned(),
+            },
+            can_list: service != Service::Http,
+            endpoint: config.endpoint.clone().unwrap_or_default(),
+            store,
+            uploader,
+            max_retries: config.max_retries,
+            requests: Semaphore::new(config.concurrency),
+            runtime,
+            counters,
+            uri,
+        })
+    }
+
+    pub fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// See [`super::Store::address`].
+    pub fn address(&self) -> String {
+        format!("{} {}", self.uri, self.endpoint)
+    }
+
+    pub fn is_writable(&self) -> bool {
+        self.can_list
+    }
+
+    /// The object's bytes and version.
+    pub fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
+        let (object, key) = self.key(path)?;
+        let bytes = self.try_often(&object, "read", || async {
+            let found = self.store.get(&key).await.map_err(Failure::Request)?;
+            let length = found.meta.size;
+            let version = version(&found.meta);
+            if length > limit {
+                return Err(Failure::TooLarge(length));
+            }
+            let bytes = found.bytes().await.map_err(Failure::Request)?;
+            if bytes.len() as u64 != length {
+                return Err(Failure::CutOff {
+                    found: bytes.len() as u64,
+                    length,
+                });
+            }
+            Ok((bytes, version))
+        });
+        let (bytes, version) = bytes.map_err(|error| match error {
+            Stopped::TooLarge(found) => StoreError::TooLarge {
+                object: object.clone(),
+                found,
+                limit,
+            },
+            Stopped::Store(error) => error,
+        })?;
+        Ok((bytes.into(), version))
+    }
+
+    pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
+        if !self.can_list {
+            return Err(StoreError::ReadOnly {
+                uri: self.uri.clone(),
+            });
+        }
+        let (object, key) = self.key(path)?;
+        let payload = PutPayload::from(bytes);
+        let written = self.try_often(&object, "write", || async {
+            let put = match &self.uploader {
+                Some(uploader) => uploader.put(&key, &payload).await,
+                None => self.store.put(&key, payload.clone()).await.map(drop),
+            };
+            put.map_err(Failure::Request)
+        });
+        written.map_err(Stopped::into_store)
+    }
+
+    pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
+        if !self.can_list {
+            return Err(StoreError::NoListing {
+                uri: self.uri.clone(),
+            });
+        }
+        let (object, key) = self.key(folder)?;
+        let found = self.try_often(&object, "list", || async {
+            let listing = self.store.list(Some(&key));
+            listing
+                .try_collect::<Vec<_>>()
+                .await
+                .map_err(Failure::Request)
+        });
+        let found = found.map_err(Stopped::into_store)?;
+        let objects = found.into_iter().filter_map(|meta| {
+            let location = meta.location.to_string();
+            let path = match self.prefix.as_str() {
+                "" => location.as_str(),
+                prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
+            };
+            middle(path, folder, file)?;
+            Some(Object {
+                path: path.to_owned(),
+                bytes: meta.size,
+                version: version(&meta),
+            })
+        });
+        Ok(objects.collect())
+    }
+
+    /// How messages name `path`, and its place in the bucket.
+    fn key(&self, path: &str) -> Result<(String, Path), StoreError> {
+        check_path(path)?;
+        let object = format!("{}/{path}", self.uri);
+        let full = match self.prefix.as_str() {
+            "" => path.to_owned(),
+            prefix => format!("{prefix}/{path}"),
+        };
+        let key = Path::parse(&full).map_err(|_| StoreError::Path {
+            path: full,
+            reason: "object stores do not take it",
+        })?;
+        Ok((object, key))
+    }
+
+    /// Does `request` until it succeeds, cannot succeed, or has been tried often enough.
+    fn try_often<T, F>(
+        &self,
+        object: &str,
+        action: &'static str,
+        request: impl Fn() -> F,
+    ) -> Result<T, Stopped>
+    where
+        F: Future<Output = Result<T, Failure>>,
+    {
+        self.runtime.block_on(async {
+            let mut attempts = 0;
+            let mut pause = FIRST_PAUSE;
+            loop {
+                attempts += 1;
+                let permit = self.requests.acquire().await.expect("never closed");
+                let outcome = request().await;
+                drop(permit);
+                let failure = match outcome {
+                    Ok(value) => return Ok(value),
+                    Err(failure) => failure,
+                };
+                let reason = match failure {
+                    Failure::TooLarge(length) => return Err(Stopped::TooLarge(length)),
+                    Failure::Request(error) => match final_error(&error, object) {
+                        Some(error) => return Err(Stopped::Store(error)),
+                        None => in_short(&error),
+                    },
+                    Failure::CutOff { found, length } => {
+                        format!("{found} of {length} bytes came")
+                    }
+                };
+                if attempts > self.max_retries {
+                    return Err(Stopped::Store(StoreError::Failed {
+                        object: object.to_owned(),
+                        action,
+                        attempts,
+                        reason,
+                    }));
+                }
+                self.counters.retry();
+                tokio::time::sleep(pause).await;
+                pause = (2 * pause).min(LONGEST_PAUSE);
+            }
+        })
+    }
+}
+
+/// What changes when the object does. Listings and answers quote tags differently.
+fn version(meta: &ObjectMeta) -> String {
+    match &meta.e_tag {
+        Some(tag) => format!("{} {}", meta.size, tag.trim_matches('"')),
+        None => format!("{} {}", meta.size, meta.last_modified.to_rfc3339()),
+    }
+}
+
+/// Why one attempt failed.
+enum Failure {
+    Request(object_store::Error),
+    CutOff { found: u64, length: u64 },
+    TooLarge(u64),
+}
+
+/// Why no further attempt is made.
+enum Stopped {
+    Store(StoreError),
+    TooLarge(u64),
+}
+
+impl Stopped {
+    fn into_store(self) -> StoreError {
+        match self {
+            Self::Store(error) => error,
+            Self::TooLarge(_) => unreachable!("only reads are bounded"),
+        }
+    }
+}
+
+/// The error that trying again would not change.
+fn final_error(error: &object_store::Error, object: &str) -> Option<StoreError> {
+    let object = object.to_owned();
+    match error {
+        object_store::Error::NotFound { .. } => Some(StoreError::Missing { object }),
+        object_store::Error::PermissionDenied { source, .. }
+        | object_store::Error::Unauthenticated { source, .. } => Some(StoreError::Denied {
+            object,
+            reason: in_short(source.as_ref()),
+        }),
+        _ => None,
+    }
+}
+
+/// The innermost cause and the outermost message, on one line and not longer than it helps.
+fn in_short(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut innermost = error;
+    while let Some(cause) = innermost.source() {
+        innermost = cause;
+    }
+    let (outer, inner) = (error.to_string(), innermost.to_string());
+    let text = if outer.contains(&inner) {
+        outer
+    } else {
+        format!("{outer}: {inner}")
+    };
+    let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    match line.char_indices().nth(400) {
+        Some((end, _)) => format!("{}...", &line[..end]),
+        None => line,
+    }
+}
+
+fn s3(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
+    let mut builder = AmazonS3Builder::from_env()
+        .with_bucket_name(bucket)
+        .with_client_options(client_options(config))
+        .with_retry(no_retries());
+    if let Some(endpoint) = &config.endpoint {
+        builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
+    }
+    if config.anonymous {
+        builder = builder.with_skip_signature(true);
+    }
+    Ok(Box::new(builder.build()?))
+}
+
+fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
+    let builder = HttpBuilder::new()
+        .with_url(uri)
+        .with_client_options(client_options(config))
+        .with_retry(no_retries());
+    Ok(Box::new(builder.build()?))
+}

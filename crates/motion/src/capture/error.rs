@@ -1,0 +1,132 @@
+//! What can be wrong with capture files, marker sets and plans.
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// An error about recorded motion or about how it shall be used.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum CaptureError {
+    /// A BVH file breaks its format.
+    #[error("`{file}`, line {line}: found {found} where {allowed} must stand")]
+    #[diagnostic(help("{hint}"))]
+    Bvh {
+        /// Name of the file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// What stands there.
+        found: String,
+        /// What is allowed there.
+        allowed: String,
+        /// What to do.
+        hint: &'static str,
+    },
+
+    /// A C3D file breaks its format.
+    #[error("`{file}`, {section} at byte {offset}: found {found} where {allowed} must stand")]
+    #[diagnostic(help("{hint}"))]
+    C3d {
+        /// Name of the file.
+        file: String,
+        /// Part of the file, or the parameter as `GROUP:NAME`.
+        section: String,
+        /// Place in the file, counted from 0.
+        offset: usize,
+        /// What stands there.
+        found: String,
+        /// What is allowed there.
+        allowed: String,
+        /// What to do.
+        hint: &'static str,
+    },
+
+    /// The marker map names a marker that the file lacks.
+    #[error("`{file}` has no marker `{marker}`, which `{key}` of the marker map names")]
+    #[diagnostic(help("the markers of the file are: {available}"))]
+    MissingMarker {
+        /// Name of the file.
+        file: String,
+        /// Key of the marker map.
+        key: &'static str,
+        /// The marker looked for.
+        marker: String,
+        /// The file's labels.
+        available: String,
+    },
+
+    /// A marker name without its prefix fits several labels.
+    #[error(
+        "`{marker}` in `{key}` of the marker map may mean several markers of `{file}`: {labels}"
+    )]
+    #[diagnostic(help("name the marker with its prefix, as `SUBJECT:NAME`"))]
+    AmbiguousMarker {
+        /// Name of the file.
+        file: String,
+        /// Key of the marker map.
+        key: &'static str,
+        /// The marker looked for.
+        marker: String,
+        /// The labels it fits.
+        labels: String,
+    },
+
+    /// No frame of a take gives a root.
+    #[error("no frame of `{file}` has all markers of the marker map in a usable place")]
+    #[diagnostic(help(
+        "raise `max_gap_frames`, or choose markers that are seen; `front` must lie before `back` \
+         and `left` beside `right`"
+    ))]
+    NoValidFrame {
+        /// Name of the file.
+        file: String,
+    },
+
+    /// A root track holds NaN or an infinity.
+    #[error("frame {frame} (counted from 0) of the root track is not finite")]
+    #[diagnostic(help("look at this frame in the capture file: a value is far out of range"))]
+    NonFinite {
+        /// The first such frame.
+        frame: usize,
+    },
+
+    /// A segment of a plan cannot be played.
+    #[error("segment {index} (counted from 0): `{key}` is {found}")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSegment {
+        /// Position of the segment in the plan.
+        index: usize,
+        /// The field.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// A setting is out of range.
+    #[error("`{key}` is {found}, which is out of range")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSetting {
+        /// Name of the setting.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// The phrase itself cannot be made.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Motion(#[from] crate::Error),
+}
+
+/// Text from a file in backticks, shortened to what a message can carry.
+pub(super) fn quote(text: &str) -> String {
+    const LONGEST: usize = 40;
+    let mut shown: String = text.chars().take(LONGEST).collect();
+    if shown.len() < text.len() {
+        shown.push_str("...");
+    }
+    format!("`{}`", shown.escape_debug())
+}

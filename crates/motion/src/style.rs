@@ -1,0 +1,197 @@
+//! The eight style channels of recorded motion, measured from the motion itself.
+//!
+//! The source's style is a learned representation in four pairs (CC-MotionGen documentation,
+//! section 2.5); recorded motion has none. These measures fill the same pairs with what each is
+//! about:
+//!
+//! | channels | pair of the source | measures |
+//! |---|---|---|
+//! | 0, 1 | movement intensity | mean speed (m/s); mean acceleration / 10 (m/s^2) |
+//! | 2, 3 | spatial extent | diagonal of the box on the floor (m); range of height (m) |
+//! | 4, 5 | rhythmic feel | burstiness; mean turning about the vertical / 3 (rad/s) |
+//! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
+//!
+//! Means are over the 30 frames `t - 15 .. t + 15`, and a frame beyond an end of the take is the
+//! end itself. The extents are over the 60 frames `t - 30 .. t + 30` as far as the take goes.
+//! Burstiness is the root mean square of the floor speed less its own mean, divided by the mean
+//! speed plus 0.1 m/s: large where the body stops and goes, small where it flows.
+
+use crate::kinematics::{angular_velocity, forward_differences};
+use crate::rotation::length;
+use crate::{FPS, Quaternion};
+
+/// Frames of a mean: one second.
+const MEAN_FRAMES: usize = 30;
+
+/// Frames of an extent: two seconds.
+const EXTENT_FRAMES: usize = 60;
+
+/// Added to the speed that burstiness is divided by, so that rest is not infinitely bursty, m/s.
+const REST_SPEED: f64 = 0.1;
+
+/// Style of every frame of a take at 30 frames per second: `positions` `[frames, 3]` in metres,
+/// +y up, unit `orientations` `[frames]`; `[frames, 8]`.
+///
+/// # Panics
+/// Panics if the two differ in length.
+pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
+    assert_eq!(
+        positions.len(),
+        orientations.len(),
+        "one orientation a frame"
+    );
+    let frames = positions.len();
+    let velocity = forward_differences(positions, FPS);
+    // No velocity is known after the last difference: the last two accelerations repeat the one
+    // before them.
+    let mut acceleration = forward_differences(&velocity[..frames.saturating_sub(1)], FPS);
+    acceleration.resize(frames, acceleration.last().copied().unwrap_or_default());
+
+    let of = |measure: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..frames).map(measure).collect() };
+    let turning = angular_velocity(orientations, FPS);
+    let mean_speed = running_mean(&of(&|t| length(velocity[t])));
+    let mean_acceleration = running_mean(&of(&|t| length(acceleration[t])));
+    let floor_speed = of(&|t| velocity[t][0].hypot(velocity[t][2]));
+    let mean_turning = running_mean(&of(&|t| turning[t][1].abs()));
+    let mean_height = running_mean(&of(&|t| positions[t][1]));
+    let mean_tilt = running_mean(&of(&|t| tilt(orientations[t])));
+
+    let mean_floor_speed = running_mean(&floor_speed);
+    let variance = running_mean(&of(&|t| (floor_speed[t] - mean_floor_speed[t]).powi(2)));
+    let median_height = median(of(&|t| positions[t][1]));
+    (0..frames)
+        .map(|t| {
+            let [width, height, depth] = extent(positions, t);
+            [
+                mean_speed[t],
+                mean_acceleration[t] / 10.0,
+                width.hypot(depth),
+                height,
+                variance[t].sqrt() / (mean_speed[t] + REST_SPEED),
+                mean_turning[t] / 3.0,
+                5.0 * (mean_height[t] - median_height),
+                mean_tilt[t],
+            ]
+        })
+        .collect()
+}
+
+/// Means over the frames around each one; the ends repeat beyond themselves.
+fn running_mean(values: &[f64]) -> Vec<f64> {
+    let half = MEAN_FRAMES as isize / 2;
+    let last = values.len() as isize - 1;
+    let at = |t: isize| values[t.clamp(0, last) as usize];
+    (0..=last)
+        .map(|t| (t - half..t + half).map(at).sum::<f64>() / MEAN_FRAMES as f64)
+        .collect()
+}
+
+/// Sizes of the box around the positions near frame `t`, metres.
+fn extent(positions: &[[f64; 3]], t: usize) -> [f64; 3] {
+    let half = EXTENT_FRAMES / 2;
+    let near = &positions[t.saturating_sub(half)..(t + half).min(positions.len())];
+    [0, 1, 2].map(|axis| {
+        let along = near.iter().map(|position| position[axis]);
+        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+    })
+}
+
+/// Angle of the body's up axis from the vertical in radians.
+fn tilt(orientation: Quaternion) -> f64 {
+    let [x, y, z] = orientation.rotate([0.0, 1.0, 0.0]);
+    // Unlike acos, exact near the vertical.
+    x.hypot(z).atan2(y)
+}
+
+/// The middle of the values, the mean of the two middle ones of an even number; 0 for none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    match values.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => values[middle],
+        _ => 0.5 * (values[middle - 1] + values[middle]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn assert_style(found: [f64; 8], expected: [f64; 8]) {
+        for (channel, (found, expected)) in found.into_iter().zip(expected).enumerate() {
+            assert!(
+                (found - expected).abs() < 1e-9,
+                "style.{channel}: {found} {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn standing_still_is_tilt_alone() {
+        let leaning = Quaternion::from_yaw(1.0) * Quaternion::from_rotation_vector([0.2, 0.0, 0.0]);
+        for frames in [1, 2, 3, 100] {
+            for style in describe(&vec![[1.0, 0.9, -2.0]; frames], &vec![leaning; frames]) {
+                assert_style(style, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2]);
+            }
+        }
+        assert!(describe(&[], &[]).is_empty());
+    }
+
+    #[test]
+    fn an_even_turning_way_has_the_measures_of_its_speeds() {
+        // 0.6 m/s along x, 0.8 m/s along z, turning at 1.5 rad/s.
+        let frames = 120;
+        let at = |t: usize| t as f64 / FPS;
+        let positions: Vec<_> = (0..frames)
+            .map(|t| [0.6 * at(t), 1.0, 0.8 * at(t)])
+            .collect();
+        let turning: Vec<_> = (0..frames)
+            .map(|t| Quaternion::from_yaw(1.5 * at(t)))
+            .collect();
+        let style = describe(&positions, &turning);
+        assert_style(style[60], [1.0, 0.0, 59.0 / 30.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
+        // At the ends half of the extent is missing; the means are as elsewhere.
+        assert_style(style[0], [1.0, 0.0, 29.0 / 30.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
+        assert_style(style[119], [1.0, 0.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_rise_shows_in_height_and_acceleration() {
+        // Free fall upwards: y = t^2 / 2 seconds, 1 m/s^2.
+        let positions: Vec<_> = (0..90)
+            .map(|t| [0.0, 0.5 * (f64::from(t) / FPS).powi(2), 0.0])
+            .collect();
+        let style = describe(&positions, &[Quaternion::IDENTITY; 90]);
+        for frame in &style {
+            assert!((frame[1] - 0.1).abs() < 1e-9, "{frame:?}");
+        }
+        assert!(style[10][6] < 0.0 && style[80][6] > 0.0);
+        let rise = positions[74][1] - positions[15][1];
+        assert!((style[45][3] - rise).abs() < 1e-12);
+    }
+
+    #[test]
+    fn stop_and_go_is_burstier_than_an_even_way() {
+        // Half a second at 1 m/s, half a second of rest.
+        let mut x = 0.0;
+        let positions: Vec<_> = (0..180)
+            .map(|t| {
+                let now = x;
+                x += if t / 15 % 2 == 0 { 1.0 / FPS } else { 0.0 };
+                [now, 1.0, 0.0]
+            })
+            .collect();
+        let style = describe(&positions, &[Quaternion::IDENTITY; 180]);
+        // The speed is 0 or 1, half the time each, 0.5 off its mean.
+        assert!((style[90][0] - 0.5).abs() < 1e-9);
+        assert!((style[90][4] - 0.5 / 0.6).abs() < 1e-9, "{}", style[90][4]);
+    }
+
+    #[test]
+    fn medians_of_odd_and_even_lists() {
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
+        assert_eq!(median(Vec::new()), 0.0);
+    }
+}

@@ -1,0 +1,73 @@
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use kinegrad_data::LoaderReport;
+use serde::Serialize;
+
+use crate::Error;
+
+/// Writer of `loader.jsonl`: what loading cost. It depends on the clock and on what caches held,
+/// so none of it stands in the metrics that a resumed run must repeat.
+#[derive(Debug)]
+pub struct LoaderLog {
+    file: File,
+    path: PathBuf,
+    last: (Instant, LoaderReport),
+}
+
+/// One line. Counts are since the process opened the dataset.
+#[derive(Serialize)]
+struct Line {
+    step: u64,
+    time: f64,
+    /// Samples trained on per second since the line before.
+    samples_per_second: f64,
+    /// Share of that time that the trainer waited for them.
+    wait_share: f64,
+    #[serde(flatten)]
+    report: LoaderReport,
+}
+
+impl LoaderLog {
+    /// Opens the log of the run in `folder`; lines of earlier processes stay.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn open(folder: &Path, report: LoaderReport) -> Result<Self, Error> {
+        let path = folder.join("loader.jsonl");
+        let file = OpenOptions::new().create(true).append(true).open(&path);
+        Ok(Self {
+            file: file.map_err(Error::io("open", &path))?,
+            path,
+            last: (Instant::now(), report),
+        })
+    }
+
+    /// Appends a line.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&mut self, step: u64, report: LoaderReport) -> Result<(), Error> {
+        let (then, before) = self.last;
+        let seconds = then.elapsed().as_secs_f64().max(1e-9);
+        let time = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0.0, |t| t.as_secs_f64());
+        let line = Line {
+            step,
+            time,
+            samples_per_second: (report.samples - before.samples) as f64 / seconds,
+            wait_share: (report.wait_seconds - before.wait_seconds) / seconds,
+            report,
+        };
+        let mut text = serde_json::to_string(&line).expect("plain numbers");
+        text.push('\n');
+        self.file
+            .write_all(text.as_bytes())
+            .map_err(Error::io("write", &self.path))?;
+        self.last = (Instant::now(), report);
+        Ok(())
+    }
+}

@@ -1,0 +1,33 @@
+//! C3D files: `C3d::parse` and what follows from a file that it takes.
+
+#![no_main]
+
+use kinegrad_fuzz::{MIB, bounded};
+use kinegrad_motion::capture::{C3d, MarkerMap, RootSource};
+use libfuzzer_sys::fuzz_target;
+
+// A parameter takes four bytes at least, since the next may begin behind its name, and 100 bytes
+// here, and a list of them three times that while it grows. Labels may share their bytes in the
+// file.
+const MULTIPLE: usize = 100;
+
+fuzz_target!(|bytes: &[u8]| {
+    let limit = MIB + MULTIPLE * bytes.len();
+    let Ok(take) = bounded(limit, || C3d::parse(bytes, "fuzzed.c3d")) else {
+        return;
+    };
+    let mut seen = 0;
+    for frame in 0..take.frames() {
+        for point in 0..take.points_per_frame() {
+            seen += usize::from(take.point(frame, point).is_some());
+        }
+    }
+    assert!(seen <= bytes.len() / 8);
+    assert!(take.labels().len() <= take.points_per_frame());
+    if let Ok(root) = bounded(limit, || MarkerMap::default().root(&take)) {
+        assert_eq!(root.frames(), take.frames());
+        for frame in 0..root.frames() {
+            let _ = root.sample(frame as f64);
+        }
+    }
+});

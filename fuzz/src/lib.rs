@@ -1,0 +1,27 @@
+//! Bounds on the memory that a parser may take for the bytes it is given.
+
+mod counting;
+
+use counting::Counting;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting::new();
+
+/// One mebibyte.
+pub const MIB: usize = 1 << 20;
+
+/// Runs `work` and gives back its result.
+///
+/// # Panics
+/// Panics if the bytes allocated and not yet freed ever exceeded those before `work` by more than
+/// `limit`, or if one allocation alone asked for more.
+pub fn bounded<T>(limit: usize, work: impl FnOnce() -> T) -> T {
+    let before = ALLOCATOR.start();
+    let result = work();
+    let taken = ALLOCATOR.peak().saturating_sub(before);
+    assert!(
+        taken <= limit,
+        "{taken} bytes allocated at once, {limit} allowed"
+    );
+    result
+}
