@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
 """Compares the denoisers of `gmd` with reference tensors: outputs, losses, gradients and sizes.
 
-    python3 scripts/peer/check_gmd.py GOLDEN_DIR [--transformer FILE]
+    python3 scripts/peer/check_gmd.py GOLDEN_DIR
 
 GOLDEN_DIR holds `unet_motion_tiny`, `unet_traj_tiny`, `unet_traj_xxs_plain_tiny`, `mdm_unet_tiny`,
-`schedule_cosine1000` and `trajectory_loss`, each `.safetensors`. Outputs are compared absolutely,
-all else against the largest entry of a tensor. Exits with 1 where an error is above its tolerance.
+`schedule_cosine1000` and `trajectory_loss`, each `.safetensors`. `data_fixtures/gmd`, which the peer
+made, is compared too. Outputs are compared absolutely, all else against the largest entry of a
+tensor. Exits with 1 where an error is above its tolerance.
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from gmd.transformer import TransformerConfig, TransformerDenoiser
 from gmd.unet import UNet, UNetConfig
 from golden import Golden, Report
 
+FIXTURES = Path(__file__).resolve().parents[2] / "data_fixtures" / "gmd"
 MOTION = UNetConfig()
 TRAJECTORY = UNetConfig(motion_channels=4, multipliers=(0.125, 0.25, 0.5))
 TRAJECTORY_XXS = UNetConfig(
@@ -177,43 +178,60 @@ def check_sizes(report: Report) -> None:
     report.enter("first answer of a new network", 0, "trajectory", y.abs().max().item())
 
 
-def check_transformer(report: Report, file: Path) -> None:
+def check_checkpoint(report: Report, folder: Path, name: str) -> None:
+    """What the networks of a checkpoint answer, in float32 against float64."""
+    golden = Golden(folder, name)
+    config = golden.json("config")
+    padded_frames = config.pop("padded_frames")
+    model = UNetDenoiser(UNetConfig(**config), padded_frames)
+    content = torch.load(folder / f"{name}.pt", map_location="cpu")
+    x, t, text = golden["in.x"], golden["in.t"], golden["in.text_features"]
+    averaged = {"y": text, "y_uncond": torch.zeros_like(text)}
+    texts = {"model": {"y_model": text}, "model_avg": averaged}
+    for key in texts if "model" in content else ["model_avg"]:
+        state = content.get(key, content)
+        model.load_state_dict({own: state[own] for own in model.state_dict()})
+        for answer, features in texts[key].items():
+            reference = golden[f"out.{answer}"]
+            absolute(report, f"{name} outputs", 2e-5, answer, model(x, t, features), reference)
+
+
+def check_transformer(report: Report, folder: Path, name: str) -> None:
     """The transformer in float32 against values computed in float64."""
-    golden = Golden(file.parent, file.stem)
-    model = TransformerDenoiser(TransformerConfig(**json.loads(golden.metadata["config"])))
+    golden = Golden(folder, name)
+    model = TransformerDenoiser(TransformerConfig(**golden.json("config")))
     model.load_state_dict(golden.under("model."))
-    taps: dict[str, Tensor] = {}
-    for i, layer in enumerate(model.seqTransEncoder.layers):
-        layer.register_forward_hook(lambda _m, _i, out, i=i: taps.setdefault(f"layer{i}", out))
     x = golden["in.x"].clone().requires_grad_()
     t, text = golden["in.t"], golden["in.text_features"]
-    y = model(x, t, text)
-    loss = y.square().mean()
+    values = {"y_uncond": model(x, t, torch.zeros_like(text)), "tokens": model.tokens(x, t, text)}
+    for i, layer in enumerate(model.seqTransEncoder.layers):
+        layer.register_forward_hook(lambda _m, _i, out, i=i: values.update({f"layer{i}": out}))
+    values["y"] = model(x, t, text)
+    loss = values["y"].square().mean()
     loss.backward()
-    values = taps | {"y": y, "loss": loss[None], "tokens": model.tokens(x, t, text)}
-    values["y_uncond"] = model(x, t, torch.zeros_like(text))
+    values["loss"] = loss[None]
     for key, reference in golden.under("out.").items():
-        absolute(report, "transformer outputs", 2e-5, key, values[key], reference)
-    gradients(report, "transformer", golden, {"in.x": x.grad} | model_gradients(model))
+        absolute(report, f"{name} outputs", 2e-5, key, values[key], reference)
+    gradients(report, name, golden, {"in.x": x.grad} | model_gradients(model))
 
 
 def main() -> int:
     """Runs all checks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("golden_dir", type=Path, help="folder with the .safetensors files")
-    parser.add_argument("--transformer", type=Path, help="a fixture of the transformer")
-    args = parser.parse_args()
+    folder = parser.parse_args().golden_dir
     torch.set_num_threads(2)
     torch.manual_seed(0)
     report = Report()
     for name in ["unet_motion_tiny", "unet_traj_tiny", "unet_traj_xxs_plain_tiny"]:
-        check_unet(report, args.golden_dir, name)
-    check_denoiser(report, args.golden_dir, "mdm_unet_tiny")
-    check_schedule(report, args.golden_dir)
-    check_loss(report, args.golden_dir)
+        check_unet(report, folder, name)
+    check_denoiser(report, folder, "mdm_unet_tiny")
+    check_schedule(report, folder)
+    check_loss(report, folder)
     check_sizes(report)
-    if args.transformer:
-        check_transformer(report, args.transformer)
+    for name in ["checkpoint_tiny", "checkpoint_bare"]:
+        check_checkpoint(report, FIXTURES, name)
+    check_transformer(report, FIXTURES, "mdm_transformer_tiny")
     return 0 if report.print() else 1
 
 
