@@ -1,10 +1,8 @@
 """One step of training a denoiser on clips of different lengths (GMD appendix C.1 and E)."""
 
 import copy
-import math
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 from ccmotion.diffusion import NoiseSchedule, PredictionType
 from ccmotion.optim import adamw, average, update
@@ -14,14 +12,9 @@ TRAJECTORY_CHANNELS = 4
 """Root rotation, ground position and height come first."""
 
 
-def cosine_schedule(num_train_timesteps: int = 1000) -> NoiseSchedule:
-    """`abar` falls as `cos^2`; betas are at most 0.999."""
-
-    def signal(u: np.ndarray) -> np.ndarray:
-        return np.cos(math.pi / 2 * (u + 0.008) / 1.008) ** 2
-
-    u = np.arange(num_train_timesteps + 1) / num_train_timesteps
-    return NoiseSchedule(np.minimum(1.0 - signal(u[1:]) / signal(u[:-1]), 0.999))
+def cosine_schedule() -> NoiseSchedule:
+    """Of the published models."""
+    return NoiseSchedule.cosine(beta_min=0.0, beta_max=0.999)
 
 
 def weighted_loss(
