@@ -114,7 +114,9 @@ def checkpoint(folder: Path, name: str, config: UNetConfig, seed: int, *, bare: 
     model.double()
     expected = {"out.y": answer(model, given), "out.y_uncond": answer(model, without_text(given))}
     if bare:
-        save(state_dict(averaged, generator, table_rows=0, text_encoder=False), folder / f"{name}.pt")
+        save(
+            state_dict(averaged, generator, table_rows=0, text_encoder=False), folder / f"{name}.pt"
+        )
     else:
         trained = perturbed(averaged, generator)
         expected["out.y_model"] = answer(model, given, trained)

@@ -28,9 +28,7 @@ class TimestepEmbedding(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.width = width
-        self.time_embed = nn.Sequential(
-            nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width)
-        )
+        self.time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
 
     def forward(self, timesteps: Tensor) -> Tensor:
         """`[B]` to `[B, width]`."""
@@ -41,8 +39,8 @@ class TimestepEmbedding(nn.Module):
 def guided(
     denoiser: Denoiser, x_t: Tensor, timesteps: Tensor, text_features: Tensor, scale: Tensor
 ) -> Tensor:
-    """`uncond + scale (cond - uncond)`, a `scale [B]` for each sample. Features of zero stand for no
-    text."""
+    """`uncond + scale (cond - uncond)`, a `scale [B]` for each sample. Features of zero stand for
+    no text."""
     cond = denoiser(x_t, timesteps, text_features)
     uncond = denoiser(x_t, timesteps, torch.zeros_like(text_features))
     return uncond + scale[:, None, None] * (cond - uncond)

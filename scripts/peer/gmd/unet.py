@@ -111,7 +111,9 @@ class Resample(nn.Module):
         return self.conv(x)
 
 
-def level(config: UNetConfig, in_channels: int, out_channels: int, resample: nn.Module) -> nn.Module:
+def level(
+    config: UNetConfig, in_channels: int, out_channels: int, resample: nn.Module
+) -> nn.Module:
     """Two residual blocks and what changes the length; the identity stands where others have
     attention."""
     return nn.ModuleList(
