@@ -7,7 +7,9 @@
 use std::path::Path;
 
 use kinegrad_motion::emphasis::{EmphasisProjection, relative_importance};
-use kinegrad_motion::goal::{Goal, GroundTargets, Keyframe, Phase};
+use kinegrad_motion::goal::{
+    Goal, GroundTargets, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle, Phase,
+};
 use safetensors::{Dtype, SafeTensors};
 
 /// The rows that the published models emphasise: root rotation, x and z.
@@ -315,4 +317,126 @@ fn golden_zigzag_is_walked_along_straight_lines() {
         .flat_map(|(frame, [x, z])| [frame as f64, x, z])
         .collect();
     golden.compare("out.zigzag_interpolated", &found, 1e-5);
+}
+
+/// The reference's denoiser of the trajectory, `s tanh(W x + v t / 1000)`, on one frame of noise,
+/// and what the reference makes of it: the clamped prediction of the start.
+struct Denoiser {
+    weights: Vec<f64>,
+    time: Vec<f64>,
+    size: f64,
+}
+
+impl Denoiser {
+    /// The prediction for each channel and its slopes by each channel of `x`.
+    fn predict(&self, x: &[f64], t: f64, alpha: f64) -> Vec<(f64, Vec<f64>)> {
+        let noise_share = (1.0 / alpha - 1.0).sqrt();
+        let rows = self.weights.chunks(x.len()).zip(&self.time).enumerate();
+        let channel = |(index, (weights, time)): (usize, (&[f64], &f64))| {
+            let dot: f64 = weights.iter().zip(x).map(|(w, x)| w * x).sum();
+            let wave = (dot + time * t / 1000.0).tanh();
+            let start = x[index] / alpha.sqrt() - noise_share * self.size * wave;
+            let slope = |(other, weight): (usize, &f64)| {
+                let direct = if other == index {
+                    alpha.sqrt().recip()
+                } else {
+                    0.0
+                };
+                let slope = direct - noise_share * self.size * (1.0 - wave * wave) * weight;
+                // A clamped prediction does not move.
+                if start.abs() > 6.0 { 0.0 } else { slope }
+            };
+            let slopes = weights.iter().enumerate().map(slope).collect();
+            (start.clamp(-6.0, 6.0), slopes)
+        };
+        rows.map(channel).collect()
+    }
+}
+
+#[test]
+fn golden_guidance_of_the_trajectory_agrees() {
+    let (Some(golden), Some(schedule)) = (
+        Golden::open("guidance"),
+        Golden::open("schedule_cosine1000"),
+    ) else {
+        return;
+    };
+    let alphas = schedule.get("out.alphas_cumprod");
+    let denoiser = Denoiser {
+        weights: golden.get("model.traj.W"),
+        time: golden.get("model.traj.v"),
+        size: golden.get("model.traj.s")[0],
+    };
+    let (shape, x_t) = golden.tensor("in.traj.x_t");
+    let (batch, channels, frames) = (shape[0], shape[1], shape[3]);
+    let (mean, std) = (golden.get("in.mean"), golden.get("in.std"));
+    let (targets, mask) = (golden.get("in.target_xz"), golden.get("in.target_mask"));
+    let goal_of = |sample: usize| {
+        let mut goal = Goal::new(frames);
+        let places = (0..frames).filter(|frame| mask[sample * frames + frame] > 0.0);
+        let keyframe = |frame: usize| {
+            let place = 2 * (sample * frames + frame);
+            let (x, z) = (targets[place], targets[place + 1]);
+            Keyframe { frame, x, z }
+        };
+        goal.keyframes = places.map(keyframe).collect();
+        goal
+    };
+    let obstacles = golden.get("in.obstacles");
+    let (obstacles, _) = obstacles.as_chunks::<3>();
+    let free: Vec<Goal> = (0..batch).map(goal_of).collect();
+    let mut obstructed = free.clone();
+    for goal in &mut obstructed {
+        let disc = |&[x, z, radius]: &[f64; 3]| Obstacle::Disc { x, z, radius };
+        goal.obstacles = obstacles.iter().map(disc).collect();
+    }
+    // Strength and end of the published guidance; obstacles are stored for every timestep.
+    let (strength, until) = (100.0, 20.0);
+    let variants = [
+        ("l1", GuidanceNorm::L1, &free, until),
+        ("mse", GuidanceNorm::Mse, &free, until),
+        ("sdf_l1", GuidanceNorm::L1, &obstructed, 0.0),
+    ];
+    for (name, norm, goals, until) in variants {
+        let config = GuidanceConfig {
+            norm,
+            frame_limit: Some(120),
+        };
+        let loss = GuidanceLoss::new(&config, goals, frames).expect("sound goals");
+        let mut found = Vec::new();
+        for t in golden.get("in.timesteps") {
+            let predictions: Vec<_> = (0..batch * frames)
+                .map(|place| {
+                    let (sample, frame) = (place / frames, place % frames);
+                    let of_channel = |c| x_t[(sample * channels + c) * frames + frame];
+                    let x: Vec<f64> = (0..channels).map(of_channel).collect();
+                    denoiser.predict(&x, t, alphas[t as usize])
+                })
+                .collect();
+            let metres = |prediction: &Vec<(f64, Vec<f64>)>| {
+                [1, 2].map(|channel| prediction[channel].0 * std[channel] + mean[channel])
+            };
+            let ground: Vec<f64> = predictions.iter().flat_map(metres).collect();
+            let (_, gradient) = loss.evaluate(&ground);
+            let scaled = |sample: usize, channel: usize, frame: usize| {
+                let place = sample * frames + frame;
+                let through = |axis: usize| {
+                    let slope = predictions[place][axis + 1].1[channel];
+                    gradient[2 * place + axis] * std[axis + 1] * slope
+                };
+                let acts = if t >= until { strength } else { 0.0 };
+                -acts * (through(0) + through(1))
+            };
+            for sample in 0..batch {
+                for channel in 0..channels {
+                    found.extend((0..frames).map(|frame| scaled(sample, channel, frame)));
+                }
+            }
+        }
+        let key = format!("out.traj.{name}.scaled_grad");
+        let reference = golden.get(&key);
+        let errors = found.iter().zip(&reference);
+        let error = errors.map(|(a, b)| (a - b).abs() / (1.0 + b.abs()));
+        golden.bound(&key, error.fold(0.0, f64::max), 1e-4);
+    }
 }

@@ -50,7 +50,7 @@ impl Default for EmphasisConfig {
 }
 
 impl EmphasisConfig {
-    /// Refuses a scale that is not positive and finite, and channels that are missing or repeated.
+    /// Refuses a scale that is not positive or beyond a million, and channels that are missing or repeated.
     ///
     /// # Errors
     /// [`EmphasisError::InvalidSetting`] names the first such setting.
@@ -79,6 +79,9 @@ impl EmphasisConfig {
     }
 }
 
+/// Largest scale: beyond it single precision cannot hold a frame and undo the projection.
+const LARGEST_SCALE: f64 = 1e6;
+
 /// Refuses a scale or channels that no projection of `dimension` features can have.
 pub(super) fn check(scale: f64, channels: &[usize], dimension: usize) -> Result<(), EmphasisError> {
     let invalid = |key, found, allowed| {
@@ -88,8 +91,8 @@ pub(super) fn check(scale: f64, channels: &[usize], dimension: usize) -> Result<
             allowed,
         })
     };
-    if !(scale > 0.0 && scale.is_finite()) {
-        let allowed = "give a positive number; 1 emphasises nothing".to_owned();
+    if !(scale > 0.0 && scale <= LARGEST_SCALE) {
+        let allowed = "give a positive number, at most 1000000; 1 emphasises nothing".to_owned();
         return invalid("scale", scale.to_string(), allowed);
     }
     let repeated = |(index, channel)| channels[..index].contains(channel);
@@ -130,7 +133,7 @@ mod tests {
             }
         };
         let default = EmphasisConfig::default;
-        for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        for scale in [0.0, -1.0, 1e7, f64::NAN, f64::INFINITY] {
             assert_eq!(key(EmphasisConfig { scale, ..default() }, 263), "scale");
         }
         for channels in [vec![], vec![0, 1, 0]] {
