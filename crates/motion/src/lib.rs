@@ -19,7 +19,9 @@
 pub mod augment;
 pub mod capture;
 pub mod coherence;
+pub mod emphasis;
 pub mod error;
+pub mod goal;
 pub mod kinematics;
 pub mod metrics;
 pub mod moments;
