@@ -44,6 +44,15 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Goal(#[from] kinegrad_motion::goal::GoalError),
+    /// A file with a goal that cannot be followed.
+    #[error("{}: {reason}", path.display())]
+    #[diagnostic(help("docs/goals.md describes goals"))]
+    GoalFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// Joint features that are none.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -144,7 +144,7 @@ impl GoalReport {
     }
 
     /// The metrics in the order in which they print, each with its name and unit.
-    fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 10] {
+    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 10] {
         [
             ("trajectory error, 20 cm", self.trajectory_error_20cm, ""),
             ("trajectory error, 50 cm", self.trajectory_error_50cm, ""),

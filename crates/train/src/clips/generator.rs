@@ -21,7 +21,7 @@ use kinegrad_random::{Key, Purpose};
 use super::model::{TrainedClips, clip_channels};
 use super::space::{FeatureSpace, GroundGoal};
 use crate::checkpoint::Weights;
-use crate::config::{Config, SteeringConfig};
+use crate::config::{Config, Recipe, SteeringConfig};
 use crate::error::Error;
 
 /// Which of the two stages is drawing.
@@ -45,9 +45,11 @@ pub struct ClipRequest {
 /// One clip.
 #[derive(Clone, Debug)]
 pub struct ClipSample {
-    /// Its features, absolute or relative as the run's are.
-    pub features: Features,
-    /// The ground path that the first stage drew, metres.
+    /// Its features, absolute or relative as the run's are; none of a trajectory model.
+    pub features: Option<Features>,
+    /// Where its root stands in each frame, x and z in metres.
+    pub ground: Vec<[f64; 2]>,
+    /// The ground path that the first stage drew.
     pub path: Option<Vec<[f64; 2]>>,
 }
 
@@ -84,7 +86,12 @@ impl ClipGenerator {
             plain: model.valid(),
             tracked: model.no_grad(),
             diffusion: GaussianDiffusion::new(&state.config.diffusion)?,
-            space: FeatureSpace::new(&statistics, projection.as_ref(), channels, device),
+            space: FeatureSpace::new(
+                &statistics.mean()[..channels],
+                &statistics.std()[..channels],
+                projection.as_ref(),
+                device,
+            ),
             trained: TrainedParts {
                 step: state.step,
                 config: state.config,
@@ -143,13 +150,25 @@ impl ClipGenerator {
         }
         let mut told = |done, all| on_step(Stage::Motion, done, all);
         let x = self.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
-        let features = self.features(x)?;
         let mut paths = paths.map(Vec::into_iter);
-        Ok(features
+        let mut next_path = || paths.as_mut().and_then(Iterator::next);
+        if self.trained.config.train.recipe == Recipe::GmdTrajectory {
+            let drawn = self.paths(x).into_iter();
+            return Ok(drawn
+                .map(|ground| ClipSample {
+                    features: None,
+                    ground,
+                    path: next_path(),
+                })
+                .collect());
+        }
+        Ok(self
+            .features(x)?
             .into_iter()
             .map(|features| ClipSample {
-                features,
-                path: paths.as_mut().and_then(Iterator::next),
+                ground: ground_of(&features),
+                features: Some(features),
+                path: next_path(),
             })
             .collect())
     }
@@ -296,11 +315,33 @@ impl ClipGenerator {
         let [_, channels, frames] = x.dims();
         let rows = self.space.to_motion(x).swap_dims(1, 2);
         let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
-        let layout = self.trained.config.data.humanml3d.skeleton.layout();
+        let humanml3d = &self.trained.config.data.humanml3d;
+        let (layout, root) = (humanml3d.skeleton.skeleton().layout(), humanml3d.root);
         let clips = values.chunks(channels * frames);
-        let features = clips.map(|clip| Features::new(layout.clone(), clip.to_vec()));
+        let features = clips.map(|clip| Features::new(clip.to_vec(), layout, root));
         Ok(features.collect::<Result<_, _>>()?)
     }
+}
+
+/// Reads a goal.
+///
+/// # Errors
+/// Names the file, the key, what was found and what is allowed.
+pub fn read_goal(path: &Path) -> Result<Goal, Error> {
+    let refused = |reason: String| Error::GoalFile {
+        path: path.to_path_buf(),
+        reason,
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+    let goal: Goal = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
+    goal.validate().map_err(|error| refused(error.to_string()))?;
+    Ok(goal)
+}
+
+/// Where the root stands in each frame.
+fn ground_of(features: &Features) -> Vec<[f64; 2]> {
+    let positions = features.root_positions().into_iter();
+    positions.map(|[x, _, z]| [x, z]).collect()
 }
 
 /// The goal of a second stage: the whole path of the first.

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use half::{bf16, f16};
+use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
 use kinegrad_models::{ModelSize, TextDenoiser};
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
-use kinegrad_motion::humanml::{FeatureLayout, FeatureStatistics};
+use kinegrad_motion::humanml::{FeatureStatistics, Root};
 use pytorch_reader::{DType, PytorchReader, Tensor};
 
 use super::model::{clip_channels, in_space_of, text_denoiser};
@@ -225,12 +226,12 @@ fn settings(
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
     let mut config = config::parse(&text, "the recipe's defaults", &[])?;
     let (mean, std) = (vector(&request.mean)?, vector(&request.std)?);
-    let layout = FeatureLayout::of_channels(mean.len()).ok_or_else(|| Error::Array {
+    let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
         path: request.mean.clone(),
         found: format!("{} numbers", mean.len()),
-        allowed: "one for each feature of a layout, as 263 or 251".into(),
+        allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;
-    config.data.humanml3d.skeleton = config.data.humanml3d.skeleton.of_layout(&layout);
+    config.data.humanml3d.skeleton = skeleton;
     let channels = clip_channels(&config);
     if channels != sizes.channels {
         return Err(Error::Foreign {
@@ -263,7 +264,7 @@ fn settings(
     if request.projection.is_none() {
         config.emphasis.kind = EmphasisKind::None;
     }
-    let statistics = FeatureStatistics::from_given(mean, std)?;
+    let statistics = FeatureStatistics::new(mean, std, Root::Absolute)?;
     Ok((config.resolved(), statistics))
 }
 

@@ -6,7 +6,7 @@ mod import;
 mod model;
 mod space;
 
-pub use generator::{ClipGenerator, ClipRequest, ClipSample, Stage};
+pub use generator::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 pub use import::{Architecture, ImportRequest, import};
 pub use model::{TrainedClips, clip_channels, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundGoal};

@@ -5,7 +5,6 @@ use kinegrad_diffusion::{Goal, Space};
 use kinegrad_models::gmd::times;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
-use kinegrad_motion::humanml::FeatureStatistics;
 
 /// The affine map between normalised, perhaps projected features and features in metres and
 /// radians: `network = ((motion - mean) / std) P` (golden README of GMD, section 2.4).
@@ -22,17 +21,17 @@ pub struct FeatureSpace {
 }
 
 impl FeatureSpace {
-    /// The space of a network of `channels`, the first ones of `statistics`.
+    /// The space of a network for features of this `mean` and `std`, one number a channel.
     ///
     /// # Panics
-    /// Panics if the statistics have fewer, or the projection has other channels.
+    /// Panics if there are fewer than the ground's channels, or the projection has others.
     pub fn new(
-        statistics: &FeatureStatistics,
+        mean: &[f64],
+        std: &[f64],
         projection: Option<&EmphasisProjection>,
-        channels: usize,
         device: &Device,
     ) -> Self {
-        let (mean, std) = (&statistics.mean[..channels], &statistics.std[..channels]);
+        let channels = mean.len();
         let ground_rows = GROUND_X..GROUND_X + 2;
         let inverse = projection.map(EmphasisProjection::inverse);
         let ground: Vec<f64> = ground_rows

@@ -1,17 +1,20 @@
 //! What the recipes on clips of joint features share: a batch on the device, its draws, the masked
 //! loss, and the held-out clips.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::{Batch, Clip, ClipCollator};
+use kinegrad_data::humanml::{Clip, collate_clips};
+use kinegrad_data::{Batch, DataConfig};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
+use kinegrad_motion::humanml::FeatureStatistics;
 use kinegrad_random::{Key, Purpose};
 
 use super::inputs::noise;
 use super::{Loss, StepKey};
-use crate::config::ValidationConfig;
+use crate::config::Config;
 
 /// A batch on the device.
 #[derive(Clone, Debug)]
@@ -143,20 +146,33 @@ pub fn weighted_masked_mse(
 /// The clips a recipe is measured on.
 pub struct HeldOutClips {
     clips: Vec<Arc<Clip>>,
-    collator: ClipCollator,
+    statistics: Arc<FeatureStatistics>,
+    channels: Range<usize>,
+    data: DataConfig,
     draws: usize,
     batch_size: usize,
 }
 
 impl HeldOutClips {
-    /// `clips`, batched by `collator`.
-    pub fn new(clips: Vec<Arc<Clip>>, collator: ClipCollator, config: &ValidationConfig) -> Self {
+    /// `channels` of `clips`, cut and padded as `config.data` says.
+    pub fn new(
+        clips: Vec<Arc<Clip>>,
+        statistics: Arc<FeatureStatistics>,
+        channels: Range<usize>,
+        config: &Config,
+    ) -> Self {
         Self {
             clips,
-            collator,
-            draws: config.draws,
-            batch_size: config.batch_size,
+            statistics,
+            channels,
+            data: config.data.clone(),
+            draws: config.validation.draws,
+            batch_size: config.validation.batch_size,
         }
+    }
+
+    fn collate(&self, clips: &[Arc<Clip>]) -> Batch {
+        collate_clips(clips, &self.statistics, self.channels.clone(), &self.data)
     }
 
     /// The mean loss over all clips and draws, `loss` being that of one batch: evenly spread
@@ -173,7 +189,7 @@ impl HeldOutClips {
             for start in (0..all).step_by(self.batch_size) {
                 let range = start..(start + self.batch_size).min(all);
                 let clips = &self.clips[range.clone()];
-                let inputs = ClipInputs::new(&self.collator.collate(clips), device);
+                let inputs = ClipInputs::new(&self.collate(clips), device);
                 let [_, channels, time] = inputs.x_start.dims();
                 let values: Vec<f32> = clips
                     .iter()

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::{ClipCollator, ClipDataset, Loader};
+use kinegrad_data::Loader;
+use kinegrad_data::humanml::ClipDataset;
 use kinegrad_diffusion::GaussianDiffusion;
 
 use super::setup::{Material, Setup};
@@ -36,9 +37,8 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         None => model_in_space(&config, &setup.device)?,
     };
     let statistics = Arc::new(statistics);
-    let collator = ClipCollator::new(&dataset, statistics.clone(), &config.data, channels.clone());
     let held_out = dataset.validation.load()?;
-    let held_out = HeldOutClips::new(held_out, collator, &config.validation);
+    let held_out = HeldOutClips::new(held_out, statistics.clone(), channels.clone(), &config);
     let diffusion = GaussianDiffusion::new(&config.diffusion)?;
     let material = Material {
         train: dataset.train.len(),
@@ -50,7 +50,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             let (train, channels) = (dataset.train, channels.clone());
             Box::new(move |config, first_batch| {
                 let (data, seed) = (&config.data, config.run.seed);
-                Loader::clips(train, statistics, data, channels, seed, first_batch)
+                Loader::clips(train, statistics, channels, data, seed, first_batch)
             })
         },
     };
