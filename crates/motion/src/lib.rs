@@ -20,6 +20,7 @@ pub mod augment;
 pub mod capture;
 pub mod coherence;
 pub mod error;
+pub mod humanml;
 pub mod kinematics;
 pub mod metrics;
 pub mod moments;
