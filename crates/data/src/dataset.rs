@@ -84,12 +84,10 @@ impl Dataset {
     /// # Errors
     /// As [`PhraseSet::get`].
     pub fn find(&self, id: &str) -> Result<Option<Arc<Phrase>>, Error> {
-        for side in [&self.train, &self.validation] {
-            if let Some(position) = side.ids().position(|found| found == id) {
-                return side.get(position).map(Some);
-            }
+        match self.train.find(id)? {
+            None => self.validation.find(id),
+            found => Ok(found),
         }
-        Ok(None)
     }
 
     /// What reading has cost since the dataset was opened.

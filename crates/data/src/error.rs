@@ -234,6 +234,17 @@ pub enum Error {
         /// What was wrong with the first.
         first: String,
     },
+    /// No clip has a length that is trained on.
+    #[error("all {clips} clips are left out; the first: {first}")]
+    #[diagnostic(help(
+        "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are trained on"
+    ))]
+    NoClipOfLength {
+        /// How many there are.
+        clips: usize,
+        /// Why the first is left out.
+        first: String,
+    },
     /// Nothing is left to train on.
     #[error("no training {kind}: all {items} {kind}s are held out for validation")]
     #[diagnostic(help(

@@ -96,6 +96,15 @@ impl<T: Item> ItemSet<T> {
         self.library.get(self.indices[position])
     }
 
+    /// The item `id`; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
+        let position = self.ids().position(|found| found == id);
+        position.map(|position| self.get(position)).transpose()
+    }
+
     /// Whether item `position` is in memory now.
     pub(crate) fn is_at_hand(&self, position: usize) -> bool {
         self.library.is_at_hand(self.indices[position])

@@ -60,6 +60,7 @@ pub use dataset::Dataset;
 pub use digest::Digest;
 pub use error::{Error, FileError};
 pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
+pub use humanml::Humanml3dConfig;
 pub use inspect::{Inspection, Problem, inspect};
 pub use item::{Item, ItemSet};
 pub use layout::{MANIFEST, check_id, features_path, motion_path};

@@ -59,6 +59,8 @@ pub enum Purpose {
     PhraseSeed = 16,
     /// Noise in the place of a phrase's audio features, keyed by its id.
     NoiseCondition = 17,
+    /// Which caption describes a clip, keyed by sample.
+    Caption = 18,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -33,6 +33,16 @@ pub struct Clip {
     pub captions: Vec<Caption>,
 }
 
+impl Clip {
+    /// Drops the captions of passages of fewer than `min_frames` frames; how many those were.
+    pub(super) fn drop_short_captions(&mut self, fps: f64, min_frames: usize) -> usize {
+        let (before, frames) = (self.captions.len(), self.features.frames());
+        let usable = |caption: &Caption| caption.frames(frames, fps).len() >= min_frames;
+        self.captions.retain(usable);
+        before - self.captions.len()
+    }
+}
+
 impl Item for Clip {
     const KIND: &'static str = "clip";
 
@@ -231,13 +241,11 @@ impl Origin<Clip> for ClipFiles {
         if let Some(expected) = captions.first() {
             let (captions, digest) = self.captions(id, expected, recorded)?;
             content.extend(digest);
-            let (all, fps) = (captions.len(), self.skeleton.description().fps);
             clip.captions = captions;
-            let min_frames = self.min_frames;
-            let usable = |caption: &Caption| caption.frames(frames, fps).len() >= min_frames;
-            clip.captions.retain(usable);
-            let lost = all - clip.captions.len();
+            let fps = self.skeleton.description().fps;
+            let lost = clip.drop_short_captions(fps, self.min_frames);
             note = (lost > 0).then(|| {
+                let min_frames = self.min_frames;
                 format!("{lost} caption(s) of passages of fewer than {min_frames} frames")
             });
             if self.captions_required && clip.captions.is_empty() {

@@ -52,6 +52,7 @@ pub(super) struct ClipSurvey {
     /// The statistics that the dataset brings along.
     pub given: Option<FeatureStatistics>,
     pub conditional: bool,
+    /// What decides on made-up clips; of files their lists do.
     split: Option<Split>,
 }
 
@@ -84,7 +85,7 @@ impl ClipSurvey {
             conditional,
             survey: Survey {
                 warnings: split.idle_entries(&ids),
-                origin: Box::new(Walks::new(&config.synthetic, conditional)),
+                origin: Box::new(Walks::new(config, conditional)),
                 counters: Arc::default(),
                 source: "synthetic_walks".to_owned(),
                 listed,
@@ -138,16 +139,16 @@ impl ClipSurvey {
     }
 
     /// Whether the clip `id`, which a list puts on the side `stated`, is held out.
-    pub fn holds_out(split: Option<&Split>, id: &str, stated: Option<Side>) -> bool {
-        match split {
-            Some(split) => split.holds_out(id, stated),
-            None => stated == Some(Side::Validation),
-        }
+    pub fn holds_out(&self, id: &str, stated: Option<Side>) -> bool {
+        holds_out(self.split.as_ref(), id, stated)
     }
+}
 
-    /// What [`holds_out`](Self::holds_out) goes by beside the lists.
-    pub fn split(&self) -> Option<&Split> {
-        self.split.as_ref()
+/// The rule of the config decides, where there is one, else the list that the clip is on.
+fn holds_out(split: Option<&Split>, id: &str, stated: Option<Side>) -> bool {
+    match split {
+        Some(split) => split.holds_out(id, stated),
+        None => stated == Some(Side::Validation),
     }
 }
 
@@ -220,7 +221,7 @@ impl ClipDataset {
         let skipped = std::mem::take(&mut gathered.skipped);
         let counters = survey.counters.clone();
         let sides = survey.split(gathered, |entry: &Entry| {
-            ClipSurvey::holds_out(split.as_ref(), &entry.id, entry.side)
+            holds_out(split.as_ref(), &entry.id, entry.side)
         })?;
         let statistics = match given {
             Some(given) => given,
@@ -250,12 +251,10 @@ impl ClipDataset {
     /// # Errors
     /// As [`ClipSet::get`].
     pub fn find(&self, id: &str) -> Result<Option<Arc<Clip>>, Error> {
-        for side in [&self.train, &self.validation] {
-            if let Some(position) = side.ids().position(|found| found == id) {
-                return side.get(position).map(Some);
-            }
+        match self.train.find(id)? {
+            None => self.validation.find(id),
+            found => Ok(found),
         }
-        Ok(None)
     }
 
     /// What reading has cost since the dataset was opened.

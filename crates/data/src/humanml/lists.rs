@@ -33,7 +33,12 @@ pub(super) fn read_lists(
         }
         let name = files.store.name_of(list);
         let mut twice = Vec::new();
-        for (line, id) in parse_list(&read(files, list, key)?, &name)? {
+        let ids = parse_list(&read(files, list, key)?, &name)?;
+        if ids.is_empty() && side == Side::Train {
+            let hint = "clips on no list are not used";
+            return Err(FileError::unexpected(name, "no id", "one id a line", hint).into());
+        }
+        for (line, id) in ids {
             match sides.insert(id.clone(), side) {
                 Some(before) if before != side => {
                     let found = format!("clip `{id}`, which {} lists too", config.train_list);
@@ -90,8 +95,7 @@ fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileErro
     let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
     let lines = (1..).zip(lines);
     let ids = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let ids: Vec<(usize, String)> = ids
-        .map(|(number, id)| match check_id(id) {
+    ids.map(|(number, id)| match check_id(id) {
             Ok(()) => Ok((number, id.to_owned())),
             Err(reason) => Err(FileError::unexpected(
                 format!("{file}, line {number}"),
@@ -99,12 +103,8 @@ fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileErro
                 "the id of a clip",
                 hint,
             )),
-        })
-        .collect::<Result<_, _>>()?;
-    if ids.is_empty() {
-        return Err(FileError::unexpected(file, "no id", "one id a line", hint));
-    }
-    Ok(ids)
+    })
+    .collect()
 }
 
 #[cfg(test)]
@@ -115,14 +115,8 @@ mod tests {
     fn ids_stand_one_a_line() {
         let ids = parse_list(b"\xef\xbb\xbf000021\r\n\n# mirrored\nM000021  \n", "t").unwrap();
         assert_eq!(ids, [(1, "000021".to_owned()), (4, "M000021".to_owned())]);
-        for (text, expected) in [
-            ("\n# none\n", "list.txt: found no id"),
-            ("a\n../b\n", "list.txt, line 2: found path `../b`"),
-        ] {
-            let message = parse_list(text.as_bytes(), "list.txt")
-                .unwrap_err()
-                .to_string();
-            assert!(message.starts_with(expected), "{message}");
-        }
+        let message = parse_list(b"a\n../b\n", "list.txt").unwrap_err();
+        let expected = "list.txt, line 2: found path `../b`";
+        assert!(message.to_string().starts_with(expected), "{message}");
     }
 }

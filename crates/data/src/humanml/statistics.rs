@@ -1,6 +1,6 @@
 //! Mean and deviation of each channel: read from the dataset, or taken from its training clips.
 
-use kinegrad_motion::humanml::{FeatureStatistics, Root, Skeleton};
+use kinegrad_motion::humanml::{FeatureMoments, FeatureStatistics, Root, Skeleton};
 
 use crate::files::Files;
 use crate::listing::Expected;
@@ -51,7 +51,7 @@ pub(super) fn given(
         )
         .into());
     };
-    let statistics = FeatureStatistics::new(skeleton.layout(), mean, std).map_err(|error| {
+    let statistics = FeatureStatistics::new(mean, std, root).map_err(|error| {
         FileError::unexpected(
             format!("{} and {std_file}", files.store.name_of(mean_file)),
             error.to_string(),
@@ -94,11 +94,12 @@ impl ItemSet<Clip> {
     /// Panics if there are no clips: a dataset has at least one to train on.
     pub fn statistics(&self, root: Root) -> Result<FeatureStatistics, Error> {
         let mut all: Option<FeatureMoments> = None;
-        let measure = |clip: &Clip| Ok(FeatureMoments::of(&clip.features.with_root(root)));
+        let measure = |clip: &Clip| Ok(FeatureMoments::measure(&clip.features.with_root(root)));
         self.measure(measure, |of_clip| match &mut all {
-            Some(all) => all.merge(&of_clip),
+            Some(all) => all.merge(&of_clip).expect("clips of one layout"),
             None => all = Some(of_clip),
         })?;
-        Ok(all.expect("a clip to train on").statistics())
+        let all = all.expect("a clip to train on");
+        Ok(FeatureStatistics::from_moments(&all))
     }
 }
