@@ -98,11 +98,7 @@ impl<T: Item> Met<T> {
     ///
     /// # Errors
     /// [`FileError`].
-    pub fn read(
-        origin: &dyn Origin<T>,
-        listed: &Listed,
-        number: usize,
-    ) -> Result<Self, FileError> {
+    pub fn read(origin: &dyn Origin<T>, listed: &Listed, number: usize) -> Result<Self, FileError> {
         let read = origin.read(number, &listed.id, &listed.files, "in manifest.parquet")?;
         let entry = Entry {
             id: listed.id.clone(),
@@ -194,7 +190,9 @@ impl<T: Item> Library<T> {
             &expected,
             "when the dataset was opened",
         );
-        let item = read.map_err(|cause| Error::bad::<T>(&entry.id, cause))?.item;
+        let item = read
+            .map_err(|cause| Error::bad::<T>(&entry.id, cause))?
+            .item;
         self.memory.put(entry.number, item.clone());
         Ok(item)
     }

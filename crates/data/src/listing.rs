@@ -158,7 +158,9 @@ fn list(store: &Store) -> Result<Listing, Error> {
                 listing.phrases.push(Listed {
                     id,
                     side: None,
-                    files: [left.version, right.version].map(Expected::Version).to_vec(),
+                    files: [left.version, right.version]
+                        .map(Expected::Version)
+                        .to_vec(),
                 });
             }
             (Some(left), None) => listing.only_motion.push(id_of(&left).to_owned()),

@@ -159,7 +159,11 @@ impl<T: Item> Survey<T> {
     /// # Errors
     /// As [`meet_all`](Self::meet_all); [`Error::BadItem`] for the first bad item by id, or
     /// [`Error::AllSkipped`].
-    pub fn gather(&self, config: &DataConfig, progress: OpenProgress) -> Result<Gathered<T>, Error> {
+    pub fn gather(
+        &self,
+        config: &DataConfig,
+        progress: OpenProgress,
+    ) -> Result<Gathered<T>, Error> {
         let memory = MemoryCache::new(config.cache.memory_bytes());
         let outcomes = self.meet_all(progress, |number, met| {
             if met.left_out.is_none() {
@@ -187,8 +191,7 @@ impl<T: Item> Survey<T> {
                 Err(cause) => return Err(Error::bad::<T>(&id, cause)),
             }
         }
-        if let (true, Some((id, reason))) =
-            (gathered.entries.is_empty(), gathered.skipped.first())
+        if let (true, Some((id, reason))) = (gathered.entries.is_empty(), gathered.skipped.first())
         {
             return Err(Error::AllSkipped {
                 kind: T::KIND,

@@ -261,7 +261,10 @@ impl Origin<Clip> for ClipFiles {
     }
 
     fn fingerprint(&self) -> String {
-        let embeddings = self.embeddings.as_ref().map(|table| table.digest.to_string());
+        let embeddings = self
+            .embeddings
+            .as_ref()
+            .map(|table| table.digest.to_string());
         format!("{}{}", embeddings.unwrap_or_default(), self.fingerprint)
     }
 }

@@ -177,7 +177,13 @@ fn validate_split(data: &DataConfig) -> Result<(), Error> {
         ("data.validation.patterns", patterns),
         ("data.validation.ids_file", file),
     ] {
-        require(found.is_none(), key, found.unwrap_or_default(), allowed, hint)?;
+        require(
+            found.is_none(),
+            key,
+            found.unwrap_or_default(),
+            allowed,
+            hint,
+        )?;
     }
     Ok(())
 }
@@ -206,7 +212,11 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), Error> {
             augment.min_frames.is_some(),
             "data.humanml3d.unit_frames says how long samples are",
         ),
-        ("data.augment.audio_noise", augment.audio_noise != 0.0, silent),
+        (
+            "data.augment.audio_noise",
+            augment.audio_noise != 0.0,
+            silent,
+        ),
         ("data.augment.audio_masks", augment.audio_masks != 0, silent),
         (
             "data.augment.audio_replace_prob",
@@ -218,4 +228,97 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), Error> {
         require(!set, key, found, "only the default with clips", hint)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn clips() -> DataConfig {
+        DataConfig {
+            kind: DataKind::Humanml3d,
+            source: Some("somewhere".into()),
+            ..DataConfig::default()
+        }
+    }
+
+    #[test]
+    fn the_published_settings_are_the_defaults_and_survive_a_round_trip() {
+        let text = "kind = \"humanml3d\"\nsource = \"x\"\ntarget_frames = 196\n\
+                    [humanml3d]\nroot = \"relative\"\nskeleton = \"kit\"\ncaptions = \"optional\"";
+        let config: DataConfig = toml::from_str(text).unwrap();
+        config.validate().unwrap();
+        let expected = Humanml3dConfig {
+            root: Root::Relative,
+            skeleton: SkeletonName::Kit,
+            captions: Some(CaptionRule::Optional),
+            ..Humanml3dConfig::default()
+        };
+        assert_eq!(config.humanml3d, expected);
+        assert_eq!(
+            toml::from_str::<DataConfig>(&toml::to_string(&config).unwrap()).unwrap(),
+            config
+        );
+        assert!(toml::from_str::<DataConfig>("humanml3d.roots = \"absolute\"").is_err());
+        assert_eq!(Humanml3dConfig::default().root, Root::Absolute);
+        let walks: DataConfig = toml::from_str("kind = \"synthetic_walks\"").unwrap();
+        walks.validate().unwrap();
+    }
+
+    #[test]
+    fn what_clips_cannot_have_is_refused_by_its_key() {
+        type Change = fn(&mut DataConfig);
+        let cases: [(&str, Change); 17] = [
+            ("data.source", |c| c.source = None),
+            ("data.humanml3d.unit_frames", |c| {
+                c.humanml3d.unit_frames = 0
+            }),
+            ("data.humanml3d.unit_frames", |c| c.target_frames = 4),
+            ("data.humanml3d.min_frames", |c| c.humanml3d.min_frames = 3),
+            ("data.humanml3d.max_frames", |c| c.humanml3d.max_frames = 40),
+            ("data.humanml3d.train_list", |c| {
+                c.humanml3d.train_list.clear()
+            }),
+            ("data.validation.fraction", |c| {
+                c.validation.fraction = Some(0.1)
+            }),
+            ("data.validation.patterns", |c| {
+                c.validation.patterns = vec!["M*".into()]
+            }),
+            ("data.validation.ids_file", |c| {
+                c.validation.ids_file = Some("a".into())
+            }),
+            ("data.join_neighbours", |c| c.join_neighbours = true),
+            ("data.augment.mirror", |c| c.augment.mirror = true),
+            ("data.augment.rotate_yaw", |c| c.augment.rotate_yaw = true),
+            ("data.augment.min_frames", |c| {
+                c.augment.min_frames = Some(60)
+            }),
+            ("data.augment.audio_noise", |c| c.augment.audio_noise = 0.1),
+            ("data.synthetic.frames", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.synthetic.frames = 30;
+            }),
+            ("data.synthetic.frames", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.synthetic.frames = 200;
+            }),
+            ("data.humanml3d.skeleton", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.humanml3d.skeleton = SkeletonName::Kit;
+            }),
+        ];
+        clips().validate().unwrap();
+        for (expected, change) in cases {
+            let mut config = clips();
+            if expected == "data.humanml3d.unit_frames" {
+                config.humanml3d.unit_frames = 8;
+            }
+            change(&mut config);
+            match config.validate() {
+                Err(Error::Config { key, .. }) => assert_eq!(key, expected),
+                other => panic!("{expected}: {other:?}"),
+            }
+        }
+    }
 }

@@ -262,3 +262,7 @@ impl ClipDataset {
         self.counters.report()
     }
 }
+
+#[cfg(test)]
+#[path = "dataset_tests.rs"]
+mod tests;

@@ -74,7 +74,10 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
     let values: Vec<f32> = match tensor.dtype() {
         Dtype::F32 => {
             let (numbers, _) = tensor.data().as_chunks();
-            numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()
+            numbers
+                .iter()
+                .map(|&bytes| f32::from_le_bytes(bytes))
+                .collect()
         }
         Dtype::F16 => {
             let (numbers, _) = tensor.data().as_chunks();

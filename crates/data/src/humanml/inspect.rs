@@ -273,3 +273,84 @@ impl Group {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DataKind;
+    use crate::humanml::{walk, write_features, write_walks};
+    use kinegrad_motion::humanml::Root;
+    use std::fs;
+
+    #[test]
+    fn clips_are_counted_and_what_is_wrong_is_listed() {
+        let folder = tempfile::tempdir().unwrap();
+        write_walks(folder.path(), 12, 80, 4).unwrap();
+        let features = |index: usize| {
+            folder
+                .path()
+                .join(format!("new_joint_vecs/walk_{index:05}.npy"))
+        };
+        fs::write(features(1), b"no array").unwrap();
+        write_features(&features(2), &walk(2, 30, 4).features).unwrap();
+        let layout = walk(0, 80, 4).features.layout();
+        let flat = Features::new(vec![0.25; 50 * 263], layout, Root::Relative).unwrap();
+        write_features(&features(3), &flat).unwrap();
+        let config = DataConfig {
+            kind: DataKind::Humanml3d,
+            source: Some(folder.path().display().to_string()),
+            ..DataConfig::default()
+        };
+        let found = inspect_clips(&config).unwrap();
+        assert_eq!((found.clips, found.bad_clips, found.left_out), (10, 1, 1));
+        assert_eq!(found.train + found.validation, 10);
+        assert_eq!(
+            (found.frames, found.shortest_frames, found.longest_frames),
+            (770, 50, 80)
+        );
+        assert!((found.hours - 770.0 / 72_000.0).abs() < 1e-12);
+        assert!(found.conditional && found.captions >= 20 && found.channels == 263);
+        assert_eq!(found.clips_without_captions, 0);
+        let problems: Vec<_> = (found.problems.iter())
+            .map(|p| (p.id.as_str(), p.unusable))
+            .collect();
+        assert_eq!(
+            problems,
+            [("walk_00001", true), ("walk_00003", false)],
+            "{found:?}"
+        );
+        assert!(
+            found.problems[1]
+                .problem
+                .contains("joint rotations are none in frame 0")
+        );
+        assert!(found.warnings[0].contains("clip `walk_00002`: too short: 30 frames"));
+    }
+
+    #[test]
+    fn groups_are_summed_up_over_all_clips() {
+        let mut config = DataConfig {
+            kind: DataKind::SyntheticWalks,
+            ..DataConfig::default()
+        };
+        config.synthetic.phrases = 4;
+        config.synthetic.frames = 50;
+        let found = inspect_clips(&config).unwrap();
+        assert_eq!((found.clips, found.frames), (4, 200));
+        let clips: Vec<_> = (0..4).map(|index| walk(index, 50, 0)).collect();
+        let heights: Vec<f64> = (clips.iter())
+            .flat_map(|clip| (0..50).map(|t| f64::from(clip.features.frame(t)[3])))
+            .collect();
+        let mean = heights.iter().sum::<f64>() / 200.0;
+        let square = heights
+            .iter()
+            .map(|value| (value - mean).powi(2))
+            .sum::<f64>();
+        let height = &found.groups[2];
+        assert_eq!(height.name, "root height");
+        assert!((height.mean - mean).abs() < 1e-12);
+        assert!((height.std - (square / 200.0).sqrt()).abs() < 1e-12);
+        assert_eq!(height.max, heights.iter().copied().fold(f64::MIN, f64::max));
+        assert!(found.problems.is_empty(), "{:?}", found.problems);
+    }
+}

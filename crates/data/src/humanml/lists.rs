@@ -96,13 +96,13 @@ fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileErro
     let lines = (1..).zip(lines);
     let ids = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
     ids.map(|(number, id)| match check_id(id) {
-            Ok(()) => Ok((number, id.to_owned())),
-            Err(reason) => Err(FileError::unexpected(
-                format!("{file}, line {number}"),
-                reason.to_string(),
-                "the id of a clip",
-                hint,
-            )),
+        Ok(()) => Ok((number, id.to_owned())),
+        Err(reason) => Err(FileError::unexpected(
+            format!("{file}, line {number}"),
+            reason.to_string(),
+            "the id of a clip",
+            hint,
+        )),
     })
     .collect()
 }

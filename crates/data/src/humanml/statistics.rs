@@ -35,7 +35,10 @@ pub(super) fn given(
     skeleton: &Skeleton,
 ) -> Result<Option<Given>, Error> {
     let [mean_file, std_file] = names(root);
-    let (mean, std) = (read(files, mean_file, skeleton)?, read(files, std_file, skeleton)?);
+    let (mean, std) = (
+        read(files, mean_file, skeleton)?,
+        read(files, std_file, skeleton)?,
+    );
     let (there, missing) = match (&mean, &std) {
         (None, None) => return Ok(None),
         (Some(_), Some(_)) => ("", ""),

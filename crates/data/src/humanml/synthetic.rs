@@ -4,7 +4,6 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::sync::Arc;
 
 use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
@@ -44,7 +43,11 @@ pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     // Every row of features is of a frame and the next.
     let joints = walk::joints(&plan.course(), &skeleton, frames + 1);
     let joints = Joints::new(joints, skeleton.joints()).expect("whole finite frames");
-    let features = Extraction::default().features(&skeleton, &joints);
+    let extraction = Extraction {
+        rescale: false,
+        ..Extraction::default()
+    };
+    let features = extraction.features(&skeleton, &joints);
     Clip {
         id: synthetic_id(index),
         features: features.expect("joints of the skeleton"),
@@ -310,4 +313,66 @@ fn line(caption: &Caption) -> String {
     let tokens: Vec<String> = tokens.collect();
     let (from, to) = caption.seconds.unwrap_or_default();
     format!("{}#{}#{from:?}#{to:?}\n", caption.text, tokens.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn walks_differ_by_number_and_by_seed_and_by_nothing_else() {
+        let one = walk(0, 60, 0);
+        assert_eq!(one, walk(0, 60, 0));
+        assert_eq!((one.id.as_str(), one.features.frames()), ("walk_00000", 60));
+        for other in [walk(1, 60, 0), walk(0, 60, 1)] {
+            assert_ne!(one.features, other.features);
+        }
+    }
+
+    #[test]
+    fn captions_say_where_and_how_fast_the_walk_goes() {
+        let mut said = BTreeSet::new();
+        for index in 0..60 {
+            let clip = walk(index, 120, 2);
+            let absolute = clip.features.to_absolute();
+            let positions = absolute.root_positions();
+            let steps = positions
+                .windows(2)
+                .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
+            let speed = steps.sum::<f64>() * 20.0 / 119.0;
+            let text = &clip.captions[0].text;
+            let pace = match text {
+                _ if text.contains("slowly") => 0.57..0.9,
+                _ if text.contains("fast") => 1.2..1.65,
+                _ => 0.9..1.26,
+            };
+            assert!(pace.contains(&speed), "{text}: {speed}");
+            // The stored angle is half the yaw with the other sign; to the left is positive.
+            let yaw = -2.0 * f64::from(absolute.frame(119)[0]);
+            let last = positions[119];
+            match text {
+                _ if text.contains("forward") => {
+                    assert!(last[2] > 3.0 && last[0].abs() < 0.6, "{text}: {last:?}");
+                }
+                _ if text.contains("turns left") => assert!(last[0] > 0.8, "{text}: {last:?}"),
+                _ if text.contains("turns right") => assert!(last[0] < -0.8, "{text}: {last:?}"),
+                _ if text.contains("to the left") => assert!(yaw > 2.0, "{text}: {yaw}"),
+                _ if text.contains("to the right") => assert!(yaw < -2.0, "{text}: {yaw}"),
+                _ => assert!(text.contains("winding"), "{text}"),
+            }
+            for caption in &clip.captions {
+                let frames = caption.frames(120, 20.0);
+                assert!(frames.len() >= 40, "{caption:?}");
+                let embedding = caption.embedding.as_deref().unwrap();
+                let square: f32 = embedding.iter().map(|value| value * value).sum();
+                assert!((square - 1.0).abs() < 1e-5 && embedding.len() == EMBEDDING_CHANNELS);
+                said.insert(caption.text.clone());
+            }
+        }
+        assert!(said.len() > 25, "{said:?}");
+        let said = |text: &str| caption(text.to_owned(), None).embedding;
+        assert_eq!(said("a"), said("a"));
+        assert_ne!(said("a"), said("b"));
+    }
 }

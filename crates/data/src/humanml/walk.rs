@@ -37,7 +37,7 @@ impl Path {
     fn new(course: &Course, seconds: f64) -> Self {
         let start = -MARGIN_SECONDS;
         let count = ((seconds + 2.0 * MARGIN_SECONDS) * TABLE_RATE).ceil() as usize;
-        let mut state = [0.0; 4];
+        let mut state = [0.0_f64; 4];
         let steps = (0..=count).map(|i| {
             let here = state;
             let time = start + i as f64 / TABLE_RATE;
@@ -138,8 +138,7 @@ impl<'a> Walker<'a> {
             place(shoulder, collar, self.offsets[shoulder]);
             // An arm swings with the leg of the other side.
             let swing = -side * self.arm_swing * (std::f64::consts::TAU * phase).cos();
-            for (joint, parent, angle) in [(elbow, shoulder, swing), (wrist, elbow, swing + 0.35)]
-            {
+            for (joint, parent, angle) in [(elbow, shoulder, swing), (wrist, elbow, swing + 0.35)] {
                 let hanging = [0.1 * side, -angle.cos(), angle.sin()];
                 let bone = length(self.offsets[joint]) / length(hanging);
                 place(joint, parent, hanging.map(|value| value * bone));
@@ -216,4 +215,75 @@ fn turned([x, y, z]: Point, yaw: f64) -> Point {
 fn pitched([x, y, z]: Point, angle: f64) -> Point {
     let (sin, cos) = angle.sin_cos();
     [x, cos * y - sin * z, cos * z + sin * y]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn course(speed: f64, turning: f64) -> Course {
+        Course {
+            speed: Box::new(move |_| speed),
+            turning: Box::new(move |_| turning),
+        }
+    }
+
+    fn distance(a: Point, b: Point) -> f64 {
+        length(std::array::from_fn(|i| a[i] - b[i]))
+    }
+
+    #[test]
+    fn bones_keep_their_lengths_and_feet_stay_where_they_are_set() {
+        let skeleton = Skeleton::humanml3d();
+        let offsets = &skeleton.description().rest_offsets;
+        for (speed, turning) in [(0.6, 0.0), (1.1, 0.9), (1.6, -0.6)] {
+            let joints = joints(&course(speed, turning), &skeleton, 160);
+            let frames: Vec<&[Point]> = joints.chunks(22).collect();
+            for frame in &frames {
+                for (joint, parent) in skeleton.parents().iter().enumerate() {
+                    let Some(parent) = *parent else { continue };
+                    let found = distance(frame[joint], frame[parent]);
+                    let expected = length(offsets[joint]);
+                    assert!(
+                        (found - expected).abs() < 1e-9,
+                        "{joint}: {found} {expected}"
+                    );
+                }
+                assert!((0.75..1.0).contains(&frame[0][1]), "{}", frame[0][1]);
+            }
+            for ankle in [7, 8] {
+                let steps = frames
+                    .windows(2)
+                    .map(|pair| distance(pair[0][ankle], pair[1][ankle]));
+                let still = steps.filter(|step| *step < 0.01).count();
+                let share = still as f64 / 159.0;
+                assert!((0.5..0.65).contains(&share), "{speed} {turning}: {share}");
+                let height = |frame: &&[Point]| frame[ankle][1];
+                let lowest = frames.iter().map(height).fold(f64::INFINITY, f64::min);
+                assert!((lowest - ANKLE_HEIGHT).abs() < 0.01, "{lowest}");
+            }
+            let one_stands = frames.windows(2).filter(|pair| {
+                [7, 8]
+                    .iter()
+                    .any(|&ankle| distance(pair[0][ankle], pair[1][ankle]) < 0.01)
+            });
+            assert!(one_stands.count() > 155);
+        }
+    }
+
+    #[test]
+    fn the_pelvis_goes_where_the_course_leads() {
+        let skeleton = Skeleton::humanml3d();
+        let straight = joints(&course(1.0, 0.0), &skeleton, 41);
+        let (first, last) = (straight[0], straight[40 * 22]);
+        assert!((last[2] - first[2] - 2.0).abs() < 0.02 && (last[0] - first[0]).abs() < 1e-9);
+        // Half a circle of radius 2 / pi to the left.
+        let turning = std::f64::consts::FRAC_PI_2;
+        let half = joints(&course(1.0, turning), &skeleton, 41);
+        let diameter = distance(half[0], half[40 * 22]);
+        assert!(
+            (diameter - 4.0 / std::f64::consts::PI).abs() < 0.03,
+            "{diameter}"
+        );
+    }
 }
