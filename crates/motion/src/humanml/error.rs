@@ -65,6 +65,13 @@ pub enum FeatureError {
         needed: usize,
     },
 
+    /// A clip shows no scale.
+    #[error("the legs have no length in the first frame")]
+    #[diagnostic(help(
+        "check `leg_joints` of the skeleton, or leave the clip's bones as they are"
+    ))]
+    NoLegs,
+
     /// A value is NaN or infinite.
     #[error("`{what}` are not finite in frame {frame} (counted from 0), {entry}")]
     #[diagnostic(help("repair or leave out this clip: one such value spoils all that follows"))]

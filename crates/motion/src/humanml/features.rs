@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::kinematics::{forward_kinematics, from_columns};
 use super::{FeatureError, FeatureLayout, Joints, Root, Skeleton};
 use crate::Quaternion;
 
@@ -159,6 +160,26 @@ impl Features {
             }));
         }
         Joints::computed(places, count)
+    }
+
+    /// The joints by their rotations in the features, `[frames, J, 3]`: forward kinematics with the
+    /// bones of the skeleton's reference pose, from the root's place, the root turned by the root
+    /// quaternion itself.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`;
+    /// [`FeatureError::NonFinite`] if the way is so far that it overflows.
+    pub fn joints_from_rotations(&self, skeleton: &Skeleton) -> Result<Joints, FeatureError> {
+        skeleton.accept_layout(self.layout)?;
+        let mut rotations = Vec::with_capacity(self.frames() * self.layout.joints());
+        for (t, root) in self.root_quaternions().into_iter().enumerate() {
+            rotations.push(root);
+            let (columns, _) = self.frame(t)[self.layout.rotations()].as_chunks::<6>();
+            let each = columns.iter().map(|six| from_columns(six.map(f64::from)));
+            rotations.extend(each);
+        }
+        let roots = self.root_positions();
+        forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
     }
 
     /// The features of the clip reflected at the plane x = 0, left for right; exactly those that

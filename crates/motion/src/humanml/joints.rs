@@ -80,14 +80,11 @@ impl Joints {
         values.map(|value| *value as f32).collect()
     }
 
-    /// Every position changed by `change`, which gets the frame's number and the position.
+    /// Every position changed by `change`.
     #[must_use]
-    pub(super) fn map(&self, change: impl Fn(usize, [f64; 3]) -> [f64; 3]) -> Self {
-        let places = self.values.iter().enumerate();
+    pub(super) fn map(&self, change: impl Fn([f64; 3]) -> [f64; 3]) -> Self {
         Self {
-            values: places
-                .map(|(index, place)| change(index / self.joints, *place))
-                .collect(),
+            values: self.values.iter().copied().map(change).collect(),
             joints: self.joints,
         }
     }

@@ -9,16 +9,22 @@
 
 mod builtin;
 mod error;
+pub mod extract;
 mod features;
 mod joints;
+pub mod kinematics;
 mod layout;
 mod root;
 mod skeleton;
+mod statistics;
 mod validate;
 
 pub use error::FeatureError;
+pub use extract::Extraction;
 pub use features::Features;
 pub use joints::Joints;
+pub use kinematics::Heading;
 pub use layout::{FeatureChannel, FeatureLayout};
 pub use root::Root;
 pub use skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};
+pub use statistics::{FeatureMoments, FeatureStatistics};
