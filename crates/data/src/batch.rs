@@ -1,4 +1,4 @@
-//! A batch: normalised motion, audio features and a mask, as flat host arrays.
+//! A batch: normalised motion, what it is conditioned on and a mask, as flat host arrays.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -10,65 +10,135 @@ use crate::Phrase;
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 
 /// Samples of one length. Flat arrays in row-major order.
+///
+/// | of | `channels` | `cond_channels` | `cond_frames` |
+/// |---|---|---|---|
+/// | phrases | 25 | 163, the audio features | `frames` |
+/// | clips of HumanML3D | those asked for, of 263 | 512, the embedding of a caption | 1 |
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// Normalised motion, `[batch_size, 25, frames]`; padding is zero.
+    /// Normalised motion, `[batch_size, channels, frames]`; padding is zero.
     pub x_start: Vec<f32>,
-    /// Audio features as stored, `[batch_size, 163, frames]`; padding is zero.
+    /// What each sample is conditioned on, as stored, `[batch_size, cond_channels, cond_frames]`;
+    /// padding is zero, and so is all of it where there is no condition.
     pub cond: Vec<f32>,
     /// 1 in a valid frame, 0 in padding, `[batch_size, frames]`.
     pub mask: Vec<f32>,
-    /// Id of each sample's phrase, `[batch_size]`.
+    /// Id of each sample's phrase or clip, `[batch_size]`.
     pub ids: Vec<String>,
     /// Number of samples.
     pub batch_size: usize,
+    /// Channels of the motion.
+    pub channels: usize,
     /// Frames of each sample, padding included.
     pub frames: usize,
+    /// Channels of the condition.
+    pub cond_channels: usize,
+    /// Frames of the condition: those of the sample, or 1 where it holds for all of them.
+    pub cond_frames: usize,
+}
+
+/// The shape of a batch's samples.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shape {
+    pub channels: usize,
+    pub frames: usize,
+    pub cond_channels: usize,
+    pub cond_frames: usize,
+}
+
+impl Shape {
+    /// That of phrases.
+    pub fn of_phrases(frames: usize) -> Self {
+        Self {
+            channels: CHANNELS,
+            frames,
+            cond_channels: AUDIO_CHANNELS,
+            cond_frames: frames,
+        }
+    }
 }
 
 impl Batch {
-    /// An empty batch that takes samples of `frames` frames.
-    pub(crate) fn with_capacity(batch_size: usize, frames: usize) -> Self {
+    /// An empty batch that takes samples of this `shape`.
+    pub(crate) fn with_capacity(batch_size: usize, shape: Shape) -> Self {
+        let Shape {
+            channels,
+            frames,
+            cond_channels,
+            cond_frames,
+        } = shape;
         Self {
-            x_start: Vec::with_capacity(batch_size * CHANNELS * frames),
-            cond: Vec::with_capacity(batch_size * AUDIO_CHANNELS * frames),
+            x_start: Vec::with_capacity(batch_size * channels * frames),
+            cond: Vec::with_capacity(batch_size * cond_channels * cond_frames),
             mask: Vec::with_capacity(batch_size * frames),
             ids: Vec::with_capacity(batch_size),
             batch_size: 0,
+            channels,
             frames,
+            cond_channels,
+            cond_frames,
         }
     }
 
-    /// Adds a sample, normalised and padded. Both windows have the same length, at most that of
-    /// the batch.
-    pub(crate) fn push(
+    /// Adds a sample of `frames` frames, at most those of the batch: a row for each channel of the
+    /// motion, normalised, and one for each of the condition. What the rows lack is padding.
+    pub(crate) fn push<M, C>(
+        &mut self,
+        id: &str,
+        frames: usize,
+        motion: impl Iterator<Item = M>,
+        cond: impl Iterator<Item = C>,
+    ) where
+        M: IntoIterator<Item = f32>,
+        C: IntoIterator<Item = f32>,
+    {
+        push_rows(&mut self.x_start, motion, self.frames);
+        push_rows(&mut self.cond, cond, self.cond_frames);
+        let end = self.mask.len() + self.frames;
+        self.mask.resize(self.mask.len() + frames, 1.0);
+        self.mask.resize(end, 0.0);
+        self.ids.push(id.to_owned());
+        self.batch_size += 1;
+        debug_assert_eq!(
+            (self.x_start.len(), self.cond.len()),
+            (
+                self.batch_size * self.channels * self.frames,
+                self.batch_size * self.cond_channels * self.cond_frames
+            )
+        );
+    }
+
+    /// Adds a sample of a phrase. Both windows have the same length.
+    pub(crate) fn push_phrase(
         &mut self,
         id: &str,
         motion: Window<Motion>,
         audio: Window<AudioFeatures>,
         statistics: &TrainingStatistics,
     ) {
-        let padding = self.frames - motion.frames.len();
-        for channel in 0..CHANNELS {
-            let range = motion.frames.clone();
-            let row = statistics.normalize_channel(&motion.of, channel, range);
-            self.x_start.extend(row);
-            pad(&mut self.x_start, padding);
-        }
-        for channel in 0..AUDIO_CHANNELS {
+        let rows = (0..CHANNELS).map(|channel| {
+            statistics.normalize_channel(&motion.of, channel, motion.frames.clone())
+        });
+        let heard = (0..AUDIO_CHANNELS).map(|channel| {
             let row = &audio.of.channel(channel)[audio.frames.clone()];
-            self.cond.extend_from_slice(row);
-            pad(&mut self.cond, padding);
-        }
-        self.mask.resize(self.mask.len() + motion.frames.len(), 1.0);
-        pad(&mut self.mask, padding);
-        self.ids.push(id.to_owned());
-        self.batch_size += 1;
+            row.iter().copied()
+        });
+        self.push(id, motion.frames.len(), rows, heard);
     }
 }
 
-fn pad(row: &mut Vec<f32>, padding: usize) {
-    row.resize(row.len() + padding, 0.0);
+/// Appends `rows`, each padded to `length`.
+fn push_rows<R: IntoIterator<Item = f32>>(
+    values: &mut Vec<f32>,
+    rows: impl Iterator<Item = R>,
+    length: usize,
+) {
+    for row in rows {
+        let end = values.len() + length;
+        values.extend(row);
+        values.resize(end, 0.0);
+    }
 }
 
 /// Some frames of motion or audio, which is copied only where it was changed.
@@ -87,7 +157,7 @@ pub fn collate_validation(
     statistics: &TrainingStatistics,
     target_frames: usize,
 ) -> Batch {
-    let mut batch = Batch::with_capacity(phrases.len(), target_frames);
+    let mut batch = Batch::with_capacity(phrases.len(), Shape::of_phrases(target_frames));
     for phrase in phrases {
         let frames = 0..phrase.frames().min(target_frames);
         let motion = Window {
@@ -98,7 +168,7 @@ pub fn collate_validation(
             of: Cow::Borrowed(&phrase.audio),
             frames,
         };
-        batch.push(&phrase.id, motion, audio, statistics);
+        batch.push_phrase(&phrase.id, motion, audio, statistics);
     }
     batch
 }
@@ -118,6 +188,8 @@ mod tests {
             TrainingStatistics::compute(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
         let batch = collate_validation(&phrases, &statistics, 7);
         assert_eq!((batch.batch_size, batch.frames), (2, 7));
+        let condition = (batch.cond_channels, batch.cond_frames);
+        assert_eq!((batch.channels, condition), (25, (163, 7)));
         assert_eq!(batch.ids, ["synthetic_00009", "synthetic_00005"]);
         assert_eq!(batch.mask[..7], [1.0; 7]);
         assert_eq!(batch.mask[7..], [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0]);

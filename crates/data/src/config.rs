@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::location::Location;
+use crate::{Error, Humanml3dConfig};
 
 /// Fewest frames a sample may have: the third difference of the jerk check needs four.
 pub const MIN_FRAMES: usize = 4;
@@ -20,10 +20,10 @@ pub struct DataConfig {
     pub kind: DataKind,
     /// Where the dataset lies: a folder as a path or `file://` URI, a bucket as `gs://BUCKET/PREFIX`
     /// or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`. Needed for
-    /// `kind = "phrases"`.
+    /// `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Frames of a sample (30 a second). Longer phrases are cropped, shorter ones padded and masked.
+    /// Frames of a sample (30 a second; 20 in HumanML3D, where 196 are usual). Longer phrases are cropped, shorter ones padded and masked.
     pub target_frames: usize,
     /// Which part of a longer phrase a sample takes.
     pub crop: Crop,
@@ -48,8 +48,10 @@ pub struct DataConfig {
     pub cache: CacheConfig,
     /// How buckets and web servers are spoken to.
     pub store: StoreConfig,
-    /// The made-up phrases of `kind = "synthetic"`.
+    /// The made-up phrases of `kind = "synthetic"` and walks of `kind = "synthetic_walks"`.
     pub synthetic: SyntheticConfig,
+    /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+    pub humanml3d: Humanml3dConfig,
 }
 
 impl Default for DataConfig {
@@ -69,6 +71,7 @@ impl Default for DataConfig {
             cache: CacheConfig::default(),
             store: StoreConfig::default(),
             synthetic: SyntheticConfig::default(),
+            humanml3d: Humanml3dConfig::default(),
         }
     }
 }
@@ -81,6 +84,22 @@ pub enum DataKind {
     Phrases,
     /// [Synthetic phrases](crate::synthetic), no files needed.
     Synthetic,
+    /// [Clips](crate::humanml) in the layout of HumanML3D, read from [`DataConfig::source`].
+    Humanml3d,
+    /// [Synthetic walks](crate::humanml::walk), clips without files.
+    SyntheticWalks,
+}
+
+impl DataKind {
+    /// Its name in a config.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Phrases => "phrases",
+            Self::Synthetic => "synthetic",
+            Self::Humanml3d => "humanml3d",
+            Self::SyntheticWalks => "synthetic_walks",
+        }
+    }
 }
 
 /// Which `target_frames` of a longer phrase a training sample takes.
@@ -247,7 +266,7 @@ impl Default for SyntheticConfig {
 }
 
 /// An [`Error::Config`] unless `holds`.
-fn require(
+pub(crate) fn require(
     holds: bool,
     key: &'static str,
     found: impl ToString,
@@ -304,6 +323,14 @@ impl DataConfig {
         match self.kind {
             DataKind::Phrases => self.validate_source()?,
             DataKind::Synthetic => self.synthetic.validate()?,
+            DataKind::Humanml3d => {
+                self.validate_source()?;
+                self.humanml3d.validate(self)?;
+            }
+            DataKind::SyntheticWalks => {
+                self.synthetic.validate()?;
+                self.humanml3d.validate(self)?;
+            }
         }
         self.validation.validate()?;
         self.cache.validate()?;
@@ -313,7 +340,7 @@ impl DataConfig {
 
     fn validate_source(&self) -> Result<(), Error> {
         let hint = "name a folder: data.source = \"PATH\", or --set data.source=PATH; \
-                    data.kind = \"synthetic\" needs none";
+                    data.kind = \"synthetic\" and \"synthetic_walks\" need none";
         let Some(source) = &self.source else {
             return require(
                 false,

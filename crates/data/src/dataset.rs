@@ -2,13 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::cache::MemoryCache;
-use crate::library::{Entry, Library};
 use crate::split::Split;
 use crate::survey::{OpenProgress, Survey};
-use crate::{
-    Counters, DataConfig, DataKind, Digest, Error, LoaderReport, OnBadPhrase, Phrase, PhraseSet,
-};
+use crate::{Counters, DataConfig, DataKind, Digest, Error, LoaderReport, Phrase, PhraseSet};
 
 /// The phrases of a dataset, sorted by id within each side of the split.
 #[derive(Clone, Debug)]
@@ -37,7 +33,7 @@ impl Dataset {
     /// [`Error::Config`], [`Error::Scheme`] and [`Error::Feature`] for settings that cannot be
     /// followed; [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Manifest`],
     /// [`Error::Store`], [`Error::Io`] for a dataset that is not there or cannot be reached;
-    /// [`Error::BadPhrase`] for the first bad phrase by id, or [`Error::AllSkipped`];
+    /// [`Error::BadItem`] for the first bad phrase by id, or [`Error::AllSkipped`];
     /// [`Error::EmptyTrainSplit`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_with_progress(config, &|_, _| {})
@@ -50,57 +46,23 @@ impl Dataset {
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
         let split = Split::new(&config.validation)?;
-        let survey = Survey::new(config)?;
-        let memory = MemoryCache::new(config.cache.memory_bytes());
-        let outcomes = survey.meet_all(progress, |number, met| {
-            memory.put(number, met.phrase);
-            (met.entry, met.note)
-        })?;
-        let ids: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
-        let mut warnings = survey.warnings;
-        warnings.extend(split.idle_entries(&ids));
-        let mut entries: Vec<Entry> = Vec::with_capacity(outcomes.len());
-        let mut skipped = Vec::new();
-        for (id, outcome) in outcomes {
-            match outcome {
-                Ok((entry, note)) => {
-                    warnings.extend(note.map(|note| format!("phrase `{id}`: {note}")));
-                    entries.push(entry);
-                }
-                Err(cause) if config.on_bad_phrase == OnBadPhrase::Skip => {
-                    skipped.push((id, cause.to_string()));
-                }
-                Err(cause) => {
-                    return Err(Error::BadPhrase {
-                        id,
-                        cause: Box::new(cause),
-                    });
-                }
-            }
-        }
-        if let (true, Some((id, reason))) = (entries.is_empty(), skipped.first()) {
-            let first = format!("phrase `{id}`: {reason}");
-            return Err(Error::AllSkipped {
-                skipped: skipped.len(),
-                first,
-            });
-        }
-        let (validation, train): (Vec<usize>, Vec<usize>) = (0..entries.len())
-            .partition(|&index| split.holds_out(&entries[index].id, entries[index].side));
-        if train.is_empty() {
-            return Err(Error::EmptyTrainSplit {
-                phrases: validation.len(),
-            });
-        }
-        let counters = survey.counters;
-        let library = Library::new(survey.origin, entries, memory, counters.clone());
-        let library = Arc::new(library);
+        let mut survey = Survey::phrases(config)?;
+        let ids: Vec<&str> = survey.listed.iter().map(|item| item.id.as_str()).collect();
+        let idle = split.idle_entries(&ids);
+        let mut warnings = std::mem::take(&mut survey.warnings);
+        warnings.extend(idle);
+        let mut gathered = survey.gather(config, progress)?;
+        let note = |(id, note): (String, String)| format!("phrase `{id}`: {note}");
+        warnings.extend(std::mem::take(&mut gathered.notes).into_iter().map(note));
+        let skipped = std::mem::take(&mut gathered.skipped);
+        let counters = survey.counters.clone();
+        let sides = survey.split(gathered, |entry| split.holds_out(&entry.id, entry.side))?;
         Ok(Self {
-            digest: library.digest(&validation),
-            train: PhraseSet::new(library.clone(), train),
-            validation: PhraseSet::new(library, validation),
+            train: sides.train,
+            validation: sides.validation,
             skipped,
             warnings,
+            digest: sides.digest,
             counters,
         })
     }
@@ -122,12 +84,10 @@ impl Dataset {
     /// # Errors
     /// As [`PhraseSet::get`].
     pub fn find(&self, id: &str) -> Result<Option<Arc<Phrase>>, Error> {
-        for side in [&self.train, &self.validation] {
-            if let Some(position) = side.ids().position(|found| found == id) {
-                return side.get(position).map(Some);
-            }
+        match self.train.find(id)? {
+            None => self.validation.find(id),
+            found => Ok(found),
         }
-        Ok(None)
     }
 
     /// What reading has cost since the dataset was opened.
@@ -139,6 +99,7 @@ impl Dataset {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::OnBadPhrase;
     use crate::{features_path, motion_path, synthetic};
     use std::fs;
     use std::path::Path;
@@ -218,7 +179,7 @@ mod tests {
         config.on_bad_phrase = OnBadPhrase::Skip;
         let error = Dataset::open(&config).unwrap_err();
         assert!(
-            matches!(error, Error::EmptyTrainSplit { phrases: 3 }),
+            matches!(error, Error::EmptyTrainSplit { items: 3, .. }),
             "{error}"
         );
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use miette::Diagnostic;
 use thiserror::Error;
 
-use crate::StoreError;
+use crate::{DataKind, Item, StoreError};
 
 /// Why one array file could not be used. `file` is its path, followed by `:member` inside an
 /// archive.
@@ -101,6 +101,19 @@ pub enum FileError {
         found: usize,
         /// The frames of `mel`.
         frames: usize,
+    },
+    /// Something in a file of a HumanML3D dataset is not as its layout asks.
+    #[error("{file}: found {found}, expected {expected}")]
+    #[diagnostic(help("{hint}"))]
+    Unexpected {
+        /// The file, and the line or array in it.
+        file: String,
+        /// What stands there.
+        found: String,
+        /// What should.
+        expected: String,
+        /// What to do.
+        hint: String,
     },
     /// The store could not give the file.
     #[error(transparent)]
@@ -210,30 +223,50 @@ pub enum Error {
         /// Ids that have audio features alone.
         only_audio: usize,
     },
-    /// Every phrase was bad and skipped.
-    #[error("data.on_bad_phrase = \"skip\" left none of {skipped} phrases; the first: {first}")]
-    #[diagnostic(help("`kinegrad data inspect` lists what is wrong with each phrase"))]
+    /// Every phrase or clip was bad and skipped.
+    #[error("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s; the first: {first}")]
+    #[diagnostic(help("`kinegrad data inspect` lists what is wrong with each {kind}"))]
     AllSkipped {
+        /// `phrase` or `clip`.
+        kind: &'static str,
         /// How many were skipped.
         skipped: usize,
         /// What was wrong with the first.
         first: String,
     },
-    /// Nothing is left to train on.
-    #[error("no training phrase: all {phrases} phrases are held out for validation")]
-    #[diagnostic(help("lower data.validation.fraction or list fewer data.validation.patterns"))]
-    EmptyTrainSplit {
-        /// Phrases in the dataset.
-        phrases: usize,
-    },
-    /// A phrase is bad and `data.on_bad_phrase` is `error`.
-    #[error("phrase `{id}`: {cause}")]
+    /// No clip has a length that is trained on.
+    #[error("all {clips} clips are left out; the first: {first}")]
     #[diagnostic(help(
-        "repair or remove the phrase, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
+        "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are trained on"
+    ))]
+    NoClipOfLength {
+        /// How many there are.
+        clips: usize,
+        /// Why the first is left out.
+        first: String,
+    },
+    /// Nothing is left to train on.
+    #[error("no training {kind}: all {items} {kind}s are held out for validation")]
+    #[diagnostic(help(
+        "lower data.validation.fraction, list fewer data.validation.patterns, or for HumanML3D \
+         name another data.humanml3d.train_list"
+    ))]
+    EmptyTrainSplit {
+        /// `phrase` or `clip`.
+        kind: &'static str,
+        /// Phrases or clips in the dataset.
+        items: usize,
+    },
+    /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
+    #[error("{kind} `{id}`: {cause}")]
+    #[diagnostic(help(
+        "repair or remove the {kind}, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
          inspect` lists every problem"
     ))]
-    BadPhrase {
-        /// The phrase.
+    BadItem {
+        /// `phrase` or `clip`.
+        kind: &'static str,
+        /// Its id.
         id: String,
         /// What is wrong with it. Not a `source`, as the message holds it already.
         cause: Box<FileError>,
@@ -262,6 +295,23 @@ pub enum Error {
     },
 }
 
+impl FileError {
+    /// A [`FileError::Unexpected`].
+    pub(crate) fn unexpected(
+        file: impl Into<String>,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Unexpected {
+            file: file.into(),
+            found: found.into(),
+            expected: expected.into(),
+            hint: hint.into(),
+        }
+    }
+}
+
 impl Error {
     /// Whether the surroundings failed (a network, a disk) and not what was given.
     pub fn is_failure(&self) -> bool {
@@ -269,10 +319,29 @@ impl Error {
         match self {
             Self::Io { .. } => true,
             Self::Store(error) => failed(error),
-            Self::BadPhrase { cause, .. } => {
+            Self::BadItem { cause, .. } => {
                 matches!(&**cause, FileError::Store(error) if failed(error))
             }
             _ => false,
+        }
+    }
+
+    /// The [`Error::BadItem`] of `id`.
+    pub(crate) fn bad<T: Item>(id: &str, cause: FileError) -> Self {
+        Self::BadItem {
+            kind: T::KIND,
+            id: id.to_owned(),
+            cause: Box::new(cause),
+        }
+    }
+
+    /// An [`Error::Config`] of `data.kind`.
+    pub(crate) fn wrong_kind(kind: DataKind, allowed: &str, hint: &str) -> Self {
+        Self::Config {
+            key: "data.kind",
+            found: format!("\"{}\"", kind.as_str()),
+            allowed: allowed.to_owned(),
+            hint: hint.to_owned(),
         }
     }
 

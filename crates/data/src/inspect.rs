@@ -70,8 +70,8 @@ pub struct Problem {
 pub fn inspect(config: &DataConfig) -> Result<Inspection, Error> {
     config.validate()?;
     let split = Split::new(&config.validation)?;
-    let survey = Survey::new(config)?;
-    let outcomes = survey.meet_all(&|_, _| {}, |_, met| (met.entry.side, met.phrase, met.note))?;
+    let survey = Survey::phrases(config)?;
+    let outcomes = survey.meet_all(&|_, _| {}, |_, met| (met.entry.side, met.item, met.note))?;
     let listed: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
     let mut warnings = survey.warnings;
     warnings.extend(split.idle_entries(&listed));

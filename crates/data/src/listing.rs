@@ -6,14 +6,27 @@ use crate::split::Side;
 use crate::store::{Object, Store};
 use crate::{Error, StoreError};
 
-/// A phrase that a dataset should hold.
+/// An item that a dataset should hold.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Listed {
     pub id: String,
-    /// Its side of the split, where the manifest states one.
+    /// Its side of the split, where the dataset states one.
     pub side: Option<Side>,
-    pub motion: Expected,
-    pub audio: Expected,
+    /// Its files, in the order in which the item's layout names them; of a phrase, motion and
+    /// audio features.
+    pub files: Vec<Expected>,
+}
+
+impl Listed {
+    /// So many items that are made up and have no files.
+    pub fn made_up(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
+        let listed = |number| Self {
+            id: id(number),
+            side: None,
+            files: Vec::new(),
+        };
+        (0..items).map(listed).collect()
+    }
 }
 
 /// What is known of a file before it is read.
@@ -86,8 +99,9 @@ fn manifest(store: &Store) -> Result<Manifest, Error> {
     let phrases = manifest.rows().iter().map(|row| Listed {
         id: row.id.clone(),
         side: row.split,
-        motion: Expected::Checksum(row.motion_sha256),
-        audio: Expected::Checksum(row.audio_sha256),
+        files: [row.motion_sha256, row.audio_sha256]
+            .map(Expected::Checksum)
+            .to_vec(),
     });
     let mut phrases: Vec<Listed> = phrases.collect();
     phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
@@ -144,8 +158,9 @@ fn list(store: &Store) -> Result<Listing, Error> {
                 listing.phrases.push(Listed {
                     id,
                     side: None,
-                    motion: Expected::Version(left.version),
-                    audio: Expected::Version(right.version),
+                    files: [left.version, right.version]
+                        .map(Expected::Version)
+                        .to_vec(),
                 });
             }
             (Some(left), None) => listing.only_motion.push(id_of(&left).to_owned()),

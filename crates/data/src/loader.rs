@@ -1,28 +1,42 @@
 //! The endless stream of training batches.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
 use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::humanml::FeatureStatistics;
 use rayon::prelude::*;
 
 use crate::augment::Sampler;
+use crate::batch::Shape;
+use crate::humanml::{ClipMaker, ClipSet};
 use crate::order::Order;
-use crate::passage::{Passage, Passages};
+use crate::passage::Passages;
 use crate::prefetch::Prefetch;
 use crate::{Batch, Counters, DataConfig, Error, LoaderReport, PhraseSet};
 
 /// Hands out training batches, one after the other, without end.
 ///
-/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: phrase number
-/// `n mod P` of epoch `n / P` over the `P` phrases, cropped and augmented by draws keyed by `n`. So
-/// a batch follows from its number alone: a resumed run asks for the next number, and the number of
-/// workers changes nothing. Batches cross epochs, and may hold more samples than there are phrases.
+/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: phrase (or clip)
+/// number `n mod P` of epoch `n / P` over the `P` phrases, cropped and augmented by draws keyed by
+/// `n`. So a batch follows from its number alone: a resumed run asks for the next number, and the
+/// number of workers changes nothing. Batches cross epochs, and may hold more samples than there
+/// are phrases.
 pub struct Loader {
-    maker: BatchMaker,
+    maker: Box<dyn MakeBatch>,
     next_batch: u64,
     prefetch: Option<Prefetch<Result<Batch, Error>>>,
     counters: Arc<Counters>,
+}
+
+/// Makes any batch from its number.
+pub(crate) trait MakeBatch: Send {
+    /// Batch `number`.
+    ///
+    /// # Errors
+    /// As [`Loader::next`].
+    fn make(&mut self, number: u64) -> Result<Batch, Error>;
 }
 
 impl Loader {
@@ -48,16 +62,46 @@ impl Loader {
         } else {
             Passages::alone(phrases, config.target_frames)
         };
-        let maker = BatchMaker {
-            order: Order::new(passages.len(), seed),
+        let maker = PhraseMaker {
+            samples: Samples::new(passages.len(), config, seed),
             sampler: Sampler::new(config, seed),
             passages,
             statistics,
-            batch_size: config.batch_size,
             frames: config.target_frames,
-            all_cores: config.num_workers == 0,
         };
-        let prefetch = match config.num_workers {
+        Self::start(maker, config.num_workers, first_batch, counters)
+    }
+
+    /// A loader of HumanML3D clips, in every other respect as [`new`](Self::new): `channels` of
+    /// the features with the root that `config.humanml3d` names, normalised by `statistics`, and
+    /// the embedding of a caption as the condition.
+    ///
+    /// # Panics
+    /// As [`new`](Self::new); or if `statistics` or `channels` are not of the clips' layout.
+    pub fn clips(
+        clips: ClipSet,
+        statistics: Arc<FeatureStatistics>,
+        channels: Range<usize>,
+        config: &DataConfig,
+        seed: u64,
+        first_batch: u64,
+    ) -> Self {
+        assert!(!clips.is_empty(), "a loader needs at least one clip");
+        assert!(config.batch_size > 0, "a batch holds at least one sample");
+        let counters = clips.counters().clone();
+        let samples = Samples::new(clips.len(), config, seed);
+        let maker = ClipMaker::new(clips, statistics, channels, samples, config, seed);
+        Self::start(maker, config.num_workers, first_batch, counters)
+    }
+
+    /// The stream that `maker`, all of whose clones make the same batches, gives.
+    fn start<M: MakeBatch + Clone + 'static>(
+        maker: M,
+        workers: usize,
+        first_batch: u64,
+        counters: Arc<Counters>,
+    ) -> Self {
+        let prefetch = match workers {
             0 => None,
             workers => {
                 let mut maker = maker.clone();
@@ -65,7 +109,7 @@ impl Loader {
             }
         };
         Self {
-            maker,
+            maker: Box::new(maker),
             next_batch: first_batch,
             prefetch,
             counters,
@@ -75,7 +119,7 @@ impl Loader {
     /// The next batch; blocks until it is ready.
     ///
     /// # Errors
-    /// [`Error::BadPhrase`] for a phrase whose files are gone, have changed or cannot be read any
+    /// [`Error::BadItem`] for a phrase or clip whose files are gone, have changed or cannot be read any
     /// more since the dataset was opened.
     ///
     /// # Panics
@@ -107,45 +151,89 @@ impl Loader {
     }
 }
 
-/// Makes any batch from its number. A clone makes the same batches.
+/// Which items the samples of a batch are of.
 #[derive(Clone)]
-struct BatchMaker {
-    passages: Passages,
-    statistics: Arc<TrainingStatistics>,
+pub(crate) struct Samples {
     order: Order,
-    sampler: Sampler,
     batch_size: usize,
-    frames: usize,
-    /// Whether the phrases of a batch are read by rayon's threads and not one after the other.
+    /// Whether the items of a batch are read by rayon's threads and not one after the other.
     all_cores: bool,
 }
 
-impl BatchMaker {
-    fn make(&mut self, number: u64) -> Result<Batch, Error> {
-        let mut batch = Batch::with_capacity(self.batch_size, self.frames);
+impl Samples {
+    /// The samples of a run with this `seed` over so many items.
+    pub fn new(items: usize, config: &DataConfig, seed: u64) -> Self {
+        Self {
+            order: Order::new(items, seed),
+            batch_size: config.batch_size,
+            all_cores: config.num_workers == 0,
+        }
+    }
+
+    /// Makes batch `number` of samples of this `shape`: reads the items of its samples with
+    /// `get`, ahead where that gains something, and hands them to `push` with the samples'
+    /// numbers, in order.
+    ///
+    /// # Errors
+    /// Those of `get`.
+    pub fn make<T: Send>(
+        &mut self,
+        number: u64,
+        shape: Shape,
+        is_at_hand: impl Fn(usize) -> bool,
+        get: impl Fn(usize) -> Result<T, Error> + Sync,
+        mut push: impl FnMut(&mut Batch, u64, T),
+    ) -> Result<Batch, Error> {
+        let mut batch = Batch::with_capacity(self.batch_size, shape);
         let first = number.wrapping_mul(self.batch_size as u64);
         let samples = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
         let samples: Vec<(u64, usize)> = samples.map(|n| (n, self.order.phrase(n))).collect();
-        let mut ahead = self.read_ahead(&samples).into_iter();
+        let at_hand = |&(_, position): &(u64, usize)| is_at_hand(position);
+        let ahead: Vec<Result<T, Error>> = match self.all_cores && !samples.iter().all(at_hand) {
+            true => samples.par_iter().map(|&(_, item)| get(item)).collect(),
+            false => Vec::new(),
+        };
+        let mut ahead = ahead.into_iter();
         for (n, position) in samples {
-            let passage = match ahead.next() {
-                Some(passage) => passage?,
-                None => self.passages.get(position)?,
+            let item = match ahead.next() {
+                Some(item) => item?,
+                None => get(position)?,
             };
-            let (motion, audio) = self.sampler.windows(&passage, n);
-            batch.push(&passage.id, motion, audio, &self.statistics);
+            push(&mut batch, n, item);
         }
         Ok(batch)
     }
+}
 
-    /// The passages of `samples`, read on all cores; none where that would gain nothing.
-    fn read_ahead(&self, samples: &[(u64, usize)]) -> Vec<Result<Passage, Error>> {
-        let at_hand = |&(_, position): &(u64, usize)| self.passages.is_at_hand(position);
-        if !self.all_cores || samples.iter().all(at_hand) {
-            return Vec::new();
-        }
-        let read = |&(_, position): &(u64, usize)| self.passages.get(position);
-        samples.par_iter().map(read).collect()
+/// Makes batches of phrases.
+#[derive(Clone)]
+struct PhraseMaker {
+    passages: Passages,
+    statistics: Arc<TrainingStatistics>,
+    samples: Samples,
+    sampler: Sampler,
+    frames: usize,
+}
+
+impl MakeBatch for PhraseMaker {
+    fn make(&mut self, number: u64) -> Result<Batch, Error> {
+        let Self {
+            passages,
+            statistics,
+            samples,
+            sampler,
+            frames,
+        } = self;
+        samples.make(
+            number,
+            Shape::of_phrases(*frames),
+            |position| passages.is_at_hand(position),
+            |position| passages.get(position),
+            |batch, n, passage| {
+                let (motion, audio) = sampler.windows(&passage, n);
+                batch.push_phrase(&passage.id, motion, audio, statistics);
+            },
+        )
     }
 }
 

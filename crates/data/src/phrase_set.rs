@@ -1,101 +1,39 @@
-//! Some of the phrases of a dataset, read when they are asked for.
-
-use std::sync::Arc;
+//! Phrases of a dataset: their statistics, and how they are read or made up.
 
 use kinegrad_motion::kinematics::mean_jerk_norm;
 use kinegrad_motion::{ChannelMoments, TrainingStatistics};
-use rayon::prelude::*;
 
-use crate::library::Library;
-use crate::{Error, Phrase};
-
-/// Phrases whose statistics are taken at a time: enough for all cores, few enough for any memory.
-const CHUNK: usize = 256;
+use crate::files::Files;
+use crate::item::{Item, ItemSet};
+use crate::layout::{features_path, motion_path};
+use crate::library::{Origin, Reading};
+use crate::listing::Expected;
+use crate::npy::MAX_MOTION_BYTES;
+use crate::npz::MAX_FEATURES_BYTES;
+use crate::phrase::Named;
+use crate::{Error, FileError, Phrase, SyntheticConfig, synthetic};
 
 /// Phrases in the order of their ids. A clone is another handle to the same ones.
-#[derive(Clone, Debug)]
-pub struct PhraseSet {
-    library: Arc<Library>,
-    /// Their numbers in the library.
-    indices: Arc<[usize]>,
+pub type PhraseSet = ItemSet<Phrase>;
+
+impl Item for Phrase {
+    const KIND: &'static str = "phrase";
+
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn frames(&self) -> usize {
+        self.motion.frames()
+    }
+
+    fn bytes(&self) -> usize {
+        let values = self.motion.as_slice().len() + self.audio.as_slice().len();
+        size_of_val(self) + self.id.len() + 4 * values
+    }
 }
 
-impl PhraseSet {
-    pub(crate) fn new(library: Arc<Library>, indices: Vec<usize>) -> Self {
-        Self {
-            library,
-            indices: indices.into(),
-        }
-    }
-
-    /// Number of phrases.
-    pub fn len(&self) -> usize {
-        self.indices.len()
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.indices.is_empty()
-    }
-
-    /// Their ids, in order.
-    pub fn ids(&self) -> impl Iterator<Item = &str> {
-        self.indices
-            .iter()
-            .map(|&index| self.library.entries[index].id.as_str())
-    }
-
-    /// Frames of phrase `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
-    pub fn frames(&self, position: usize) -> usize {
-        self.library.entries[self.indices[position]].frames
-    }
-
-    /// Id of phrase `position`, without reading it.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
-    pub fn id(&self, position: usize) -> &str {
-        &self.library.entries[self.indices[position]].id
-    }
-
-    /// Phrase `position`.
-    ///
-    /// # Errors
-    /// [`Error::BadPhrase`] if its files are gone, have changed or cannot be read any more.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
-    pub fn get(&self, position: usize) -> Result<Arc<Phrase>, Error> {
-        self.library.get(self.indices[position])
-    }
-
-    /// Whether phrase `position` is in memory now.
-    pub(crate) fn is_at_hand(&self, position: usize) -> bool {
-        self.library.is_at_hand(self.indices[position])
-    }
-
-    /// The phrases whose ids `choose` picks.
-    #[must_use]
-    pub fn filter(&self, choose: impl Fn(&str) -> bool) -> Self {
-        let chosen = |index: &&usize| choose(&self.library.entries[**index].id);
-        let indices = self.indices.iter().filter(chosen).copied().collect();
-        Self::new(self.library.clone(), indices)
-    }
-
-    /// All of them at once, to be held in memory.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
-    pub fn load(&self) -> Result<Vec<Arc<Phrase>>, Error> {
-        (0..self.len())
-            .into_par_iter()
-            .map(|position| self.get(position))
-            .collect()
-    }
-
+impl ItemSet<Phrase> {
     /// The statistics of their motion, some phrases at a time.
     ///
     /// # Errors
@@ -106,38 +44,77 @@ impl PhraseSet {
     pub fn statistics(&self) -> Result<TrainingStatistics, Error> {
         let mut moments: Option<ChannelMoments> = None;
         let mut jerks = Vec::with_capacity(self.len());
-        let positions: Vec<usize> = (0..self.len()).collect();
-        for chunk in positions.chunks(CHUNK) {
-            let measured: Vec<_> = chunk
-                .par_iter()
-                .map(|&position| {
-                    let phrase = self.get(position)?;
-                    let moments = ChannelMoments::compute([&phrase.motion]);
-                    let moments = moments.expect("phrases hold finite numbers only");
-                    Ok((moments, mean_jerk_norm(&phrase.motion)))
-                })
-                .collect::<Result<_, Error>>()?;
-            for (of_phrase, jerk) in measured {
-                jerks.push(jerk);
-                match &mut moments {
-                    Some(moments) => moments.merge(&of_phrase),
-                    None => moments = Some(of_phrase),
-                }
+        let measure = |phrase: &Phrase| {
+            let moments = ChannelMoments::compute([&phrase.motion]);
+            let moments = moments.expect("phrases hold finite numbers only");
+            Ok((moments, mean_jerk_norm(&phrase.motion)))
+        };
+        self.measure(measure, |(of_phrase, jerk)| {
+            jerks.push(jerk);
+            match &mut moments {
+                Some(moments) => moments.merge(&of_phrase),
+                None => moments = Some(of_phrase),
             }
-        }
+        })?;
         let moments = moments.expect("a phrase to train on");
         Ok(TrainingStatistics::from_moments(moments, jerks))
     }
+}
 
-    pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
-        &self.library.counters
+/// Phrases of the layout of CC-MotionGen, section 1.3.
+#[derive(Debug)]
+pub(crate) struct PhraseFiles(pub Files);
+
+impl Origin<Phrase> for PhraseFiles {
+    fn read(
+        &self,
+        _number: usize,
+        id: &str,
+        expected: &[Expected],
+        recorded: &'static str,
+    ) -> Result<Reading<Phrase>, FileError> {
+        let [motion, audio] = expected else {
+            unreachable!("a phrase has two files");
+        };
+        let Self(files) = self;
+        let paths = (motion_path(id), features_path(id));
+        let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
+        let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
+        let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
+        let motion = Named {
+            bytes: &motion,
+            name: &names.0,
+        };
+        let audio = Named {
+            bytes: &audio,
+            name: &names.1,
+        };
+        let (phrase, note) = Phrase::parse(id, motion, audio)?;
+        Ok(Reading {
+            note,
+            content: vec![motion_digest, audio_digest],
+            ..Reading::of(phrase)
+        })
     }
 }
 
-impl From<Vec<Arc<Phrase>>> for PhraseSet {
-    /// Phrases that stay in memory, in this order.
-    fn from(phrases: Vec<Arc<Phrase>>) -> Self {
-        let indices = (0..phrases.len()).collect();
-        Self::new(Arc::new(Library::held(phrases)), indices)
+/// Phrases that are made up anew each time.
+#[derive(Debug)]
+pub(crate) struct MadeUpPhrases(pub SyntheticConfig);
+
+impl Origin<Phrase> for MadeUpPhrases {
+    fn read(
+        &self,
+        number: usize,
+        _id: &str,
+        _expected: &[Expected],
+        _recorded: &'static str,
+    ) -> Result<Reading<Phrase>, FileError> {
+        let SyntheticConfig { frames, seed, .. } = self.0;
+        Ok(Reading::of(synthetic::phrase(number, frames, seed)))
+    }
+
+    fn fingerprint(&self) -> String {
+        format!("{:?}", self.0)
     }
 }

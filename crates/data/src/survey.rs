@@ -1,49 +1,84 @@
-//! Meeting every phrase of a dataset once.
+//! Meeting every item of a dataset once.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use crate::cache::DiskCache;
-use crate::library::{Files, Met, Origin, meet_synthetic};
+use crate::cache::MemoryCache;
+use crate::files::Files;
+use crate::item::{Item, ItemSet};
+use crate::library::{Entry, Library, Met, Origin};
 use crate::listing::{Listed, Listing};
+use crate::phrase_set::{MadeUpPhrases, PhraseFiles};
 use crate::store::Store;
-use crate::{Counters, DataConfig, DataKind, Error, FileError, StoreError};
+use crate::{
+    Counters, DataConfig, DataKind, Digest, Error, FileError, OnBadPhrase, Phrase, StoreError,
+    synthetic,
+};
 
-/// Hears how many of how many phrases have been read; called from several threads.
+/// Hears how many of how many items have been read; called from several threads.
 pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
-/// A dataset whose phrases are known by name.
-pub(crate) struct Survey {
-    pub origin: Origin,
+/// A dataset whose items are known by name.
+pub(crate) struct Survey<T> {
+    pub origin: Box<dyn Origin<T>>,
     /// What is odd about the dataset as a whole.
     pub warnings: Vec<String>,
     pub counters: Arc<Counters>,
     /// How messages name the dataset.
     pub source: String,
-    listed: Vec<Listed>,
+    pub listed: Vec<Listed>,
     /// Most requests at a time; 0 where nothing is requested from afar.
-    concurrency: usize,
+    pub concurrency: usize,
 }
 
-impl Survey {
+/// The items of a dataset that can be used, and what was said of the others.
+pub(crate) struct Gathered<T> {
+    pub entries: Vec<Entry>,
+    /// Id and reason of each bad item.
+    pub skipped: Vec<(String, String)>,
+    /// Id and reason of each item that is in order and does not belong here.
+    pub left_out: Vec<(String, String)>,
+    /// Id and what is odd about it.
+    pub notes: Vec<(String, String)>,
+    memory: MemoryCache<T>,
+}
+
+/// Both sides of a dataset.
+pub(crate) struct Sides<T> {
+    pub train: ItemSet<T>,
+    pub validation: ItemSet<T>,
+    pub digest: Digest,
+}
+
+impl Survey<Phrase> {
     /// Lists the phrases of a valid `config`.
     ///
     /// # Errors
-    /// [`Error::Scheme`], [`Error::Feature`], [`Error::Store`], [`Error::Manifest`],
-    /// [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Io`].
-    pub fn new(config: &DataConfig) -> Result<Self, Error> {
-        if config.kind == DataKind::Synthetic {
-            return Ok(Self {
-                origin: Origin::Synthetic(config.synthetic.clone()),
+    /// [`Error::Config`] where `config` is not of phrases; [`Error::Scheme`], [`Error::Feature`],
+    /// [`Error::Store`], [`Error::Manifest`], [`Error::MissingFolder`], [`Error::EmptyDataset`],
+    /// [`Error::Io`].
+    pub fn phrases(config: &DataConfig) -> Result<Self, Error> {
+        match config.kind {
+            DataKind::Phrases => Self::of_files(config),
+            DataKind::Synthetic => Ok(Self {
+                origin: Box::new(MadeUpPhrases(config.synthetic.clone())),
                 warnings: Vec::new(),
                 counters: Arc::default(),
                 source: "synthetic".to_owned(),
-                listed: Vec::new(),
+                listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
                 concurrency: 0,
-            });
+            }),
+            kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => Err(Error::wrong_kind(
+                kind,
+                "\"phrases\" or \"synthetic\"",
+                "clips are no phrases of motion and music: another recipe or command takes them",
+            )),
         }
+    }
+
+    fn of_files(config: &DataConfig) -> Result<Self, Error> {
         let source = config.source.as_deref().unwrap_or_default();
         let store = Store::open(source, &config.store)?;
         let Listing {
@@ -72,56 +107,40 @@ impl Survey {
             }
         }
         phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
-        let disk = match (store.is_remote(), config.cache.disk_bytes()) {
-            (false, _) | (_, 0) => None,
-            (true, limit) => {
-                let opened = config
-                    .cache
-                    .folder()
-                    .map(|folder| DiskCache::open(folder, limit));
-                match opened.transpose() {
-                    Ok(disk) => disk,
-                    Err(error) if config.cache.dir.is_some() => return Err(error),
-                    Err(error) => {
-                        warnings.push(format!("no file is cached: {error}"));
-                        None
-                    }
-                }
-            }
-        };
+        let files = Files::open(store, config, &mut warnings)?;
         Ok(Self {
             warnings,
-            counters: store.counters().clone(),
-            source: store.uri(),
+            counters: files.store.counters().clone(),
+            source: files.store.uri(),
             listed: phrases,
-            concurrency: match store.is_remote() {
-                true => config.store.concurrency,
-                false => 0,
-            },
-            origin: Origin::Files(Files { store, disk }),
+            concurrency: files.concurrency(config),
+            origin: Box::new(PhraseFiles(files)),
         })
     }
+}
 
-    /// Reads each phrase and hands it to `take` with its number; id and outcome of each, in order.
+impl<T: Item> Survey<T> {
+    /// Reads each item and hands it to `take` with its number; id and outcome of each, in order.
     ///
     /// # Errors
-    /// [`Error::Store`] if the store itself fails; never for a single bad phrase.
+    /// [`Error::Store`] if the store itself fails; never for a single bad item.
     #[expect(clippy::type_complexity, reason = "ids and outcomes, nothing more")]
-    pub fn meet_all<T: Send>(
+    pub fn meet_all<M: Send>(
         &self,
         progress: OpenProgress,
-        take: impl Fn(usize, Met) -> T + Sync,
-    ) -> Result<Vec<(String, Result<T, FileError>)>, Error> {
-        let (total, met) = (self.total(), AtomicUsize::new(0));
+        take: impl Fn(usize, Met<T>) -> M + Sync,
+    ) -> Result<Vec<(String, Result<M, FileError>)>, Error> {
+        let (total, met) = (self.listed.len(), AtomicUsize::new(0));
         let meet = |number: usize| {
-            let (id, outcome) = self.meet(number);
+            let listed = &self.listed[number];
+            let outcome = Met::read(&*self.origin, listed, number);
             if let Err(FileError::Store(error)) = &outcome
-                && !self.concerns_one_phrase(error)
+                && !self.concerns_one_item(error)
             {
                 return Err(Error::Store(error.clone()));
             }
             progress(met.fetch_add(1, Ordering::Relaxed) + 1, total);
-            Ok((id, outcome.map(|met| take(number, met))))
+            Ok((listed.id.clone(), outcome.map(|met| take(number, met))))
         };
         let all = || (0..total).into_par_iter().map(meet).collect();
         // Threads that wait for a network are not bound to the number of cores.
@@ -135,32 +154,88 @@ impl Survey {
         }
     }
 
-    /// Whether other phrases may be good all the same.
-    fn concerns_one_phrase(&self, error: &StoreError) -> bool {
+    /// Reads all items of a valid `config`, and keeps so many in memory as it allows.
+    ///
+    /// # Errors
+    /// As [`meet_all`](Self::meet_all); [`Error::BadItem`] for the first bad item by id, or
+    /// [`Error::AllSkipped`].
+    pub fn gather(
+        &self,
+        config: &DataConfig,
+        progress: OpenProgress,
+    ) -> Result<Gathered<T>, Error> {
+        let memory = MemoryCache::new(config.cache.memory_bytes());
+        let outcomes = self.meet_all(progress, |number, met| {
+            if met.left_out.is_none() {
+                memory.put(number, met.item);
+            }
+            (met.entry, met.note, met.left_out)
+        })?;
+        let mut gathered = Gathered {
+            entries: Vec::with_capacity(outcomes.len()),
+            skipped: Vec::new(),
+            left_out: Vec::new(),
+            notes: Vec::new(),
+            memory,
+        };
+        for (id, outcome) in outcomes {
+            match outcome {
+                Ok((_, _, Some(reason))) => gathered.left_out.push((id, reason)),
+                Ok((entry, note, None)) => {
+                    gathered.notes.extend(note.map(|note| (id, note)));
+                    gathered.entries.push(entry);
+                }
+                Err(cause) if config.on_bad_phrase == OnBadPhrase::Skip => {
+                    gathered.skipped.push((id, cause.to_string()));
+                }
+                Err(cause) => return Err(Error::bad::<T>(&id, cause)),
+            }
+        }
+        if let (true, Some((id, reason))) = (gathered.entries.is_empty(), gathered.skipped.first())
+        {
+            return Err(Error::AllSkipped {
+                kind: T::KIND,
+                skipped: gathered.skipped.len(),
+                first: format!("{} `{id}`: {reason}", T::KIND),
+            });
+        }
+        Ok(gathered)
+    }
+
+    /// The sides of the split of what was gathered, of which `held_out` picks the second.
+    ///
+    /// # Errors
+    /// [`Error::EmptyTrainSplit`].
+    pub fn split(
+        self,
+        gathered: Gathered<T>,
+        held_out: impl Fn(&Entry) -> bool,
+    ) -> Result<Sides<T>, Error> {
+        let Gathered {
+            entries, memory, ..
+        } = gathered;
+        let (validation, train): (Vec<usize>, Vec<usize>) =
+            (0..entries.len()).partition(|&index| held_out(&entries[index]));
+        if train.is_empty() {
+            return Err(Error::EmptyTrainSplit {
+                kind: T::KIND,
+                items: validation.len(),
+            });
+        }
+        let library = Library::new(self.origin, entries, memory, self.counters);
+        let library = Arc::new(library);
+        Ok(Sides {
+            digest: library.digest(&validation),
+            train: ItemSet::new(library.clone(), train),
+            validation: ItemSet::new(library, validation),
+        })
+    }
+
+    /// Whether other items may be good all the same.
+    fn concerns_one_item(&self, error: &StoreError) -> bool {
         // A file that this machine does not give out says nothing of the next one.
         let here = self.concurrency == 0;
         let unreadable = matches!(error, StoreError::Denied { .. } | StoreError::Failed { .. });
         error.concerns_one_object() || (here && unreadable)
-    }
-
-    fn total(&self) -> usize {
-        match &self.origin {
-            Origin::Synthetic(config) => config.phrases,
-            Origin::Files(_) | Origin::Held(_) => self.listed.len(),
-        }
-    }
-
-    fn meet(&self, number: usize) -> (String, Result<Met, FileError>) {
-        match &self.origin {
-            Origin::Files(files) => {
-                let listed = &self.listed[number];
-                (listed.id.clone(), files.meet(listed, number))
-            }
-            Origin::Synthetic(config) => {
-                let met = meet_synthetic(config, number);
-                (met.entry.id.clone(), Ok(met))
-            }
-            Origin::Held(_) => unreachable!("held phrases are not surveyed"),
-        }
     }
 }

@@ -22,6 +22,7 @@ pub mod coherence;
 pub mod emphasis;
 pub mod error;
 pub mod goal;
+pub mod humanml;
 pub mod kinematics;
 pub mod metrics;
 pub mod moments;

@@ -84,24 +84,30 @@ impl ChannelMoments {
         })
     }
 
-    /// Takes in the moments of further phrases, as if all had been measured together (Chan,
-    /// Golub and LeVeque 1979).
+    /// Takes in the moments of further phrases, as if all had been measured together.
     pub fn merge(&mut self, other: &Self) {
-        let (n, m) = (self.frames as f64, other.frames as f64);
-        let total = n + m;
+        let frames = [self.frames as f64, other.frames as f64];
         for channel in 0..CHANNELS {
-            let apart = other.mean[channel] - self.mean[channel];
-            let squares = n * self.std[channel].powi(2)
-                + m * other.std[channel].powi(2)
-                + apart.powi(2) * n * m / total;
-            self.mean[channel] += apart * m / total;
-            self.std[channel] = (squares / total).sqrt();
+            (self.mean[channel], self.std[channel]) = merge_channel(
+                frames,
+                [self.mean[channel], other.mean[channel]],
+                [self.std[channel], other.std[channel]],
+            );
             self.min[channel] = self.min[channel].min(other.min[channel]);
             self.max[channel] = self.max[channel].max(other.max[channel]);
         }
         self.frames += other.frames;
         self.phrases += other.phrases;
     }
+}
+
+/// Mean and standard deviation of two samples together, from the size, mean and deviation of each
+/// (Chan, Golub and LeVeque 1979).
+pub(crate) fn merge_channel([n, m]: [f64; 2], mean: [f64; 2], std: [f64; 2]) -> (f64, f64) {
+    let total = n + m;
+    let apart = mean[1] - mean[0];
+    let squares = n * std[0].powi(2) + m * std[1].powi(2) + apart.powi(2) * n * m / total;
+    (mean[0] + apart * m / total, (squares / total).sqrt())
 }
 
 #[cfg(test)]

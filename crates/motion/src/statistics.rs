@@ -14,7 +14,7 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION,
 use crate::{CHANNELS, ChannelMoments, Error, Motion};
 
 /// A channel whose deviation is below this counts as constant.
-const CONSTANT: f64 = 1e-8;
+pub(crate) const CONSTANT: f64 = 1e-8;
 
 /// Statistics of the training phrases, computed once and stored in the run.
 ///

@@ -63,6 +63,8 @@ pub enum Purpose {
     Emphasis = 18,
     /// Pairs of feature vectors whose distances are averaged.
     Pairs = 19,
+    /// Which caption describes a clip, keyed by sample.
+    Caption = 20,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::humanml::{read_embedding, write_features, write_joints, write_path};
+use kinegrad_data::humanml::{read_embedding, write_features};
+use kinegrad_data::write_values;
 use kinegrad_motion::capture::bvh;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
@@ -171,7 +172,8 @@ fn write(
         Some(features) => {
             let features = features.slice(0..frames);
             let joints = features.joints();
-            write_joints(&path, &joints)?;
+            let shape = [joints.frames(), joints.joints(), 3];
+            write_values(&path, &shape, &joints.to_f32())?;
             write_features(&PathBuf::from(format!("{stem}.features.npy")), &features)?;
             let text = bvh::write_joints(skeleton, &joints, bvh::CENTIMETRES)?;
             let path = PathBuf::from(format!("{stem}.bvh"));
@@ -184,6 +186,12 @@ fn write(
     }
     println!("{}", path.display());
     Ok(())
+}
+
+/// `[frames, 2]`, x and z.
+fn write_path(path: &Path, ground: &[[f64; 2]]) -> Result<(), Failure> {
+    let values: Vec<f32> = ground.iter().flatten().map(|&value| value as f32).collect();
+    Ok(write_values(path, &[ground.len(), 2], &values)?)
 }
 
 /// How near the goals the clips have come.

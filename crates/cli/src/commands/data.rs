@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::ExitCode;
 
+use kinegrad_data::humanml::write_walks;
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
     ChannelSummary, DataConfig, Inspection, MANIFEST, Store, StoreConfig, synthetic,
@@ -17,12 +18,19 @@ use crate::picture::{Panel, draw};
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
     let SynthArguments {
         out,
+        walks,
         phrases,
         frames,
         seed,
     } = arguments;
-    synthetic::write_dataset(&out, phrases, frames, seed)?;
-    println!("{phrases} phrases of {frames} frames in {}", out.display());
+    let what = if walks {
+        write_walks(&out, phrases, frames, seed)?;
+        "walks"
+    } else {
+        synthetic::write_dataset(&out, phrases, frames, seed)?;
+        "phrases"
+    };
+    println!("{phrases} {what} of {frames} frames in {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -32,9 +40,12 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
         return select(&arguments);
     }
     let config = DataConfig {
-        source: Some(arguments.source),
+        source: Some(arguments.source.clone()),
         ..Default::default()
     };
+    if arguments.humanml3d {
+        return super::inspect_clips::run(&arguments, config);
+    }
     let inspection = kinegrad_data::inspect(&config)?;
     if arguments.json {
         println!(

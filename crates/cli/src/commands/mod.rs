@@ -9,6 +9,7 @@ pub mod devices;
 pub mod eval;
 pub mod eval_goals;
 pub mod import;
+pub mod inspect_clips;
 pub mod merge;
 pub mod plot;
 pub mod prepare;

@@ -1,29 +1,29 @@
-//! Phrases in memory, bounded in bytes; the one unused for longest goes first.
+//! Items in memory, bounded in bytes; the one unused for longest goes first.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
-use crate::Phrase;
+use crate::Item;
 
-/// Phrases by their number in the dataset.
+/// Items by their number in the dataset.
 #[derive(Debug)]
-pub(crate) struct MemoryCache {
+pub(crate) struct MemoryCache<T> {
     limit: usize,
-    held: Mutex<Held>,
+    held: Mutex<Held<T>>,
 }
 
 #[derive(Debug)]
-struct Held {
-    phrases: LruCache<usize, Arc<Phrase>>,
+struct Held<T> {
+    items: LruCache<usize, Arc<T>>,
     bytes: usize,
 }
 
-impl MemoryCache {
+impl<T: Item> MemoryCache<T> {
     /// An empty cache of at most `limit` bytes.
     pub fn new(limit: usize) -> Self {
         let held = Held {
-            phrases: LruCache::unbounded(),
+            items: LruCache::unbounded(),
             bytes: 0,
         };
         Self {
@@ -32,45 +32,39 @@ impl MemoryCache {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
+    fn lock(&self) -> MutexGuard<'_, Held<T>> {
         // Nothing that panics runs under the lock.
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Phrase `number`, if it is held.
-    pub fn get(&self, number: usize) -> Option<Arc<Phrase>> {
-        self.lock().phrases.get(&number).cloned()
+    /// Item `number`, if it is held.
+    pub fn get(&self, number: usize) -> Option<Arc<T>> {
+        self.lock().items.get(&number).cloned()
     }
 
-    /// Whether phrase `number` is held now; counts as no use of it.
+    /// Whether item `number` is held now; counts as no use of it.
     pub fn holds(&self, number: usize) -> bool {
-        self.lock().phrases.contains(&number)
+        self.lock().items.contains(&number)
     }
 
-    /// Holds phrase `number` from now on, unless it alone exceeds the limit.
-    pub fn put(&self, number: usize, phrase: Arc<Phrase>) {
-        let bytes = size_of(&phrase);
+    /// Holds item `number` from now on, unless it alone exceeds the limit.
+    pub fn put(&self, number: usize, item: Arc<T>) {
+        let bytes = item.bytes();
         if bytes > self.limit {
             return;
         }
         let mut held = self.lock();
-        if let Some(before) = held.phrases.put(number, phrase) {
-            held.bytes -= size_of(&before);
+        if let Some(before) = held.items.put(number, item) {
+            held.bytes -= before.bytes();
         }
         held.bytes += bytes;
         while held.bytes > self.limit {
-            let Some((_, oldest)) = held.phrases.pop_lru() else {
+            let Some((_, oldest)) = held.items.pop_lru() else {
                 break;
             };
-            held.bytes -= size_of(&oldest);
+            held.bytes -= oldest.bytes();
         }
     }
-}
-
-/// Bytes that a phrase takes in memory.
-fn size_of(phrase: &Phrase) -> usize {
-    let values = phrase.motion.as_slice().len() + phrase.audio.as_slice().len();
-    size_of_val(phrase) + phrase.id.len() + 4 * values
 }
 
 #[cfg(test)]
@@ -83,7 +77,7 @@ mod tests {
         let phrases: Vec<_> = (0..4)
             .map(|i| Arc::new(synthetic::phrase(i, 10, 0)))
             .collect();
-        let one = size_of(&phrases[0]);
+        let one = phrases[0].bytes();
         let cache = MemoryCache::new(3 * one);
         for (number, phrase) in phrases.iter().enumerate().take(3) {
             cache.put(number, phrase.clone());

@@ -67,26 +67,37 @@ pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) ->
         seed,
     }
     .validate()?;
-    let parts = ["audio_features", "motion"];
+    write_whole(folder, &["audio_features", "motion"], |staging| {
+        (0..phrases).into_par_iter().try_for_each(|index| {
+            let phrase = phrase(index, frames, seed);
+            write_motion(&staging.join(motion_path(&phrase.id)), &phrase.motion)?;
+            write_features(&staging.join(features_path(&phrase.id)), &phrase.audio)
+        })
+    })
+}
+
+/// Writes a dataset that consists of `parts` into `folder`: `fill` makes them in the folder that
+/// it is given, a temporary one inside `folder`, and they are moved into place when complete.
+///
+/// # Errors
+/// [`Error::Exists`] if one of the parts is there already, [`Error::Io`], and those of `fill`.
+pub(crate) fn write_whole(
+    folder: &Path,
+    parts: &[&str],
+    fill: impl FnOnce(&Path) -> Result<(), Error>,
+) -> Result<(), Error> {
     if parts.iter().any(|part| folder.join(part).exists()) {
         return Err(Error::Exists {
             path: folder.to_owned(),
         });
     }
     let staging = folder.join(format!(".synth-{}.tmp", std::process::id()));
-    let written = (0..phrases)
-        .into_par_iter()
-        .try_for_each(|index| {
-            let phrase = phrase(index, frames, seed);
-            write_motion(&staging.join(motion_path(&phrase.id)), &phrase.motion)?;
-            write_features(&staging.join(features_path(&phrase.id)), &phrase.audio)
-        })
-        .and_then(|()| {
-            parts
-                .iter()
-                .try_for_each(|part| fs::rename(staging.join(part), folder.join(part)))
-                .map_err(|reason| Error::io("write", folder, reason))
-        });
+    let written = fill(&staging).and_then(|()| {
+        parts
+            .iter()
+            .try_for_each(|part| fs::rename(staging.join(part), folder.join(part)))
+            .map_err(|reason| Error::io("write", folder, reason))
+    });
     let cleared = match fs::remove_dir_all(&staging) {
         Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
             Err(Error::io("remove", &staging, reason))

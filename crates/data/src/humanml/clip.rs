@@ -1,0 +1,270 @@
+//! One clip: its features and its captions, read from the layout of HumanML3D.
+
+use std::io::Write;
+use std::path::Path;
+
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
+
+use crate::files::Files;
+use crate::library::{Origin, Reading};
+use crate::listing::Expected;
+use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
+
+use super::config::SkeletonName;
+use super::embeddings::{EMBEDDING_CHANNELS, Embeddings};
+use super::{Caption, parse_captions, texts};
+
+/// The folder of all features and the folder of all captions.
+pub(super) const FEATURES: &str = "new_joint_vecs";
+pub(super) const TEXTS: &str = "texts";
+
+/// Clips in the order of their ids. A clone is another handle to the same ones.
+pub type ClipSet = ItemSet<Clip>;
+
+/// A clip: features `[frames, channels]` and the captions that describe it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clip {
+    /// Name of its files.
+    pub id: String,
+    /// Its features with relative root, as stored.
+    pub features: Features,
+    /// Those of its captions that can be used, in their order: passages of fewer than
+    /// `data.humanml3d.min_frames` frames are left out. May be empty.
+    pub captions: Vec<Caption>,
+}
+
+impl Clip {
+    /// Drops the captions of passages of fewer than `min_frames` frames; how many those were.
+    pub(super) fn drop_short_captions(&mut self, fps: f64, min_frames: usize) -> usize {
+        let (before, frames) = (self.captions.len(), self.features.frames());
+        let usable = |caption: &Caption| caption.frames(frames, fps).len() >= min_frames;
+        self.captions.retain(usable);
+        before - self.captions.len()
+    }
+}
+
+impl Item for Clip {
+    const KIND: &'static str = "clip";
+
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn frames(&self) -> usize {
+        self.features.frames()
+    }
+
+    fn bytes(&self) -> usize {
+        let texts = self.captions.iter().map(|caption| caption.text.len());
+        let captions = texts.sum::<usize>() + size_of_val(&self.captions[..]);
+        size_of_val(self) + self.id.len() + 4 * self.features.as_slice().len() + captions
+    }
+}
+
+/// Where the features of clip `id` lie within its dataset.
+pub(super) fn features_path(id: &str) -> String {
+    format!("{FEATURES}/{id}.npy")
+}
+
+/// Where the captions of clip `id` lie within its dataset.
+pub(super) fn texts_path(id: &str) -> String {
+    format!("{TEXTS}/{id}.txt")
+}
+
+/// Parses the bytes of a `.npy` file of features with relative root, `[frames, channels]` of
+/// `skeleton`; `file` names it in errors.
+///
+/// # Errors
+/// [`FileError`] for what is no such array; [`FileError::Unexpected`] for another number of
+/// channels than the skeleton's; [`FileError::NonFinite`].
+pub fn parse_features(
+    bytes: &[u8],
+    file: &str,
+    skeleton: &Skeleton,
+) -> Result<Features, FileError> {
+    let layout = skeleton.layout();
+    let array = npy::parse(bytes, file)?;
+    let channels = check_width(&array.shape, 2, file, skeleton)?;
+    if let Some(place) = array.values.iter().position(|value| !value.is_finite()) {
+        return Err(FileError::NonFinite {
+            file: file.to_owned(),
+            frame: place / channels,
+            channel: layout.channel_name(place % channels),
+            value: array.values[place],
+        });
+    }
+    Features::new(array.values, layout, Root::Relative).map_err(|error| {
+        FileError::unexpected(
+            file,
+            error.to_string(),
+            format!("features [frames, {channels}]"),
+            "write the array again from the joints",
+        )
+    })
+}
+
+/// The last axis of an array of `axes` axes, if it is as wide as the skeleton's features and no
+/// other is empty.
+pub(super) fn check_width(
+    shape: &[usize],
+    axes: usize,
+    file: &str,
+    skeleton: &Skeleton,
+) -> Result<usize, FileError> {
+    let channels = skeleton.layout().channels();
+    let name = &skeleton.description().name;
+    let expected = format!("{channels}, the features of the skeleton `{name}`");
+    let usual = "data.humanml3d.skeleton names the skeleton: \"humanml3d\" has 263 channels, \
+                 \"kit\" 251";
+    match *shape {
+        [.., found] if shape.len() == axes && found == channels && !shape.contains(&0) => {
+            Ok(channels)
+        }
+        [.., found] if shape.len() == axes && found != channels => {
+            let hint = match SkeletonName::of_channels(found) {
+                Some(other) => format!(
+                    "{found} channels are those of data.humanml3d.skeleton = \"{}\"",
+                    other.as_str()
+                ),
+                None => usual.to_owned(),
+            };
+            let found = format!("{found} channels");
+            Err(FileError::unexpected(file, found, expected, hint))
+        }
+        _ => Err(FileError::unexpected(
+            file,
+            format!("shape {shape:?}"),
+            match axes {
+                1 => format!("[{channels}]"),
+                _ => format!("[frames, {channels}]"),
+            },
+            usual,
+        )),
+    }
+}
+
+/// Writes `features` as `[frames, channels]` little-endian float32, whole or not at all.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_features(path: &Path, features: &Features) -> Result<(), Error> {
+    let shape = [features.frames(), features.layout().channels()];
+    npy::write_values(path, &shape, features.as_slice())
+}
+
+/// Clips of a dataset in the layout of HumanML3D.
+#[derive(Debug)]
+pub(super) struct ClipFiles {
+    pub files: Files,
+    pub skeleton: Skeleton,
+    /// None where the model is not conditioned on text.
+    pub embeddings: Option<Embeddings>,
+    pub captions_required: bool,
+    pub min_frames: usize,
+    pub max_frames: usize,
+    /// What else decides what is trained on: the statistics files.
+    pub fingerprint: String,
+}
+
+impl ClipFiles {
+    /// Captions with their embeddings, and the checksum of their file; none where it is missing.
+    fn captions(
+        &self,
+        id: &str,
+        expected: &Expected,
+        recorded: &'static str,
+    ) -> Result<(Vec<Caption>, Option<crate::Digest>), FileError> {
+        let path = texts_path(id);
+        let name = self.files.store.name_of(&path);
+        let read = self.files.read(&path, expected, texts::MAX_BYTES, recorded);
+        let (mut captions, digest) = match (read, expected) {
+            (Ok((bytes, digest)), _) => (parse_captions(&bytes, &name)?, Some(digest)),
+            (Err(StoreError::Missing { .. }), Expected::Version(_)) => (Vec::new(), None),
+            (Err(error), _) => return Err(error.into()),
+        };
+        if captions.is_empty() && self.captions_required {
+            return Err(FileError::unexpected(
+                name,
+                digest.map_or("no such file", |_| "no caption"),
+                "a caption a line",
+                "data.humanml3d.captions = \"optional\" takes clips without captions",
+            ));
+        }
+        if let Some(embeddings) = self.embeddings.as_ref().filter(|_| !captions.is_empty()) {
+            let rows = embeddings.of(id, captions.len())?;
+            for (caption, row) in captions.iter_mut().zip(rows) {
+                caption.embedding = Some(row.clone());
+            }
+        }
+        Ok((captions, digest))
+    }
+}
+
+impl Origin<Clip> for ClipFiles {
+    fn read(
+        &self,
+        _number: usize,
+        id: &str,
+        expected: &[Expected],
+        recorded: &'static str,
+    ) -> Result<Reading<Clip>, FileError> {
+        let [features, captions @ ..] = expected else {
+            unreachable!("a clip has a file of features");
+        };
+        let path = features_path(id);
+        let name = self.files.store.name_of(&path);
+        let limit = npy::max_bytes(self.skeleton.layout().channels());
+        let (bytes, digest) = self.files.read(&path, features, limit, recorded)?;
+        let mut clip = Clip {
+            id: id.to_owned(),
+            features: parse_features(&bytes, &name, &self.skeleton)?,
+            captions: Vec::new(),
+        };
+        let frames = clip.features.frames();
+        let reason = match frames {
+            _ if frames < self.min_frames => Some("too short"),
+            _ if frames >= self.max_frames => Some("too long"),
+            _ => None,
+        };
+        if let Some(reason) = reason {
+            return Ok(Reading {
+                left_out: Some(format!("{reason}: {frames} frames")),
+                ..Reading::of(clip)
+            });
+        }
+        let mut content = vec![digest];
+        let mut note = None;
+        let mut left_out = None;
+        if let Some(expected) = captions.first() {
+            let (captions, digest) = self.captions(id, expected, recorded)?;
+            content.extend(digest);
+            clip.captions = captions;
+            let fps = self.skeleton.description().fps;
+            let lost = clip.drop_short_captions(fps, self.min_frames);
+            note = (lost > 0).then(|| {
+                let min_frames = self.min_frames;
+                format!("{lost} caption(s) of passages of fewer than {min_frames} frames")
+            });
+            if self.captions_required && clip.captions.is_empty() {
+                left_out = note.take();
+            }
+        }
+        Ok(Reading {
+            note,
+            left_out,
+            content,
+            ..Reading::of(clip)
+        })
+    }
+
+    fn fingerprint(&self) -> String {
+        let embeddings = self
+            .embeddings
+            .as_ref()
+            .map(|table| table.digest.to_string());
+        format!("{}{}", embeddings.unwrap_or_default(), self.fingerprint)
+    }
+}
+
+/// An embedding for a clip or caption that has none.
+pub(super) const NO_EMBEDDING: [f32; EMBEDDING_CHANNELS] = [0.0; EMBEDDING_CHANNELS];

@@ -1,0 +1,324 @@
+//! The `data.humanml3d` table of a training config.
+
+use kinegrad_motion::humanml::{Root, Skeleton};
+use serde::{Deserialize, Serialize};
+
+use crate::config::require;
+use crate::{DataConfig, DataKind, Error, MIN_FRAMES};
+
+/// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
+///
+/// Defaults are those of HumanML3D and of the published training on it; for KIT-ML set `skeleton`
+/// and `min_frames = 24`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Humanml3dConfig {
+    /// How batches say where the root is: relative to the frame before, as the files do, or
+    /// absolute.
+    pub root: Root,
+    /// Whose joints the features are of.
+    pub skeleton: SkeletonName,
+    /// File within the dataset with the ids of the training clips, one a line.
+    pub train_list: String,
+    /// The same of the held-out clips; empty where none are held out.
+    pub validation_list: String,
+    /// Clips, and passages that captions speak of, with fewer frames are left out.
+    pub min_frames: usize,
+    /// Clips with so many frames or more are left out.
+    pub max_frames: usize,
+    /// Samples are whole multiples of so many frames long.
+    pub unit_frames: usize,
+    /// File within the dataset with the embeddings of the captions; empty, or absent, where the
+    /// model is not conditioned on text.
+    pub text_embeddings: String,
+    /// Whether a clip without captions is a bad one; by default, where there are embeddings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub captions: Option<CaptionRule>,
+}
+
+impl Default for Humanml3dConfig {
+    fn default() -> Self {
+        Self {
+            root: Root::Absolute,
+            skeleton: SkeletonName::Humanml3d,
+            train_list: "train.txt".to_owned(),
+            validation_list: "val.txt".to_owned(),
+            min_frames: 40,
+            max_frames: 200,
+            unit_frames: 4,
+            text_embeddings: "text_embeddings.safetensors".to_owned(),
+            captions: None,
+        }
+    }
+}
+
+/// A skeleton that is built in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SkeletonName {
+    /// The 22 joints of HumanML3D: 263 channels, 20 frames a second.
+    Humanml3d,
+    /// The 21 joints of KIT-ML: 251 channels, 12.5 frames a second.
+    Kit,
+}
+
+impl SkeletonName {
+    /// Its name in a config.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Humanml3d => "humanml3d",
+            Self::Kit => "kit",
+        }
+    }
+
+    /// The skeleton.
+    pub fn skeleton(self) -> Skeleton {
+        match self {
+            Self::Humanml3d => Skeleton::humanml3d(),
+            Self::Kit => Skeleton::kit(),
+        }
+    }
+
+    /// The skeleton whose features have so many channels.
+    pub(crate) fn of_channels(channels: usize) -> Option<Self> {
+        [Self::Humanml3d, Self::Kit]
+            .into_iter()
+            .find(|name| name.skeleton().layout().channels() == channels)
+    }
+}
+
+/// What becomes of a clip without captions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptionRule {
+    /// It is a bad clip.
+    Required,
+    /// It is a clip without condition.
+    Optional,
+}
+
+impl Humanml3dConfig {
+    /// Checks the table, and what the rest of `data` says of clips.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub(crate) fn validate(&self, data: &DataConfig) -> Result<(), Error> {
+        require(
+            self.unit_frames > 0 && self.unit_frames <= data.target_frames,
+            "data.humanml3d.unit_frames",
+            self.unit_frames,
+            &format!(
+                "a whole number from 1 to data.target_frames ({})",
+                data.target_frames
+            ),
+            "4 in the published training",
+        )?;
+        let least = self.unit_frames.max(MIN_FRAMES);
+        require(
+            (least..=crate::MAX_FRAMES).contains(&self.min_frames),
+            "data.humanml3d.min_frames",
+            self.min_frames,
+            &format!("a whole number from {least} to {}", crate::MAX_FRAMES),
+            "40 for HumanML3D, 24 for KIT-ML; at least data.humanml3d.unit_frames",
+        )?;
+        require(
+            self.max_frames > self.min_frames,
+            "data.humanml3d.max_frames",
+            self.max_frames,
+            &format!("more than data.humanml3d.min_frames ({})", self.min_frames),
+            "clips of max_frames and more are left out: 200 in the published training",
+        )?;
+        require(
+            !self.train_list.is_empty(),
+            "data.humanml3d.train_list",
+            "\"\"",
+            "a file within the dataset",
+            "\"train.txt\" in HumanML3D",
+        )?;
+        validate_no_phrase_settings(data)?;
+        match data.kind {
+            DataKind::SyntheticWalks => self.validate_walks(data),
+            _ => validate_split(data),
+        }
+    }
+
+    fn validate_walks(&self, data: &DataConfig) -> Result<(), Error> {
+        require(
+            self.skeleton == SkeletonName::Humanml3d,
+            "data.humanml3d.skeleton",
+            format!("\"{}\"", self.skeleton.as_str()),
+            "\"humanml3d\" with data.kind = \"synthetic_walks\"",
+            "leave the key out",
+        )?;
+        require(
+            (self.min_frames..self.max_frames).contains(&data.synthetic.frames),
+            "data.synthetic.frames",
+            data.synthetic.frames,
+            &format!(
+                "with data.kind = \"synthetic_walks\" a whole number from \
+                 data.humanml3d.min_frames ({}) up to, not including, max_frames ({})",
+                self.min_frames, self.max_frames
+            ),
+            "20 frames are one second of a walk",
+        )
+    }
+}
+
+/// The lists of a HumanML3D dataset decide which clips are held out, and nothing else does.
+fn validate_split(data: &DataConfig) -> Result<(), Error> {
+    let split = &data.validation;
+    let allowed = "nothing with data.kind = \"humanml3d\"";
+    let hint = "the dataset's lists decide: data.humanml3d.train_list and validation_list";
+    let fraction = split.fraction.map(|fraction| fraction.to_string());
+    let patterns = (!split.patterns.is_empty()).then(|| format!("{:?}", split.patterns));
+    let file = split.ids_file.as_ref().map(|file| format!("\"{file}\""));
+    for (key, found) in [
+        ("data.validation.fraction", fraction),
+        ("data.validation.patterns", patterns),
+        ("data.validation.ids_file", file),
+    ] {
+        require(
+            found.is_none(),
+            key,
+            found.unwrap_or_default(),
+            allowed,
+            hint,
+        )?;
+    }
+    Ok(())
+}
+
+/// What is done to phrases alone.
+fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), Error> {
+    let augment = &data.augment;
+    let mirrored = "a HumanML3D copy lists its mirrored clips beside the others";
+    let anchored = "every sample begins at the origin facing +z";
+    let silent = "clips have no music";
+    for (key, set, hint) in [
+        (
+            "data.join_neighbours",
+            data.join_neighbours,
+            "clips have no neighbours",
+        ),
+        ("data.augment.rotate_yaw", augment.rotate_yaw, anchored),
+        ("data.augment.mirror", augment.mirror, mirrored),
+        (
+            "data.augment.flip_quaternion",
+            augment.flip_quaternion,
+            "features hold no quaternions",
+        ),
+        (
+            "data.augment.min_frames",
+            augment.min_frames.is_some(),
+            "data.humanml3d.unit_frames says how long samples are",
+        ),
+        (
+            "data.augment.audio_noise",
+            augment.audio_noise != 0.0,
+            silent,
+        ),
+        ("data.augment.audio_masks", augment.audio_masks != 0, silent),
+        (
+            "data.augment.audio_replace_prob",
+            augment.audio_replace_prob != 0.0,
+            silent,
+        ),
+    ] {
+        let found = "a setting of phrases";
+        require(!set, key, found, "only the default with clips", hint)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn clips() -> DataConfig {
+        DataConfig {
+            kind: DataKind::Humanml3d,
+            source: Some("somewhere".into()),
+            ..DataConfig::default()
+        }
+    }
+
+    #[test]
+    fn the_published_settings_are_the_defaults_and_survive_a_round_trip() {
+        let text = "kind = \"humanml3d\"\nsource = \"x\"\ntarget_frames = 196\n\
+                    [humanml3d]\nroot = \"relative\"\nskeleton = \"kit\"\ncaptions = \"optional\"";
+        let config: DataConfig = toml::from_str(text).unwrap();
+        config.validate().unwrap();
+        let expected = Humanml3dConfig {
+            root: Root::Relative,
+            skeleton: SkeletonName::Kit,
+            captions: Some(CaptionRule::Optional),
+            ..Humanml3dConfig::default()
+        };
+        assert_eq!(config.humanml3d, expected);
+        assert_eq!(
+            toml::from_str::<DataConfig>(&toml::to_string(&config).unwrap()).unwrap(),
+            config
+        );
+        assert!(toml::from_str::<DataConfig>("humanml3d.roots = \"absolute\"").is_err());
+        assert_eq!(Humanml3dConfig::default().root, Root::Absolute);
+        let walks: DataConfig = toml::from_str("kind = \"synthetic_walks\"").unwrap();
+        walks.validate().unwrap();
+    }
+
+    #[test]
+    fn what_clips_cannot_have_is_refused_by_its_key() {
+        type Change = fn(&mut DataConfig);
+        let cases: [(&str, Change); 17] = [
+            ("data.source", |c| c.source = None),
+            ("data.humanml3d.unit_frames", |c| {
+                c.humanml3d.unit_frames = 0
+            }),
+            ("data.humanml3d.unit_frames", |c| c.target_frames = 4),
+            ("data.humanml3d.min_frames", |c| c.humanml3d.min_frames = 3),
+            ("data.humanml3d.max_frames", |c| c.humanml3d.max_frames = 40),
+            ("data.humanml3d.train_list", |c| {
+                c.humanml3d.train_list.clear()
+            }),
+            ("data.validation.fraction", |c| {
+                c.validation.fraction = Some(0.1)
+            }),
+            ("data.validation.patterns", |c| {
+                c.validation.patterns = vec!["M*".into()]
+            }),
+            ("data.validation.ids_file", |c| {
+                c.validation.ids_file = Some("a".into())
+            }),
+            ("data.join_neighbours", |c| c.join_neighbours = true),
+            ("data.augment.mirror", |c| c.augment.mirror = true),
+            ("data.augment.rotate_yaw", |c| c.augment.rotate_yaw = true),
+            ("data.augment.min_frames", |c| {
+                c.augment.min_frames = Some(60)
+            }),
+            ("data.augment.audio_noise", |c| c.augment.audio_noise = 0.1),
+            ("data.synthetic.frames", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.synthetic.frames = 30;
+            }),
+            ("data.synthetic.frames", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.synthetic.frames = 200;
+            }),
+            ("data.humanml3d.skeleton", |c| {
+                c.kind = DataKind::SyntheticWalks;
+                c.humanml3d.skeleton = SkeletonName::Kit;
+            }),
+        ];
+        clips().validate().unwrap();
+        for (expected, change) in cases {
+            let mut config = clips();
+            if expected == "data.humanml3d.unit_frames" {
+                config.humanml3d.unit_frames = 8;
+            }
+            change(&mut config);
+            match config.validate() {
+                Err(Error::Config { key, .. }) => assert_eq!(key, expected),
+                other => panic!("{expected}: {other:?}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! The embeddings of the captions: one safetensors file, `[captions, 512]` for each clip.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+
+use crate::{Digest, FileError};
+
+/// Numbers of a caption's embedding: those of CLIP's ViT-B/32.
+pub const EMBEDDING_CHANNELS: usize = 512;
+
+/// The longest file of embeddings.
+pub(super) const MAX_BYTES: u64 = 1 << 33;
+
+const HINT: &str = "docs/dataset.md shows how to make the file; data.humanml3d.text_embeddings = \
+                    \"\" does without";
+
+/// The embeddings of all captions of a dataset, in memory.
+#[derive(Debug)]
+pub(super) struct Embeddings {
+    /// Those of each clip, in the order of its captions.
+    clips: HashMap<String, Vec<Arc<[f32]>>>,
+    file: String,
+    pub digest: Digest,
+}
+
+impl Embeddings {
+    /// Parses the file called `file`, whose checksum is `digest`.
+    ///
+    /// # Errors
+    /// [`FileError::Unexpected`] for what is no safetensors file, and for a tensor of another
+    /// shape or type, or with a number that is not finite.
+    pub fn parse(bytes: &[u8], file: &str, digest: Digest) -> Result<Self, FileError> {
+        let tensors = SafeTensors::deserialize(bytes).map_err(|error| {
+            let found = format!("no safetensors file ({error})");
+            FileError::unexpected(file, found, "one tensor for each clip", HINT)
+        })?;
+        let clips = tensors
+            .iter()
+            .map(|(id, tensor)| Ok((id.to_owned(), rows(id, &tensor, file)?)))
+            .collect::<Result<_, FileError>>()?;
+        Ok(Self {
+            clips,
+            file: file.to_owned(),
+            digest,
+        })
+    }
+
+    /// The embeddings of the `captions` captions of clip `id`.
+    ///
+    /// # Errors
+    /// [`FileError::Unexpected`] where there are none or not so many.
+    pub fn of(&self, id: &str, captions: usize) -> Result<&[Arc<[f32]>], FileError> {
+        let found = match self.clips.get(id) {
+            Some(rows) if rows.len() == captions => return Ok(rows),
+            Some(rows) => format!("{} rows", rows.len()),
+            None => "no such tensor".to_owned(),
+        };
+        Err(FileError::unexpected(
+            format!("{}, tensor `{id}`", self.file),
+            found,
+            format!("{captions} rows, one for each line of texts/{id}.txt"),
+            HINT,
+        ))
+    }
+}
+
+/// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N.
+///
+/// # Errors
+/// [`FileError`] for a name of another form, a file that cannot be read, and what is no embedding.
+pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
+    let expected = "FILE#KEY or FILE#KEY:N, with the key of a tensor and a row";
+    let refused = |found: &str| FileError::unexpected(name, found, expected, HINT);
+    let (path, key) = name.rsplit_once('#').ok_or_else(|| refused("no `#`"))?;
+    let (key, row) = match key.rsplit_once(':') {
+        Some((key, row)) => (key, row.parse().map_err(|_| refused("no row number"))?),
+        None => (key, 0usize),
+    };
+    let bytes = std::fs::read(path).map_err(|reason| FileError::Read {
+        file: path.to_owned(),
+        reason: reason.to_string(),
+    })?;
+    let tensors = SafeTensors::deserialize(&bytes)
+        .map_err(|error| refused(&format!("no safetensors file ({error})")))?;
+    let tensor = tensors
+        .tensor(key)
+        .map_err(|_| refused(&format!("no tensor `{key}`")))?;
+    let rows = rows(key, &tensor, path)?;
+    let found = rows.get(row).ok_or_else(|| {
+        let found = format!("{} rows in `{key}`", rows.len());
+        refused(&found)
+    })?;
+    Ok(found.to_vec())
+}
+
+fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, FileError> {
+    let unexpected = |found: String, expected: &str| {
+        FileError::unexpected(format!("{file}, tensor `{id}`"), found, expected, HINT)
+    };
+    let values: Vec<f32> = match tensor.dtype() {
+        Dtype::F32 => {
+            let (numbers, _) = tensor.data().as_chunks();
+            numbers
+                .iter()
+                .map(|&bytes| f32::from_le_bytes(bytes))
+                .collect()
+        }
+        Dtype::F16 => {
+            let (numbers, _) = tensor.data().as_chunks();
+            let half = |&bytes| from_half(u16::from_le_bytes(bytes));
+            numbers.iter().map(half).collect()
+        }
+        found => return Err(unexpected(format!("{found:?} numbers"), "F32 or F16")),
+    };
+    match *tensor.shape() {
+        [_, EMBEDDING_CHANNELS] => {}
+        ref found => {
+            let expected = format!("[captions, {EMBEDDING_CHANNELS}]");
+            return Err(unexpected(format!("shape {found:?}"), &expected));
+        }
+    }
+    if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+        let (row, channel) = (place / EMBEDDING_CHANNELS, place % EMBEDDING_CHANNELS);
+        let found = format!("{} in row {row}, channel {channel}", values[place]);
+        return Err(unexpected(found, "finite numbers"));
+    }
+    let rows = values.chunks_exact(EMBEDDING_CHANNELS);
+    Ok(rows.map(Arc::from).collect())
+}
+
+/// The number that a half-precision float stands for (IEEE 754, binary16).
+fn from_half(bits: u16) -> f32 {
+    let sign = if bits >> 15 == 0 { 1.0 } else { -1.0 };
+    let exponent = i32::from(bits >> 10 & 0x1f);
+    let fraction = f32::from(bits & 0x3ff) / 1024.0;
+    sign * match exponent {
+        0 => fraction * 2f32.powi(-14),
+        31 if fraction == 0.0 => f32::INFINITY,
+        31 => f32::NAN,
+        _ => (1.0 + fraction) * 2f32.powi(exponent - 15),
+    }
+}
+
+/// The bytes of a file of embeddings: `[captions, 512]` float32 for each clip.
+pub(super) fn serialize<'a>(clips: impl Iterator<Item = (&'a str, Vec<&'a [f32]>)>) -> Vec<u8> {
+    let clips: Vec<(&str, usize, Vec<u8>)> = clips
+        .map(|(id, rows)| {
+            let values = rows.iter().flat_map(|row| row.iter());
+            let bytes = values.flat_map(|value| value.to_le_bytes()).collect();
+            (id, rows.len(), bytes)
+        })
+        .collect();
+    let views = clips.iter().map(|(id, captions, bytes)| {
+        let shape = vec![*captions, EMBEDDING_CHANNELS];
+        let view = TensorView::new(Dtype::F32, shape, bytes);
+        (*id, view.expect("so many bytes"))
+    });
+    safetensors::serialize(views, None).expect("ids are unique")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(dtype: Dtype, shape: &[usize], bytes: &[u8]) -> Result<Embeddings, String> {
+        let view = TensorView::new(dtype, shape.to_vec(), bytes).unwrap();
+        let file = safetensors::serialize([("000021", view)], None).unwrap();
+        Embeddings::parse(&file, "e.safetensors", Digest::of(&file)).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn rows_are_read_and_counted() {
+        let rows = [[0.5f32; 512], [-2.0; 512]];
+        let bytes = serialize([("a", vec![&rows[0][..], &rows[1]])].into_iter());
+        let read = Embeddings::parse(&bytes, "e.safetensors", Digest::of(&bytes)).unwrap();
+        assert_eq!(read.of("a", 2).unwrap()[1][..], rows[1]);
+        let message = read.of("a", 3).unwrap_err().to_string();
+        assert_eq!(
+            message,
+            "e.safetensors, tensor `a`: found 2 rows, expected 3 rows, one for each line of \
+             texts/a.txt"
+        );
+        let message = read.of("b", 1).unwrap_err().to_string();
+        assert!(message.contains("`b`: found no such tensor"), "{message}");
+    }
+
+    #[test]
+    fn half_precision_is_understood() {
+        for (bits, value) in [
+            (0x0000, 0.0),
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x3555, 0.333_251_95),
+            (0x7bff, 65504.0),
+            (0x0001, 5.960_464_5e-8),
+            (0x7c00, f32::INFINITY),
+        ] {
+            assert_eq!(from_half(bits), value, "{bits:x}");
+        }
+        assert!(from_half(0x7e00).is_nan());
+        let bytes: Vec<u8> = (0..512).flat_map(|_| 0x3800u16.to_le_bytes()).collect();
+        let read = parse(Dtype::F16, &[1, 512], &bytes).unwrap();
+        assert_eq!(read.of("000021", 1).unwrap()[0][..], [0.5; 512]);
+    }
+
+    #[test]
+    fn another_width_type_or_file_is_refused() {
+        let message = parse(Dtype::F32, &[1, 768], &[0; 4 * 768]).unwrap_err();
+        assert!(
+            message.contains("tensor `000021`: found shape [1, 768], expected [captions, 512]"),
+            "{message}"
+        );
+        let message = parse(Dtype::F64, &[1, 512], &[0; 8 * 512]).unwrap_err();
+        assert!(message.contains("found F64 numbers, expected F32 or F16"));
+        let mut bytes = vec![0; 4 * 512];
+        bytes[40..44].copy_from_slice(&f32::NAN.to_le_bytes());
+        let message = parse(Dtype::F32, &[1, 512], &bytes).unwrap_err();
+        assert!(message.contains("NaN in row 0, channel 10"), "{message}");
+        let message = Embeddings::parse(b"PK", "e.safetensors", Digest::of(b""));
+        let message = message.unwrap_err().to_string();
+        assert!(message.contains("found no safetensors file"), "{message}");
+    }
+}

@@ -1,0 +1,122 @@
+//! The lists of a dataset's clips: `train.txt` and `val.txt`, one id a line.
+
+use std::collections::BTreeMap;
+
+use crate::files::Files;
+use crate::layout::check_id;
+use crate::listing::{Expected, Listed};
+use crate::split::Side;
+use crate::{Error, FileError, StoreError};
+
+use super::Humanml3dConfig;
+
+/// The longest list: some millions of ids.
+const MAX_BYTES: u64 = 1 << 28;
+
+/// The clips of both lists, sorted by id.
+///
+/// # Errors
+/// [`Error::File`] for a list that is missing, empty or holds what is no id, and for a clip on both
+/// lists; [`Error::Store`].
+pub(super) fn read_lists(
+    files: &Files,
+    config: &Humanml3dConfig,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Listed>, Error> {
+    let mut sides: BTreeMap<String, Side> = BTreeMap::new();
+    for (key, list, side) in [
+        ("train_list", &config.train_list, Side::Train),
+        ("validation_list", &config.validation_list, Side::Validation),
+    ] {
+        if list.is_empty() {
+            continue;
+        }
+        let name = files.store.name_of(list);
+        let mut twice = Vec::new();
+        let ids = parse_list(&read(files, list, key)?, &name)?;
+        if ids.is_empty() && side == Side::Train {
+            let hint = "clips on no list are not used";
+            return Err(FileError::unexpected(name, "no id", "one id a line", hint).into());
+        }
+        for (line, id) in ids {
+            match sides.insert(id.clone(), side) {
+                Some(before) if before != side => {
+                    let found = format!("clip `{id}`, which {} lists too", config.train_list);
+                    return Err(FileError::unexpected(
+                        format!("{name}, line {line}"),
+                        found,
+                        "held-out clips that are not trained on",
+                        "remove it from one of the lists",
+                    )
+                    .into());
+                }
+                Some(_) => twice.push(id),
+                None => {}
+            }
+        }
+        if let Some(first) = twice.first() {
+            let count = twice.len();
+            warnings.push(format!(
+                "{name} lists {count} clip(s) twice, which count once; the first: {first}"
+            ));
+        }
+    }
+    let listed = sides.into_iter().map(|(id, side)| Listed {
+        id,
+        side: Some(side),
+        files: vec![Expected::Version(String::new()); 2],
+    });
+    Ok(listed.collect())
+}
+
+fn read(files: &Files, list: &str, key: &str) -> Result<Vec<u8>, Error> {
+    let unknown = Expected::Version(String::new());
+    match files.read(list, &unknown, MAX_BYTES, "") {
+        Ok((bytes, _)) => Ok(bytes),
+        Err(StoreError::Missing { object }) => Err(FileError::unexpected(
+            object,
+            "no such file",
+            "a list of clips, one id a line",
+            format!(
+                "a HumanML3D dataset holds new_joint_vecs/, texts/ and its lists; data.source \
+                 names the folder and data.humanml3d.{key} the list in it"
+            ),
+        )
+        .into()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The ids of a list with their lines. Empty lines and those that begin with `#` are passed over.
+fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
+    let hint = "a list names clips as their files are called, without the ending";
+    let text = str::from_utf8(bytes)
+        .map_err(|_| FileError::unexpected(file, "bytes that are no UTF-8", "UTF-8 text", hint))?;
+    let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+    let lines = (1..).zip(lines);
+    let ids = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    ids.map(|(number, id)| match check_id(id) {
+        Ok(()) => Ok((number, id.to_owned())),
+        Err(reason) => Err(FileError::unexpected(
+            format!("{file}, line {number}"),
+            reason.to_string(),
+            "the id of a clip",
+            hint,
+        )),
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_stand_one_a_line() {
+        let ids = parse_list(b"\xef\xbb\xbf000021\r\n\n# mirrored\nM000021  \n", "t").unwrap();
+        assert_eq!(ids, [(1, "000021".to_owned()), (4, "M000021".to_owned())]);
+        let message = parse_list(b"a\n../b\n", "list.txt").unwrap_err();
+        let expected = "list.txt, line 2: found path `../b`";
+        assert!(message.to_string().starts_with(expected), "{message}");
+    }
+}

@@ -1,0 +1,44 @@
+//! Clips of HumanML3D and its like: features of motion with captions, and made-up walks.
+//!
+//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy` (`[frames,
+//! 263]`, relative root), `texts/ID.txt` (captions) and lists of the clips of each side. See
+//! `docs/dataset.md`.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use kinegrad_data::humanml::ClipDataset;
+//! use kinegrad_data::{DataConfig, DataKind, Loader};
+//!
+//! let mut config = DataConfig { kind: DataKind::SyntheticWalks, ..DataConfig::default() };
+//! config.batch_size = 4;
+//! config.synthetic.phrases = 6;
+//! let dataset = ClipDataset::open(&config)?;
+//! let statistics = Arc::new(dataset.statistics);
+//! let mut loader = Loader::clips(dataset.train, statistics, 0..263, &config, 7, 0);
+//! let batch = loader.next()?;
+//! assert_eq!(batch.x_start.len(), 4 * 263 * 120);
+//! assert_eq!(batch.cond.len(), 4 * 512);
+//! # Ok::<(), kinegrad_data::Error>(())
+//! ```
+
+mod clip;
+mod config;
+mod dataset;
+mod embeddings;
+mod inspect;
+mod lists;
+mod maker;
+mod statistics;
+mod synthetic;
+mod texts;
+mod walk;
+
+pub use clip::{Clip, ClipSet, parse_features, write_features};
+pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
+pub use dataset::ClipDataset;
+pub use embeddings::{EMBEDDING_CHANNELS, read_embedding};
+pub use inspect::{ClipInspection, inspect_clips};
+pub(crate) use maker::ClipMaker;
+pub use maker::collate_clips;
+pub use synthetic::{synthetic_id, walk, write_walks};
+pub use texts::{Caption, parse_captions};

@@ -1,0 +1,378 @@
+//! Made-up clips: walks along random paths, with captions that say what they are.
+//!
+//! Everything is a function of (seed, number of the walk).
+
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
+use kinegrad_random::{Key, Purpose};
+use rayon::prelude::*;
+
+use crate::library::{Origin, Reading};
+use crate::listing::Expected;
+use crate::split::Split;
+use crate::synthetic::write_whole;
+use crate::{
+    DataConfig, DataKind, Error, FileError, Humanml3dConfig, SyntheticConfig, ValidationSplit,
+    atomic,
+};
+
+use super::clip::{self, features_path, texts_path, write_features};
+use super::walk::{self, Course};
+use super::{Caption, Clip, EMBEDDING_CHANNELS, embeddings};
+
+/// Id of synthetic walk number `index`: `walk_00007`.
+pub fn synthetic_id(index: usize) -> String {
+    format!("walk_{index:05}")
+}
+
+/// Walk number `index` of this `seed`: `frames` frames of features of
+/// [`Skeleton::humanml3d`], at 20 a second, with captions and embeddings that follow from the
+/// captions' words alone (of unit length).
+///
+/// # Panics
+/// Panics if `frames` is zero.
+pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
+    let key = Key::new(seed, Purpose::Synthetic)
+        .named("walk")
+        .at(index as u64);
+    let skeleton = Skeleton::humanml3d();
+    let seconds = frames as f64 / skeleton.description().fps;
+    let plan = Plan::new(key, seconds);
+    // Every row of features is of a frame and the next.
+    let joints = walk::joints(&plan.course(), &skeleton, frames + 1);
+    let joints = Joints::new(joints, skeleton.joints()).expect("whole finite frames");
+    let extraction = Extraction {
+        rescale: false,
+        ..Extraction::default()
+    };
+    let features = extraction.features(&skeleton, &joints);
+    Clip {
+        id: synthetic_id(index),
+        features: features.expect("joints of the skeleton"),
+        captions: plan.captions(seconds),
+    }
+}
+
+/// What a walk is to look like, and so what is said of it.
+struct Plan {
+    shape: Shape,
+    /// +1 to the left, -1 to the right.
+    side: f64,
+    pace: Pace,
+    /// Metres per second.
+    speed: f64,
+    /// Where the speed stands in its slow change, radians.
+    ease: f64,
+    /// How sharp circles and windings are, 0 to 1.
+    sharpness: f64,
+    /// Middle of a turn, seconds.
+    turn_seconds: f64,
+}
+
+#[derive(Clone, Copy)]
+enum Shape {
+    Straight,
+    Circle,
+    Turn,
+    Winding,
+}
+
+#[derive(Clone, Copy)]
+enum Pace {
+    Slow,
+    Usual,
+    Fast,
+}
+
+/// Seconds that a turn by a quarter of a circle takes.
+const TURN_SECONDS: f64 = 1.6;
+
+impl Plan {
+    fn new(key: Key, seconds: f64) -> Self {
+        let draw = |place: u64| key.at(place).uniform();
+        let (pace, slowest) = match key.at(0).integers(1, 3)[0] {
+            0 => (Pace::Slow, 0.6),
+            1 => (Pace::Usual, 0.95),
+            _ => (Pace::Fast, 1.3),
+        };
+        Self {
+            shape: match key.at(1).integers(1, 4)[0] {
+                0 => Shape::Straight,
+                1 => Shape::Circle,
+                2 => Shape::Turn,
+                _ => Shape::Winding,
+            },
+            side: if draw(2) < 0.5 { 1.0 } else { -1.0 },
+            pace,
+            speed: slowest + 0.25 * draw(3),
+            ease: TAU * draw(4),
+            sharpness: draw(5),
+            turn_seconds: (0.45 + 0.1 * draw(6)) * seconds,
+        }
+    }
+
+    fn course(&self) -> Course {
+        let Self {
+            shape,
+            side,
+            speed,
+            ease,
+            sharpness,
+            turn_seconds,
+            ..
+        } = *self;
+        let turning: Box<dyn Fn(f64) -> f64> = match shape {
+            Shape::Straight => Box::new(|_| 0.0),
+            Shape::Circle => Box::new(move |_| side * (0.5 + 0.4 * sharpness)),
+            Shape::Turn => Box::new(move |time| {
+                let place = (time - turn_seconds) / TURN_SECONDS;
+                match place.abs() < 0.5 {
+                    true => side * PI / 2.0 / TURN_SECONDS * (1.0 + (TAU * place).cos()),
+                    false => 0.0,
+                }
+            }),
+            Shape::Winding => {
+                Box::new(move |time| side * (0.6 + 0.4 * sharpness) * (TAU * time / 4.0).sin())
+            }
+        };
+        Course {
+            speed: Box::new(move |time| speed * (1.0 + 0.04 * (TAU * time / 5.0 + ease).sin())),
+            turning,
+        }
+    }
+
+    /// Two captions of the whole walk and, where it turns, one of what comes before and one of the
+    /// rest.
+    fn captions(&self, seconds: f64) -> Vec<Caption> {
+        let side = if self.side > 0.0 { "left" } else { "right" };
+        let (walks, walking) = match self.pace {
+            Pace::Slow => ("walks slowly", "walking slowly"),
+            Pace::Usual => ("walks", "walking"),
+            Pace::Fast => ("walks fast", "walking quickly"),
+        };
+        let whole = match self.shape {
+            Shape::Straight => [
+                format!("a person {walks} forward"),
+                format!("someone is {walking} in a straight line"),
+            ],
+            Shape::Circle => [
+                format!("a person {walks} in a circle to the {side}"),
+                format!("someone is {walking} around in a circle, turning {side}"),
+            ],
+            Shape::Turn => [
+                format!("a person {walks} and turns {side}"),
+                format!("someone is {walking} forward and then goes {side}"),
+            ],
+            Shape::Winding => [
+                format!("a person {walks} along a winding path"),
+                format!("someone is {walking} and swerves from side to side"),
+            ],
+        };
+        let mut captions = whole.map(|text| caption(text, None)).to_vec();
+        if matches!(self.shape, Shape::Turn) {
+            let tenths = |seconds: f64| (10.0 * seconds).round() / 10.0;
+            let turn = tenths(self.turn_seconds);
+            let before = format!("a person {walks} forward");
+            let after = format!("a person turns {side} and {walks} on");
+            captions.push(caption(before, Some((0.0, turn))));
+            captions.push(caption(after, Some((turn, tenths(seconds)))));
+        }
+        captions
+    }
+}
+
+fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
+    let noise = Key::new(0, Purpose::Synthetic)
+        .named(&text)
+        .normals(EMBEDDING_CHANNELS);
+    let square: f64 = noise.iter().map(|&value| f64::from(value).powi(2)).sum();
+    let unit = noise.iter().map(|value| value / square.sqrt() as f32);
+    Caption {
+        embedding: Some(unit.collect()),
+        text,
+        seconds,
+    }
+}
+
+/// Walks that are made up anew each time.
+#[derive(Debug)]
+pub(super) struct Walks {
+    config: SyntheticConfig,
+    conditional: bool,
+    min_frames: usize,
+}
+
+impl Walks {
+    /// The walks of a valid `config`; without embeddings unless `conditional`.
+    pub fn new(config: &DataConfig, conditional: bool) -> Self {
+        Self {
+            config: config.synthetic.clone(),
+            conditional,
+            min_frames: config.humanml3d.min_frames,
+        }
+    }
+}
+
+impl Origin<Clip> for Walks {
+    fn read(
+        &self,
+        number: usize,
+        _id: &str,
+        _expected: &[Expected],
+        _recorded: &'static str,
+    ) -> Result<Reading<Clip>, FileError> {
+        let mut clip = walk(number, self.config.frames, self.config.seed);
+        clip.drop_short_captions(Skeleton::humanml3d().description().fps, self.min_frames);
+        if !self.conditional {
+            clip.captions
+                .iter_mut()
+                .for_each(|caption| caption.embedding = None);
+        }
+        Ok(Reading::of(clip))
+    }
+
+    fn fingerprint(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
+/// Writes `clips` walks of this `seed`, `frames` frames each, into `folder` in the layout of
+/// HumanML3D, with embeddings of the captions. A tenth of them is on the list of held-out clips,
+/// the same as `kind = "synthetic_walks"` holds out.
+///
+/// # Errors
+/// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
+/// [`Error::Io`].
+pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Result<(), Error> {
+    let config = DataConfig {
+        kind: DataKind::SyntheticWalks,
+        synthetic: SyntheticConfig {
+            phrases: clips,
+            frames,
+            seed,
+        },
+        ..DataConfig::default()
+    };
+    config.validate()?;
+    let Humanml3dConfig {
+        train_list,
+        validation_list,
+        text_embeddings,
+        ..
+    } = config.humanml3d;
+    let parts = [
+        clip::FEATURES,
+        clip::TEXTS,
+        train_list.as_str(),
+        &validation_list,
+        &text_embeddings,
+    ];
+    write_whole(folder, &parts, |staging| {
+        let captions: Vec<(String, Vec<Caption>)> = (0..clips)
+            .into_par_iter()
+            .map(|index| {
+                let clip = walk(index, frames, seed);
+                write_features(&staging.join(features_path(&clip.id)), &clip.features)?;
+                let lines: String = clip.captions.iter().map(line).collect();
+                write_text(&staging.join(texts_path(&clip.id)), &lines)?;
+                Ok((clip.id, clip.captions))
+            })
+            .collect::<Result<_, Error>>()?;
+        let split = Split::new(&ValidationSplit::default())?;
+        let (held_out, train): (Vec<&str>, Vec<&str>) = captions
+            .iter()
+            .map(|(id, _)| id.as_str())
+            .partition(|id| split.holds_out(id, None));
+        for (list, ids) in [(&train_list, train), (&validation_list, held_out)] {
+            let text: String = ids.iter().map(|id| format!("{id}\n")).collect();
+            write_text(&staging.join(list), &text)?;
+        }
+        let rows = captions.iter().map(|(id, captions)| {
+            let rows = captions.iter();
+            let rows = rows.filter_map(|caption| caption.embedding.as_deref());
+            (id.as_str(), rows.collect())
+        });
+        let bytes = embeddings::serialize(rows);
+        atomic::write(&staging.join(&text_embeddings), |writer| {
+            std::io::Write::write_all(writer, &bytes)
+        })
+    })
+}
+
+fn write_text(path: &Path, text: &str) -> Result<(), Error> {
+    atomic::write(path, |writer| {
+        std::io::Write::write_all(writer, text.as_bytes())
+    })
+}
+
+/// The line of a caption in `texts/ID.txt`.
+fn line(caption: &Caption) -> String {
+    let tokens = caption.text.split(' ').map(|word| format!("{word}/OTHER"));
+    let tokens: Vec<String> = tokens.collect();
+    let (from, to) = caption.seconds.unwrap_or_default();
+    format!("{}#{}#{from:?}#{to:?}\n", caption.text, tokens.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn walks_differ_by_number_and_by_seed_and_by_nothing_else() {
+        let one = walk(0, 60, 0);
+        assert_eq!(one, walk(0, 60, 0));
+        assert_eq!((one.id.as_str(), one.features.frames()), ("walk_00000", 60));
+        for other in [walk(1, 60, 0), walk(0, 60, 1)] {
+            assert_ne!(one.features, other.features);
+        }
+    }
+
+    #[test]
+    fn captions_say_where_and_how_fast_the_walk_goes() {
+        let mut said = BTreeSet::new();
+        for index in 0..60 {
+            let clip = walk(index, 120, 2);
+            let absolute = clip.features.to_absolute();
+            let positions = absolute.root_positions();
+            let steps = positions
+                .windows(2)
+                .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
+            let speed = steps.sum::<f64>() * 20.0 / 119.0;
+            let text = &clip.captions[0].text;
+            let pace = match text {
+                _ if text.contains("slowly") => 0.57..0.9,
+                _ if text.contains("fast") => 1.2..1.65,
+                _ => 0.9..1.26,
+            };
+            assert!(pace.contains(&speed), "{text}: {speed}");
+            // The stored angle is half the yaw with the other sign; to the left is positive.
+            let yaw = -2.0 * f64::from(absolute.frame(119)[0]);
+            let last = positions[119];
+            match text {
+                _ if text.contains("forward") => {
+                    assert!(last[2] > 3.0 && last[0].abs() < 0.6, "{text}: {last:?}");
+                }
+                _ if text.contains("turns left") => assert!(last[0] > 0.8, "{text}: {last:?}"),
+                _ if text.contains("turns right") => assert!(last[0] < -0.8, "{text}: {last:?}"),
+                _ if text.contains("to the left") => assert!(yaw > 2.0, "{text}: {yaw}"),
+                _ if text.contains("to the right") => assert!(yaw < -2.0, "{text}: {yaw}"),
+                _ => assert!(text.contains("winding"), "{text}"),
+            }
+            for caption in &clip.captions {
+                let frames = caption.frames(120, 20.0);
+                assert!(frames.len() >= 40, "{caption:?}");
+                let embedding = caption.embedding.as_deref().unwrap();
+                let square: f32 = embedding.iter().map(|value| value * value).sum();
+                assert!((square - 1.0).abs() < 1e-5 && embedding.len() == EMBEDDING_CHANNELS);
+                said.insert(caption.text.clone());
+            }
+        }
+        assert!(said.len() > 25, "{said:?}");
+        let said = |text: &str| caption(text.to_owned(), None).embedding;
+        assert_eq!(said("a"), said("a"));
+        assert_ne!(said("a"), said("b"));
+    }
+}

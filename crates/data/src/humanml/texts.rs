@@ -1,0 +1,189 @@
+//! The captions of a clip: `texts/ID.txt`, one a line.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::FileError;
+
+/// The longest file of captions.
+pub(super) const MAX_BYTES: u64 = 1 << 20;
+
+/// What a line of a caption file is.
+const LINE: &str = "`CAPTION#TOKENS#FROM#TO`";
+
+/// One sentence that describes a clip, or a passage of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Caption {
+    /// The sentence.
+    pub text: String,
+    /// Begin and end of the passage in seconds; none where the sentence describes the whole clip.
+    pub seconds: Option<(f64, f64)>,
+    /// Its embedding, `[512]`; none in a dataset without.
+    pub embedding: Option<Arc<[f32]>>,
+}
+
+impl Caption {
+    /// The frames that it describes of a clip of `frames` frames at `fps` a second.
+    pub fn frames(&self, frames: usize, fps: f64) -> Range<usize> {
+        let Some((from, to)) = self.seconds else {
+            return 0..frames;
+        };
+        // Casts of floats saturate.
+        let frame = |seconds: f64| ((seconds * fps) as usize).min(frames);
+        frame(from)..frame(to).max(frame(from))
+    }
+}
+
+/// Parses a file of captions; `file` names it in errors.
+///
+/// A line is `CAPTION#TOKENS#FROM#TO`: the sentence, the same with parts of speech (not used), and
+/// the passage in seconds, for which 0.0 and 0.0 (or NaN) mean the whole clip. Empty lines are
+/// passed over.
+///
+/// # Errors
+/// [`FileError::Unexpected`] with the line.
+pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileError> {
+    let text = str::from_utf8(bytes).map_err(|error| {
+        let line = 1 + bytes[..error.valid_up_to()]
+            .iter()
+            .filter(|&&byte| byte == b'\n')
+            .count();
+        FileError::unexpected(
+            format!("{file}, line {line}"),
+            "bytes that are no UTF-8",
+            "UTF-8 text",
+            "save the file again as UTF-8",
+        )
+    })?;
+    let lines = text.trim_start_matches('\u{feff}').lines().enumerate();
+    let lines = lines.filter(|(_, line)| !line.trim().is_empty());
+    lines
+        .map(|(number, line)| {
+            parse_line(line).map_err(|(found, expected)| {
+                FileError::unexpected(
+                    format!("{file}, line {}", number + 1),
+                    found,
+                    expected,
+                    "as in `a person walks.#a/DET person/NOUN walk/VERB#0.0#0.0`; FROM and TO are \
+                     seconds, and 0.0#0.0 is the whole clip",
+                )
+            })
+        })
+        .collect()
+}
+
+/// A caption, or what was found and what is expected instead.
+fn parse_line(line: &str) -> Result<Caption, (String, String)> {
+    let mut fields = line.rsplitn(4, '#');
+    let (Some(to), Some(from), Some(_), Some(text)) =
+        (fields.next(), fields.next(), fields.next(), fields.next())
+    else {
+        return Err((format!("`{}`", shortened(line)), LINE.to_owned()));
+    };
+    let text = text.trim();
+    if text.is_empty() {
+        return Err(("no caption before the first `#`".into(), LINE.to_owned()));
+    }
+    let seconds = |field: &str, name: &str| match field.trim().parse::<f64>() {
+        Ok(value) if value.is_nan() => Ok(0.0),
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err((
+            format!("{name} `{}`", shortened(field)),
+            "a number of seconds, 0 or more".to_owned(),
+        )),
+    };
+    let (from, to) = (seconds(from, "FROM")?, seconds(to, "TO")?);
+    Ok(Caption {
+        text: text.to_owned(),
+        seconds: (from != 0.0 || to != 0.0).then_some((from, to)),
+        embedding: None,
+    })
+}
+
+/// The beginning of a text that may be long.
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn captions_of_whole_clips_and_of_passages_are_read() {
+        let text = "\u{feff}a man walks.#a/DET man/NOUN#0.0#0.0\r\n\n\
+                    steps #2 and turns#x#nan#NaN\n he sits #y# 1.25 #3.5";
+        let captions = parse_captions(text.as_bytes(), "a.txt").unwrap();
+        let found: Vec<_> = captions
+            .iter()
+            .map(|caption| (caption.text.as_str(), caption.seconds))
+            .collect();
+        assert_eq!(
+            found,
+            [
+                ("a man walks.", None),
+                ("steps #2 and turns", None),
+                ("he sits", Some((1.25, 3.5)))
+            ]
+        );
+        assert_eq!(captions[0].frames(90, 20.0), 0..90);
+        assert_eq!(captions[2].frames(90, 20.0), 25..70);
+        assert_eq!(captions[2].frames(60, 20.0), 25..60);
+        assert_eq!(captions[2].frames(20, 20.0), 20..20);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (text, line, found) in [
+            ("good#t#0.0#0.0\nbad line", 2, "`bad line`"),
+            ("one#0.0#0.0", 1, "`one#0.0#0.0`"),
+            ("\n\n #t#0.0#0.0", 3, "no caption"),
+            ("a#t#minus#0.0", 1, "FROM `minus`"),
+            ("a#t#0.0#-1", 1, "TO `-1`"),
+            ("a#t#0.0#inf", 1, "TO `inf`"),
+        ] {
+            let message = parse_captions(text.as_bytes(), "texts/a.txt")
+                .unwrap_err()
+                .to_string();
+            assert!(
+                message.starts_with(&format!("texts/a.txt, line {line}: found {found}")),
+                "{message}"
+            );
+        }
+        let message = parse_captions(b"a#t#0.0#0.0\n\xff", "a.txt").unwrap_err();
+        assert!(message.to_string().contains("a.txt, line 2: found bytes"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_give_captions_or_an_error(
+            bytes in proptest::collection::vec(any::<u8>(), 0..80),
+            text in "[a#0-9.\nnN-]{0,60}",
+            frames in 0usize..300,
+        ) {
+            for bytes in [&bytes[..], text.as_bytes()] {
+                for caption in parse_captions(bytes, "a.txt").unwrap_or_default() {
+                    let range = caption.frames(frames, 20.0);
+                    prop_assert!(range.start <= range.end && range.end <= frames);
+                }
+            }
+        }
+
+        #[test]
+        fn a_written_caption_is_read_back(
+            text in "[a-z#]([a-z# ]{0,20}[a-z])?",
+            from in 0u32..2000,
+            length in 1u32..2000,
+        ) {
+            let seconds = (f64::from(from) / 100.0, f64::from(from + length) / 100.0);
+            let line = format!("{text}#t/NOUN#{}#{}\n", seconds.0, seconds.1);
+            let found = parse_captions(line.as_bytes(), "a.txt").unwrap();
+            prop_assert_eq!(&found[0].text, &text);
+            prop_assert_eq!(found[0].seconds, Some(seconds));
+        }
+    }
+}

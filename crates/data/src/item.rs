@@ -1,0 +1,163 @@
+//! What datasets consist of, and some of it at a time.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::library::Library;
+
+/// Items that are measured at a time: enough for all cores, few enough for any memory.
+const CHUNK: usize = 256;
+
+/// One piece of a dataset: a [`Phrase`](crate::Phrase) or a [`Clip`](crate::humanml::Clip).
+pub trait Item: Debug + Send + Sync + 'static {
+    /// What messages call one: `phrase` or `clip`.
+    const KIND: &'static str;
+
+    /// Its name in the dataset.
+    fn id(&self) -> &str;
+
+    /// Number of frames.
+    fn frames(&self) -> usize;
+
+    /// Bytes it takes in memory.
+    fn bytes(&self) -> usize;
+}
+
+/// Some of the items of a dataset in the order of their ids, read when they are asked for. A clone
+/// is another handle to the same ones.
+#[derive(Debug)]
+pub struct ItemSet<T> {
+    library: Arc<Library<T>>,
+    /// Their numbers in the library.
+    indices: Arc<[usize]>,
+}
+
+impl<T> Clone for ItemSet<T> {
+    fn clone(&self) -> Self {
+        Self {
+            library: self.library.clone(),
+            indices: self.indices.clone(),
+        }
+    }
+}
+
+impl<T: Item> ItemSet<T> {
+    pub(crate) fn new(library: Arc<Library<T>>, indices: Vec<usize>) -> Self {
+        Self {
+            library,
+            indices: indices.into(),
+        }
+    }
+
+    /// Number of items.
+    pub fn len(&self) -> usize {
+        self.indices.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.indices.is_empty()
+    }
+
+    /// Their ids, in order.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.indices
+            .iter()
+            .map(|&index| self.library.entries[index].id.as_str())
+    }
+
+    /// Frames of item `position`, without reading it.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn frames(&self, position: usize) -> usize {
+        self.library.entries[self.indices[position]].frames
+    }
+
+    /// Id of item `position`, without reading it.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn id(&self, position: usize) -> &str {
+        &self.library.entries[self.indices[position]].id
+    }
+
+    /// Item `position`.
+    ///
+    /// # Errors
+    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
+        self.library.get(self.indices[position])
+    }
+
+    /// The item `id`; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
+        let position = self.ids().position(|found| found == id);
+        position.map(|position| self.get(position)).transpose()
+    }
+
+    /// Whether item `position` is in memory now.
+    pub(crate) fn is_at_hand(&self, position: usize) -> bool {
+        self.library.is_at_hand(self.indices[position])
+    }
+
+    /// The items whose ids `choose` picks.
+    #[must_use]
+    pub fn filter(&self, choose: impl Fn(&str) -> bool) -> Self {
+        let chosen = |index: &&usize| choose(&self.library.entries[**index].id);
+        let indices = self.indices.iter().filter(chosen).copied().collect();
+        Self::new(self.library.clone(), indices)
+    }
+
+    /// All of them at once, to be held in memory.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn load(&self) -> Result<Vec<Arc<T>>, Error> {
+        (0..self.len())
+            .into_par_iter()
+            .map(|position| self.get(position))
+            .collect()
+    }
+
+    /// Measures each item, on all cores, and hands the measures to `take` in the items' order.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get), and those of `measure`.
+    pub(crate) fn measure<M: Send>(
+        &self,
+        measure: impl Fn(&T) -> Result<M, Error> + Sync,
+        mut take: impl FnMut(M),
+    ) -> Result<(), Error> {
+        let positions: Vec<usize> = (0..self.len()).collect();
+        for chunk in positions.chunks(CHUNK) {
+            let measured: Vec<M> = chunk
+                .par_iter()
+                .map(|&position| measure(&*self.get(position)?))
+                .collect::<Result<_, Error>>()?;
+            measured.into_iter().for_each(&mut take);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
+        &self.library.counters
+    }
+}
+
+impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
+    /// Items that stay in memory, in this order.
+    fn from(items: Vec<Arc<T>>) -> Self {
+        let indices = (0..items.len()).collect();
+        Self::new(Arc::new(Library::held(items)), indices)
+    }
+}

@@ -1,0 +1,202 @@
+//! The skeletons of the two published datasets.
+
+use super::skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};
+
+const LEFT: [f64; 3] = [1.0, 0.0, 0.0];
+const RIGHT: [f64; 3] = [-1.0, 0.0, 0.0];
+const UP: [f64; 3] = [0.0, 1.0, 0.0];
+const DOWN: [f64; 3] = [0.0, -1.0, 0.0];
+const FORWARD: [f64; 3] = [0.0, 0.0, 1.0];
+
+/// A joint: name, raw direction, offset in the reference pose in metres.
+type Joint = (&'static str, [f64; 3], [f64; 3]);
+
+/// Joints, directions: golden README of HumanML3D, section 1; offsets: section 5.
+const HUMANML3D: [Joint; 22] = [
+    ("pelvis", [0.0; 3], [0.0; 3]),
+    ("left_hip", LEFT, [0.085, -0.075, 0.0]),
+    ("right_hip", RIGHT, [-0.085, -0.075, 0.0]),
+    ("spine1", UP, [0.0, 0.11, -0.02]),
+    ("left_knee", DOWN, [0.01, -0.39, 0.0]),
+    ("right_knee", DOWN, [-0.01, -0.39, 0.0]),
+    ("spine2", UP, [0.0, 0.135, 0.01]),
+    ("left_ankle", DOWN, [0.0, -0.40, -0.03]),
+    ("right_ankle", DOWN, [0.0, -0.40, -0.03]),
+    ("spine3", UP, [0.0, 0.06, 0.01]),
+    ("left_foot", FORWARD, [0.03, -0.06, 0.13]),
+    ("right_foot", FORWARD, [-0.03, -0.06, 0.13]),
+    ("neck", UP, [0.0, 0.21, -0.02]),
+    ("left_collar", LEFT, [0.075, 0.115, -0.01]),
+    ("right_collar", RIGHT, [-0.075, 0.115, -0.01]),
+    ("head", FORWARD, [0.0, 0.09, 0.05]),
+    ("left_shoulder", DOWN, [0.11, 0.03, -0.01]),
+    ("right_shoulder", DOWN, [-0.11, 0.03, -0.01]),
+    ("left_elbow", DOWN, [0.25, -0.02, -0.02]),
+    ("right_elbow", DOWN, [-0.25, -0.02, -0.02]),
+    ("left_wrist", DOWN, [0.25, 0.0, 0.0]),
+    ("right_wrist", DOWN, [-0.25, 0.0, 0.0]),
+];
+
+/// Left and right as the published facing joints and contact flags name them. The published raw
+/// directions of hips and shoulders point to the other side (`LEFT` for those of the right), so
+/// the rotations there hold a large turn; positions do not depend on it.
+const KIT: [Joint; 21] = [
+    ("root", [0.0; 3], [0.0; 3]),
+    ("pelvis", UP, [0.0, 0.06, 0.0]),
+    ("thorax", UP, [0.0, 0.14, 0.0]),
+    ("lower_neck", UP, [0.0, 0.25, 0.0]),
+    ("upper_neck", UP, [0.0, 0.08, 0.02]),
+    ("right_shoulder", LEFT, [-0.18, -0.03, 0.0]),
+    ("right_elbow", DOWN, [-0.28, 0.0, 0.0]),
+    ("right_wrist", DOWN, [-0.25, 0.0, 0.0]),
+    ("left_shoulder", RIGHT, [0.18, -0.03, 0.0]),
+    ("left_elbow", DOWN, [0.28, 0.0, 0.0]),
+    ("left_wrist", DOWN, [0.25, 0.0, 0.0]),
+    ("right_hip", LEFT, [-0.09, -0.04, 0.0]),
+    ("right_knee", DOWN, [0.0, -0.42, 0.0]),
+    ("right_ankle", DOWN, [0.0, -0.41, -0.02]),
+    ("right_heel", FORWARD, [0.0, -0.06, 0.04]),
+    ("right_foot", FORWARD, [0.0, -0.01, 0.12]),
+    ("left_hip", RIGHT, [0.09, -0.04, 0.0]),
+    ("left_knee", DOWN, [0.0, -0.42, 0.0]),
+    ("left_ankle", DOWN, [0.0, -0.41, -0.02]),
+    ("left_heel", FORWARD, [0.0, -0.06, 0.04]),
+    ("left_foot", FORWARD, [0.0, -0.01, 0.12]),
+];
+
+impl Skeleton {
+    /// The 22 joints of HumanML3D at 20 frames per second: 263 channels.
+    ///
+    /// The reference pose is this framework's own, of a grown person; the dataset's is that of
+    /// its first clip and comes with it ([`with_rest_pose`](Self::with_rest_pose)).
+    pub fn humanml3d() -> Self {
+        built_in(
+            &HUMANML3D,
+            SkeletonDescription {
+                name: "humanml3d".to_string(),
+                fps: 20.0,
+                chains: vec![
+                    vec![0, 2, 5, 8, 11],
+                    vec![0, 1, 4, 7, 10],
+                    vec![0, 3, 6, 9, 12, 15],
+                    vec![9, 14, 17, 19, 21],
+                    vec![9, 13, 16, 18, 20],
+                ],
+                face_joints: FaceJoints {
+                    right_hip: 2,
+                    left_hip: 1,
+                    right_shoulder: 17,
+                    left_shoulder: 16,
+                },
+                mirrored_joints: vec![
+                    [1, 2],
+                    [4, 5],
+                    [7, 8],
+                    [10, 11],
+                    [13, 14],
+                    [16, 17],
+                    [18, 19],
+                    [20, 21],
+                ],
+                feet: Feet {
+                    left: [7, 10],
+                    right: [8, 11],
+                },
+                leg_joints: [5, 8],
+                ..blank()
+            },
+        )
+    }
+
+    /// The 21 joints of KIT at 12.5 frames per second: 251 channels.
+    ///
+    /// The reference pose is this framework's own, in metres; the dataset's files are in
+    /// millimetres. Where a clip was not rescaled, its features carry the unit of its joints.
+    pub fn kit() -> Self {
+        built_in(
+            &KIT,
+            SkeletonDescription {
+                name: "kit".to_string(),
+                fps: 12.5,
+                chains: vec![
+                    vec![0, 11, 12, 13, 14, 15],
+                    vec![0, 16, 17, 18, 19, 20],
+                    vec![0, 1, 2, 3, 4],
+                    vec![3, 5, 6, 7],
+                    vec![3, 8, 9, 10],
+                ],
+                face_joints: FaceJoints {
+                    right_hip: 11,
+                    left_hip: 16,
+                    right_shoulder: 5,
+                    left_shoulder: 8,
+                },
+                mirrored_joints: vec![
+                    [8, 5],
+                    [9, 6],
+                    [10, 7],
+                    [16, 11],
+                    [17, 12],
+                    [18, 13],
+                    [19, 14],
+                    [20, 15],
+                ],
+                feet: Feet {
+                    left: [19, 20],
+                    right: [14, 15],
+                },
+                leg_joints: [17, 18],
+                ..blank()
+            },
+        )
+    }
+}
+
+/// The fields that [`built_in`] fills from its table, with the rest empty.
+fn blank() -> SkeletonDescription {
+    SkeletonDescription {
+        name: String::new(),
+        fps: 1.0,
+        joint_names: Vec::new(),
+        chains: Vec::new(),
+        raw_directions: Vec::new(),
+        rest_offsets: Vec::new(),
+        face_joints: FaceJoints {
+            right_hip: 0,
+            left_hip: 0,
+            right_shoulder: 0,
+            left_shoulder: 0,
+        },
+        mirrored_joints: Vec::new(),
+        feet: Feet {
+            left: [0; 2],
+            right: [0; 2],
+        },
+        leg_joints: [0; 2],
+    }
+}
+
+fn built_in(joints: &[Joint], description: SkeletonDescription) -> Skeleton {
+    let joint_names = joints.iter().map(|(name, ..)| name.to_string()).collect();
+    Skeleton::new(SkeletonDescription {
+        joint_names,
+        raw_directions: joints.iter().map(|(_, direction, _)| *direction).collect(),
+        rest_offsets: joints.iter().map(|(.., offset)| *offset).collect(),
+        ..description
+    })
+    .expect("the built-in descriptions are sound")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_built_in_skeletons_have_the_published_sizes() {
+        let (humanml3d, kit) = (Skeleton::humanml3d(), Skeleton::kit());
+        assert_eq!(humanml3d.layout().channels(), 263);
+        assert_eq!(kit.layout().channels(), 251);
+        assert_eq!(humanml3d.parents()[13], Some(9));
+        assert_eq!(kit.parents()[8], Some(3));
+    }
+}

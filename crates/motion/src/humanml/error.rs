@@ -1,0 +1,125 @@
+//! What can be wrong with skeletons, features and their statistics.
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// An error about joint positions, features or a skeleton.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum FeatureError {
+    /// The description of a skeleton contradicts itself.
+    #[error("`{field}` of the skeleton `{skeleton}` is {found}")]
+    #[diagnostic(help("allowed: {allowed}"))]
+    InvalidSkeleton {
+        /// Name of the skeleton.
+        skeleton: String,
+        /// The field, with the place in it.
+        field: String,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// The number of values does not make whole frames, or makes none.
+    #[error("{values} values of `{what}` are not one or more whole frames of {width} numbers")]
+    #[diagnostic(help("{what} are a row-major array [frames, {width}]"))]
+    NotWholeFrames {
+        /// What the values are.
+        what: &'static str,
+        /// Number of values given.
+        values: usize,
+        /// Numbers in a frame.
+        width: usize,
+    },
+
+    /// No skeleton has so many channels.
+    #[error("{found} channels are not the features of any skeleton")]
+    #[diagnostic(help(
+        "a skeleton of J joints has 12 J - 1 channels: 263 for 22 joints (HumanML3D), 251 for 21 \
+         joints (KIT)"
+    ))]
+    InvalidChannels {
+        /// Number of channels given.
+        found: usize,
+    },
+
+    /// Two things that belong together do not fit each other in size.
+    #[error("`{what}` has {found} entries where {expected} are needed")]
+    #[diagnostic(help("features, joints, statistics and skeleton must be of the same kind"))]
+    LengthMismatch {
+        /// The thing.
+        what: &'static str,
+        /// Entries needed.
+        expected: usize,
+        /// Entries found.
+        found: usize,
+    },
+
+    /// A clip is too short for what is asked of it.
+    #[error("the clip has {found} frames where at least {needed} are needed")]
+    #[diagnostic(help("every feature row is taken from a frame and the next"))]
+    TooFewFrames {
+        /// Frames found.
+        found: usize,
+        /// Frames needed.
+        needed: usize,
+    },
+
+    /// A clip shows no scale.
+    #[error("the legs have no length in the first frame")]
+    #[diagnostic(help(
+        "check `leg_joints` of the skeleton, or leave the clip's bones as they are"
+    ))]
+    NoLegs,
+
+    /// A value is NaN or infinite.
+    #[error("`{what}` are not finite in frame {frame} (counted from 0), {entry}")]
+    #[diagnostic(help("repair or leave out this clip: one such value spoils all that follows"))]
+    NonFinite {
+        /// What the values are.
+        what: &'static str,
+        /// First frame that is not finite.
+        frame: usize,
+        /// The joint or channel of that frame.
+        entry: String,
+    },
+
+    /// Features of one reading of the root came where the other is needed.
+    #[error("features with {found} root came where {expected} root is needed")]
+    #[diagnostic(help("convert them with `to_absolute` or `to_relative` first"))]
+    WrongRoot {
+        /// The reading needed.
+        expected: super::Root,
+        /// The reading found.
+        found: super::Root,
+    },
+
+    /// Means and deviations cannot be used.
+    #[error("`{field}` of the feature statistics is {found}")]
+    #[diagnostic(help("allowed: {allowed}"))]
+    InvalidStatistics {
+        /// The field, with the place in it.
+        field: String,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// A setting is out of range.
+    #[error("`{key}` is {found}, which is out of range")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSetting {
+        /// Name of the setting.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// A capture file cannot be made.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Capture(#[from] crate::capture::CaptureError),
+}

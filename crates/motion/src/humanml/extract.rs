@@ -1,0 +1,157 @@
+//! From joints to features.
+//!
+//! Source: golden README of HumanML3D, section 3.
+
+use serde::{Deserialize, Serialize};
+
+use super::kinematics::{
+    Across, Heading, between, forward, forward_kinematics, inverse_kinematics, minus, to_columns,
+};
+use super::{FeatureError, Features, Joints, Root, Skeleton};
+use crate::Quaternion;
+
+/// How features are made of joints.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Extraction {
+    /// Gives every clip the bones of the skeleton's reference pose first ([`rescale`]), as the
+    /// published data set did.
+    pub rescale: bool,
+    /// A joint of a foot stands where its squared displacement to the next frame is less than
+    /// this, in square metres. The published 0.002 are 4.5 cm a frame; there is no height test.
+    pub contact_threshold: f64,
+}
+
+impl Default for Extraction {
+    fn default() -> Self {
+        Self {
+            rescale: true,
+            contact_threshold: 0.002,
+        }
+    }
+}
+
+impl Extraction {
+    /// The features of a clip, with relative root: T frames give T - 1 rows.
+    ///
+    /// The clip is rescaled if `rescale` says so, and put where features begin
+    /// ([`canonicalize`]).
+    ///
+    /// # Errors
+    /// [`FeatureError::InvalidSetting`] for a contact threshold that is negative or not finite;
+    /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
+    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::NoLegs`] if there is no
+    /// scale to be found; [`FeatureError::NonFinite`] if coordinates are so large that something
+    /// overflows.
+    pub fn features(&self, skeleton: &Skeleton, joints: &Joints) -> Result<Features, FeatureError> {
+        let joints = if self.rescale {
+            &rescale(skeleton, joints)?
+        } else {
+            joints
+        };
+        self.features_in_place(skeleton, &canonicalize(skeleton, joints)?)
+    }
+
+    /// The features of a clip as it stands: neither rescaled nor moved. Heights are above y = 0,
+    /// and the first frame counts as facing +z.
+    ///
+    /// # Errors
+    /// As [`features`](Self::features).
+    pub fn features_in_place(
+        &self,
+        skeleton: &Skeleton,
+        joints: &Joints,
+    ) -> Result<Features, FeatureError> {
+        if !(self.contact_threshold.is_finite() && self.contact_threshold >= 0.0) {
+            return Err(FeatureError::InvalidSetting {
+                key: "contact_threshold",
+                found: self.contact_threshold.to_string(),
+                allowed: "a number of square metres, not negative; 0.002 in the published data set",
+            });
+        }
+        skeleton.accept(joints)?;
+        if joints.frames() < 2 {
+            return Err(FeatureError::TooFewFrames {
+                found: joints.frames(),
+                needed: 2,
+            });
+        }
+        let rotations = inverse_kinematics(skeleton, joints, Heading::Smoothed)?;
+        let rotations: Vec<&[Quaternion]> = rotations.chunks_exact(skeleton.joints()).collect();
+        let layout = skeleton.layout();
+        let mut values = Vec::with_capacity((joints.frames() - 1) * layout.channels());
+        for t in 0..joints.frames() - 1 {
+            let (frame, next) = (joints.frame(t), joints.frame(t + 1));
+            let (facing, next_facing) = (rotations[t][0], rotations[t + 1][0]);
+            let steps: Vec<[f64; 3]> = (0..frame.len())
+                .map(|joint| minus(next[joint], frame[joint]))
+                .collect();
+
+            let turn = next_facing * facing.conjugate();
+            let [x, _, z] = next_facing.rotate(steps[0]);
+            values.extend([turn.y.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
+            values.extend(in_facing_frame(frame, facing).skip(1).flatten());
+            values.extend(rotations[t][1..].iter().flat_map(|q| to_columns(*q)));
+            values.extend(steps.iter().flat_map(|step| facing.rotate(*step)));
+            values.extend(skeleton.contact_joints().map(|joint| {
+                let squared: f64 = steps[joint].iter().map(|value| value * value).sum();
+                f64::from(u8::from(squared < self.contact_threshold))
+            }));
+        }
+        let values = values.into_iter().map(|value| value as f32).collect();
+        Features::new(values, layout, Root::Relative)
+    }
+}
+
+/// The joints of one frame with the root's place on the ground subtracted, turned by the root
+/// quaternion `facing`.
+pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<Item = [f64; 3]> {
+    let [x, _, z] = frame[0];
+    frame
+        .iter()
+        .map(move |place| facing.rotate(minus(*place, [x, 0.0, z])))
+}
+
+/// The clip with the bones of the skeleton's reference pose: the same rotations, and the root's
+/// way scaled by the ratio of the legs' lengths.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
+/// [`FeatureError::NoLegs`] if the legs have no length in the first frame;
+/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
+pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
+    let rotations = inverse_kinematics(skeleton, joints, Heading::Raw)?;
+    let legs = |offsets: &[[f64; 3]]| {
+        let largest = |joint: usize| offsets[joint].iter().fold(0.0f64, |a, b| a.max(b.abs()));
+        skeleton
+            .description()
+            .leg_joints
+            .map(largest)
+            .iter()
+            .sum::<f64>()
+    };
+    let offsets = skeleton.offsets();
+    let source = legs(&skeleton.offsets_of_frame(joints.frame(0)));
+    if source == 0.0 {
+        return Err(FeatureError::NoLegs);
+    }
+    let ratio = legs(&offsets) / source;
+    let root = |t: usize| joints.frame(t)[0].map(|value| value * ratio);
+    let roots: Vec<[f64; 3]> = (0..joints.frames()).map(root).collect();
+    forward_kinematics(skeleton, &offsets, &roots, &rotations)
+}
+
+/// The clip put where features begin: its lowest joint on the floor y = 0, its first frame's root
+/// at x = z = 0, its first frame facing +z.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
+    skeleton.accept(joints)?;
+    let heights = joints.as_slice().iter().map(|[_, y, _]| *y);
+    let floor = heights.fold(f64::INFINITY, f64::min);
+    let first = joints.frame(0);
+    let ([x, _, z], facing) = (first[0], forward(skeleton, first, Across::Consistent));
+    let turn = between(facing, [0.0, 0.0, 1.0]);
+    Ok(joints.map(|place| turn.rotate(minus(place, [x, floor, z]))))
+}

@@ -1,0 +1,119 @@
+//! Where the joints are, frame by frame.
+
+use super::{FeatureError, Skeleton};
+
+/// Positions of all joints, `[frames, J, 3]`, metres, +y up, in double precision and finite.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joints {
+    values: Vec<[f64; 3]>,
+    joints: usize,
+}
+
+impl Joints {
+    /// Positions `[frames, joints, 3]`, row by row.
+    ///
+    /// # Errors
+    /// [`FeatureError::NotWholeFrames`] unless they make one or more frames of `joints` joints;
+    /// [`FeatureError::NonFinite`] if a coordinate is not finite.
+    pub fn new(values: Vec<[f64; 3]>, joints: usize) -> Result<Self, FeatureError> {
+        if values.is_empty() || joints == 0 || !values.len().is_multiple_of(joints) {
+            return Err(FeatureError::NotWholeFrames {
+                what: "joints",
+                values: values.len(),
+                width: joints,
+            });
+        }
+        let bad = |place: &[f64; 3]| !place.iter().all(|value| value.is_finite());
+        if let Some(index) = values.iter().position(bad) {
+            return Err(FeatureError::NonFinite {
+                what: "joints",
+                frame: index / joints,
+                entry: format!("joint {}", index % joints),
+            });
+        }
+        Ok(Self { values, joints })
+    }
+
+    /// Positions from single precision, `[frames, joints, 3]` row by row.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn from_f32(values: &[f32], joints: usize) -> Result<Self, FeatureError> {
+        let (places, rest) = values.as_chunks::<3>();
+        if !rest.is_empty() {
+            return Err(FeatureError::NotWholeFrames {
+                what: "joints",
+                values: values.len(),
+                width: 3 * joints,
+            });
+        }
+        let places = places.iter().map(|place| place.map(f64::from));
+        Self::new(places.collect(), joints)
+    }
+
+    /// Number of frames, at least 1.
+    pub fn frames(&self) -> usize {
+        self.values.len() / self.joints
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.joints
+    }
+
+    /// The joints of frame `t`, `[J, 3]`.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn frame(&self, t: usize) -> &[[f64; 3]] {
+        &self.values[t * self.joints..(t + 1) * self.joints]
+    }
+
+    /// All positions, `[frames, J, 3]` row by row.
+    pub fn as_slice(&self) -> &[[f64; 3]] {
+        &self.values
+    }
+
+    /// All positions in single precision, `[frames, J, 3]` row by row.
+    pub fn to_f32(&self) -> Vec<f32> {
+        let values = self.values.iter().flatten();
+        values.map(|value| *value as f32).collect()
+    }
+
+    /// Every position changed by `change`.
+    #[must_use]
+    pub(super) fn map(&self, change: impl Fn([f64; 3]) -> [f64; 3]) -> Self {
+        Self {
+            values: self.values.iter().copied().map(change).collect(),
+            joints: self.joints,
+        }
+    }
+
+    /// Positions that are whole frames and finite because what they come from is.
+    pub(super) fn computed(values: Vec<[f64; 3]>, joints: usize) -> Self {
+        debug_assert!(values.len().is_multiple_of(joints));
+        Self { values, joints }
+    }
+
+    /// The clip reflected at the plane x = 0, left for right: the joints of each pair change
+    /// places and x is negated, as the dataset's own mirrored half is made.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+    pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
+        skeleton.accept(self)?;
+        let mirrored = skeleton.mirrored();
+        let values = (0..self.frames()).flat_map(|t| {
+            let frame = self.frame(t);
+            let image = |&joint: &usize| {
+                let [x, y, z] = frame[joint];
+                [-x, y, z]
+            };
+            mirrored.iter().map(image)
+        });
+        Ok(Self {
+            values: values.collect(),
+            joints: self.joints,
+        })
+    }
+}

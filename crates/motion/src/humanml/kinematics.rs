@@ -1,0 +1,293 @@
+//! From joints to the rotations of the bones that end there, and back.
+//!
+//! The rotation of joint b turns the bone that *ends* at b. In the published data the rotations of
+//! every chain begin at the root quaternion, those of the arms too, and the root quaternion turns
+//! the world to the body while the bones' rotations turn the other way: the first of a chain
+//! holds the heading twice. Source: golden README of HumanML3D, section 2.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::skeleton::FaceJoints;
+use super::{FeatureError, Joints, Skeleton};
+use crate::Quaternion;
+use crate::rotation::length;
+
+/// Standard deviation of the heading's filter in frames.
+const HEADING_DEVIATION: f64 = 20.0;
+/// The filter is cut off so many frames away.
+const HEADING_REACH: usize = 80;
+
+/// Which heading the root quaternion follows.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Heading {
+    /// That of each frame by itself.
+    Raw,
+    /// Filtered over time with a Gaussian of 20 frames.
+    Smoothed,
+}
+
+/// The direction from the right side to the left or the other way round, and so forward or
+/// backward: what is added up of hips and shoulders.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub(super) enum Across {
+    /// Both from left to right.
+    Consistent,
+    /// Shoulders from left to right, hips from right to left: so the published data set was made.
+    Published,
+}
+
+/// The horizontal direction that the joints of one frame face, not of length 1.
+pub(super) fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
+    let FaceJoints {
+        right_hip,
+        left_hip,
+        right_shoulder,
+        left_shoulder,
+    } = skeleton.description().face_joints;
+    let hips = match across {
+        Across::Consistent => minus(frame[right_hip], frame[left_hip]),
+        Across::Published => minus(frame[left_hip], frame[right_hip]),
+    };
+    let shoulders = minus(frame[right_shoulder], frame[left_shoulder]);
+    let [x, _, z] = unit(plus(hips, shoulders));
+    // The cross product of +y with it.
+    [z, 0.0, -x]
+}
+
+/// The horizontal unit vector that the body faces, `[frames, 3]`, with the published signs: the
+/// hips enter from right to left, the shoulders from left to right.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+pub fn facing(
+    skeleton: &Skeleton,
+    joints: &Joints,
+    heading: Heading,
+) -> Result<Vec<[f64; 3]>, FeatureError> {
+    skeleton.accept(joints)?;
+    let frames = (0..joints.frames()).map(|t| joints.frame(t));
+    let raw: Vec<[f64; 3]> = frames
+        .map(|frame| forward(skeleton, frame, Across::Published))
+        .collect();
+    let directions = match heading {
+        Heading::Raw => raw,
+        Heading::Smoothed => smooth(&raw),
+    };
+    Ok(directions.into_iter().map(unit).collect())
+}
+
+/// Vectors filtered over time; beyond the ends the first and last frame go on.
+fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let reach = HEADING_REACH as i64;
+    let weight = |offset: i64| (-0.5 * (offset as f64 / HEADING_DEVIATION).powi(2)).exp();
+    let weights: Vec<f64> = (-reach..=reach).map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    let last = vectors.len() as i64 - 1;
+    (0..=last)
+        .map(|t| {
+            let mut sum = [0.0; 3];
+            for (offset, weight) in (-reach..=reach).zip(&weights) {
+                let vector = vectors[(t + offset).clamp(0, last) as usize];
+                sum = plus(sum, vector.map(|value| value * weight / total));
+            }
+            sum
+        })
+        .collect()
+}
+
+/// The rotations of all joints, `[frames, J]` row by row: the root quaternion (world to facing
+/// frame, of the first frame the identity), then those of the bones that end at joints 1 to J-1.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+pub fn inverse_kinematics(
+    skeleton: &Skeleton,
+    joints: &Joints,
+    heading: Heading,
+) -> Result<Vec<Quaternion>, FeatureError> {
+    let raw = &skeleton.description().raw_directions;
+    let facing = facing(skeleton, joints, heading)?;
+    let mut rotations = vec![Quaternion::IDENTITY; joints.frames() * skeleton.joints()];
+    let rows = rotations.chunks_exact_mut(skeleton.joints());
+    for (t, (row, facing)) in rows.zip(facing).enumerate() {
+        let frame = joints.frame(t);
+        if t > 0 {
+            row[0] = between(facing, [0.0, 0.0, 1.0]);
+        }
+        for chain in skeleton.chains() {
+            let mut above = row[0];
+            for [start, end] in chain {
+                let bone = between(raw[end], minus(frame[end], frame[start]));
+                row[end] = above.conjugate() * bone;
+                above = above * row[end];
+            }
+        }
+    }
+    Ok(rotations)
+}
+
+/// The joints that rotations give, for bones `offsets` `[J, 3]`, root positions `[frames, 3]` and
+/// rotations `[frames, J]` as [`inverse_kinematics`] makes them.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if a list has another length, [`FeatureError::NonFinite`] if
+/// the joints are not finite.
+pub fn forward_kinematics(
+    skeleton: &Skeleton,
+    offsets: &[[f64; 3]],
+    roots: &[[f64; 3]],
+    rotations: &[Quaternion],
+) -> Result<Joints, FeatureError> {
+    let count = skeleton.joints();
+    for (what, expected, found) in [
+        ("offsets", count, offsets.len()),
+        ("rotations", roots.len() * count, rotations.len()),
+    ] {
+        if expected != found {
+            return Err(FeatureError::LengthMismatch {
+                what,
+                expected,
+                found,
+            });
+        }
+    }
+    let mut places = vec![[0.0; 3]; rotations.len()];
+    let rows = places.chunks_exact_mut(count);
+    for ((row, root), rotations) in rows.zip(roots).zip(rotations.chunks_exact(count)) {
+        row[0] = *root;
+        for chain in skeleton.chains() {
+            let mut turn = rotations[0];
+            for [start, end] in chain {
+                turn = turn * rotations[end];
+                row[end] = plus(row[start], turn.rotate(offsets[end]));
+            }
+        }
+    }
+    Joints::new(places, count)
+}
+
+/// The first two columns of the rotation's matrix, one after the other.
+pub fn to_columns(rotation: Quaternion) -> [f64; 6] {
+    let [a, b, c] = rotation.rotate([1.0, 0.0, 0.0]);
+    let [d, e, f] = rotation.rotate([0.0, 1.0, 0.0]);
+    [a, b, c, d, e, f]
+}
+
+/// The rotation whose matrix has these first two columns, made orthonormal: the first normalised;
+/// the third along first x second; the second third x first. Of columns that span no plane it is
+/// the identity.
+pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
+    let first = Vector3::new(a, b, c);
+    let third = first.cross(&Vector3::new(d, e, f));
+    let (Some(first), Some(third)) = (first.try_normalize(0.0), third.try_normalize(0.0)) else {
+        return Quaternion::IDENTITY;
+    };
+    let matrix = Matrix3::from_columns(&[first, third.cross(&first), third]);
+    let turn = Rotation3::from_matrix_unchecked(matrix);
+    let turn = UnitQuaternion::from_rotation_matrix(&turn);
+    Quaternion::new(turn.w, turn.i, turn.j, turn.k)
+}
+
+/// The shortest rotation from the direction of `from` to that of `to`: the quaternion normalised
+/// from (|u||v| + u.v, u x v). Opposite vectors are half a turn apart, about +y where possible; a
+/// vector without length is not turned.
+pub(super) fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
+    let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
+    let (scalar, axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
+    if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
+        let across = |direction: Vector3<f64>| direction - u * u.dot(&direction);
+        let axis = [Vector3::y(), Vector3::x()].map(across);
+        let axis = if axis[0].norm() > 1e-6 {
+            axis[0]
+        } else {
+            axis[1]
+        };
+        return Quaternion::new(0.0, axis.x, axis.y, axis.z).normalised();
+    }
+    Quaternion::new(scalar, axis.x, axis.y, axis.z).normalised()
+}
+
+/// The vector with length 1; the zero vector stays.
+fn unit(vector: [f64; 3]) -> [f64; 3] {
+    let length = length(vector);
+    if length > 0.0 {
+        vector.map(|value| value / length)
+    } else {
+        vector
+    }
+}
+
+pub(super) fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] + b[i])
+}
+
+pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] - b[i])
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn vector() -> impl Strategy<Value = [f64; 3]> {
+        proptest::array::uniform3(-2.0..2.0f64)
+    }
+
+    #[test]
+    fn opposite_directions_are_half_a_turn_apart() {
+        for from in [[0.0, 0.0, -1.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]] {
+            let to = from.map(|value| -value);
+            let turned = between(from, to).rotate(from);
+            assert!(length(minus(turned, to)) < 1e-12, "{from:?}: {turned:?}");
+        }
+        // Facing backwards is a yaw.
+        let half = between([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
+        assert!((half.to_rotation_vector()[1].abs() - PI).abs() < 1e-12);
+        assert_eq!(between([0.0; 3], [0.0, 1.0, 0.0]), Quaternion::IDENTITY);
+    }
+
+    #[test]
+    fn columns_without_a_plane_do_not_turn() {
+        assert_eq!(from_columns([0.0; 6]), Quaternion::IDENTITY);
+        let parallel = [1.0, 0.0, 0.0, 2.0, 0.0, 0.0];
+        assert_eq!(from_columns(parallel), Quaternion::IDENTITY);
+    }
+
+    proptest! {
+        #[test]
+        fn a_rotation_returns_from_its_columns(turn in vector(), stretch in 0.1..3.0f64) {
+            let rotation = Quaternion::from_rotation_vector(turn);
+            let columns = to_columns(rotation).map(|value| value * stretch);
+            let back = from_columns(columns);
+            prop_assert!((back.dot(rotation).abs() - 1.0).abs() < 1e-9);
+        }
+
+        #[test]
+        fn rotations_of_joints_lead_back_to_the_joints(
+            places in proptest::collection::vec(vector(), 2 * 22),
+        ) {
+            let skeleton = Skeleton::humanml3d();
+            let joints = Joints::new(places, 22).unwrap();
+            for heading in [Heading::Raw, Heading::Smoothed] {
+                let rotations = inverse_kinematics(&skeleton, &joints, heading).unwrap();
+                for t in 0..2 {
+                    let frame = joints.frame(t);
+                    let back = forward_kinematics(
+                        &skeleton,
+                        &skeleton.offsets_of_frame(frame),
+                        &frame[..1],
+                        &rotations[t * 22..(t + 1) * 22],
+                    )
+                    .unwrap();
+                    for (a, b) in back.frame(0).iter().zip(frame) {
+                        prop_assert!(length(minus(*a, *b)) < 1e-7);
+                    }
+                }
+            }
+        }
+    }
+}

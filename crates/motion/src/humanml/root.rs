@@ -1,0 +1,232 @@
+//! The root's way: relative and absolute reading of the first four channels, and back.
+//!
+//! Channels 0 to 3 of a frame are (rotation, x, z, height). The root quaternion is (cos a, 0,
+//! sin a, 0) and turns the world to the facing frame: `a` is half of an angle, and a body with yaw
+//! psi (from +z towards +x) has a = -psi / 2. Source: GMD, appendix B; golden README of GMD,
+//! section 4.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Quaternion;
+
+/// How channels 0 to 2 say where the root is and where it faces.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Root {
+    /// By the change to the next frame, as HumanML3D is published: the way begins at x = z = 0
+    /// facing +z, and the last frame's change leads nowhere.
+    #[default]
+    Relative,
+    /// By place and half angle themselves.
+    Absolute,
+}
+
+impl fmt::Display for Root {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Relative => "relative",
+            Self::Absolute => "absolute",
+        })
+    }
+}
+
+impl Root {
+    /// The half angles `a` of the root quaternion in radians, `[frames]`, from channels 0 to 3,
+    /// `[frames, 4]`.
+    pub fn half_angles(self, channels: &[[f64; 4]]) -> Vec<f64> {
+        let rotations = channels.iter().map(|[rotation, ..]| *rotation);
+        match self {
+            Self::Absolute => rotations.collect(),
+            Self::Relative => {
+                let mut angle = 0.0;
+                rotations
+                    .map(|rotation| {
+                        let sum_before = angle;
+                        angle += rotation;
+                        sum_before
+                    })
+                    .collect()
+            }
+        }
+    }
+
+    /// The root quaternions, world to facing frame, `[frames]`.
+    pub fn quaternions(self, channels: &[[f64; 4]]) -> Vec<Quaternion> {
+        let quaternion = |angle| Quaternion::from_yaw(2.0 * angle);
+        let angles = self.half_angles(channels).into_iter();
+        angles.map(quaternion).collect()
+    }
+
+    /// The root's positions (x, height, z) in metres, `[frames, 3]`.
+    pub fn positions(self, channels: &[[f64; 4]]) -> Vec<[f64; 3]> {
+        match self {
+            Self::Absolute => channels.iter().map(|[_, x, z, y]| [*x, *y, *z]).collect(),
+            Self::Relative => {
+                let angles = self.half_angles(channels);
+                let mut place = [0.0; 2];
+                (0..channels.len())
+                    .map(|t| {
+                        if t > 0 {
+                            let [_, x, z, _] = channels[t - 1];
+                            let step = turn(-angles[t], [x, z]);
+                            place = [place[0] + step[0], place[1] + step[1]];
+                        }
+                        [place[0], channels[t][3], place[1]]
+                    })
+                    .collect()
+            }
+        }
+    }
+
+    /// The same way read as `to`, `[frames, 4]`.
+    ///
+    /// From absolute to relative the way loses where it begins, and the change after the last
+    /// frame, which nothing determines, repeats the one before (of a single frame it is zero).
+    pub fn convert(self, channels: &[[f64; 4]], to: Self) -> Vec<[f64; 4]> {
+        match (self, to) {
+            (Self::Relative, Self::Absolute) => {
+                let angles = self.half_angles(channels);
+                let positions = self.positions(channels);
+                let rows = angles.into_iter().zip(positions);
+                rows.map(|(angle, [x, y, z])| [angle, x, z, y]).collect()
+            }
+            (Self::Absolute, Self::Relative) => {
+                let changes = channels.windows(2).map(|pair| {
+                    let ([angle, x, z, _], [next_angle, next_x, next_z, _]) = (pair[0], pair[1]);
+                    let step = turn(next_angle, [next_x - x, next_z - z]);
+                    [next_angle - angle, step[0], step[1]]
+                });
+                let mut changes: Vec<[f64; 3]> = changes.collect();
+                changes.push(changes.last().copied().unwrap_or_default());
+                let rows = changes.into_iter().zip(channels);
+                rows.map(|([rotation, x, z], row)| [rotation, x, z, row[3]])
+                    .collect()
+            }
+            _ => channels.to_vec(),
+        }
+    }
+
+    /// The gradient with respect to channels 0 to 3, `[frames, 4]`, of anything whose gradient
+    /// with respect to the ground positions (x, z) is `upstream`, `[frames, 2]`.
+    ///
+    /// Exact, by the chain rule through the sums: with G(s) the sum of `upstream` from frame s on,
+    /// a relative step before frame s gets G(s) in its own frame, and each rotation gets what all
+    /// later angles get. Height never moves the ground position.
+    ///
+    /// # Panics
+    /// Panics unless `upstream` has one entry for each frame.
+    pub fn ground_gradient(self, channels: &[[f64; 4]], upstream: &[[f64; 2]]) -> Vec<[f64; 4]> {
+        assert_eq!(upstream.len(), channels.len(), "one gradient a frame");
+        if self == Self::Absolute {
+            return upstream.iter().map(|[x, z]| [0.0, *x, *z, 0.0]).collect();
+        }
+        let angles = self.half_angles(channels);
+        let mut gradient = vec![[0.0; 4]; channels.len()];
+        let (mut later, mut angle_gradient) = ([0.0; 2], 0.0);
+        for t in (1..channels.len()).rev() {
+            later = [later[0] + upstream[t][0], later[1] + upstream[t][1]];
+            let [_, x, z, _] = channels[t - 1];
+            let step = turn(-angles[t], [x, z]);
+            // Both change together: a grown by one unit turns the step by two towards (-z, x).
+            angle_gradient += 2.0 * (later[1] * step[0] - later[0] * step[1]);
+            let [x, z] = turn(angles[t], later);
+            gradient[t - 1] = [angle_gradient, x, z, 0.0];
+        }
+        gradient
+    }
+
+    /// The squared ground distances to `target` (x, z), summed over all frames, in square metres,
+    /// with the gradient with respect to channels 0 to 3, `[frames, 4]`.
+    ///
+    /// # Panics
+    /// Panics unless `target` has one entry for each frame.
+    pub fn ground_distance(
+        self,
+        channels: &[[f64; 4]],
+        target: &[[f64; 2]],
+    ) -> (f64, Vec<[f64; 4]>) {
+        assert_eq!(target.len(), channels.len(), "one target a frame");
+        let apart: Vec<[f64; 2]> = self
+            .positions(channels)
+            .iter()
+            .zip(target)
+            .map(|([x, _, z], target)| [x - target[0], z - target[1]])
+            .collect();
+        let distance = apart.iter().flatten().map(|value| value * value).sum();
+        let upstream: Vec<[f64; 2]> = apart.iter().map(|v| v.map(|x| 2.0 * x)).collect();
+        (distance, self.ground_gradient(channels, &upstream))
+    }
+}
+
+/// The ground vector (x, z) turned by the root quaternion of half angle `angle`.
+fn turn(angle: f64, [x, z]: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = (2.0 * angle).sin_cos();
+    [x * cos + z * sin, z * cos - x * sin]
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn ways(frames: usize) -> impl Strategy<Value = Vec<[f64; 4]>> {
+        let row = (-0.2..0.2, -0.1..0.1, -0.1..0.1, 0.5..1.5).prop_map(<[f64; 4]>::from);
+        proptest::collection::vec(row, 1..=frames)
+    }
+
+    #[test]
+    fn a_quarter_turn_walks_sideways() {
+        let quarter = std::f64::consts::FRAC_PI_4;
+        let way = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
+        let positions = Root::Relative.positions(&way);
+        // Facing +x from the second frame on, forward leads along +x.
+        let expected = [[0.0, 0.9, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
+        for (found, expected) in positions.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        assert_eq!(Root::Relative.half_angles(&way), [0.0, -quarter, -quarter]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_relative_way_returns_but_for_its_last_change(way in ways(196)) {
+            let absolute = Root::Relative.convert(&way, Root::Absolute);
+            prop_assert_eq!(
+                Root::Absolute.positions(&absolute),
+                Root::Relative.positions(&way)
+            );
+            let back = Root::Absolute.convert(&absolute, Root::Relative);
+            for (a, b) in back.iter().zip(&way).take(way.len() - 1) {
+                for (a, b) in a.iter().zip(b) {
+                    prop_assert!((a - b).abs() < 1e-12);
+                }
+            }
+            if way.len() > 1 {
+                prop_assert_eq!(&back[way.len() - 1][..3], &back[way.len() - 2][..3]);
+            }
+        }
+
+        #[test]
+        fn the_ground_gradient_is_that_of_small_changes(way in ways(12), pull in -1.0..1.0) {
+            let target: Vec<[f64; 2]> =
+                (0..way.len()).map(|t| [pull, 0.1 * t as f64]).collect();
+            for root in [Root::Relative, Root::Absolute] {
+                let (_, gradient) = root.ground_distance(&way, &target);
+                for t in 0..way.len() {
+                    for channel in 0..4 {
+                        let distance = |change: f64| {
+                            let mut changed = way.clone();
+                            changed[t][channel] += change;
+                            root.ground_distance(&changed, &target).0
+                        };
+                        let slope = (distance(1e-5) - distance(-1e-5)) / 2e-5;
+                        prop_assert!((slope - gradient[t][channel]).abs() < 1e-6);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! The tree of joints that features are made of, as data.
+
+use serde::{Deserialize, Serialize};
+
+use super::layout::{FeatureChannel, FeatureLayout};
+use super::{FeatureError, Joints};
+use crate::rotation::length;
+
+/// The description of a skeleton, as written in files; [`Skeleton`] is its checked form.
+///
+/// Joints are given by their indices. Axes: +x left, +y up, +z forward.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkeletonDescription {
+    /// Name, for messages and files.
+    pub name: String,
+    /// Frames per second of its clips.
+    pub fps: f64,
+    /// Names of the joints, `[J]`, the root first.
+    pub joint_names: Vec<String>,
+    /// The bones, as chains from joint to joint. The first chain begins at joint 0, every later
+    /// one at a joint of an earlier one; the rotations of each chain begin at the root's.
+    pub chains: Vec<Vec<usize>>,
+    /// Directions that bones take without rotation, `[J, 3]`: unit vectors, of joint 0 unused.
+    pub raw_directions: Vec<[f64; 3]>,
+    /// Child minus parent in the reference pose, `[J, 3]`, metres, of joint 0 unused: the lengths
+    /// are those of the bones that clips are rescaled to.
+    pub rest_offsets: Vec<[f64; 3]>,
+    /// The joints that show where the body faces.
+    pub face_joints: FaceJoints,
+    /// Pairs of left and right joints; those of no pair lie in the middle.
+    pub mirrored_joints: Vec<[usize; 2]>,
+    /// The joints of the feet, in the order of the contact flags.
+    pub feet: Feet,
+    /// The joints whose bones' lengths together measure the body: a knee and an ankle.
+    pub leg_joints: [usize; 2],
+}
+
+/// The joints that show where the body faces.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct FaceJoints {
+    /// Right hip.
+    pub right_hip: usize,
+    /// Left hip.
+    pub left_hip: usize,
+    /// Right shoulder.
+    pub right_shoulder: usize,
+    /// Left shoulder.
+    pub left_shoulder: usize,
+}
+
+/// The joints of the feet: ankle and foot of each side.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Feet {
+    /// Of the left foot.
+    pub left: [usize; 2],
+    /// Of the right foot.
+    pub right: [usize; 2],
+}
+
+/// A skeleton whose description is sound. Made from a [`SkeletonDescription`], which is also its
+/// stored form, or built in: [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(try_from = "SkeletonDescription", into = "SkeletonDescription")]
+pub struct Skeleton {
+    description: SkeletonDescription,
+    parents: Vec<Option<usize>>,
+    layout: FeatureLayout,
+}
+
+impl Skeleton {
+    /// Checks a description.
+    ///
+    /// # Errors
+    /// [`FeatureError::InvalidSkeleton`] naming the field if it contradicts itself.
+    pub fn new(description: SkeletonDescription) -> Result<Self, FeatureError> {
+        let parents = super::validate::parents(&description)?;
+        super::validate::the_rest(&description)?;
+        let layout = FeatureLayout::of_joints(parents.len())?;
+        Ok(Self {
+            description,
+            parents,
+            layout,
+        })
+    }
+
+    /// The same skeleton with the bones of a reference pose: `joints`, `[J, 3]`, metres.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] for another number of joints;
+    /// [`FeatureError::InvalidSkeleton`] if a bone has no length.
+    pub fn with_rest_pose(&self, joints: &[[f64; 3]]) -> Result<Self, FeatureError> {
+        if joints.len() != self.joints() {
+            return Err(FeatureError::LengthMismatch {
+                what: "joints of the reference pose",
+                expected: self.joints(),
+                found: joints.len(),
+            });
+        }
+        let offset = |(joint, parent): (usize, &Option<usize>)| match parent {
+            None => [0.0; 3],
+            Some(parent) => [0, 1, 2].map(|i| joints[joint][i] - joints[*parent][i]),
+        };
+        let rest_offsets = self.parents.iter().enumerate().map(offset).collect();
+        Self::new(SkeletonDescription {
+            rest_offsets,
+            ..self.description.clone()
+        })
+    }
+
+    /// What it was made from.
+    pub fn description(&self) -> &SkeletonDescription {
+        &self.description
+    }
+
+    /// Number of joints, the root included.
+    pub fn joints(&self) -> usize {
+        self.parents.len()
+    }
+
+    /// The parent of each joint, `[J]`; none for the root.
+    pub fn parents(&self) -> &[Option<usize>] {
+        &self.parents
+    }
+
+    /// The layout of its features.
+    pub fn layout(&self) -> FeatureLayout {
+        self.layout
+    }
+
+    /// The bones of the chains in order: chain by chain, parent and child.
+    pub fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = [usize; 2]>> {
+        let pairs = |chain: &'_ [usize]| [chain[0], chain[1]];
+        let chains = self.description.chains.iter();
+        chains.map(move |chain| chain.windows(2).map(pairs))
+    }
+
+    /// The joints of left and right contact flags, in their order.
+    pub fn contact_joints(&self) -> [usize; 4] {
+        let Feet { left, right } = self.description.feet;
+        [left[0], left[1], right[0], right[1]]
+    }
+
+    /// The joint at the place of each when left and right change sides, `[J]`.
+    pub fn mirrored(&self) -> Vec<usize> {
+        let mut mirrored: Vec<usize> = (0..self.joints()).collect();
+        for &[left, right] in &self.description.mirrored_joints {
+            mirrored.swap(left, right);
+        }
+        mirrored
+    }
+
+    /// Offsets of the joints without rotation, `[J, 3]`, metres: raw directions with the lengths
+    /// of the reference bones.
+    pub fn offsets(&self) -> Vec<[f64; 3]> {
+        let lengths = self.description.rest_offsets.iter().map(|o| length(*o));
+        self.offsets_of_lengths(lengths)
+    }
+
+    /// Offsets of the joints without rotation with the bone lengths of one frame of a clip.
+    ///
+    /// # Panics
+    /// Panics unless `frame` has J entries.
+    pub fn offsets_of_frame(&self, frame: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        assert_eq!(frame.len(), self.joints(), "a place for each joint");
+        let bone = |(joint, parent): (usize, &Option<usize>)| {
+            let start = parent.map_or([0.0; 3], |parent| frame[parent]);
+            length([0, 1, 2].map(|i| frame[joint][i] - start[i]))
+        };
+        self.offsets_of_lengths(self.parents.iter().enumerate().map(bone))
+    }
+
+    fn offsets_of_lengths(&self, lengths: impl Iterator<Item = f64>) -> Vec<[f64; 3]> {
+        let mut offsets: Vec<[f64; 3]> = self
+            .description
+            .raw_directions
+            .iter()
+            .zip(lengths)
+            .map(|(direction, length)| direction.map(|value| value * length))
+            .collect();
+        offsets[0] = [0.0; 3];
+        offsets
+    }
+
+    /// What channel `index` of the features says; unlike
+    /// [`FeatureLayout::channel`] it knows the joints of the contact flags.
+    ///
+    /// # Panics
+    /// Panics if there is no such channel.
+    pub fn channel(&self, index: usize) -> FeatureChannel {
+        let mut channel = self.layout.channel(index);
+        let contacts = self.layout.contacts();
+        if contacts.contains(&index) {
+            channel.joint = Some(self.contact_joints()[index - contacts.start]);
+        }
+        channel
+    }
+
+    /// Name of channel `index` of the features, such as `root.height_y` or `left_hip.ric_x`.
+    ///
+    /// # Panics
+    /// Panics if there is no such channel.
+    pub fn channel_name(&self, index: usize) -> String {
+        let FeatureChannel { joint, component } = self.channel(index);
+        let of = joint.map_or("root", |joint| &self.description.joint_names[joint]);
+        format!("{of}.{component}")
+    }
+
+    /// Refuses joints of another skeleton.
+    pub(super) fn accept(&self, joints: &Joints) -> Result<(), FeatureError> {
+        if joints.joints() == self.joints() {
+            return Ok(());
+        }
+        Err(FeatureError::LengthMismatch {
+            what: "joints of a frame",
+            expected: self.joints(),
+            found: joints.joints(),
+        })
+    }
+
+    /// Refuses features of another skeleton.
+    pub(super) fn accept_layout(&self, layout: FeatureLayout) -> Result<(), FeatureError> {
+        if layout == self.layout {
+            return Ok(());
+        }
+        Err(FeatureError::LengthMismatch {
+            what: "channels of a frame",
+            expected: self.layout.channels(),
+            found: layout.channels(),
+        })
+    }
+}
+
+impl TryFrom<SkeletonDescription> for Skeleton {
+    type Error = FeatureError;
+
+    fn try_from(description: SkeletonDescription) -> Result<Self, FeatureError> {
+        Self::new(description)
+    }
+}
+
+impl From<Skeleton> for SkeletonDescription {
+    fn from(skeleton: Skeleton) -> Self {
+        skeleton.description
+    }
+}

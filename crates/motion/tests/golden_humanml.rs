@@ -1,0 +1,346 @@
+//! Every tensor of the reference clips of HumanML3D and of the root's two readings.
+//!
+//! The folder is `KINEGRAD_GOLDEN` when that is set, and then a missing file fails; otherwise it
+//! is `data_fixtures/golden`, which may hold some of the files. The tolerances are the reference
+//! data's own.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_motion::Quaternion;
+use kinegrad_motion::humanml::extract::{canonicalize, in_facing_frame, rescale};
+use kinegrad_motion::humanml::kinematics::{facing, inverse_kinematics, to_columns};
+use kinegrad_motion::humanml::{
+    Extraction, FeatureMoments, FeatureStatistics, Features, Heading, Joints, Root, Skeleton,
+};
+use kinegrad_motion::rotation::length;
+use safetensors::SafeTensors;
+
+/// The clips of joint positions.
+const CLIPS: [&str; 3] = ["walk_straight", "walk_turn", "turn_in_place"];
+
+/// Rotation, ground, height, positions, 6D, velocities, contacts.
+const EXTRACTED: [f64; 7] = [1e-6, 1e-5, 1e-5, 1e-5, 5e-5, 1e-5, 0.0];
+
+/// The path of a reference file, or `None` when the small set does not hold it.
+fn reference(file: &str) -> Option<PathBuf> {
+    let workspace = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+    let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
+    let root = match &set {
+        // Tests run in their package's folder; a relative folder is meant from the root.
+        Some(folder) => workspace.join(folder),
+        None => workspace.join("data_fixtures/golden"),
+    };
+    let path = root.join(file);
+    if path.exists() {
+        return Some(path);
+    }
+    assert!(set.is_none(), "{} is missing", path.display());
+    eprintln!("{file} is not among the small fixtures: nothing compared");
+    None
+}
+
+/// One reference file of single-precision tensors.
+struct Reference {
+    name: String,
+    bytes: Vec<u8>,
+}
+
+impl Reference {
+    fn open(name: &str) -> Option<Self> {
+        let path = reference(&format!("{name}.safetensors"))?;
+        Some(Self {
+            name: name.to_string(),
+            bytes: std::fs::read(path).expect("golden file is readable"),
+        })
+    }
+
+    /// Shape and values of the tensor `key`.
+    fn tensor(&self, key: &str) -> (Vec<usize>, Vec<f32>) {
+        let parsed = SafeTensors::deserialize(&self.bytes).expect("golden file parses");
+        let view = parsed.tensor(key).expect("golden tensor exists");
+        let (values, rest) = view.data().as_chunks::<4>();
+        assert!(rest.is_empty());
+        let values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        (view.shape().to_vec(), values.collect())
+    }
+
+    /// The tensor `key` as vectors of N.
+    fn vectors<const N: usize>(&self, key: &str) -> Vec<[f64; N]> {
+        let (_, values) = self.tensor(key);
+        let (vectors, _) = values.as_chunks::<N>();
+        vectors.iter().map(|vector| vector.map(f64::from)).collect()
+    }
+
+    fn joints(&self, key: &str) -> Joints {
+        let (shape, values) = self.tensor(key);
+        Joints::from_f32(&values, shape[1]).expect("finite joints")
+    }
+
+    fn features(&self, key: &str, root: Root) -> Features {
+        let (_, values) = self.tensor(key);
+        Features::new(values, Skeleton::humanml3d().layout(), root).expect("whole frames")
+    }
+
+    /// The skeleton with the reference pose of the file.
+    fn skeleton(&self) -> Skeleton {
+        let rest = self.vectors("in.tgt_rest_joints");
+        let skeleton = Skeleton::humanml3d().with_rest_pose(&rest);
+        skeleton.expect("bones have lengths")
+    }
+
+    /// Compares with the tensor `key`, which must have as many values.
+    fn compare(&self, key: &str, found: &[f64], tolerance: f64) {
+        let (_, expected) = self.tensor(key);
+        self.bound(key, found, &wide(&expected), tolerance);
+    }
+
+    /// As [`compare`](Self::compare), relative to the tensor's largest magnitude.
+    fn compare_relative(&self, key: &str, found: &[f64], tolerance: f64) {
+        let (_, expected) = self.tensor(key);
+        let expected = wide(&expected);
+        let largest = expected.iter().fold(0.0f64, |a, b| a.max(b.abs()));
+        self.bound(key, found, &expected, tolerance * largest);
+    }
+
+    /// Compares features group by group, each with its own tolerance.
+    fn compare_features(&self, key: &str, found: &Features, tolerances: [f64; 7]) {
+        let expected = self.features(key, found.root());
+        for (group, tolerance) in found.layout().groups().into_iter().zip(tolerances) {
+            let part = |features: &Features| -> Vec<f64> {
+                let rows = (0..features.frames()).map(|t| &features.frame(t)[group.clone()]);
+                rows.flatten().map(|value| f64::from(*value)).collect()
+            };
+            let what = format!("{key} {group:?}");
+            self.bound(&what, &part(found), &part(&expected), tolerance);
+        }
+    }
+
+    fn bound(&self, what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
+        assert_eq!(found.len(), expected.len(), "{} {what}", self.name);
+        let mut error: f64 = 0.0;
+        for (found, expected) in found.iter().zip(expected) {
+            assert!(found.is_finite(), "{} {what} is {found}", self.name);
+            error = error.max((found - expected).abs());
+        }
+        let name = &self.name;
+        eprintln!("{name} {what}: error {error:.1e} of {tolerance:.0e}");
+        assert!(
+            error <= tolerance,
+            "{name} {what}: error {error:.3e} exceeds {tolerance:.1e}"
+        );
+    }
+}
+
+fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&value| f64::from(value)).collect()
+}
+
+fn parts(rotations: &[Quaternion]) -> Vec<f64> {
+    let each = rotations.iter().flat_map(|q| [q.w, q.x, q.y, q.z]);
+    each.collect()
+}
+
+#[test]
+fn golden_layout_is_the_published_index_list() {
+    let Some(path) = reference("humanml/index_layout.csv") else {
+        return;
+    };
+    let text = std::fs::read_to_string(path).expect("golden file is readable");
+    let skeleton = Skeleton::humanml3d();
+    let lines: Vec<&str> = text.lines().skip(1).collect();
+    assert_eq!(lines.len(), skeleton.layout().channels());
+    for (index, line) in lines.iter().enumerate() {
+        let fields: Vec<&str> = line.trim().split(',').collect();
+        assert_eq!(fields[0], index.to_string());
+        let name = format!("{}.{}", fields[1], fields[2]);
+        assert_eq!(skeleton.channel_name(index), name);
+    }
+}
+
+#[test]
+fn golden_joints_become_features() {
+    for name in CLIPS {
+        let Some(file) = Reference::open(&format!("humanml/{name}")) else {
+            continue;
+        };
+        let skeleton = file.skeleton();
+        let source = file.joints("in.joints");
+        file.compare("out.tgt_offsets", skeleton.offsets().as_flattened(), 1e-6);
+        let uniform = rescale(&skeleton, &source).expect("legs have a length");
+        let global = canonicalize(&skeleton, &uniform).expect("joints of the skeleton");
+        for (key, joints) in [
+            ("out.uniform_joints", &uniform),
+            ("out.global_joints", &global),
+        ] {
+            file.compare(key, joints.as_slice().as_flattened(), 1e-5);
+        }
+        // The stored raw directions are those before they are brought to length 1.
+        let raw: Vec<[f64; 3]> = file
+            .vectors("out.forward_raw")
+            .into_iter()
+            .map(|forward: [f64; 3]| forward.map(|value| value / length(forward)))
+            .collect();
+        let found = facing(&skeleton, &global, Heading::Raw).expect("joints of the skeleton");
+        file.bound(
+            "out.forward_raw",
+            found.as_flattened(),
+            raw.as_flattened(),
+            1e-5,
+        );
+        let found = facing(&skeleton, &global, Heading::Smoothed).expect("joints of the skeleton");
+        file.compare("out.forward_smooth", found.as_flattened(), 1e-5);
+        let rotations = inverse_kinematics(&skeleton, &global, Heading::Smoothed)
+            .expect("joints of the skeleton");
+        file.compare("out.quats", &parts(&rotations), 5e-5);
+        let columns: Vec<[f64; 6]> = rotations.iter().map(|q| to_columns(*q)).collect();
+        file.compare("out.cont6d", columns.as_flattened(), 5e-5);
+        let local: Vec<[f64; 3]> = (0..global.frames())
+            .flat_map(|t| in_facing_frame(global.frame(t), rotations[t * skeleton.joints()]))
+            .collect();
+        file.compare("out.local_joints", local.as_flattened(), 1e-5);
+
+        let features = Extraction::default()
+            .features(&skeleton, &source)
+            .expect("a clip of several frames");
+        file.compare_features("out.features", &features, EXTRACTED);
+    }
+}
+
+#[test]
+fn golden_features_become_joints() {
+    for name in CLIPS {
+        let Some(file) = Reference::open(&format!("humanml/{name}")) else {
+            continue;
+        };
+        let skeleton = file.skeleton();
+        let features = file.features("out.features", Root::Relative);
+        let half_angles = Root::Relative.half_angles(&features.root_channels());
+        file.compare("out.half_angle", &half_angles, 1e-5);
+        file.compare("out.root_quat", &parts(&features.root_quaternions()), 1e-5);
+        let positions = features.root_positions();
+        file.compare("out.root_pos", positions.as_flattened(), 1e-5);
+        let joints = features.joints();
+        file.compare(
+            "out.joints_from_ric",
+            joints.as_slice().as_flattened(),
+            1e-5,
+        );
+        let joints = features
+            .joints_from_rotations(&skeleton)
+            .expect("features of the skeleton");
+        file.compare(
+            "out.joints_from_rot6d",
+            joints.as_slice().as_flattened(),
+            2e-5,
+        );
+
+        let absolute = features.to_absolute();
+        file.compare("out.features_abs", &wide(absolute.as_slice()), 1e-5);
+        // The stored joints lack the place on the ground that the root's own positions have:
+        // they are compared about the root, and the root with its way.
+        let stored = file.features("out.features_abs", Root::Absolute);
+        let positions = stored.root_positions();
+        file.compare("out.root_pos", positions.as_flattened(), 1e-5);
+        let joints = stored.joints();
+        let about_root = |joints: &Joints| -> Vec<f64> {
+            let frames = (0..joints.frames()).map(|t| joints.frame(t));
+            let moved = frames.flat_map(|frame| in_facing_frame(frame, Quaternion::IDENTITY));
+            moved.flatten().collect()
+        };
+        let expected = about_root(&file.joints("out.joints_from_abs"));
+        file.bound("out.joints_from_abs", &about_root(&joints), &expected, 1e-5);
+
+        // The published way back: features of those joints, the last row twice.
+        let back = Extraction::default()
+            .features_in_place(&skeleton, &joints)
+            .expect("a clip of several frames");
+        let mut values = back.as_slice().to_vec();
+        values.extend(back.frame(back.frames() - 1));
+        let back = Features::new(values, back.layout(), Root::Relative).expect("whole frames");
+        file.compare_features("out.features_rel_from_abs_joints", &back, EXTRACTED);
+    }
+}
+
+#[test]
+fn golden_statistics_share_deviations_within_groups() {
+    let Some(file) = Reference::open("humanml/feature_stats") else {
+        return;
+    };
+    let features = file.features("in.features_concat", Root::Relative);
+    let moments = FeatureMoments::measure(&features);
+    file.compare("out.mean", moments.mean(), 1e-5);
+    file.compare("out.std_per_dim", moments.std(), 1e-5);
+    let statistics = FeatureStatistics::from_moments(&moments);
+    file.compare("out.std_grouped", statistics.std(), 1e-5);
+
+    let (shape, expected) = file.tensor("out.normalised_first8");
+    let (rows, channels) = (shape[0], shape[1]);
+    // With the stored mean and deviation: those of one precision divided by a small deviation
+    // leave the tolerance.
+    let [mean, std] = ["out.mean", "out.std_grouped"].map(|key| wide(&file.tensor(key).1));
+    let stored = FeatureStatistics::new(mean, std, Root::Relative).expect("sound statistics");
+    let normalised = stored
+        .normalize(&features.slice(0..rows))
+        .expect("statistics of these features");
+    let row_major = (0..rows).flat_map(|t| (0..channels).map(move |c| c * rows + t));
+    let found: Vec<f64> = row_major.map(|i| f64::from(normalised[i])).collect();
+    file.bound("out.normalised_first8", &found, &wide(&expected), 1e-5);
+}
+
+#[test]
+fn golden_root_is_the_same_way_in_both_readings() {
+    let Some(file) = Reference::open("gmd/rel_abs_root") else {
+        return;
+    };
+    let (shape, _) = file.tensor("in.features_rel");
+    let (clips, frames) = (shape[0], shape[1]);
+    let read = |key: &str, root: Root| -> Vec<Features> {
+        let all = file.features(key, root);
+        let clip = |clip: usize| all.slice(clip * frames..(clip + 1) * frames);
+        (0..clips).map(clip).collect()
+    };
+    let (relative, absolute) = (
+        read("in.features_rel", Root::Relative),
+        read("out.features_abs", Root::Absolute),
+    );
+    let targets = file.vectors::<2>("in.root_target_xz");
+
+    for (key, clips, root) in [
+        ("out.features_abs", &relative, Root::Absolute),
+        ("out.features_rel_back", &absolute, Root::Relative),
+    ] {
+        let converted = clips
+            .iter()
+            .map(|clip| wide(clip.with_root(root).as_slice()));
+        file.compare(key, &converted.collect::<Vec<_>>().concat(), 1e-5);
+    }
+    let half_angles = relative
+        .iter()
+        .map(|clip| clip.root().half_angles(&clip.root_channels()));
+    let half_angles = half_angles.collect::<Vec<_>>().concat();
+    file.compare("out.rel.half_angle", &half_angles, 1e-5);
+
+    for (name, clips) in [("rel", &relative), ("abs", &absolute)] {
+        let (mut positions, mut rotations, mut joints) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut loss, mut gradient) = (0.0, Vec::new());
+        for (clip, targets) in clips.iter().zip(targets.chunks(frames)) {
+            positions.extend(clip.root_positions());
+            rotations.extend(clip.root_quaternions());
+            joints.extend_from_slice(clip.joints().as_slice());
+            let (distance, slope) = clip.root().ground_distance(&clip.root_channels(), targets);
+            loss += distance;
+            gradient.extend(slope);
+        }
+        // 40 accumulated steps in single precision.
+        file.compare(
+            &format!("out.{name}.root_pos"),
+            positions.as_flattened(),
+            1e-4,
+        );
+        file.compare(&format!("out.{name}.root_quat"), &parts(&rotations), 1e-5);
+        file.compare(&format!("out.{name}.joints"), joints.as_flattened(), 1e-4);
+        file.compare_relative(&format!("out.{name}.root_loss"), &[loss], 1e-4);
+        let key = format!("grad.{name}.features4");
+        file.compare_relative(&key, gradient.as_flattened(), 1e-4);
+    }
+}
