@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use kinegrad_data::humanml::write_walks;
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
-    ChannelSummary, DataConfig, Inspection, MANIFEST, Store, StoreConfig, synthetic,
+    ChannelSummary, DataConfig, Inspection, MANIFEST, Problem, Store, StoreConfig, synthetic,
 };
 
 use crate::args::{InspectArguments, SynthArguments};
@@ -186,13 +186,18 @@ fn print(inspection: &Inspection) {
     );
     println!("{}\n", channels(&inspection.motion));
     println!("{}", channels(&inspection.audio));
-    for warning in &inspection.warnings {
+    print_problems(&inspection.warnings, &inspection.problems);
+}
+
+/// What is odd about a dataset, and what is wrong with single items.
+pub fn print_problems(warnings: &[String], problems: &[Problem]) {
+    for warning in warnings {
         println!("warning: {warning}");
     }
-    if !inspection.problems.is_empty() {
+    if !problems.is_empty() {
         println!("\nproblems:");
     }
-    for problem in &inspection.problems {
+    for problem in problems {
         let grade = if problem.unusable {
             "unusable"
         } else {
@@ -202,7 +207,8 @@ fn print(inspection: &Inspection) {
     }
 }
 
-fn channels(summaries: &[ChannelSummary]) -> String {
+/// Range, mean and deviation of channels, or of groups of them.
+pub fn channels(summaries: &[ChannelSummary]) -> String {
     let header = ["channel", "min", "max", "mean", "std"]
         .map(String::from)
         .to_vec();
