@@ -52,6 +52,12 @@ impl From<kinegrad_motion::Error> for Failure {
     }
 }
 
+impl From<kinegrad_motion::humanml::FeatureError> for Failure {
+    fn from(error: kinegrad_motion::humanml::FeatureError) -> Self {
+        kinegrad_train::Error::from(error).into()
+    }
+}
+
 impl From<kinegrad_audio::Error> for Failure {
     fn from(error: kinegrad_audio::Error) -> Self {
         Self {

@@ -49,4 +49,6 @@ pub use sampler::{
     ddim_step, ddpm_step, sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
-pub use steering::{Goal, Guidance, Imputation, Space, Steering, steered_sample, steered_step};
+pub use steering::{
+    Goal, Guidance, Imputation, Networks, Space, SteeredInput, Steering, steered_sample, steered_step,
+};

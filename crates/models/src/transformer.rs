@@ -3,6 +3,10 @@
 //!
 //! Parameters have the names of the published model and the layout of PyTorch's
 //! `nn.TransformerEncoder`; layers normalise after each sum and activate by GELU.
+#![expect(
+    non_snake_case,
+    reason = "fields are named as the published model's parameters"
+)]
 
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
@@ -84,13 +88,11 @@ impl EncoderConfig {
     }
 }
 
-#[expect(non_snake_case, reason = "the published model's parameter names")]
 #[derive(Module, Debug)]
 struct InputProcess {
     poseEmbedding: Linear,
 }
 
-#[expect(non_snake_case, reason = "the published model's parameter names")]
 #[derive(Module, Debug)]
 struct OutputProcess {
     poseFinal: Linear,
@@ -103,7 +105,6 @@ struct Layers {
 
 /// A transformer encoder over `[condition, frame 0, frame 1, ..]`. Should be created with
 /// [`EncoderConfig::init`].
-#[expect(non_snake_case, reason = "the published model's parameter names")]
 #[derive(Module, Debug)]
 pub struct Encoder {
     input_process: InputProcess,

@@ -16,6 +16,10 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Data(#[from] kinegrad_data::Error),
+    /// A file of data cannot be used.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    File(#[from] kinegrad_data::FileError),
     /// A motion or its statistics are wrong.
     #[error(transparent)]
     #[diagnostic(transparent)]

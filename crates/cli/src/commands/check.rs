@@ -59,7 +59,7 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
 fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, Failure> {
     if let Some(run) = &arguments.run {
         let path = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
-        return Ok(Some(State::read(&path)?.statistics));
+        return Ok(Some(State::read(&path)?.statistics.phrases()?.clone()));
     }
     let Some(source) = &arguments.source else {
         return Ok(None);

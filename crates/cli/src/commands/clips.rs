@@ -5,7 +5,6 @@ use std::process::ExitCode;
 
 use kinegrad_data::humanml::{read_embedding, write_features};
 use kinegrad_data::write_values;
-use kinegrad_motion::capture::bvh;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
@@ -19,6 +18,9 @@ use super::sample::sampler;
 use crate::args::SampleArguments;
 use crate::failure::{Failure, UsageError};
 use crate::progress::denoising_bar;
+
+/// Units of a BVH file in a metre.
+const CENTIMETRES: f64 = 100.0;
 
 /// Draws clips and writes each as joints, features and BVH.
 pub fn sample(
@@ -175,9 +177,10 @@ fn write(
             let shape = [joints.frames(), joints.joints(), 3];
             write_values(&path, &shape, &joints.to_f32())?;
             write_features(&PathBuf::from(format!("{stem}.features.npy")), &features)?;
-            let text = bvh::write_joints(skeleton, &joints, bvh::CENTIMETRES)?;
+            let bvh = joints.to_bvh(skeleton, CENTIMETRES)?;
             let path = PathBuf::from(format!("{stem}.bvh"));
-            std::fs::write(&path, text).map_err(kinegrad_train::Error::io("write", &path))?;
+            let written = std::fs::write(&path, bvh.to_text());
+            written.map_err(kinegrad_train::Error::io("write", &path))?;
             if let Some(drawn) = &sample.path {
                 write_path(&PathBuf::from(format!("{stem}.path.npy")), &drawn[..frames])?;
             }

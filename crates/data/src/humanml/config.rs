@@ -80,7 +80,7 @@ impl SkeletonName {
     }
 
     /// The skeleton whose features have so many channels.
-    pub(crate) fn of_channels(channels: usize) -> Option<Self> {
+    pub fn of_channels(channels: usize) -> Option<Self> {
         [Self::Humanml3d, Self::Kit]
             .into_iter()
             .find(|name| name.skeleton().layout().channels() == channels)

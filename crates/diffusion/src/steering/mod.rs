@@ -46,13 +46,21 @@ pub struct Steering<'a> {
 }
 
 /// A network twice: for gradients and without.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct Networks<'a, D: ?Sized> {
     /// On an autodiff device; its weights need no gradients.
     pub tracked: &'a D,
     /// The same on the plain device.
     pub plain: &'a D,
 }
+
+impl<D: ?Sized> Clone for Networks<'_, D> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<D: ?Sized> Copy for Networks<'_, D> {}
 
 /// Draws one motion per sample of the start noise by DDPM, each step steered as `steering` says of
 /// its timestep.
