@@ -6,6 +6,8 @@ from typing import Any
 from ccmotion.decoder import MotionDecoder
 from ccmotion.e2e import EndToEndModel
 from ccmotion.unet1d import UNet1d, UNetConfig
+from gmd.denoiser import UNetDenoiser
+from gmd.unet import UNetConfig as GmdUNetConfig
 from torch import nn
 
 
@@ -20,7 +22,23 @@ def unet1d(model: dict[str, Any]) -> UNet1d:
     return UNet1d(config)
 
 
-DENOISERS: dict[str, Callable[[dict[str, Any]], nn.Module]] = {"unet1d": unet1d}
+def gmd_unet(model: dict[str, Any]) -> UNetDenoiser:
+    """The text-conditioned UNet of a table `model`; nothing starts at zero, or all answers would be
+    equal."""
+    config = GmdUNetConfig(
+        motion_channels=model["motion_channels"],
+        width=model["model_channels"],
+        multipliers=tuple(model["channel_mult"]),
+        cond_dim=model["model_channels"],
+        zero_init=False,
+    )
+    return UNetDenoiser(config, model["padded_frames"])
+
+
+DENOISERS: dict[str, Callable[[dict[str, Any]], nn.Module]] = {
+    "unet1d": unet1d,
+    "gmd_unet": gmd_unet,
+}
 """By `model.kind`."""
 
 

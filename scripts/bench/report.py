@@ -12,14 +12,15 @@ Ratios are kinegrad / PyTorch: below 1, kinegrad is faster or smaller. Time: med
 {threads}-thread steps done in turn (least to greatest); seconds are medians. Rounds in which other work
 took part of the machine are left out, or marked where there is no other. Memory in MiB: `peak` is
 the largest resident set over the steps; `counted` is that less the set after start-up and, where
-weights are trained, less 16 bytes a parameter (weights, gradients and two moments). The memory of
+weights are trained, less 16 bytes a parameter (weights, gradients and two moments) or 20 (a moving
+average as well, in the rows of GMD). The memory of
 `e2e_checkpointed` is compared with PyTorch's in mode `full`. Difference: of the losses, the first
 one and the largest of all; of samples, the largest against the largest value.
 {versions}"""
 
 GPU_CAPTION = """\
 On a GPU, `peak` is the device memory that grew while only this process worked (its context
-included), and `counted` is that less 16 bytes a parameter where weights are trained."""
+included), and `counted` is that less 16 or 20 bytes a parameter where weights are trained."""
 
 
 @dataclass

@@ -5,8 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 FRAMES = 120
+PADDED_FRAMES = 224
 ADAM_BYTES_PER_PARAMETER = 16
 """Weight, gradient and two moments, which every framework holds while it trains."""
+AVERAGE_BYTES_PER_PARAMETER = 4
+"""The moving average, where a row keeps one."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,7 @@ class Row:
     task: dict[str, Any]
     """`kind` and its settings, in the names of kinegrad's config tables."""
     batch_size: int
+    frames: int = FRAMES
     prediction_type: str = "sample"
     rounds: int = 10
     """After the warm-up."""
@@ -41,7 +45,10 @@ class Row:
     @property
     def floor_bytes(self) -> int:
         """Memory that does not count, because both sides need it."""
-        return ADAM_BYTES_PER_PARAMETER * self.parameters if self.trains else 0
+        if not self.trains:
+            return 0
+        average = AVERAGE_BYTES_PER_PARAMETER if "ema" in self.task else 0
+        return (ADAM_BYTES_PER_PARAMETER + average) * self.parameters
 
     def spec(self, weights: str) -> dict[str, Any]:
         """What both workers read."""
@@ -51,7 +58,7 @@ class Row:
             "prediction_type": self.prediction_type,
             "task": self.task,
             "batch_size": self.batch_size,
-            "frames": FRAMES,
+            "frames": self.frames,
         }
 
 
@@ -67,10 +74,35 @@ def unet1d(model_channels: int, channel_mult: list[int]) -> dict[str, Any]:
     }
 
 
+def gmd_unet(
+    motion_channels: int, model_channels: int, channel_mult: list[float]
+) -> dict[str, Any]:
+    """The text-conditioned UNet with adaptive group normalisation."""
+    return {
+        "kind": "gmd_unet",
+        "motion_channels": motion_channels,
+        "model_channels": model_channels,
+        "channel_mult": channel_mult,
+        "padded_frames": PADDED_FRAMES,
+    }
+
+
 def train() -> dict[str, Any]:
     """A training step on noised motion."""
     optim = {"learning_rate": 1e-4, "weight_decay": 1e-4}
     return {"kind": "train", "optim": optim, "max_grad_norm": 1.0}
+
+
+def train_gmd() -> dict[str, Any]:
+    """A training step on noised motion of several lengths, at GMD's published settings."""
+    return {
+        "kind": "train_gmd",
+        "diffusion": {"beta_min": 0.0, "beta_max": 0.999},
+        "trajectory_scale": 1.0,
+        "optim": {"learning_rate": 1e-4, "weight_decay": 1e-2},
+        "max_grad_norm": 1.0,
+        "ema": {"decay": 0.9999, "update_every": 1, "inv_gamma": 0.0},
+    }
 
 
 def end_to_end(mode: str) -> dict[str, Any]:
@@ -95,6 +127,9 @@ DECODER_PARAMETERS = 1_591_321
 BASE_128 = unet1d(128, [1, 2, 4, 8])
 CC116M = unet1d(256, [1, 2, 4, 4])
 CC116M_PARAMETERS = 104_436_505
+GMD_TRAJECTORY = gmd_unet(4, 512, [0.125, 0.25, 0.5])
+GMD_MOTION_128 = gmd_unet(263, 128, [2, 2, 2, 2])
+GMD_MOTION = gmd_unet(263, 512, [2, 2, 2, 2])
 DOCUMENT_CPU_SECONDS = {5: 5.2, 10: 9.8, 20: 18.5, 50: 45.3}
 
 ROWS: list[Row] = [
@@ -157,5 +192,39 @@ ROWS: list[Row] = [
             document_seconds=seconds,
         )
         for steps, seconds in DOCUMENT_CPU_SECONDS.items()
+    ),
+    *(
+        Row(
+            f"gmd_trajectory_batch{batch_size}",
+            f"training step, GMD's trajectory model, batch {batch_size}",
+            8_549_316,
+            GMD_TRAJECTORY,
+            train_gmd(),
+            batch_size,
+            frames=PADDED_FRAMES,
+            prediction_type="epsilon",
+            quick=batch_size == 8,
+        )
+        for batch_size in (8, 32)
+    ),
+    Row(
+        "gmd_motion_128",
+        "training step, GMD's motion model at width 128, batch 4",
+        15_024_903,
+        GMD_MOTION_128,
+        train_gmd(),
+        batch_size=4,
+        frames=PADDED_FRAMES,
+        quick=True,
+    ),
+    Row(
+        "gmd_motion",
+        "training step, GMD's motion model, batch 1",
+        233_507_079,
+        GMD_MOTION,
+        train_gmd(),
+        batch_size=1,
+        frames=PADDED_FRAMES,
+        rounds=5,
     ),
 ]

@@ -6,13 +6,52 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import torch
 from ccmotion.unet1d import AUDIO_CHANNELS, MOTION_CHANNELS
+from gmd.conditioning import TEXT_FEATURES
 from networks import build
 from safetensors.torch import save_file
+from torch import Tensor
 
 NUM_TRAIN_TIMESTEPS = 1000
+GMD_LENGTHS = (40, 196)
+"""Frames of the shortest and of the longest clip."""
+
+
+def unet1d(row: dict[str, Any]) -> dict[str, Tensor]:
+    """Motion with audio features."""
+    batch, frames = row["batch_size"], row["frames"]
+    return {
+        "motion": torch.randn(batch, MOTION_CHANNELS, frames),
+        "cond": torch.randn(batch, AUDIO_CHANNELS, frames),
+        "noise": torch.randn(batch, MOTION_CHANNELS, frames),
+        "timesteps": torch.randint(NUM_TRAIN_TIMESTEPS, (batch,)),
+        "x_T": torch.randn(batch, MOTION_CHANNELS, frames),
+    }
+
+
+def gmd_unet(row: dict[str, Any]) -> dict[str, Tensor]:
+    """Clips of several lengths, zero behind their ends, with text features. All floats have three
+    axes, as on kinegrad's side."""
+    batch, frames = row["batch_size"], row["frames"]
+    shape = (batch, row["model"]["motion_channels"], frames)
+    shortest, longest = GMD_LENGTHS
+    lengths = torch.randint(shortest, longest + 1, (batch,))
+    lengths[0] = longest
+    mask = (torch.arange(frames) < lengths[:, None, None]).float()
+    return {
+        "motion": torch.randn(shape) * mask,
+        "mask": mask,
+        "cond": torch.randn(batch, TEXT_FEATURES, 1),
+        "noise": torch.randn(shape),
+        "timesteps": torch.randint(NUM_TRAIN_TIMESTEPS, (batch,)),
+    }
+
+
+INPUTS = {"unet1d": unet1d, "gmd_unet": gmd_unet}
+"""By `model.kind`."""
 
 
 def main() -> None:
@@ -24,14 +63,7 @@ def main() -> None:
         torch.manual_seed(0)
         save_file(build(row).state_dict(), weights)
     torch.manual_seed(1)
-    batch, frames = row["batch_size"], row["frames"]
-    inputs = {
-        "motion": torch.randn(batch, MOTION_CHANNELS, frames),
-        "cond": torch.randn(batch, AUDIO_CHANNELS, frames),
-        "noise": torch.randn(batch, MOTION_CHANNELS, frames),
-        "timesteps": torch.randint(NUM_TRAIN_TIMESTEPS, (batch,)),
-        "x_T": torch.randn(batch, MOTION_CHANNELS, frames),
-    }
+    inputs = INPUTS[row["model"]["kind"]](row)
     save_file(inputs, folder / "inputs.safetensors")
 
 

@@ -16,6 +16,7 @@ import torch
 from ccmotion.denoising import DenoisingConfig, DenoisingTrainer
 from ccmotion.diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
 from ccmotion.e2e import Batch, EndToEndConfig, EndToEndModel, Trainer
+from gmd import training as gmd
 from networks import build, count
 from safetensors import safe_open
 from safetensors.torch import load_file
@@ -42,6 +43,28 @@ class Training:
         )
         self.trainer = DenoisingTrainer(model, config)
         self.inputs = {name: inputs[name] for name in ("motion", "cond", "timesteps", "noise")}
+
+    def step(self) -> float:
+        return self.trainer.step(**self.inputs)
+
+
+class GmdTraining:
+    """Trains a text-conditioned denoiser on noised clips of several lengths."""
+
+    def __init__(self, model: nn.Module, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
+        task = row["task"]
+        config = gmd.TrainingConfig(
+            prediction_type=PredictionType(row["prediction_type"]),
+            schedule=NoiseSchedule.cosine(**task["diffusion"]),
+            trajectory_scale=task["trajectory_scale"],
+            learning_rate=task["optim"]["learning_rate"],
+            weight_decay=task["optim"]["weight_decay"],
+            max_grad_norm=task["max_grad_norm"],
+            ema_decay=task["ema"]["decay"],
+        )
+        self.trainer = gmd.Trainer(model, config)
+        self.inputs = {name: inputs[name] for name in ("motion", "mask", "timesteps", "noise")}
+        self.inputs["text_features"] = inputs["cond"].squeeze(2)
 
     def step(self) -> float:
         return self.trainer.step(**self.inputs)
@@ -96,7 +119,12 @@ class Sampling:
             )
 
 
-TASKS = {"train": Training, "end_to_end": EndToEnd, "sample": Sampling}
+TASKS = {
+    "train": Training,
+    "train_gmd": GmdTraining,
+    "end_to_end": EndToEnd,
+    "sample": Sampling,
+}
 
 
 def load_model(row: dict[str, Any], device: str) -> nn.Module:

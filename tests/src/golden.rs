@@ -120,6 +120,7 @@ impl Golden {
             Dtype::F64 => each(bytes, f64::from_le_bytes),
             Dtype::F32 => each(bytes, |b| f64::from(f32::from_le_bytes(b))),
             Dtype::I64 => each(bytes, |b| i64::from_le_bytes(b) as f64),
+            Dtype::I32 => each(bytes, |b| f64::from(i32::from_le_bytes(b))),
             Dtype::U8 => bytes.iter().map(|&b| f64::from(b)).collect(),
             other => panic!("`{name}` has the unexpected type {other:?}"),
         };
@@ -195,6 +196,62 @@ impl Reference {
         );
         println!("{what}: error {error:.1e} of {tolerance:.0e}");
         error
+    }
+
+    /// Asserts `|actual - reference| <= absolute + relative |reference|` of every value and
+    /// returns the largest absolute difference.
+    ///
+    /// # Panics
+    /// Panics if the sizes differ, a value is not finite, or the bound is exceeded.
+    #[track_caller]
+    pub fn assert_within<const D: usize>(
+        &self,
+        what: &str,
+        actual: Tensor<D>,
+        absolute: f64,
+        relative: f64,
+    ) -> f64 {
+        let actual = actual.try_into_vec_as::<f32>().expect("a float32 tensor");
+        assert_eq!(actual.len(), self.values.len(), "{what}: number of values");
+        let mut worst = 0.0f64;
+        for (index, (&a, r)) in actual.iter().zip(&self.values).enumerate() {
+            assert!(a.is_finite(), "{what}[{index}] is {a}");
+            let error = (f64::from(a) - r).abs();
+            let bound = absolute + relative * r.abs();
+            assert!(
+                error <= bound,
+                "{what}[{index}]: {a} for {r}, off by {error:.3e} of {bound:.1e}"
+            );
+            worst = worst.max(error);
+        }
+        println!("{what}: error {worst:.1e} of {absolute:.0e}");
+        worst
+    }
+
+    /// The part `index` of the first axis.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn part(&self, index: usize) -> Self {
+        let (&parts, shape) = self.shape.split_first().expect("an axis");
+        let size = self.values.len() / parts;
+        Self {
+            shape: shape.to_vec(),
+            values: self.values[index * size..(index + 1) * size].to_vec(),
+        }
+    }
+
+    /// The same without axes of one element between the second and the last: `[batch, channels, 1,
+    /// time]` as `[batch, channels, time]`.
+    #[must_use]
+    pub fn flat(&self) -> Self {
+        let last = self.shape.len() - 1;
+        let kept = self.shape.iter().enumerate();
+        let kept = kept.filter(|&(axis, &size)| size != 1 || axis < 2 || axis == last);
+        Self {
+            shape: kept.map(|(_, &size)| size).collect(),
+            values: self.values.clone(),
+        }
     }
 
     /// [`assert_close`](Self::assert_close) for single-precision values.

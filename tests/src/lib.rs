@@ -2,6 +2,7 @@
 
 pub mod decoder;
 pub mod end_to_end;
+pub mod gmd;
 pub mod golden;
 pub mod parity;
 pub mod sandbox;

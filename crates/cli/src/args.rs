@@ -24,6 +24,8 @@ pub enum Command {
     Train(TrainArguments),
     /// Draw motion from a trained model
     Sample(SampleArguments),
+    /// Make a run of published PyTorch weights
+    Import(ImportArguments),
     /// Add the low-rank adapters of a fine-tuned model to its weights
     Merge(MergeArguments),
     /// Check motion files for physical sanity
@@ -97,6 +99,7 @@ pub enum FinalAlphaName {
 pub enum ClipName {
     TrainingRange,
     Unit,
+    Six,
     None,
 }
 
@@ -104,10 +107,15 @@ pub enum ClipName {
 /// float32 in the dataset's layout and units; with several samples PATH-000.npy and so on. The
 /// condition is a phrase of a dataset, a features.npz, a song, or by default the first held-out
 /// phrase of the run's own dataset. Sampler settings default to those of the run's config.
+///
+/// A run of recipe `gmd_motion` gives joints `[T, J, 3]` in metres as PATH.npy, the features as
+/// PATH.features.npy and PATH.bvh in centimetres; one of recipe `gmd_trajectory` the ground path
+/// `[T, 2]`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad sample runs/quickstart --out dance
+  kinegrad sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml --out walk
   kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --out dance
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
@@ -139,6 +147,23 @@ pub struct SampleArguments {
         requires = "audio"
     )]
     pub start: f64,
+    /// Where the root shall be when, and what it shall keep out of; several goals are drawn as one
+    /// batch
+    #[arg(long, value_name = "GOAL.toml")]
+    pub goal: Vec<PathBuf>,
+    /// Run of recipe `gmd_trajectory` that draws the ground path to the goal first
+    #[arg(long, value_name = "RUN")]
+    pub trajectory_run: Option<PathBuf>,
+    /// Text that is the condition: a vector of 512 numbers in a file of safetensors, KEY or KEY:N
+    /// for row N
+    #[arg(long, value_name = "FILE#KEY")]
+    pub text_embedding: Option<String>,
+    /// Strength of the guidance to the goal, 0 is none [default: the run's, else 100]
+    #[arg(long, value_name = "S")]
+    pub classifier_scale: Option<f64>,
+    /// Put no known positions into the draw
+    #[arg(long)]
+    pub no_imputation: bool,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
@@ -180,6 +205,46 @@ pub struct SampleArguments {
     /// Device to run on [default: the run's]
     #[arg(long)]
     pub device: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ArchitectureName {
+    #[value(name = "gmd_motion")]
+    GmdMotion,
+    #[value(name = "gmd_trajectory")]
+    GmdTrajectory,
+}
+
+/// Reads a file that `torch.save` wrote: one with `model` and `model_avg`, of which the average is
+/// taken, or a bare state dict. Sizes are read off the shapes. The result is a run with one
+/// checkpoint: to sample, to evaluate, to start a training from (`init.diffusion`).
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad import model000500000.pt --arch gmd_motion --mean Mean_abs_3d.npy --std Std_abs_3d.npy \
+--projection rand_proj.npy --out runs/gmd")]
+pub struct ImportArguments {
+    /// The weights
+    #[arg(value_name = "WEIGHTS.pt")]
+    pub weights: PathBuf,
+    /// What they are of
+    #[arg(long)]
+    pub arch: ArchitectureName,
+    /// Mean of the training data, one number a feature
+    #[arg(long, value_name = "M.npy")]
+    pub mean: Option<PathBuf>,
+    /// Standard deviation of the training data
+    #[arg(long, value_name = "S.npy")]
+    pub std: Option<PathBuf>,
+    /// Matrix of the emphasis projection that the model works in
+    #[arg(long, value_name = "P.npy")]
+    pub projection: Option<PathBuf>,
+    /// Take `model`, the weights of the last step, instead of `model_avg`
+    #[arg(long)]
+    pub last: bool,
+    /// Folder to write; a new or an empty one
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 /// The result is a run with one checkpoint of plain weights: to sample, to evaluate, to start
@@ -243,6 +308,9 @@ pub enum CondName {
 /// those of the real phrases; docs/evaluation.md defines them. Writes eval.json and eval.csv, or
 /// eval-noise.json and eval-noise.csv with `--cond noise`. Sampler settings default to those of
 /// the run's config.
+///
+/// A run of recipe `gmd_motion` or `gmd_trajectory` is led to goals on the way of held-out clips,
+/// and measured by how near it comes; the report is eval-goals.json.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -259,6 +327,24 @@ pub struct EvalArguments {
     /// Draw for the first N held-out phrases only [default: all]
     #[arg(long, value_name = "N")]
     pub phrases: Option<usize>,
+    /// Run of recipe `gmd_trajectory` that draws the ground paths to the goals first
+    #[arg(long, value_name = "RUN")]
+    pub trajectory_run: Option<PathBuf>,
+    /// Held-out clips with a goal each, of runs on clips
+    #[arg(long, default_value_t = 20, value_name = "N")]
+    pub goals: usize,
+    /// Key frames of each goal
+    #[arg(long, default_value_t = 5, value_name = "N")]
+    pub keyframes: usize,
+    /// Obstacles on the way of each goal, of which then the last key frame alone is asked for
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub obstacles: usize,
+    /// Strength of the guidance to the goals, 0 is none [default: the run's, else 100]
+    #[arg(long, value_name = "S")]
+    pub classifier_scale: Option<f64>,
+    /// Put no known positions into the draws
+    #[arg(long)]
+    pub no_imputation: bool,
     /// What the model hears
     #[arg(long, value_enum, value_name = "COND", default_value_t = CondName::Phrases)]
     pub cond: CondName,
@@ -310,7 +396,7 @@ pub struct PlotArguments {
 #[derive(Debug, Subcommand)]
 pub enum DataCommand {
     /// Make a dataset of synthetic phrases: smooth motion driven by a beat that its audio
-    /// features carry
+    /// features carry; or of synthetic walks in the layout of HumanML3D
     Synth(SynthArguments),
     /// Make a dataset from motion captures and songs, as a plan says
     Prepare(PrepareArguments),
@@ -369,10 +455,13 @@ pub struct SynthArguments {
     /// Folder to write; it must not exist or be empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Number of phrases
+    /// Write walks in the layout of HumanML3D instead of phrases
+    #[arg(long)]
+    pub walks: bool,
+    /// Number of phrases or walks
     #[arg(long, default_value_t = 64, value_name = "N")]
     pub phrases: usize,
-    /// Frames of each phrase, 30 a second
+    /// Frames of each: 30 a second of a phrase, 20 of a walk
     #[arg(long, default_value_t = 120, value_name = "T")]
     pub frames: usize,
     /// Seed
@@ -397,6 +486,9 @@ pub struct InspectArguments {
     /// Draw tempo, length and beats of the manifest's phrases, of those that meet the condition
     #[arg(long, value_name = "FILE.png|FILE.svg")]
     pub plot: Option<PathBuf>,
+    /// The dataset is one in the layout of HumanML3D
+    #[arg(long, conflicts_with_all = ["condition", "plot"])]
+    pub humanml3d: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

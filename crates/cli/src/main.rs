@@ -32,6 +32,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Train(arguments) => commands::train::run(arguments),
         Command::Sample(arguments) => commands::sample::run(arguments),
+        Command::Import(arguments) => commands::import::run(arguments),
         Command::Merge(arguments) => commands::merge::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Eval(arguments) => commands::eval::run(arguments),

@@ -65,7 +65,9 @@ pub use inspect::{Inspection, Problem, inspect};
 pub use item::{Item, ItemSet};
 pub use layout::{MANIFEST, check_id, features_path, motion_path};
 pub use loader::Loader;
-pub use npy::{MAX_FRAMES, parse_motion, read_motion, write_motion};
+pub use npy::{
+    Array, MAX_FRAMES, parse_motion, read_array, read_motion, write_motion, write_values,
+};
 pub use npz::{parse_features, read_features, write_features, write_song_features};
 pub use phrase::{Phrase, load_audio};
 pub use phrase_set::PhraseSet;

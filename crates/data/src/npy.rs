@@ -21,12 +21,35 @@ const MAX_HEADER_BYTES: usize = 10_000;
 
 /// An array in C order.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Array {
+pub struct Array {
     /// Length of each axis.
     pub shape: Vec<usize>,
     /// Values, last axis fastest.
     pub values: Vec<f32>,
 }
+
+/// Reads the array of float32 or float64 numbers in the `.npy` file at `path`.
+///
+/// # Errors
+/// [`FileError`] for a file that cannot be read or is no such array.
+pub fn read_array(path: &Path) -> Result<Array, FileError> {
+    let bytes = read_bounded(path, MAX_ARRAY_BYTES)?;
+    parse(&bytes, &path.display().to_string())
+}
+
+/// Writes an array of this shape as little-endian float32, whole or not at all.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_values(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), Error> {
+    atomic::write(path, |writer| {
+        write_array(&mut *writer, shape, values)?;
+        writer.flush()
+    })
+}
+
+/// The longest file of an array that is no motion: 4096 numbers squared, and a header.
+const MAX_ARRAY_BYTES: u64 = 8 * 4096 * 4096 + MAX_HEADER_BYTES as u64;
 
 /// The longest motion file.
 pub(crate) const MAX_MOTION_BYTES: u64 = max_bytes(CHANNELS);
@@ -42,16 +65,20 @@ pub(crate) const fn max_bytes(rows: usize) -> u64 {
 /// [`FileError`] for a file that cannot be read, another dtype or shape, a cut-off file. Numbers
 /// that are not finite pass: they are refused where a phrase is read.
 pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
-    let label = path.display().to_string();
-    let unreadable = |reason: std::io::Error| FileError::Read {
-        file: path.display().to_string(),
-        reason: reason.to_string(),
-    };
+    let bytes = read_bounded(path, MAX_MOTION_BYTES)?;
+    parse_motion(&bytes, &path.display().to_string())
+}
+
+/// The bytes of the file at `path`, at most one more than `limit`.
+fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     let mut bytes = Vec::new();
     File::open(path)
-        .and_then(|file| file.take(MAX_MOTION_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(unreadable)?;
-    parse_motion(&bytes, &label)
+        .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
+        .map_err(|reason| FileError::Read {
+            file: path.display().to_string(),
+            reason: reason.to_string(),
+        })?;
+    Ok(bytes)
 }
 
 /// Parses the bytes of a motion's `.npy` file; `file` names it in errors.

@@ -5,6 +5,7 @@
 //! DiffusionConfig --> NoiseSchedule (tables, f64) --> GaussianDiffusion (forward process, targets)
 //!                                                         |
 //! Denoiser (any network) -- guided (guidance_scale) -- sample (DDIM, DDPM)
+//!                                                   \-- steered_sample (goals, imputation)
 //! ```
 //!
 //! Nothing here knows what a channel means, and no network is named: a network joins by the trait
@@ -35,6 +36,7 @@ pub mod process;
 pub mod rollout;
 pub mod sampler;
 pub mod schedule;
+pub mod steering;
 
 pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
 pub use denoiser::{Denoiser, guided};
@@ -47,3 +49,4 @@ pub use sampler::{
     ddim_step, ddpm_step, sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
+pub use steering::{Goal, Guidance, Imputation, Space, Steering, steered_sample, steered_step};

@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use kinegrad_kernels::{cross_attention, self_attention};
 
 use crate::Initializer;
-use crate::layers::{Conv1d, GroupNorm};
+use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 /// Self-attention with a residual, then cross-attention to the context with a residual
@@ -37,10 +37,10 @@ impl AttentionBlock {
         let pointwise =
             |name: &str, inputs, outputs| Conv1d::new(inputs, outputs, 1, &init.at(name));
         Self {
-            norm: GroupNorm::new(channels, &init.at("norm")),
+            norm: GroupNorm::new(channels, GROUPS, &init.at("norm")),
             qkv: pointwise("qkv", channels, 3 * channels),
             proj: pointwise("proj", channels, channels),
-            cross_norm: context_dim.map(|_| GroupNorm::new(channels, &init.at("cross_norm"))),
+            cross_norm: context_dim.map(|_| GroupNorm::new(channels, GROUPS, &init.at("cross_norm"))),
             q_cross: context_dim.map(|_| pointwise("q_cross", channels, channels)),
             kv_cross: context_dim.map(|dim| pointwise("kv_cross", dim, 2 * channels)),
             proj_cross: context_dim.map(|_| pointwise("proj_cross", channels, channels)),

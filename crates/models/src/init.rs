@@ -40,8 +40,17 @@ impl Initializer {
         shape: [usize; D],
         fan_in: usize,
     ) -> Param<Tensor<D>> {
+        self.bounded(name, shape, 1.0 / (fan_in as f64).sqrt())
+    }
+
+    /// A parameter drawn uniformly from `+-bound`.
+    pub fn bounded<const D: usize>(
+        &self,
+        name: &str,
+        shape: [usize; D],
+        bound: f64,
+    ) -> Param<Tensor<D>> {
         let key = self.key.named(name);
-        let bound = 1.0 / (fan_in as f64).sqrt();
         self.parameter(shape, move |n| {
             let uniforms = key.uniforms(n);
             uniforms
@@ -54,6 +63,14 @@ impl Initializer {
     /// A parameter whose elements are all `value`.
     pub fn constant<const D: usize>(&self, shape: [usize; D], value: f32) -> Param<Tensor<D>> {
         self.parameter(shape, move |n| vec![value; n])
+    }
+
+    /// A parameter of the given values, row by row.
+    ///
+    /// # Panics
+    /// Panics, when it is first used, if there are not as many as the shape has places.
+    pub fn values<const D: usize>(&self, shape: [usize; D], values: Vec<f32>) -> Param<Tensor<D>> {
+        self.parameter(shape, move |_| values)
     }
 
     fn parameter<const D: usize>(

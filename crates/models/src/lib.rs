@@ -3,13 +3,15 @@
 //! [`UNet1d`] is the audio-conditioned denoiser of the CC-MotionGen documentation. Its parts are
 //! in [`layers`], with PyTorch's names and weight layouts, so that the path of a parameter in the
 //! module tree *is* its state-dict name; [`parameters`] reads and writes them by that name. [`lora`] puts
-//! low-rank adapters on them.
+//! low-rank adapters on them. [`gmd`] holds the networks of Guided Motion Diffusion, [`transformer`]
+//! the encoder that they are compared with, and [`TextDenoiser`] either of them under a text.
 
 pub mod attention;
 pub mod config;
 pub mod decoder;
 pub mod dropout;
 mod error;
+pub mod gmd;
 pub mod gradients;
 pub mod init;
 pub mod layers;
@@ -18,7 +20,9 @@ pub mod low_rank;
 pub mod motion_model;
 pub mod parameters;
 pub mod res_block;
+pub mod text_denoiser;
 pub mod time_embedding;
+pub mod transformer;
 pub mod unet1d;
 
 pub use config::{ModelConfig, ModelKind, ModelSize};
@@ -30,4 +34,5 @@ pub use init::Initializer;
 pub use lora::{LoraConfig, LoraTarget};
 pub use low_rank::LowRank;
 pub use motion_model::MotionModel;
+pub use text_denoiser::{Backbone, TextDenoiser};
 pub use unet1d::{UNet1d, UNet1dConfig};

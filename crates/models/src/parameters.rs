@@ -45,10 +45,14 @@ pub struct HostParameter {
 struct Path(Vec<String>);
 
 impl Path {
-    /// A field `at_n` stands for child `n` of a torch `Sequential`.
-    fn enter(&mut self, name: &str) {
-        self.0
-            .push(name.strip_prefix("at_").unwrap_or(name).to_string());
+    /// A field `at_n` stands for child `n` of a torch `Sequential`. A field `flat_x` is no part of
+    /// a name, as if what it holds stood in its place, nor is the variant of an enum.
+    fn enter(&mut self, name: &str, container: &str) {
+        let name = match name.starts_with("flat_") || container.starts_with("Enum:") {
+            true => "",
+            false => name.strip_prefix("at_").unwrap_or(name),
+        };
+        self.0.push(name.to_string());
     }
 
     fn exit(&mut self) {
@@ -56,7 +60,8 @@ impl Path {
     }
 
     fn name(&self) -> String {
-        self.0.join(".")
+        let named = self.0.iter().filter(|name| !name.is_empty());
+        named.map(String::as_str).collect::<Vec<_>>().join(".")
     }
 }
 
@@ -67,8 +72,8 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
         infos: Vec<ParameterInfo>,
     }
     impl ModuleVisitor for Visitor {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.path.enter(name);
+        fn enter_module(&mut self, name: &str, container: &str) {
+            self.path.enter(name, container);
         }
         fn exit_module(&mut self, _: &str, _: &str) {
             self.path.exit();

@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::silu;
 use kinegrad_kernels::Activation;
 
-use crate::layers::{Conv1d, GroupNorm, Linear};
+use crate::layers::{Conv1d, GROUPS, GroupNorm, Linear};
 use crate::lora::{Adapting, LoraTarget};
 use crate::{Dropout, DropoutKey, Initializer};
 
@@ -65,12 +65,12 @@ impl ResBlock {
         };
         let time_init = init.at("time_mlp").at("1");
         Self {
-            norm1: GroupNorm::new(inputs, &init.at("norm1")),
+            norm1: GroupNorm::new(inputs, GROUPS, &init.at("norm1")),
             conv1: Conv1d::new(inputs, outputs, 3, &init.at("conv1")),
             time_mlp: TimeMlp {
                 at_1: Linear::new(config.time_embed_dim, time_outputs, &time_init),
             },
-            norm2: GroupNorm::new(outputs, &init.at("norm2")),
+            norm2: GroupNorm::new(outputs, GROUPS, &init.at("norm2")),
             dropout: Dropout::new(config.dropout, layer),
             conv2: Conv1d::new(outputs, outputs, 3, &init.at("conv2")),
             skip_conv: (inputs != outputs)

@@ -171,7 +171,8 @@ fn errors(
         .collect()
 }
 
-fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
+/// Forward differences of vectors `[frames, 3]` times `fps`, one fewer than the vectors.
+pub(crate) fn differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
     values
         .windows(2)
         .map(|pair| [0, 1, 2].map(|i| (pair[1][i] - pair[0][i]) * fps))

@@ -1,5 +1,7 @@
 //! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
-//! phrases' statistics, motion capture, augmentation, post-processing, sanity checks and metrics.
+//! phrases' statistics, motion capture, augmentation, post-processing, sanity checks and metrics;
+//! and the features of HumanML3D and its like ([`humanml`]), which have rates and skeletons of
+//! their own.
 //!
 //! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
 //! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen
@@ -19,7 +21,9 @@
 pub mod augment;
 pub mod capture;
 pub mod coherence;
+pub mod emphasis;
 pub mod error;
+pub mod goal;
 pub mod humanml;
 pub mod kinematics;
 pub mod metrics;

@@ -59,8 +59,12 @@ pub enum Purpose {
     PhraseSeed = 16,
     /// Noise in the place of a phrase's audio features, keyed by its id.
     NoiseCondition = 17,
+    /// Matrix of an emphasis projection.
+    Emphasis = 18,
+    /// Pairs of feature vectors whose distances are averaged.
+    Pairs = 19,
     /// Which caption describes a clip, keyed by sample.
-    Caption = 18,
+    Caption = 20,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

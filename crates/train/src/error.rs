@@ -28,6 +28,81 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Diffusion(#[from] kinegrad_diffusion::Error),
+    /// An emphasis projection cannot be made.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
+    /// A run on clips where one on phrases is needed.
+    #[error("the run's recipe trains on clips of joint features, not on phrases")]
+    #[diagnostic(help("give a run of recipe `diffusion`, `decoder` or `e2e`"))]
+    NotPhrases,
+    /// A run on phrases where one on clips is needed.
+    #[error("the run's recipe trains on phrases, not on clips of joint features")]
+    #[diagnostic(help("give a run of recipe `gmd_motion` or `gmd_trajectory`"))]
+    NotClips,
+    /// A goal that cannot be followed.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Goal(#[from] kinegrad_motion::goal::GoalError),
+    /// A file with a goal that cannot be followed.
+    #[error("{}: {reason}", path.display())]
+    #[diagnostic(help("docs/goals.md describes goals"))]
+    GoalFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Joint features that are none.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Features(#[from] kinegrad_motion::humanml::FeatureError),
+    /// A clip longer than the network can draw.
+    #[error("a clip of {frames} frames, but the network draws at most {most}")]
+    #[diagnostic(help("shorten the goal, or ask for fewer `--frames`"))]
+    TooLong {
+        /// Frames asked for.
+        frames: usize,
+        /// `model.padded_frames` of the run.
+        most: usize,
+    },
+    /// A goal for a model that knows no absolute positions.
+    #[error("the run was trained on the relative root: it cannot be led to positions")]
+    #[diagnostic(help("train with `data.humanml3d.root = \"absolute\"`, its default"))]
+    RelativeRoot,
+    /// Weights of another program that cannot be read.
+    #[error("{} cannot be imported: {reason}", path.display())]
+    #[diagnostic(help(
+        "give a file that `torch.save` wrote: one with `model` and `model_avg`, or a bare state dict"
+    ))]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Weights of another program that do not fit.
+    #[error("{} does not fit: {count} differences\n  {list}", path.display())]
+    #[diagnostic(help("the weights belong to another network: check `--arch`"))]
+    ForeignWeights {
+        /// The file.
+        path: PathBuf,
+        /// How many.
+        count: usize,
+        /// All of them.
+        list: String,
+    },
+    /// An array of another shape than needed.
+    #[error("{} holds {found}, allowed: {allowed}", path.display())]
+    #[diagnostic(help("`numpy.load` shows what a file holds"))]
+    Array {
+        /// The file.
+        path: PathBuf,
+        /// What it holds.
+        found: String,
+        /// What is needed.
+        allowed: String,
+    },
     /// A device that this build or machine does not have.
     #[error("`run.device` is \"{found}\": {reason}")]
     #[diagnostic(help("this build can run on: {allowed}"))]

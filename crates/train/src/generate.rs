@@ -31,6 +31,7 @@ pub struct Generator {
     unet: UNet1d,
     decoder: Option<MotionDecoder>,
     diffusion: GaussianDiffusion,
+    statistics: TrainingStatistics,
     state: State,
     device: Device,
 }
@@ -74,11 +75,13 @@ impl Generator {
             decoder,
             state,
         } = Trained::load(path, weights, device)?;
+        let statistics = state.statistics.phrases()?.clone();
         let diffusion = GaussianDiffusion::new(&state.config.diffusion)?;
         Ok(Self {
             unet: unet.valid(),
             decoder: decoder.map(|decoder| decoder.valid()),
             diffusion,
+            statistics,
             state,
             device: device.clone(),
         })
@@ -91,7 +94,7 @@ impl Generator {
 
     /// The statistics of its training phrases.
     pub fn statistics(&self) -> &TrainingStatistics {
-        &self.state.statistics
+        &self.statistics
     }
 
     /// Steps it was trained for.

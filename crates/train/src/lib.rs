@@ -6,6 +6,7 @@
 //! measures that motion.
 
 pub mod checkpoint;
+pub mod clips;
 pub mod config;
 pub mod device;
 pub mod ema;

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{MotionModel, parameters};
 
 use crate::checkpoint::{CheckpointRef, Checkpoints, State, Weights, read_weights};
@@ -23,17 +24,10 @@ pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
             path: path.to_path_buf(),
         });
     }
-    let taken = out
-        .read_dir()
-        .is_ok_and(|mut entries| entries.next().is_some());
-    if taken || out.is_file() {
-        return Err(Error::OutputTaken {
-            path: out.to_path_buf(),
-        });
-    }
+    must_be_free(out)?;
     let device = burn::tensor::Device::flex();
     let merged = |weights: Weights| -> Result<_, Error> {
-        let fresh = networks(&state.config, &state.statistics, &device)?;
+        let fresh = networks(&state.config, state.statistics.phrases()?, &device)?;
         let model = parameters::load(fresh, read_weights(path, &state, weights)?)?;
         let model = MotionModel {
             unet: model.unet.merge_adapters(),
@@ -47,16 +41,40 @@ pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
     };
     let (infos, model) = merged(Weights::Model)?;
     let (_, ema) = merged(Weights::Ema)?;
+    state.config.lora = None;
+    write_weights(out, &state, &infos, &model, &ema)
+}
+
+/// Refuses a folder that holds something.
+pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
+    let taken = out
+        .read_dir()
+        .is_ok_and(|mut entries| entries.next().is_some());
+    match taken || out.is_file() {
+        true => Err(Error::OutputTaken {
+            path: out.to_path_buf(),
+        }),
+        false => Ok(()),
+    }
+}
+
+/// Writes weights without an optimiser as the only checkpoint of the run in `out`.
+pub(crate) fn write_weights(
+    out: &Path,
+    state: &State,
+    infos: &[ParameterInfo],
+    model: &[Vec<f32>],
+    ema: &[Vec<f32>],
+) -> Result<PathBuf, Error> {
     let none = Moments {
         exp_avg: Vec::new(),
         exp_avg_sq: Vec::new(),
     };
-    state.config.lora = None;
     Checkpoints::of(out).save(CheckpointRef {
-        state: &state,
-        infos: &infos,
-        model: &model,
-        ema: &ema,
+        state,
+        infos,
+        model,
+        ema,
         moments: &vec![none; infos.len()],
     })
 }

@@ -1,28 +1,27 @@
 //! Starting and resuming a run: what is checked before anything is written, and in which order.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::Dataset;
-use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_data::Digest;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_models::{DecoderConfig, Initializer};
-use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
 use toml::Table;
 
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
-use crate::config::{self, Config, Recipe};
+use crate::clips::{clip_channels, text_denoiser};
+use crate::config::{self, Config};
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe};
 use crate::start::{Starts, tables_of};
 use crate::trained::denoiser;
 use crate::trainer::Ending;
 
+mod clips;
 mod folder;
+mod phrases;
 mod pretrain;
 mod setup;
 
@@ -165,59 +164,17 @@ fn train_config(
     };
 
     let (device, device_name) = crate::device::open(&config.run.device)?;
-    let dataset = Dataset::open_with_progress(&config.data, &*observer.reading())?;
-    for warning in &dataset.warnings {
-        observer.warning(warning);
-    }
-    if let Some(checkpoint) = &checkpoint {
-        same_dataset(&dataset, checkpoint)?;
-    }
-    let starts = match config.train.recipe {
-        Recipe::Diffusion => None,
-        _ if checkpoint.is_some() => None,
-        recipe => match (Starts::named(&config)?, recipe) {
-            (Some(starts), _) => Some(starts),
-            (None, Recipe::E2e) => match pretrain::run(&config, &folder, observer)? {
-                Ok(starts) => Some(starts),
-                Err(interrupted) => return Ok(*interrupted),
-            },
-            (None, _) => return Err(Error::NoStart { recipe: "decoder" }),
-        },
-    };
-    let statistics = match (&checkpoint, &starts) {
-        (Some(checkpoint), _) => checkpoint.state.statistics.clone(),
-        (None, Some(starts)) => starts.statistics()?,
-        (None, None) => statistics_of(&dataset, &config)?,
-    };
     let setup = Setup {
-        statistics: Arc::new(statistics),
         device: training_device(&config, device),
         device_name,
-        dataset,
         folder,
         lock,
+        checkpoint,
         config,
     };
-    let (config, device) = (&setup.config, &setup.device);
-    match config.train.recipe {
-        Recipe::Diffusion => {
-            let model = denoiser(config, device)?;
-            let recipe = DiffusionRecipe::new(
-                GaussianDiffusion::new(&config.diffusion)?,
-                setup.held_out()?,
-            );
-            setup.train(recipe, model, checkpoint, observer)
-        }
-        Recipe::Decoder => {
-            let model = setup.networks(starts)?;
-            let recipe = DecoderRecipe::new(setup.sampler()?, &config.loss, setup.held_out()?);
-            setup.train(recipe, model, checkpoint, observer)
-        }
-        Recipe::E2e => {
-            let model = setup.networks(starts)?;
-            let recipe = E2eRecipe::new(setup.sampler()?, &config.loss, setup.held_out()?);
-            setup.train(recipe, model, checkpoint, observer)
-        }
+    match setup.config.train.recipe.reads_clips() {
+        true => clips::train(setup, observer),
+        false => phrases::train(setup, observer),
     }
 }
 
@@ -229,6 +186,10 @@ pub fn parameter_count(config: &Config) -> Result<usize, Error> {
     // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
     let device = Device::flex();
     let count = |infos: Vec<ParameterInfo>| infos.iter().map(ParameterInfo::len).sum::<usize>();
+    if config.train.recipe.reads_clips() {
+        let denoiser = text_denoiser(config, clip_channels(config), &device)?;
+        return Ok(count(parameters::infos(&denoiser)));
+    }
     let unet = count(parameters::infos(&denoiser(config, &device)?));
     if !config.train.recipe.rolls_out() {
         return Ok(unet);
@@ -245,19 +206,10 @@ pub fn parameter_count(config: &Config) -> Result<usize, Error> {
     Ok(unet + count(parameters::infos(&decoder)))
 }
 
-/// Statistics of the training phrases as stored; augmentation widens their ranges only.
-fn statistics_of(dataset: &Dataset, config: &Config) -> Result<TrainingStatistics, Error> {
-    let mut statistics = dataset.train.statistics()?;
-    if config.data.augment.rotate_yaw {
-        statistics.widen_ranges_for_yaw();
-    }
-    Ok(statistics)
-}
-
 /// Refuses to continue on other phrases than those trained on so far.
-fn same_dataset(dataset: &Dataset, checkpoint: &Checkpoint) -> Result<(), Error> {
-    let found = dataset.digest.to_string();
-    match &checkpoint.state.dataset_sha256 {
+fn same_dataset(digest: Digest, checkpoint: Option<&Checkpoint>) -> Result<(), Error> {
+    let found = digest.to_string();
+    match checkpoint.and_then(|checkpoint| checkpoint.state.dataset_sha256.as_ref()) {
         Some(saved) if *saved != found => Err(Error::DatasetDiffers {
             saved: saved.clone(),
             found,

@@ -79,7 +79,7 @@ impl Starts {
     /// # Errors
     /// If the checkpoint is damaged.
     pub fn statistics(&self) -> Result<TrainingStatistics, Error> {
-        Ok(State::read(&self.diffusion)?.statistics)
+        Ok(State::read(&self.diffusion)?.statistics.phrases()?.clone())
     }
 
     /// The networks with the start's averaged weights on an autodiff device.
@@ -90,7 +90,7 @@ impl Starts {
         let base = Trained::load(&self.diffusion, Weights::Ema, device)
             .map_err(|error| refused("init.diffusion", &self.diffusion, &error))?;
         must_agree(config, &base.state.config, &["model", "diffusion"])?;
-        let statistics = &base.state.statistics;
+        let statistics = base.state.statistics.phrases()?;
         // Networks of this config, whose dropout and coherence may be others, with the values of
         // the start.
         let unet = parameters::replace(denoiser(config, device)?, values(&base.unet));
@@ -105,8 +105,8 @@ impl Starts {
                     return Err(refused(&"its recipe is `diffusion`, it holds no decoder"));
                 };
                 must_agree(config, &start.state.config, &["decoder"])?;
-                let same = start.state.statistics.mean == statistics.mean
-                    && start.state.statistics.std == statistics.std;
+                let found = start.state.statistics.phrases()?;
+                let same = found.mean == statistics.mean && found.std == statistics.std;
                 if !same {
                     return Err(refused(
                         &"its latents were normalised by other statistics than those of \
@@ -118,14 +118,14 @@ impl Starts {
         };
         let unet = match config.train.recipe {
             Recipe::Decoder => unet.no_grad(),
-            Recipe::Diffusion | Recipe::E2e => unet,
+            _ => unet,
         };
         with_adapters(MotionModel { unet, decoder }, config, device)
     }
 }
 
 /// The values of all parameters, in the module's order.
-fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
+pub(crate) fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
     let parameters = parameters::export(module).into_iter();
     parameters.map(|parameter| parameter.values).collect()
 }
@@ -148,7 +148,7 @@ pub(crate) fn tables_of(base: &Config, decoder: Option<&Config>) -> Table {
 }
 
 /// Refuses a config whose networks or process are not those of its start.
-fn must_agree(config: &Config, start: &Config, tables: &[&str]) -> Result<(), Error> {
+pub(crate) fn must_agree(config: &Config, start: &Config, tables: &[&str]) -> Result<(), Error> {
     let differs = config::difference(start, config).into_iter().find(|d| {
         let table = d.key.split('.').next().unwrap_or_default();
         let free = FREE_KEYS.contains(&d.key.as_str());
@@ -164,7 +164,7 @@ fn must_agree(config: &Config, start: &Config, tables: &[&str]) -> Result<(), Er
     }
 }
 
-fn refused(key: &'static str, path: &Path, reason: &dyn std::fmt::Display) -> Error {
+pub(crate) fn refused(key: &'static str, path: &Path, reason: &dyn std::fmt::Display) -> Error {
     Error::Start {
         key,
         path: path.to_path_buf(),

@@ -34,8 +34,9 @@ impl Trained {
         let config = &state.config;
         let (unet, decoder) = match config.train.recipe {
             Recipe::Diffusion => (parameters::load(denoiser(config, device)?, values)?, None),
+            Recipe::GmdMotion | Recipe::GmdTrajectory => return Err(Error::NotPhrases),
             Recipe::Decoder | Recipe::E2e => {
-                let fresh = networks(config, &state.statistics, device)?;
+                let fresh = networks(config, state.statistics.phrases()?, device)?;
                 let MotionModel { unet, decoder } = parameters::load(fresh, values)?;
                 (unet.merge_adapters(), Some(decoder))
             }

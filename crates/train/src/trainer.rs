@@ -4,15 +4,13 @@ mod not_finite;
 pub(crate) mod restore;
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_data::{Digest, Loader};
 use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_motion::TrainingStatistics;
 
-use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
+use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State, Statistics};
 use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;
@@ -45,7 +43,7 @@ pub struct Trainer<R: Recipe> {
     optimizer: AdamW,
     ema: Ema,
     config: Config,
-    statistics: Arc<TrainingStatistics>,
+    statistics: Statistics,
     device: Device,
     loader: Loader,
     loader_log: LoaderLog,
@@ -65,8 +63,8 @@ pub struct TrainerParts<R: Recipe> {
     pub model: R::Model,
     /// The resolved config.
     pub config: Config,
-    /// Statistics of the training phrases.
-    pub statistics: Arc<TrainingStatistics>,
+    /// Statistics of what is trained on.
+    pub statistics: Statistics,
     /// Autodiff device.
     pub device: Device,
     /// Batches from the next step's on.
@@ -377,7 +375,7 @@ impl<R: Recipe> Trainer<R> {
             kinegrad: env!("CARGO_PKG_VERSION").to_string(),
             step: self.step,
             config: self.config.clone(),
-            statistics: (*self.statistics).clone(),
+            statistics: self.statistics.clone(),
             dataset_sha256: Some(self.dataset.to_string()),
             progress: self.progress.clone(),
             checksums: Default::default(),

@@ -49,14 +49,16 @@ class NoiseSchedule:
         self._on_device: dict[torch.device, tuple[Tensor, Tensor]] = {}
 
     @classmethod
-    def cosine(cls, num_train_timesteps: int = 1000) -> "NoiseSchedule":
-        """`abar` falls as `cos^2`; betas are clipped to [1e-4, 0.9999]."""
+    def cosine(
+        cls, num_train_timesteps: int = 1000, beta_min: float = 1e-4, beta_max: float = 0.9999
+    ) -> "NoiseSchedule":
+        """`abar` falls as `cos^2`; betas are clipped to `[beta_min, beta_max]`."""
 
         def signal(u: np.ndarray) -> np.ndarray:
             return np.cos(math.pi / 2 * (u + 0.008) / 1.008) ** 2
 
         u = np.arange(num_train_timesteps + 1) / num_train_timesteps
-        return cls(np.clip(1.0 - signal(u[1:]) / signal(u[:-1]), 1e-4, 0.9999))
+        return cls(np.clip(1.0 - signal(u[1:]) / signal(u[:-1]), beta_min, beta_max))
 
     @classmethod
     def linear(cls, num_train_timesteps: int = 1000) -> "NoiseSchedule":

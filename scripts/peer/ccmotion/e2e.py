@@ -4,14 +4,13 @@
 import copy
 from dataclasses import dataclass, field
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .decoder import MotionDecoder
 from .diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
 from .losses import TemporalLosses, position_loss, quaternion_loss, temporal_losses
-from .optim import adamw, update
+from .optim import adamw, average, update
 from .unet1d import UNet1d
 
 
@@ -135,9 +134,5 @@ class Trainer:
         total, _, _ = backward(self.model, batch, self.config)
         update(self.model, self.optimizer, self.config.max_grad_norm)
         if self.ema_model is not None:
-            with torch.no_grad():
-                for shadow, parameter in zip(
-                    self.ema_model.parameters(), self.model.parameters(), strict=True
-                ):
-                    shadow.lerp_(parameter, 1.0 - self.config.ema_decay)
+            average(self.ema_model, self.model, self.config.ema_decay)
         return float(total.detach())

@@ -16,3 +16,10 @@ def update(model: nn.Module, optimizer: torch.optim.Optimizer, max_grad_norm: fl
         nn.utils.clip_grad_norm_(model.parameters(), max_grad_norm)
     optimizer.step()
     optimizer.zero_grad(set_to_none=True)
+
+
+@torch.no_grad()
+def average(shadow: nn.Module, model: nn.Module, decay: float) -> None:
+    """Moves the parameters of the averaged copy `shadow` by `1 - decay` of their distance to the
+    model's."""
+    torch._foreach_lerp_(list(shadow.parameters()), list(model.parameters()), 1.0 - decay)

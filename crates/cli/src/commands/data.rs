@@ -3,9 +3,10 @@
 use std::path::Path;
 use std::process::ExitCode;
 
+use kinegrad_data::humanml::write_walks;
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
-    ChannelSummary, DataConfig, Inspection, MANIFEST, Store, StoreConfig, synthetic,
+    ChannelSummary, DataConfig, Inspection, MANIFEST, Problem, Store, StoreConfig, synthetic,
 };
 
 use crate::args::{InspectArguments, SynthArguments};
@@ -17,12 +18,19 @@ use crate::picture::{Panel, draw};
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
     let SynthArguments {
         out,
+        walks,
         phrases,
         frames,
         seed,
     } = arguments;
-    synthetic::write_dataset(&out, phrases, frames, seed)?;
-    println!("{phrases} phrases of {frames} frames in {}", out.display());
+    let what = if walks {
+        write_walks(&out, phrases, frames, seed)?;
+        "walks"
+    } else {
+        synthetic::write_dataset(&out, phrases, frames, seed)?;
+        "phrases"
+    };
+    println!("{phrases} {what} of {frames} frames in {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -32,9 +40,12 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
         return select(&arguments);
     }
     let config = DataConfig {
-        source: Some(arguments.source),
+        source: Some(arguments.source.clone()),
         ..Default::default()
     };
+    if arguments.humanml3d {
+        return super::inspect_clips::run(&arguments, config);
+    }
     let inspection = kinegrad_data::inspect(&config)?;
     if arguments.json {
         println!(
@@ -175,13 +186,18 @@ fn print(inspection: &Inspection) {
     );
     println!("{}\n", channels(&inspection.motion));
     println!("{}", channels(&inspection.audio));
-    for warning in &inspection.warnings {
+    print_problems(&inspection.warnings, &inspection.problems);
+}
+
+/// What is odd about a dataset, and what is wrong with single items.
+pub fn print_problems(warnings: &[String], problems: &[Problem]) {
+    for warning in warnings {
         println!("warning: {warning}");
     }
-    if !inspection.problems.is_empty() {
+    if !problems.is_empty() {
         println!("\nproblems:");
     }
-    for problem in &inspection.problems {
+    for problem in problems {
         let grade = if problem.unusable {
             "unusable"
         } else {
@@ -191,7 +207,8 @@ fn print(inspection: &Inspection) {
     }
 }
 
-fn channels(summaries: &[ChannelSummary]) -> String {
+/// Range, mean and deviation of channels, or of groups of them.
+pub fn channels(summaries: &[ChannelSummary]) -> String {
     let header = ["channel", "min", "max", "mean", "std"]
         .map(String::from)
         .to_vec();

@@ -19,6 +19,9 @@ use crate::progress::denoising_bar;
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
     refuse_zero(&arguments)?;
+    if super::eval_goals::are_of_clips(&arguments.runs)? {
+        return super::eval_goals::run(&arguments);
+    }
     // Whatever is wrong with any run is said before the first one costs minutes.
     let subjects: Vec<Subject> = arguments
         .runs
@@ -164,14 +167,14 @@ impl Subject {
 }
 
 /// The run that a checkpoint belongs to; a checkpoint that was moved away stands for itself.
-fn run_folder(checkpoint: &Path) -> &Path {
+pub fn run_folder(checkpoint: &Path) -> &Path {
     let inside = checkpoint
         .parent()
         .filter(|folder| folder.ends_with("checkpoints"));
     inside.and_then(Path::parent).unwrap_or(checkpoint)
 }
 
-fn make_folder(folder: &Path) -> Result<(), Failure> {
+pub fn make_folder(folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| {
         let message = format!("cannot create the folder {}: {error}", folder.display());
         let hint = "give a folder that can be written with `--out DIR`";

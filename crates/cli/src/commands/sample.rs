@@ -22,6 +22,10 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     }
     let path = resolve_checkpoint(&arguments.run, |damaged| eprintln!("warning: {damaged}"))?;
     let config = State::read(&path)?.config;
+    if config.train.recipe.reads_clips() {
+        return super::clips::sample(&arguments, &path, &config);
+    }
+    refuse_goals(&arguments)?;
     let sampler = sampler(&arguments, &config);
     sampler
         .validate(config.diffusion.num_train_timesteps)
@@ -69,12 +73,31 @@ pub fn clip(name: Option<ClipName>, config: &Config) -> Clip {
         None => config.sampling.clip,
         Some(ClipName::TrainingRange) => Clip::TrainingRange,
         Some(ClipName::Unit) => Clip::Unit,
+        Some(ClipName::Six) => Clip::Six,
         Some(ClipName::None) => Clip::None,
     }
 }
 
+/// Refuses what only models of clips understand.
+fn refuse_goals(arguments: &SampleArguments) -> Result<(), UsageError> {
+    let given = [
+        ("--goal", !arguments.goal.is_empty()),
+        ("--trajectory-run", arguments.trajectory_run.is_some()),
+        ("--text-embedding", arguments.text_embedding.is_some()),
+        ("--classifier-scale", arguments.classifier_scale.is_some()),
+        ("--no-imputation", arguments.no_imputation),
+    ];
+    match given.into_iter().find(|(_, given)| *given) {
+        Some((name, _)) => Err(UsageError::new(
+            format!("`{name}` with a run on phrases"),
+            "runs of recipe `gmd_motion` and `gmd_trajectory` can be led to goals",
+        )),
+        None => Ok(()),
+    }
+}
+
 /// The run's sampler with what the command line says instead.
-fn sampler(arguments: &SampleArguments, config: &Config) -> SamplerConfig {
+pub fn sampler(arguments: &SampleArguments, config: &Config) -> SamplerConfig {
     let mut sampler = config.sampling.sampler.clone();
     match arguments.sampler {
         Some(SamplerName::Ddim) => sampler.kind = SamplerKind::Ddim,

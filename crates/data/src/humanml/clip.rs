@@ -149,10 +149,7 @@ pub(super) fn check_width(
 /// [`Error::Io`].
 pub fn write_features(path: &Path, features: &Features) -> Result<(), Error> {
     let shape = [features.frames(), features.layout().channels()];
-    atomic::write(path, |writer| {
-        npy::write_array(&mut *writer, &shape, features.as_slice())?;
-        writer.flush()
-    })
+    npy::write_values(path, &shape, features.as_slice())
 }
 
 /// Clips of a dataset in the layout of HumanML3D.

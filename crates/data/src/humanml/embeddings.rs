@@ -67,6 +67,35 @@ impl Embeddings {
     }
 }
 
+/// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N.
+///
+/// # Errors
+/// [`FileError`] for a name of another form, a file that cannot be read, and what is no embedding.
+pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
+    let expected = "FILE#KEY or FILE#KEY:N, with the key of a tensor and a row";
+    let refused = |found: &str| FileError::unexpected(name, found, expected, HINT);
+    let (path, key) = name.rsplit_once('#').ok_or_else(|| refused("no `#`"))?;
+    let (key, row) = match key.rsplit_once(':') {
+        Some((key, row)) => (key, row.parse().map_err(|_| refused("no row number"))?),
+        None => (key, 0usize),
+    };
+    let bytes = std::fs::read(path).map_err(|reason| FileError::Read {
+        file: path.to_owned(),
+        reason: reason.to_string(),
+    })?;
+    let tensors = SafeTensors::deserialize(&bytes)
+        .map_err(|error| refused(&format!("no safetensors file ({error})")))?;
+    let tensor = tensors
+        .tensor(key)
+        .map_err(|_| refused(&format!("no tensor `{key}`")))?;
+    let rows = rows(key, &tensor, path)?;
+    let found = rows.get(row).ok_or_else(|| {
+        let found = format!("{} rows in `{key}`", rows.len());
+        refused(&found)
+    })?;
+    Ok(found.to_vec())
+}
+
 fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, FileError> {
     let unexpected = |found: String, expected: &str| {
         FileError::unexpected(format!("{file}, tensor `{id}`"), found, expected, HINT)

@@ -36,7 +36,7 @@ mod walk;
 pub use clip::{Clip, ClipSet, parse_features, write_features};
 pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
 pub use dataset::ClipDataset;
-pub use embeddings::EMBEDDING_CHANNELS;
+pub use embeddings::{EMBEDDING_CHANNELS, read_embedding};
 pub use inspect::{ClipInspection, inspect_clips};
 pub(crate) use maker::ClipMaker;
 pub use maker::collate_clips;

@@ -1,6 +1,5 @@
 //! The DDPM step.
 
-use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
 use super::{Clip, StepInput, StepOutput};
@@ -39,23 +38,12 @@ pub fn ddpm_step(
     let x_start = input.pred_original_sample(diffusion, clip)?;
 
     // 2. mean = beta sqrt(abar') / (1 - abar) x_0 + (1 - abar') sqrt(alpha) / (1 - abar) x_t.
-    let coef1 = input.coefficients(diffusion, |alphas| {
-        alphas.beta() * alphas.abar_prev.sqrt() / alphas.one_minus_abar
-    });
-    let coef2 = input.coefficients(diffusion, |alphas| {
-        let alpha = alphas.abar / alphas.abar_prev;
-        alphas.one_minus_abar_prev * alpha.sqrt() / alphas.one_minus_abar
-    });
-    let sigma = input.coefficients(diffusion, |alphas| {
-        alphas.posterior_variance().max(0.0).sqrt()
-    });
-    let mut prev_sample = x_start.clone() * per_sample(&coef1, &x_start)
-        + input.x_t.clone() * per_sample(&coef2, &input.x_t);
+    let posterior = input.posterior(diffusion);
+    let mut prev_sample = posterior.mean(x_start.clone(), input.x_t.clone());
 
     // 3. x' = mean + sigma z, with sigma 0 where x' is the clean motion.
     if let Some(noise) = input.noise {
-        let sigma = per_sample(&sigma, &noise);
-        prev_sample = prev_sample + noise * sigma;
+        prev_sample = prev_sample + posterior.scaled(noise);
     }
     Ok(StepOutput {
         prev_sample,

@@ -19,6 +19,7 @@ pub use config::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
 pub use ddim::ddim_step;
 pub use ddpm::ddpm_step;
 pub use spacing::timesteps;
+pub(crate) use step::Posterior;
 pub use step::{StepInput, StepOutput};
 
 use crate::{Denoiser, Error, GaussianDiffusion, guided};
@@ -96,13 +97,13 @@ pub fn sample<D: Denoiser + ?Sized>(
 
 /// Whether the step's noise has a factor above 0: not when it lands on the clean motion, and not
 /// when it stays where it is.
-fn draws_noise(config: &SamplerConfig, timestep: usize, prev_timestep: Option<usize>) -> bool {
+pub(crate) fn draws_noise(config: &SamplerConfig, timestep: usize, prev_timestep: Option<usize>) -> bool {
     let random = config.kind == SamplerKind::Ddpm || config.eta > 0.0;
     random && prev_timestep.is_some_and(|prev| prev != timestep)
 }
 
 /// Standard normal noise like `x`, each sample's from a key of its own.
-fn step_noise(key: Key, x: &Tensor<3>) -> Tensor<3> {
+pub(crate) fn step_noise(key: Key, x: &Tensor<3>) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
     let values: Vec<f32> = (0..batch as u64)
         .flat_map(|sample| key.at(sample).normals(channels * time))

@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::Clip;
+use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
 /// The input of [`super::ddim_step`] and [`super::ddpm_step`].
@@ -62,6 +63,11 @@ impl StepInput<'_> {
         clip.apply(diffusion.pred_original_sample(model_output, x_t, self.timesteps))
     }
 
+    /// The posterior of the jump.
+    pub(super) fn posterior(&self, diffusion: &GaussianDiffusion) -> Posterior {
+        Posterior::of(diffusion, self.timesteps, self.prev_timesteps)
+    }
+
     /// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and
     /// primed where it goes.
     pub(super) fn coefficients(
@@ -69,26 +75,83 @@ impl StepInput<'_> {
         diffusion: &GaussianDiffusion,
         coefficient: impl Fn(Alphas) -> f64,
     ) -> Vec<f64> {
-        let schedule = &diffusion.schedule;
-        let pairs = self.timesteps.iter().zip(self.prev_timesteps);
-        pairs
-            .map(|(&t, &prev)| {
-                let (abar, one_minus_abar) = schedule.landing(Some(t));
-                let (abar_prev, one_minus_abar_prev) = schedule.landing(prev);
-                coefficient(Alphas {
-                    abar,
-                    one_minus_abar,
-                    abar_prev,
-                    one_minus_abar_prev,
-                })
+        coefficients(diffusion, self.timesteps, self.prev_timesteps, coefficient)
+    }
+}
+
+fn coefficients(
+    diffusion: &GaussianDiffusion,
+    timesteps: &[usize],
+    prev_timesteps: &[Option<usize>],
+    coefficient: impl Fn(Alphas) -> f64,
+) -> Vec<f64> {
+    let schedule = &diffusion.schedule;
+    let pairs = timesteps.iter().zip(prev_timesteps);
+    pairs
+        .map(|(&t, &prev)| {
+            let (abar, one_minus_abar) = schedule.landing(Some(t));
+            let (abar_prev, one_minus_abar_prev) = schedule.landing(prev);
+            coefficient(Alphas {
+                abar,
+                one_minus_abar,
+                abar_prev,
+                one_minus_abar_prev,
             })
-            .collect()
+        })
+        .collect()
+}
+
+/// `q(x' | x_t, x_0)` of a jump, one of each number per sample.
+#[derive(Clone, Debug)]
+pub(crate) struct Posterior {
+    /// Factor of x_0 in the mean.
+    pub coef1: Vec<f64>,
+    /// Factor of x_t in the mean.
+    pub coef2: Vec<f64>,
+    /// 0 for a jump to the clean motion.
+    pub variance: Vec<f64>,
+}
+
+impl Posterior {
+    /// The posterior of each sample's jump.
+    pub fn of(
+        diffusion: &GaussianDiffusion,
+        timesteps: &[usize],
+        prev_timesteps: &[Option<usize>],
+    ) -> Self {
+        let of = |value: &dyn Fn(Alphas) -> f64| {
+            coefficients(diffusion, timesteps, prev_timesteps, value)
+        };
+        Self {
+            coef1: of(&|a| a.beta() * a.abar_prev.sqrt() / a.one_minus_abar),
+            coef2: of(&|a| {
+                let alpha = a.abar / a.abar_prev;
+                a.one_minus_abar_prev * alpha.sqrt() / a.one_minus_abar
+            }),
+            variance: of(&|a| a.posterior_variance().max(0.0)),
+        }
+    }
+
+    /// `coef1 x_0 + coef2 x_t`.
+    pub fn mean(&self, x_start: Tensor<3>, x_t: Tensor<3>) -> Tensor<3> {
+        let (coef1, coef2) = (
+            per_sample(&self.coef1, &x_start),
+            per_sample(&self.coef2, &x_t),
+        );
+        x_start * coef1 + x_t * coef2
+    }
+
+    /// Standard normal noise times the standard deviation.
+    pub fn scaled(&self, noise: Tensor<3>) -> Tensor<3> {
+        let sigma: Vec<f64> = self.variance.iter().map(|v| v.sqrt()).collect();
+        let sigma = per_sample(&sigma, &noise);
+        noise * sigma
     }
 }
 
 /// The cumulative products at both ends of a step.
 #[derive(Clone, Copy)]
-pub(super) struct Alphas {
+pub(crate) struct Alphas {
     pub abar: f64,
     pub one_minus_abar: f64,
     pub abar_prev: f64,

@@ -39,6 +39,17 @@ impl Conv1d {
         }
     }
 
+    /// The same with weight and bias zero at first.
+    #[must_use]
+    pub fn zeroed(self, init: &Initializer) -> Self {
+        let [outputs, inputs, kernel_size] = self.weight.lazy_shape().dims();
+        Self {
+            weight: init.constant([outputs, inputs, kernel_size], 0.0),
+            bias: init.constant([outputs], 0.0),
+            ..self
+        }
+    }
+
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, ceil(time / stride)]`

@@ -4,31 +4,38 @@ use kinegrad_kernels as kernels;
 
 use crate::Initializer;
 
-/// Groups of every normalisation of the UNet (CC-MotionGen documentation, section 3.1.3).
+/// Groups of every normalisation of the audio-conditioned UNet (CC-MotionGen documentation, section 3.1.3).
 pub const GROUPS: usize = 32;
 
 /// Added to the variance.
 pub const GROUP_NORM_EPS: f64 = 1e-5;
 
-/// Normalises each of [`GROUPS`] groups of channels over channels and time (biased variance),
-/// then scales and shifts each channel: weight and bias `[channels]`.
+/// Normalises each group of channels over channels and time (biased variance), then scales and
+/// shifts each channel: weight and bias `[channels]`.
 #[derive(Module, Debug)]
 pub struct GroupNorm {
     weight: Param<Tensor<1>>,
     bias: Param<Tensor<1>>,
+    groups: usize,
 }
 
 impl GroupNorm {
-    /// A normalisation of `channels`, which must be a multiple of [`GROUPS`].
-    pub fn new(channels: usize, init: &Initializer) -> Self {
+    /// A normalisation of `channels`, which must be a multiple of `groups`.
+    pub fn new(channels: usize, groups: usize, init: &Initializer) -> Self {
         Self {
             weight: init.constant([channels], 1.0),
             bias: init.constant([channels], 0.0),
+            groups,
         }
     }
 
     /// The normalisation as an operation, to which what follows it can be added.
     pub fn operation(&self) -> kernels::GroupNorm {
-        kernels::GroupNorm::new(self.weight.val(), self.bias.val(), GROUPS, GROUP_NORM_EPS)
+        kernels::GroupNorm::new(
+            self.weight.val(),
+            self.bias.val(),
+            self.groups,
+            GROUP_NORM_EPS,
+        )
     }
 }

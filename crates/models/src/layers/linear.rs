@@ -24,6 +24,17 @@ impl Linear {
         }
     }
 
+    /// The same with weight and bias zero at first.
+    #[must_use]
+    pub fn zeroed(self, init: &Initializer) -> Self {
+        let [outputs, inputs] = self.weight.lazy_shape().dims();
+        Self {
+            weight: init.constant([outputs, inputs], 0.0),
+            bias: init.constant([outputs], 0.0),
+            ..self
+        }
+    }
+
     /// # Shapes
     /// - x: `[rows, in]`
     /// - output: `[rows, out]`

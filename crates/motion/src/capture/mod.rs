@@ -50,7 +50,7 @@ use serde::{Deserialize, Serialize};
 use crate::Quaternion;
 
 pub use assemble::{Assembly, Segment, assemble};
-pub use bvh::{Axis, Bvh, Channel, Joint};
+pub use bvh::{Axis, Bvh, Channel, FigureJoint, Joint};
 pub use c3d::{C3d, Processor};
 pub use error::CaptureError;
 pub use join::{Joining, join};

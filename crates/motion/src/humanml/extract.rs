@@ -145,7 +145,8 @@ pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureEr
 /// at x = z = 0, its first frame facing +z.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
+/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
 pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
     skeleton.accept(joints)?;
     let heights = joints.as_slice().iter().map(|[_, y, _]| *y);
@@ -153,5 +154,7 @@ pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, Feat
     let first = joints.frame(0);
     let ([x, _, z], facing) = (first[0], forward(skeleton, first, Across::Consistent));
     let turn = between(facing, [0.0, 0.0, 1.0]);
-    Ok(joints.map(|place| turn.rotate(minus(place, [x, floor, z]))))
+    let places = joints.as_slice().iter();
+    let moved = places.map(|place| turn.rotate(minus(*place, [x, floor, z])));
+    Joints::new(moved.collect(), joints.joints())
 }

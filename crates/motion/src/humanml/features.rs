@@ -222,3 +222,114 @@ impl Features {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::{Extraction, moving};
+    use super::*;
+
+    /// Relative features as of a real clip: small changes, other channels by their number.
+    fn relative(frames: usize) -> impl Strategy<Value = Features> {
+        let row = (-0.2f32..0.2, -0.1f32..0.1, -0.1f32..0.1, 0.5f32..1.5);
+        proptest::collection::vec(row, 1..=frames).prop_map(|rows| {
+            let layout = FeatureLayout::of_joints(3).unwrap();
+            let rest = (4..layout.channels()).map(|channel| 0.01 * channel as f32);
+            let values = rows
+                .into_iter()
+                .flat_map(|(rotation, x, z, y)| [rotation, x, z, y].into_iter().chain(rest.clone()))
+                .collect();
+            Features::new(values, layout, Root::Relative).unwrap()
+        })
+    }
+
+    fn apart(a: &Features, b: &Features) -> f32 {
+        let pairs = a.as_slice().iter().zip(b.as_slice());
+        pairs.fold(0.0, |largest: f32, (a, b)| largest.max((a - b).abs()))
+    }
+
+    #[test]
+    fn spoiled_values_are_refused_with_their_place() {
+        let layout = FeatureLayout::of_joints(2).unwrap();
+        let new = |values| Features::new(values, layout, Root::Relative);
+        assert!(matches!(
+            new(vec![0.0; 24]),
+            Err(FeatureError::NotWholeFrames { values: 24, .. })
+        ));
+        let mut values = vec![0.0; 46];
+        values[26] = f32::NAN;
+        let error = new(values).unwrap_err().to_string();
+        assert!(
+            error.contains("frame 1") && error.contains("`root.height_y`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_part_of_an_absolute_clip_stays_where_it_is() {
+        let skeleton = Skeleton::humanml3d();
+        let clip = Extraction::default()
+            .features(&skeleton, &moving(&skeleton, 20))
+            .unwrap();
+        let absolute = clip.to_absolute();
+        let part = absolute.slice(5..9);
+        assert_eq!(
+            part.joints().as_slice(),
+            &absolute.joints().as_slice()[5 * 22..9 * 22]
+        );
+        let [x, y, z] = clip.slice(5..9).root_positions()[0];
+        assert_eq!((x, z), (0.0, 0.0));
+        assert_eq!(y, absolute.root_positions()[5][1]);
+    }
+
+    #[test]
+    fn mirrored_features_are_those_of_mirrored_joints() {
+        let extraction = Extraction {
+            rescale: false,
+            ..Extraction::default()
+        };
+        for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
+            let joints = moving(&skeleton, 30);
+            let features = extraction.features(&skeleton, &joints).unwrap();
+            let mirrored = joints.mirror(&skeleton).unwrap();
+            assert_eq!(mirrored.mirror(&skeleton).unwrap(), joints);
+            let expected = extraction.features(&skeleton, &mirrored).unwrap();
+            let found = features.mirror(&skeleton).unwrap();
+            assert!(apart(&found, &expected) < 1e-6);
+            assert!(apart(&found, &features) > 0.1);
+            assert_eq!(found.mirror(&skeleton).unwrap(), features);
+        }
+    }
+
+    #[test]
+    fn features_of_any_skeleton_lead_back_to_its_joints() {
+        for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
+            let joints = moving(&skeleton, 30);
+            let joints = super::super::extract::canonicalize(&skeleton, &joints).unwrap();
+            let features = Extraction::default().features(&skeleton, &joints).unwrap();
+            for found in [
+                features.joints(),
+                features.joints_from_rotations(&skeleton).unwrap(),
+            ] {
+                let pairs = found.as_slice().iter().zip(joints.as_slice());
+                for (a, b) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
+                    assert!((a - b).abs() < 1e-5);
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn relative_features_return_from_absolute_ones(relative in relative(196)) {
+            let back = relative.to_absolute().to_relative();
+            let last = relative.frames() - 1;
+            if last > 0 {
+                prop_assert!(apart(&back.slice(0..last), &relative.slice(0..last)) < 1e-4);
+            }
+            // The last row's change is not determined; all else of it is.
+            prop_assert_eq!(&back.frame(last)[3..], &relative.frame(last)[3..]);
+        }
+    }
+}

@@ -80,15 +80,6 @@ impl Joints {
         values.map(|value| *value as f32).collect()
     }
 
-    /// Every position changed by `change`.
-    #[must_use]
-    pub(super) fn map(&self, change: impl Fn([f64; 3]) -> [f64; 3]) -> Self {
-        Self {
-            values: self.values.iter().copied().map(change).collect(),
-            joints: self.joints,
-        }
-    }
-
     /// Positions that are whole frames and finite because what they come from is.
     pub(super) fn computed(values: Vec<[f64; 3]>, joints: usize) -> Self {
         debug_assert!(values.len().is_multiple_of(joints));

@@ -6,8 +6,34 @@
 //! are stored in single precision; everything is computed in double precision. Source: C. Guo et
 //! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), and GMD, appendix B,
 //! both in the reading of the golden README.
+//!
+//! ```
+//! use kinegrad_motion::humanml::{Extraction, FeatureStatistics, Joints, Skeleton};
+//! let skeleton = Skeleton::humanml3d();
+//! // Ten frames of a figure that walks along +x in the reference pose.
+//! let mut places = Vec::new();
+//! for t in 0..10 {
+//!     let mut frame = vec![[0.1 * t as f64, 0.9, 0.0]; skeleton.joints()];
+//!     for [start, end] in skeleton.chains().flatten() {
+//!         let offset = skeleton.description().rest_offsets[end];
+//!         frame[end] = [0, 1, 2].map(|i| frame[start][i] + offset[i]);
+//!     }
+//!     places.extend(frame);
+//! }
+//! let joints = Joints::new(places, skeleton.joints())?;
+//! let features = Extraction::default().features(&skeleton, &joints)?;
+//! assert_eq!((features.frames(), features.layout().channels()), (9, 263));
+//! let statistics = FeatureStatistics::compute([&features])?;
+//! let seen = statistics.normalize(&features)?;
+//! let back = statistics.denormalize(&seen)?.to_absolute().joints();
+//! assert!((back.frame(8)[0][0] - 0.8).abs() < 1e-5);
+//! let text = back.to_bvh(&skeleton, 100.0)?.to_text();
+//! assert!(text.starts_with("HIERARCHY\nROOT pelvis\n"));
+//! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
+//! ```
 
 mod builtin;
+mod bvh;
 mod error;
 pub mod extract;
 mod features;
@@ -18,6 +44,11 @@ mod root;
 mod skeleton;
 mod statistics;
 mod validate;
+
+#[cfg(test)]
+mod moving;
+#[cfg(test)]
+use moving::moving;
 
 pub use error::FeatureError;
 pub use extract::Extraction;

@@ -1,5 +1,7 @@
 //! How much phrases differ from one another.
 
+use kinegrad_random::{Key, Purpose};
+
 use super::TRAJECTORY;
 use crate::{Motion, TrainingStatistics};
 
@@ -32,6 +34,38 @@ pub fn diversity(motions: &[&Motion], training: &TrainingStatistics) -> Option<f
     });
     let mean = sum / f64::from(count);
     (count > 0 && mean.is_finite()).then_some(mean)
+}
+
+/// Mean Euclidean distance of feature vectors `[n, features]`: over all pairs where there are at
+/// most `pairs` of them, else over `pairs` pairs drawn from `seed`, each of two different vectors.
+/// `None` for fewer than two vectors, no pairs, or where a value is not finite.
+///
+/// # Panics
+/// Panics if the vectors differ in length.
+pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Option<f64> {
+    let count = features.len();
+    if count < 2 || pairs == 0 {
+        return None;
+    }
+    let drawn: Vec<(usize, usize)> = if count * (count - 1) / 2 <= pairs {
+        let all = (0..count).flat_map(|first| (0..first).map(move |second| (first, second)));
+        all.collect()
+    } else {
+        let key = Key::new(seed, Purpose::Pairs);
+        let firsts = key.at(0).integers(pairs, count);
+        let seconds = key.at(1).integers(pairs, count - 1);
+        // The second one is drawn from all but the first.
+        let others = |(first, second)| (first, second + usize::from(second >= first));
+        firsts.into_iter().zip(seconds).map(others).collect()
+    };
+    let distance = |&(first, second): &(usize, usize)| {
+        let (a, b): (&Vec<f64>, &Vec<f64>) = (&features[first], &features[second]);
+        assert_eq!(a.len(), b.len(), "feature vectors of one length");
+        let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+        squares.sum::<f64>().sqrt()
+    };
+    let mean = drawn.iter().map(distance).sum::<f64>() / drawn.len() as f64;
+    mean.is_finite().then_some(mean)
 }
 
 #[cfg(test)]
@@ -96,6 +130,32 @@ mod tests {
         assert_eq!(diversity(&[&good, &good], &training), Some(0.0));
         let broken = constant(2, f64::NAN, 10);
         assert_eq!(diversity(&[&good, &broken], &training), None);
+    }
+
+    #[test]
+    fn feature_vectors_are_compared_in_pairs() {
+        let features = vec![vec![0.0, 0.0], vec![3.0, 4.0], vec![0.0, 10.0]];
+        // Distances 5, 10 and sqrt(45).
+        let mean = feature_diversity(&features, 3, 0).unwrap();
+        assert!((mean - (15.0 + 45f64.sqrt()) / 3.0).abs() < 1e-12);
+        let one = feature_diversity(&features, 1, 7).unwrap();
+        assert!([5.0, 10.0, 45f64.sqrt()].contains(&one));
+        assert_eq!(feature_diversity(&features, 1, 7), Some(one));
+        assert_eq!(feature_diversity(&features[..1], 3, 0), None);
+        assert_eq!(feature_diversity(&features, 0, 0), None);
+        let broken = [vec![f64::NAN], vec![1.0]];
+        assert_eq!(feature_diversity(&broken, 3, 0), None);
+    }
+
+    #[test]
+    fn drawn_pairs_come_near_to_all_pairs() {
+        let draw = |index| Key::new(1, Purpose::Synthetic).at(index).normals(8);
+        let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
+        let features: Vec<Vec<f64>> = (0..60).map(draw).map(wide).collect();
+        let all = feature_diversity(&features, 60 * 59 / 2, 0).unwrap();
+        let drawn = feature_diversity(&features, 600, 0).unwrap();
+        assert!((drawn / all - 1.0).abs() < 0.05, "{drawn} of {all}");
+        assert_ne!(feature_diversity(&features, 600, 1), Some(drawn));
     }
 
     proptest! {

@@ -4,14 +4,21 @@
 //! Variety and distance look at the trajectory of the root, [`TRAJECTORY`], in units of the
 //! training phrases' standard deviations. A metric that cannot be computed, for want of phrases
 //! or because a value is not finite, is `None`.
+//!
+//! How well generated bodies reach a [`Goal`](crate::goal::Goal), and how they move meanwhile, is
+//! in [`GoalReport`].
 
 mod beats;
 mod diversity;
 mod frechet;
+mod goal;
+mod joints;
 
 pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats};
-pub use diversity::{diversity, trajectory_distance};
+pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
+pub use goal::{GoalReport, GoalSample, inside_obstacles, keyframe_distances};
+pub use joints::{JointTracks, SKATING_HEIGHT, SKATING_SPEED};
 
 use std::ops::Range;
 

@@ -5,10 +5,12 @@
 
 mod folder;
 mod state;
+mod statistics;
 mod tensors;
 
 pub use folder::{Best, Checkpoints};
 pub use state::{FORMAT, Progress, State};
+pub use statistics::Statistics;
 pub use tensors::{Weights, read_optimizer, read_weights};
 
 use std::path::Path;

@@ -1,11 +1,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use kinegrad_motion::TrainingStatistics;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::Best;
+use super::{Best, Statistics};
 use crate::Error;
 use crate::config::Config;
 
@@ -47,7 +46,7 @@ pub struct State {
     /// The resolved config of the run.
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
-    pub statistics: TrainingStatistics,
+    pub statistics: Statistics,
     /// [`Digest`](kinegrad_data::Digest) of the dataset trained on, in hexadecimal; none in
     /// checkpoints of before it was kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]

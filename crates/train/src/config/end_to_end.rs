@@ -158,6 +158,9 @@ pub struct LossConfig {
     pub quaternion_sign: SignMatching,
     /// The temporal terms.
     pub temporal: TemporalLossConfig,
+    /// Of recipe `gmd_motion` without a projection: the first four channels (root rotation, x, z
+    /// and height) count by the square of this factor (Guided Motion Diffusion, appendix C.1).
+    pub trajectory_scale: f64,
 }
 
 impl LossConfig {
@@ -183,6 +186,7 @@ impl Default for LossConfig {
             reconstruction_weighting: ReconstructionWeighting::default(),
             quaternion_sign: SignMatching::default(),
             temporal: TemporalLossConfig::default(),
+            trajectory_scale: 1.0,
         }
     }
 }

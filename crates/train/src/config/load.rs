@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
+use super::defaults::{self, lay_over};
 use super::{Config, ConfigError};
 
 /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
@@ -33,19 +34,7 @@ pub fn load_over(
     for argument in overrides {
         apply(&mut table, argument)?;
     }
-    from_table(&table, &path.display().to_string())
-}
-
-/// Puts the values of `above` into `table`, table by table.
-fn lay_over(table: &mut Table, above: Table) {
-    for (key, value) in above {
-        match (table.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
-            (_, value) => {
-                table.insert(key, value);
-            }
-        }
-    }
+    over_defaults(table, &path.display().to_string())
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
@@ -72,16 +61,27 @@ pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, C
             inner.message(),
         )
     })?;
-    if overrides.is_empty() {
+    let mut table: Table = text.parse().expect("text that was just parsed");
+    if overrides.is_empty() && defaults::of_recipe(&table).is_none() {
         return Ok(config);
     }
-    let mut table: Table = text.parse().expect("text that was just parsed");
     for argument in overrides {
         apply(&mut table, argument)?;
         // Deserialised after each one, so that an error belongs to it.
         from_table::<Config>(&table, &format!("--set {argument}"))?;
     }
-    from_table(&table, "--set")
+    over_defaults(table, origin)
+}
+
+/// The config of `table`, where what it leaves out is as its recipe has it.
+fn over_defaults(table: Table, origin: &str) -> Result<Config, ConfigError> {
+    match defaults::of_recipe(&table) {
+        Some(mut whole) => {
+            lay_over(&mut whole, table);
+            from_table(&whole, origin)
+        }
+        None => from_table(&table, origin),
+    }
 }
 
 /// The config as TOML text, every key written out.

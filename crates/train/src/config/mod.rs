@@ -4,10 +4,13 @@
 //! sound. [`load()`] reads a file with overrides, [`Config::validate`] refuses what cannot work
 //! before any work starts, and the resolved config is saved beside the run.
 
+mod clips;
+mod defaults;
 mod difference;
 mod end_to_end;
 mod error;
 mod load;
+mod steering;
 mod tables;
 
 pub use difference::{Difference, difference};
@@ -17,6 +20,7 @@ pub use end_to_end::{
 };
 pub use error::ConfigError;
 pub use load::{load, load_over, parse, to_toml};
+pub use steering::SteeringConfig;
 pub use tables::{
     CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, Recipe, RunConfig, SamplingConfig,
     TrainConfig, ValidationConfig,
@@ -25,6 +29,7 @@ pub use tables::{
 use kinegrad_data::DataConfig;
 use kinegrad_diffusion::DiffusionConfig;
 use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
+use kinegrad_motion::emphasis::EmphasisConfig;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -47,6 +52,8 @@ pub struct Config {
     /// fine-tuned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lora: Option<LoraConfig>,
+    /// The space that a motion model of recipe `gmd_motion` works in.
+    pub emphasis: EmphasisConfig,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
     /// The sampler that gradients pass through, in recipes that have one.
@@ -84,10 +91,15 @@ impl Config {
     pub fn validate(&self) -> Result<Vec<String>, Error> {
         self.data.validate()?;
         self.diffusion.validate()?;
-        self.model.unet1d(
-            kinegrad_motion::phrase::CHANNELS,
-            kinegrad_data::AUDIO_CHANNELS,
-        )?;
+        if self.train.recipe.reads_clips() {
+            clips::validate(self)?;
+        } else {
+            clips::refuse_clips(self)?;
+            self.model.unet1d(
+                kinegrad_motion::phrase::CHANNELS,
+                kinegrad_data::AUDIO_CHANNELS,
+            )?;
+        }
         self.sampling
             .sampler
             .validate(self.diffusion.num_train_timesteps)?;
@@ -111,6 +123,7 @@ impl Config {
                 self.optim.warmup_steps, self.train.max_steps
             ));
         }
+        warnings.extend(clips::warnings(self));
         Ok(warnings)
     }
 }

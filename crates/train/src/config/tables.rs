@@ -6,7 +6,7 @@ use kinegrad_diffusion::{Clip as ClipRange, SamplerConfig};
 use kinegrad_motion::TrainingStatistics;
 use serde::{Deserialize, Serialize};
 
-use super::{Config, ConfigError};
+use super::{Config, ConfigError, SteeringConfig};
 
 /// The table `run`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,13 +95,17 @@ pub enum Recipe {
     Decoder,
     /// Denoiser and decoder together, through the sampler: [`crate::recipes::e2e`].
     E2e,
+    /// The motion model of Guided Motion Diffusion: [`crate::recipes::gmd_motion`].
+    GmdMotion,
+    /// The trajectory model of Guided Motion Diffusion: [`crate::recipes::gmd_trajectory`].
+    GmdTrajectory,
 }
 
 impl Recipe {
     /// The groups of parameters it trains, each with a learning rate of its own.
     pub fn groups(self) -> &'static [&'static str] {
         match self {
-            Self::Diffusion => &["unet"],
+            Self::Diffusion | Self::GmdMotion | Self::GmdTrajectory => &["unet"],
             Self::Decoder => &["decoder"],
             Self::E2e => &["unet", "decoder"],
         }
@@ -113,12 +117,19 @@ impl Recipe {
             Self::Diffusion => "diffusion",
             Self::Decoder => "decoder",
             Self::E2e => "e2e",
+            Self::GmdMotion => "gmd_motion",
+            Self::GmdTrajectory => "gmd_trajectory",
         }
+    }
+
+    /// Whether it trains on clips of joint features and not on phrases.
+    pub fn reads_clips(self) -> bool {
+        matches!(self, Self::GmdMotion | Self::GmdTrajectory)
     }
 
     /// Whether it runs the sampler in training, so that `rollout` and `loss` matter.
     pub fn rolls_out(self) -> bool {
-        self != Self::Diffusion
+        matches!(self, Self::Decoder | Self::E2e)
     }
 }
 
@@ -233,6 +244,8 @@ pub enum Clip {
     /// The document's -1 to 1, in normalised units. Real motion reaches 21 standard deviations
     /// in single channels, so this flattens it.
     Unit,
+    /// -6 to 6 in normalised units, as the published trajectory model is clipped.
+    Six,
     /// Nothing is clipped.
     None,
 }
@@ -245,8 +258,16 @@ impl Clip {
                 let (min, max) = statistics.normalized_range();
                 ClipRange::PerChannel { min, max }
             }
+            Self::Unit | Self::Six | Self::None => self.fixed_range(),
+        }
+    }
+
+    /// The bounds of those that are the same for all data; none for the training range.
+    pub fn fixed_range(self) -> ClipRange {
+        match self {
             Self::Unit => ClipRange::Symmetric(1.0),
-            Self::None => ClipRange::None,
+            Self::Six => ClipRange::Symmetric(6.0),
+            Self::TrainingRange | Self::None => ClipRange::None,
         }
     }
 }
@@ -261,6 +282,8 @@ pub struct SamplingConfig {
     pub clip: Clip,
     /// The sampler.
     pub sampler: SamplerConfig,
+    /// How draws of recipes on clips are led to their goals.
+    pub steering: SteeringConfig,
 }
 
 /// Refuses bad values in the tables above.

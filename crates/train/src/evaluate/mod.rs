@@ -1,5 +1,6 @@
 //! From a trained model to the numbers that describe its samples, beside those of real phrases.
 
+mod goals;
 mod measures;
 mod terms;
 
@@ -11,6 +12,7 @@ use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
+pub use goals::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
 pub use measures::{CheckRate, Measures, ProfileRates};
 pub use terms::LossTerm;
 

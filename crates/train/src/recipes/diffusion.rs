@@ -8,6 +8,8 @@
 //! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
 //! `diffusion.cond_drop_prob`, so that classifier-free guidance has a null condition it knows.
 
+use std::ops::Range;
+
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::Batch;
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
@@ -78,24 +80,33 @@ impl DenoisingDraws {
     ) -> Self {
         let config = &diffusion.config;
         let batch = shape[0];
-        let keep_cond = (config.cond_drop_prob > 0.0).then(|| {
-            let keep: Vec<f32> = key
-                .of(Purpose::CondDropout)
-                .uniforms(batch)
-                .iter()
-                .map(|&u| f32::from(f64::from(u) >= config.cond_drop_prob))
-                .collect();
-            Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), device)
-        });
         Self {
             timesteps: key
                 .of(Purpose::Timesteps)
                 .integers(batch, config.num_train_timesteps),
             noise: noise(key.of(Purpose::Noise), shape, device),
-            keep_cond,
+            keep_cond: keep_cond(config.cond_drop_prob, batch, key, device),
             dropout: Some(key.of(Purpose::Dropout)),
         }
     }
+}
+
+/// 0 for each sample whose condition is dropped, else 1: `[batch, 1, 1]`. None where none is.
+pub(super) fn keep_cond(
+    cond_drop_prob: f64,
+    batch: usize,
+    key: StepKey,
+    device: &Device,
+) -> Option<Tensor<3>> {
+    (cond_drop_prob > 0.0).then(|| {
+        let keep: Vec<f32> = key
+            .of(Purpose::CondDropout)
+            .uniforms(batch)
+            .iter()
+            .map(|&u| f32::from(f64::from(u) >= cond_drop_prob))
+            .collect();
+        Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), device)
+    })
 }
 
 /// The loss above.
@@ -145,10 +156,24 @@ pub(super) fn denoising_loss(
     }
 }
 
-/// The same loss without dropout on held-out phrases.
-///
-/// Draw k of phrase p of P uses `t = floor((k P + p + 0.5) T / (draws P))`: the draws of all
-/// phrases together cover the timesteps evenly, and the same ones each time.
+/// Timesteps of draw k of the samples `range` of P: `t = floor((k P + p + 0.5) T / (draws P))`. The
+/// draws of all samples together cover the timesteps evenly, and the same ones each time.
+pub(super) fn spread_timesteps(
+    range: Range<usize>,
+    draw: usize,
+    draws: usize,
+    samples: usize,
+    num_train_timesteps: usize,
+) -> Vec<usize> {
+    range
+        .map(|p| {
+            let twice = 2 * (draw * samples + p) + 1;
+            twice * num_train_timesteps / (2 * draws * samples)
+        })
+        .collect()
+}
+
+/// The same loss without dropout on held-out phrases, at [`spread_timesteps`].
 pub(super) fn denoising_validation_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -165,13 +190,8 @@ pub(super) fn denoising_validation_loss(
                 cond,
                 mask,
             } = inputs;
-            let timesteps: Vec<usize> = range
-                .clone()
-                .map(|p| {
-                    let twice = 2 * (draw * phrases + p) + 1;
-                    twice * num_train_timesteps / (2 * draws * phrases)
-                })
-                .collect();
+            let timesteps =
+                spread_timesteps(range.clone(), draw, draws, phrases, num_train_timesteps);
             let noise = held_out.noise(range.clone(), draw as u64, &x_start);
             let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
             let model_output = unet.forward(x_t, &timesteps, cond, None);

@@ -3,9 +3,12 @@
 //! A recipe turns a batch into a loss and knows nothing of files, steps or devices' names; the
 //! [`crate::Trainer`] does the rest.
 
+pub mod clips;
 pub mod decoder;
 pub mod diffusion;
 pub mod e2e;
+pub mod gmd_motion;
+pub mod gmd_trajectory;
 mod held_out;
 mod inputs;
 mod sampler;
@@ -16,9 +19,12 @@ use kinegrad_data::Batch;
 use kinegrad_models::GradientSum;
 use kinegrad_random::{Key, Purpose};
 
+pub use clips::{ClipDraws, ClipInputs, HeldOutClips};
 pub use decoder::DecoderRecipe;
 pub use diffusion::{DenoisingDraws, DiffusionRecipe};
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
+pub use gmd_motion::GmdMotionRecipe;
+pub use gmd_trajectory::GmdTrajectoryRecipe;
 pub use held_out::HeldOut;
 pub use inputs::Inputs;
 pub use sampler::Sampler;

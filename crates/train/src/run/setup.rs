@@ -2,24 +2,18 @@
 
 use std::fs::{self, File};
 use std::path::PathBuf;
-use std::sync::Arc;
 
-use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::{Dataset, Loader};
-use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_models::{MotionModel, parameters};
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_data::{Digest, Loader};
+use kinegrad_models::parameters;
 
 use super::Outcome;
 use super::folder::write_config;
-use crate::checkpoint::{Checkpoint, Checkpoints};
-use crate::config::{Config, Recipe};
+use crate::checkpoint::{Checkpoint, Checkpoints, Statistics};
+use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
-use crate::recipes::{self, HeldOut, Sampler};
-use crate::start::Starts;
-use crate::trained::networks;
+use crate::recipes;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Trainer, TrainerParts};
 
@@ -29,57 +23,33 @@ pub(super) struct Setup {
     pub folder: PathBuf,
     /// Taken already where the run existed before.
     pub lock: Option<File>,
-    pub dataset: Dataset,
-    pub statistics: Arc<TrainingStatistics>,
+    /// Where a resumed run goes on.
+    pub checkpoint: Option<Checkpoint>,
     pub device: Device,
     pub device_name: String,
 }
 
+/// What a run is trained on.
+pub(super) struct Material {
+    pub train: usize,
+    pub validation: usize,
+    pub skipped: Vec<(String, String)>,
+    pub digest: Digest,
+    pub statistics: Statistics,
+    /// The stream of batches from a number on.
+    pub loader: Box<dyn FnOnce(&Config, u64) -> Loader>,
+}
+
 impl Setup {
-    /// The held-out phrases, in memory from now on.
-    pub fn held_out(&self) -> Result<HeldOut, Error> {
-        Ok(HeldOut::new(
-            self.dataset.validation.load()?,
-            self.statistics.clone(),
-            &self.config.validation,
-            self.config.data.target_frames,
-        ))
-    }
-
-    pub fn sampler(&self) -> Result<Sampler, Error> {
-        let diffusion = GaussianDiffusion::new(&self.config.diffusion)?;
-        let statistics = self.statistics.clone();
-        Ok(Sampler::new(diffusion, &self.config.rollout, statistics))
-    }
-
-    /// Denoiser and decoder, with the weights of `starts`; without, those of a checkpoint will
-    /// replace them.
-    pub fn networks(&self, starts: Option<Starts>) -> Result<MotionModel, Error> {
-        let (config, device) = (&self.config, &self.device);
-        match starts {
-            Some(starts) => starts.networks(config, device),
-            None => {
-                let model = networks(config, &self.statistics, device)?;
-                Ok(match config.train.recipe {
-                    Recipe::Decoder => MotionModel {
-                        unet: model.unet.no_grad(),
-                        decoder: model.decoder,
-                    },
-                    Recipe::Diffusion | Recipe::E2e => model,
-                })
-            }
-        }
-    }
-
     /// Trains to the end, or until stopped; nothing but the record of the best step is written before.
     pub fn train<R: recipes::Recipe>(
         self,
+        material: Material,
         recipe: R,
         mut model: R::Model,
-        checkpoint: Option<Checkpoint>,
         observer: &mut dyn Observer,
     ) -> Result<Outcome, Error> {
-        if let Some(checkpoint) = &checkpoint {
+        if let Some(checkpoint) = &self.checkpoint {
             model = parameters::load(model, checkpoint.model.clone())?;
             let path = Checkpoints::of(&self.folder).step_path(checkpoint.state.step);
             check_moments(&model, checkpoint, &path)?;
@@ -88,8 +58,7 @@ impl Setup {
             mut config,
             folder,
             lock,
-            dataset,
-            statistics,
+            checkpoint,
             device,
             device_name,
         } = self;
@@ -108,9 +77,9 @@ impl Setup {
                 .iter()
                 .map(|info| info.len())
                 .sum(),
-            train_phrases: dataset.train.len(),
-            validation_phrases: dataset.validation.len(),
-            skipped: dataset.skipped.clone(),
+            train_phrases: material.train,
+            validation_phrases: material.validation,
+            skipped: material.skipped,
             step,
             max_steps: config.train.max_steps,
         };
@@ -141,25 +110,20 @@ impl Setup {
         write_config(&folder, &config)?;
         observer.started(&summary);
 
-        if config.validation.every_steps > 0 && dataset.validation.is_empty() {
+        if config.validation.every_steps > 0 && material.validation == 0 {
             observer.warning("no phrase is held out: there is no validation and no best step");
             config.validation.every_steps = 0;
         }
-        let loader = Loader::new(
-            dataset.train,
-            statistics.clone(),
-            &config.data,
-            config.run.seed,
-            step * config.train.gradient_accumulation_steps,
-        );
+        let first_batch = step * config.train.gradient_accumulation_steps;
+        let loader = (material.loader)(&config, first_batch);
         let parts = TrainerParts {
             recipe,
             model,
             config: config.clone(),
-            statistics,
+            statistics: material.statistics,
             device,
             loader,
-            dataset: dataset.digest,
+            dataset: material.digest,
             folder: folder.clone(),
         };
         let mut trainer = Trainer::new(parts, checkpoint)?;

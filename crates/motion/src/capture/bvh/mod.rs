@@ -8,6 +8,9 @@ mod parse;
 mod pose;
 #[cfg(test)]
 mod tests;
+mod write;
+
+pub use write::FigureJoint;
 
 /// An axis of the file's coordinate system.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -59,7 +62,8 @@ pub struct Joint {
     first_channel: usize,
 }
 
-/// A BVH file: the hierarchy and all frames. Made by [`Bvh::parse`].
+/// A BVH file: the hierarchy and all frames. Read by [`Bvh::parse`] or made of a figure's rotations
+/// by [`Bvh::from_rotations`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,

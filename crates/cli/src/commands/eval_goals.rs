@@ -1,0 +1,160 @@
+//! `kinegrad eval` of models of clips.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use kinegrad_data::DataKind;
+use kinegrad_data::humanml::ClipDataset;
+use kinegrad_motion::metrics::GoalReport;
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::clips::{ClipGenerator, Stage};
+use kinegrad_train::device;
+use kinegrad_train::evaluate::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
+use kinegrad_train::generate::resolve_checkpoint;
+
+use super::clips::{steering, trajectory_checkpoint, weights};
+use super::eval::{make_folder, run_folder};
+use crate::args::EvalArguments;
+use crate::failure::{Failure, UsageError};
+use crate::output::table;
+use crate::progress::denoising_bar;
+
+/// Whether the runs are on clips.
+///
+/// # Errors
+/// If one is not there, or only some of them are.
+pub fn are_of_clips(runs: &[PathBuf]) -> Result<bool, Failure> {
+    let mut kinds = Vec::with_capacity(runs.len());
+    for run in runs {
+        let checkpoint = resolve_checkpoint(run, |_| {})?;
+        let recipe = State::read(&checkpoint)?.config.train.recipe;
+        kinds.push(recipe.reads_clips());
+    }
+    let clips = kinds.first() == Some(&true);
+    if kinds.iter().any(|&kind| kind != clips) {
+        let message = "some runs are on phrases, others on clips of joint features";
+        let hint = "they have no measure in common: evaluate them apart";
+        return Err(UsageError::new(message, hint).into());
+    }
+    Ok(clips)
+}
+
+/// Leads each run to the same goals, writes the reports and prints them.
+pub fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
+    if arguments.goals == 0 {
+        return Err(UsageError::new("`--goals` is 0", "ask for at least one goal").into());
+    }
+    let trajectory = arguments.trajectory_run.as_deref();
+    let trajectory = trajectory.map(trajectory_checkpoint).transpose()?;
+    let mut evaluations = Vec::new();
+    for run in &arguments.runs {
+        let (folder, evaluation) = evaluate(run, trajectory.as_deref(), arguments)?;
+        make_folder(&folder)?;
+        let path = folder.join("eval-goals.json");
+        let text = serde_json::to_string_pretty(&evaluation).expect("plain data") + "\n";
+        std::fs::write(&path, text).map_err(kinegrad_train::Error::io("write", &path))?;
+        evaluations.push(evaluation);
+    }
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&evaluations).expect("plain data");
+        println!("{text}");
+    } else {
+        println!("{}", comparison(&evaluations));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn evaluate(
+    run: &Path,
+    trajectory: Option<&Path>,
+    arguments: &EvalArguments,
+) -> Result<(PathBuf, GoalEvaluation), Failure> {
+    let checkpoint = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
+    let config = State::read(&checkpoint)?.config;
+    let mut sampler = config.sampling.sampler.clone();
+    sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
+    sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
+    sampler
+        .validate(config.diffusion.num_train_timesteps)
+        .map_err(kinegrad_train::Error::from)?;
+    let mut data = config.data.clone();
+    if let Some(source) = &arguments.source {
+        data.kind = DataKind::Humanml3d;
+        data.source = Some(source.clone());
+    }
+    let dataset = ClipDataset::open(&data)?;
+    if dataset.validation.is_empty() {
+        let message = format!("no clip is held out for {}", run.display());
+        let hint = "goals are taken from held-out clips: give a dataset that holds out some with \
+                    `--source URI`";
+        return Err(UsageError::new(message, hint).into());
+    }
+    let held_out = (0..dataset.validation.len().min(arguments.goals))
+        .map(|position| dataset.validation.get(position))
+        .collect::<Result<Vec<_>, _>>()?;
+    let weights = weights(arguments.no_ema);
+    let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
+    let generator = ClipGenerator::load(&checkpoint, weights, &device)?;
+    let trajectory = trajectory
+        .map(|checkpoint| ClipGenerator::load(checkpoint, weights, &device))
+        .transpose()?;
+    let settings = GoalSettings {
+        task: GoalTask {
+            keyframes: arguments.keyframes,
+            obstacles: arguments.obstacles,
+            frames: data.target_frames,
+        },
+        steering: steering(
+            &config,
+            arguments.classifier_scale,
+            arguments.no_imputation,
+        ),
+        sampler,
+        seed: arguments.seed,
+    };
+    let bar = denoising_bar().with_prefix(format!("{}  ", config.run.name));
+    let evaluation = evaluate_goals(
+        &generator,
+        trajectory.as_ref(),
+        &held_out,
+        &settings,
+        &mut |stage, done, all| {
+            bar.set_message(match stage {
+                Stage::Trajectory => "trajectory",
+                Stage::Motion => "motion",
+            });
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        },
+    )?;
+    bar.finish_and_clear();
+    let folder = match &arguments.out {
+        Some(out) => out.join(&config.run.name),
+        None => run_folder(&checkpoint).join("reports"),
+    };
+    Ok((folder, evaluation))
+}
+
+/// One row a metric, one column a run, the held-out clips last.
+fn comparison(evaluations: &[GoalEvaluation]) -> String {
+    let reports: Vec<(&str, &GoalReport)> = evaluations
+        .iter()
+        .map(|evaluation| (evaluation.run.as_str(), &evaluation.drawn))
+        .chain(evaluations.first().map(|first| ("held out", &first.real)))
+        .collect();
+    let header = std::iter::once(String::new());
+    let header = header.chain(reports.iter().map(|(name, _)| (*name).to_string()));
+    let rows = (0..reports[0].1.rows().len()).filter_map(|row| {
+        let (name, _, unit) = reports[0].1.rows()[row];
+        let values = reports.iter().map(|(_, report)| report.rows()[row].1);
+        if values.clone().all(|value| value.is_none()) {
+            return None;
+        }
+        let shown = values.map(|value| match value {
+            Some(value) => format!("{value:.4}"),
+            None => "-".to_string(),
+        });
+        Some(std::iter::once(format!("{name}{unit}")).chain(shown).collect())
+    });
+    table(std::iter::once(header.collect()).chain(rows))
+}

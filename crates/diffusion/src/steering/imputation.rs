@@ -1,0 +1,50 @@
+//! Known values put into a draw.
+
+use burn::tensor::Tensor;
+
+/// Two descriptions of the same motion: that of the network, and that in which values are known.
+/// Both maps are affine and each undoes the other.
+pub trait Space {
+    /// From the network's description to the known one.
+    ///
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`
+    fn to_motion(&self, x: Tensor<3>) -> Tensor<3>;
+
+    /// From the known description to the network's.
+    ///
+    /// # Shapes
+    /// - motion, output: `[batch, channels, time]`
+    fn to_network(&self, motion: Tensor<3>) -> Tensor<3>;
+}
+
+/// Values that a draw shall have.
+#[derive(Clone)]
+pub struct Imputation<'a> {
+    /// The description in which they are known.
+    pub space: &'a dyn Space,
+    /// The values, `[batch, channels, time]`; only those under the mask count.
+    pub target: Tensor<3>,
+    /// 1 where a value is known, else 0: `[batch, channels, time]`.
+    pub mask: Tensor<3>,
+}
+
+impl Imputation<'_> {
+    /// `x`, in the network's space, with the known values in it.
+    pub(super) fn put_into(&self, x: Tensor<3>) -> Tensor<3> {
+        let motion = self.space.to_motion(x);
+        let target = self.target.clone();
+        self.space.to_network(self.mix(target, motion))
+    }
+
+    /// `known` where the mask is 1, `other` elsewhere, both in the network's space.
+    pub(super) fn merge(&self, known: Tensor<3>, other: Tensor<3>) -> Tensor<3> {
+        let (known, other) = (self.space.to_motion(known), self.space.to_motion(other));
+        self.space.to_network(self.mix(known, other))
+    }
+
+    fn mix(&self, known: Tensor<3>, other: Tensor<3>) -> Tensor<3> {
+        let free = self.mask.clone() * -1.0 + 1.0;
+        known * self.mask.clone() + other * free
+    }
+}

@@ -1,0 +1,128 @@
+//! Draws that are led to a goal: by the gradient of a loss of the predicted clean motion, taken
+//! through the network (classifier guidance), and by putting known values in (imputation).
+//!
+//! Source: Guided Motion Diffusion, appendix F, and Dhariwal and Nichol 2021,
+//! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
+//! Nothing here knows what a goal is about: it hears a predicted motion and answers a gradient.
+
+mod imputation;
+mod step;
+
+use burn::tensor::Tensor;
+use kinegrad_random::Key;
+
+pub use imputation::{Imputation, Space};
+pub use step::{SteeredInput, steered_step};
+
+use crate::sampler::{draws_noise, step_noise};
+use crate::{Clip, Denoiser, Error, GaussianDiffusion, SamplerConfig, SamplerKind, timesteps};
+
+/// A loss of the clean motion.
+pub trait Goal {
+    /// The gradient of the loss with respect to the predicted clean motion.
+    ///
+    /// # Shapes
+    /// - pred_original_sample, output: `[batch, channels, time]`, on a plain device, in the
+    ///   network's space
+    fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3>;
+}
+
+/// How strongly a draw is led to a goal.
+#[derive(Clone, Copy)]
+pub struct Guidance<'a> {
+    /// The goal.
+    pub goal: &'a dyn Goal,
+    /// The factor `s` of the gradient; it is multiplied by the step's variance too.
+    pub scale: f64,
+}
+
+/// What steers one step.
+#[derive(Clone, Default)]
+pub struct Steering<'a> {
+    /// The gradient that shifts the mean.
+    pub guidance: Option<Guidance<'a>>,
+    /// The values that are put in.
+    pub imputation: Option<Imputation<'a>>,
+}
+
+/// A network twice: for gradients and without.
+#[derive(Clone, Copy, Debug)]
+pub struct Networks<'a, D: ?Sized> {
+    /// On an autodiff device; its weights need no gradients.
+    pub tracked: &'a D,
+    /// The same on the plain device.
+    pub plain: &'a D,
+}
+
+/// Draws one motion per sample of the start noise by DDPM, each step steered as `steering` says of
+/// its timestep.
+///
+/// Noise is drawn as [`sample`](crate::sample) draws it; that of an imputation from
+/// `key.at(n).named("imputation").at(i)`. `on_step` is told the number of steps done and in all,
+/// and the state that the step led to.
+///
+/// # Shapes
+/// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device
+/// - cond: what the denoiser takes, for the same batch, on the plain device
+/// - output: `[batch, channels, time]`
+///
+/// # Errors
+/// If the sampler's settings are not valid for this process or are not those of DDPM, the clipping
+/// bounds do not fit the channels, or the network's output has other sizes than its input.
+#[expect(
+    non_snake_case,
+    reason = "x_T is the field's symbol for the start noise"
+)]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "each is another thing, named at the call"
+)]
+pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
+    diffusion: &GaussianDiffusion,
+    networks: Networks<'_, D>,
+    x_T: Tensor<3>,
+    cond: &Tensor<3>,
+    config: &SamplerConfig,
+    clip: &Clip,
+    steering: &dyn Fn(usize) -> Steering<'s>,
+    key: Key,
+    on_step: &mut dyn FnMut(usize, usize, &Tensor<3>),
+) -> Result<Tensor<3>, Error> {
+    let num_train_timesteps = diffusion.schedule.num_train_timesteps();
+    config.validate(num_train_timesteps)?;
+    if config.kind != SamplerKind::Ddpm {
+        return Err(Error::Config {
+            key: "sampling.sampler.kind".into(),
+            found: "\"ddim\"".into(),
+            allowed: "\"ddpm\" where a draw is led to a goal".into(),
+            hint: "the shift is scaled by the variance of the step, which DDIM has none of".into(),
+        });
+    }
+    clip.validate(x_T.dims()[1])?;
+
+    let kept = timesteps(config, num_train_timesteps);
+    let mut x = x_T;
+    for (index, &timestep) in kept.iter().enumerate() {
+        let prev_timestep = kept.get(index + 1).copied();
+        let key = key.at(index as u64);
+        let steering = steering(timestep);
+        let noise =
+            draws_noise(config, timestep, prev_timestep).then(|| step_noise(key, &x));
+        let imputation_noise = steering
+            .imputation
+            .as_ref()
+            .map(|_| step_noise(key.named("imputation"), &x));
+        let input = SteeredInput {
+            x_t: x,
+            timestep,
+            prev_timestep,
+            guidance_scale: config.guidance_scale,
+            noise,
+            imputation_noise,
+        };
+        let output = steered_step(diffusion, networks, input, cond, clip, &steering)?;
+        x = output.prev_sample;
+        on_step(index + 1, kept.len(), &x);
+    }
+    Ok(x)
+}

@@ -1,0 +1,90 @@
+//! What every denoiser of motion under a text is told: the timestep and the text, as one vector.
+
+use burn::module::Module;
+use burn::tensor::activation::silu;
+use burn::tensor::{Device, Tensor, TensorData};
+
+use crate::Initializer;
+use crate::layers::Linear;
+
+/// Width of a text's pooled feature (CLIP ViT-B/32).
+pub const TEXT_CHANNELS: usize = 512;
+
+/// Rows of the sinusoid table of width `dim` (even): column `2i` is `sin(t f_i)` and column
+/// `2i + 1` is `cos(t f_i)` with `f_i = 10000^(-2i / dim)`.
+///
+/// Computed on the host in double precision, as t up to 999 is the argument.
+///
+/// # Shapes
+/// - output: `[batch, dim]`
+pub fn interleaved_sinusoidal(timesteps: &[usize], dim: usize, device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = timesteps
+        .iter()
+        .flat_map(|&t| position_row(t, dim))
+        .collect();
+    Tensor::from_data(TensorData::new(values, [timesteps.len(), dim]), device)
+}
+
+fn position_row(position: usize, dim: usize) -> impl Iterator<Item = f32> {
+    (0..dim).map(move |column| {
+        let pair = (column / 2 * 2) as f64;
+        let angle = position as f64 * (-pair * 10_000f64.ln() / dim as f64).exp();
+        match column % 2 {
+            0 => angle.sin() as f32,
+            _ => angle.cos() as f32,
+        }
+    })
+}
+
+/// Linear, SiLU, linear over a row of the sinusoid table.
+#[derive(Module, Debug)]
+struct TimeEmbed {
+    at_0: Linear,
+    at_2: Linear,
+}
+
+#[derive(Module, Debug)]
+struct EmbedTimestep {
+    time_embed: TimeEmbed,
+}
+
+/// `time_embed(sinusoid(t)) + embed_text(text)`.
+///
+/// Without a text the feature is zero *before* the linear map, so that its bias remains.
+#[derive(Module, Debug)]
+pub struct Conditioner {
+    embed_timestep: EmbedTimestep,
+    embed_text: Linear,
+    width: usize,
+}
+
+impl Conditioner {
+    /// A conditioner of `width` (even).
+    pub fn new(width: usize, init: &Initializer) -> Self {
+        let time = init.at("embed_timestep").at("time_embed");
+        Self {
+            embed_timestep: EmbedTimestep {
+                time_embed: TimeEmbed {
+                    at_0: Linear::new(width, width, &time.at("0")),
+                    at_2: Linear::new(width, width, &time.at("2")),
+                },
+            },
+            embed_text: Linear::new(TEXT_CHANNELS, width, &init.at("embed_text")),
+            width,
+        }
+    }
+
+    /// # Shapes
+    /// - text: `[batch, 512, 1]`
+    /// - output: `[batch, width]`
+    pub fn forward(&self, timesteps: &[usize], text: Tensor<3>) -> Tensor<2> {
+        self.time(timesteps, &text.device()) + self.embed_text.forward(text.squeeze_dim(2))
+    }
+
+    /// The timestep's part: `[batch, width]`.
+    pub fn time(&self, timesteps: &[usize], device: &Device) -> Tensor<2> {
+        let rows = interleaved_sinusoidal(timesteps, self.width, device);
+        let embed = &self.embed_timestep.time_embed;
+        embed.at_2.forward(silu(embed.at_0.forward(rows)))
+    }
+}

@@ -1,0 +1,148 @@
+//! A denoiser of motion clips under a text, whatever its backbone.
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use kinegrad_diffusion::Denoiser;
+
+use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
+use crate::transformer::{Encoder, EncoderConfig};
+use crate::{Error, Initializer};
+
+/// Which network stands behind the conditioner, and its sizes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Backbone {
+    /// The UNet, over clips padded to so many frames.
+    Unet(GmdUnetConfig, usize),
+    /// The transformer encoder.
+    Transformer(EncoderConfig),
+}
+
+#[derive(Module, Debug)]
+struct UnetDenoiser {
+    unet: GmdUnet,
+    padded_frames: usize,
+}
+
+#[derive(Module, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a handful exist, and their weights are elsewhere"
+)]
+enum Network {
+    Unet(UnetDenoiser),
+    Transformer(Encoder),
+}
+
+/// A denoiser told timestep and text: parameters `embed_timestep.*`, `embed_text.*`, those of the
+/// backbone, and `projection.matrix` where it works in a projected space.
+///
+/// The condition is the text's pooled feature `[batch, 512, 1]`; zeros stand for no text.
+#[derive(Module, Debug)]
+pub struct TextDenoiser {
+    flat_conditioner: Conditioner,
+    flat_network: Network,
+    projection: Option<Projection>,
+}
+
+impl TextDenoiser {
+    /// A network with fresh weights that works on motion as it is.
+    ///
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn new(backbone: &Backbone, init: &Initializer) -> Result<Self, Error> {
+        let (network, width) = match backbone {
+            Backbone::Unet(config, padded_frames) => {
+                let multiple = config.length_multiple();
+                if !padded_frames.is_multiple_of(multiple) {
+                    return Err(Error::Config {
+                        key: "model.padded_frames".into(),
+                        found: padded_frames.to_string(),
+                        allowed: format!("a multiple of {multiple}"),
+                        hint: "every level but the last halves the length; the published models \
+                               have 224"
+                            .into(),
+                    });
+                }
+                let unet = UnetDenoiser {
+                    unet: config.init(&init.at("unet"))?,
+                    padded_frames: *padded_frames,
+                };
+                (Network::Unet(unet), config.cond_dim)
+            }
+            Backbone::Transformer(config) => {
+                (Network::Transformer(config.init(init)?), config.latent_dim)
+            }
+        };
+        Ok(Self {
+            flat_conditioner: Conditioner::new(width, init),
+            flat_network: network,
+            projection: None,
+        })
+    }
+
+    /// The same network, working in the space of `matrix`, `[channels, channels]` row by row.
+    #[must_use]
+    pub fn in_space_of(self, matrix: Vec<f32>, channels: usize, init: &Initializer) -> Self {
+        Self {
+            projection: Some(Projection::new(matrix, channels, init)),
+            ..self
+        }
+    }
+
+    /// The space it works in, where that is a projected one.
+    pub fn projection(&self) -> Option<&Projection> {
+        self.projection.as_ref()
+    }
+
+    /// What tells the network timestep and text.
+    pub fn conditioner(&self) -> &Conditioner {
+        &self.flat_conditioner
+    }
+
+    /// # Shapes
+    /// - x_t, output: `[batch, channels, time]`, in the network's own space; a UNet takes at most
+    ///   its padded length
+    /// - text: `[batch, 512, 1]`
+    ///
+    /// # Panics
+    /// Panics if a clip is longer than the UNet's padded length.
+    pub fn forward(&self, x_t: Tensor<3>, timesteps: &[usize], text: Tensor<3>) -> Tensor<3> {
+        let cond = self.flat_conditioner.forward(timesteps, text);
+        match &self.flat_network {
+            Network::Unet(network) => network.forward(x_t, cond),
+            Network::Transformer(encoder) => encoder.forward(x_t, cond),
+        }
+    }
+}
+
+impl UnetDenoiser {
+    /// Pads with zeros of the noisy space on the right, as the published models do: the network
+    /// sees no mask.
+    fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
+        let [batch, channels, time] = x.dims();
+        assert!(
+            time <= self.padded_frames,
+            "a clip of {time} frames in a network for {}",
+            self.padded_frames
+        );
+        let padding = self.padded_frames - time;
+        if padding == 0 {
+            return self.unet.forward(x, cond);
+        }
+        let zeros = Tensor::zeros([batch, channels, padding], &x.device());
+        let padded = Tensor::cat(vec![x, zeros], 2);
+        self.unet.forward(padded, cond).narrow(2, 0, time)
+    }
+}
+
+impl Denoiser for TextDenoiser {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+        self.forward(x_t, timesteps, cond.clone())
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}

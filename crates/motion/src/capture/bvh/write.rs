@@ -1,0 +1,339 @@
+//! Writing BVH text.
+
+use std::fmt::Write;
+
+use super::{Axis, Bvh, Channel, Joint};
+use crate::Quaternion;
+use crate::capture::CaptureError;
+
+/// Turns of every written joint, in the order of most BVH files.
+const ROTATION: [Channel; 3] = [
+    Channel::Rotation(Axis::Z),
+    Channel::Rotation(Axis::X),
+    Channel::Rotation(Axis::Y),
+];
+/// Coordinates of the written root.
+const POSITION: [Channel; 3] = [
+    Channel::Position(Axis::X),
+    Channel::Position(Axis::Y),
+    Channel::Position(Axis::Z),
+];
+
+/// A joint of a figure that is to become a [`Bvh`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct FigureJoint {
+    /// Name: one line without braces.
+    pub name: String,
+    /// Index of the parent, smaller than its own; none for the first joint alone.
+    pub parent: Option<usize>,
+    /// Place within the parent, in the file's units; of the root unused.
+    pub offset: [f64; 3],
+    /// Where its bone ends, if no other joint says so.
+    pub end_site: Option<[f64; 3]>,
+}
+
+impl Bvh {
+    /// A file of a figure that moves: `root` positions `[frames, 3]` in the file's units and
+    /// `rotations` `[frames, joints]`, row by row, each within the parent.
+    ///
+    /// The joints come to stand in the order of the text, which is depth first. The root has six
+    /// channels, every other joint three, `Zrotation Xrotation Yrotation`.
+    ///
+    /// # Errors
+    /// [`CaptureError::InvalidSetting`] for a frame time that is not positive, joints that make no
+    /// tree, a name that the text cannot hold, no frames, another number of rotations than
+    /// joints and frames make, or a value that is not finite.
+    pub fn from_rotations(
+        figure: &[FigureJoint],
+        frame_time: f64,
+        root: &[[f64; 3]],
+        rotations: &[Quaternion],
+    ) -> Result<Self, CaptureError> {
+        check(figure, frame_time, root, rotations)?;
+        let order = depth_first(figure);
+        let mut place = vec![0; figure.len()];
+        let mut joints: Vec<Joint> = Vec::with_capacity(figure.len());
+        let mut first_channel = 0;
+        for (index, &joint) in order.iter().enumerate() {
+            place[joint] = index;
+            let FigureJoint {
+                name,
+                parent,
+                offset,
+                end_site,
+            } = figure[joint].clone();
+            let channels = match parent {
+                None => [POSITION, ROTATION].concat(),
+                Some(_) => ROTATION.to_vec(),
+            };
+            first_channel += channels.len();
+            joints.push(Joint {
+                name,
+                parent: parent.map(|parent| place[parent]),
+                offset: if parent.is_none() { [0.0; 3] } else { offset },
+                first_channel: first_channel - channels.len(),
+                channels,
+                end_sites: end_site.into_iter().collect(),
+            });
+        }
+        let mut values = Vec::with_capacity(root.len() * first_channel);
+        for (root, rotations) in root.iter().zip(rotations.chunks_exact(figure.len())) {
+            values.extend(root);
+            values.extend(
+                order
+                    .iter()
+                    .flat_map(|joint| zxy_degrees(rotations[*joint])),
+            );
+        }
+        Ok(Self {
+            joints,
+            frame_time,
+            channels: first_channel,
+            values,
+        })
+    }
+
+    /// The file's text; [`Bvh::parse`] reads it back, numbers to six decimals.
+    pub fn to_text(&self) -> String {
+        let mut text = "HIERARCHY\n".to_string();
+        let mut open: Vec<usize> = Vec::new();
+        for (index, joint) in self.joints.iter().enumerate() {
+            while open.last().copied() != joint.parent {
+                open.pop();
+                line(&mut text, open.len(), "}");
+            }
+            let kind = if joint.parent.is_none() {
+                "ROOT"
+            } else {
+                "JOINT"
+            };
+            line(&mut text, open.len(), &format!("{kind} {}", joint.name));
+            line(&mut text, open.len(), "{");
+            open.push(index);
+            line(&mut text, open.len(), &offset(joint.offset));
+            if !joint.channels.is_empty() {
+                let names: Vec<String> = joint.channels.iter().map(channel_name).collect();
+                let channels = format!("CHANNELS {} {}", names.len(), names.join(" "));
+                line(&mut text, open.len(), &channels);
+            }
+            for end in &joint.end_sites {
+                line(&mut text, open.len(), "End Site");
+                line(&mut text, open.len(), "{");
+                line(&mut text, open.len() + 1, &offset(*end));
+                line(&mut text, open.len(), "}");
+            }
+        }
+        for depth in (0..open.len()).rev() {
+            line(&mut text, depth, "}");
+        }
+        let (frames, frame_time) = (self.frames(), self.frame_time);
+        writeln!(text, "MOTION\nFrames: {frames}\nFrame Time: {frame_time}")
+            .expect("text grows without fail");
+        for t in 0..frames {
+            let numbers: Vec<String> = self.frame(t).iter().map(|v| format!("{v:.6}")).collect();
+            line(&mut text, 0, &numbers.join(" "));
+        }
+        text
+    }
+}
+
+fn check(
+    figure: &[FigureJoint],
+    frame_time: f64,
+    root: &[[f64; 3]],
+    rotations: &[Quaternion],
+) -> Result<(), CaptureError> {
+    let refuse = |key, found: String, allowed| {
+        Err(CaptureError::InvalidSetting {
+            key,
+            found,
+            allowed,
+        })
+    };
+    if !(frame_time.is_finite() && frame_time > 0.0) {
+        let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
+        return refuse("frame_time", frame_time.to_string(), allowed);
+    }
+    for (index, joint) in figure.iter().enumerate() {
+        let name = &joint.name;
+        let bad = |c: char| c.is_control() || c == '{' || c == '}';
+        if name.is_empty() || name.trim() != name || name.contains(bad) {
+            let allowed = "a name of one line without braces and without blanks around it";
+            return refuse("name", format!("`{}`", name.escape_debug()), allowed);
+        }
+        let sound = match joint.parent {
+            None => index == 0,
+            Some(parent) => parent < index,
+        };
+        if !sound {
+            let found = format!("{:?} for joint {index}", joint.parent);
+            let allowed = "a joint before it, and none for the first joint alone";
+            return refuse("parent", found, allowed);
+        }
+        let end = joint.end_site.unwrap_or_default();
+        if !joint
+            .offset
+            .iter()
+            .chain(&end)
+            .all(|value| value.is_finite())
+        {
+            let found = format!("not finite for joint {index}");
+            return refuse("offset", found, "finite numbers in the file's units");
+        }
+    }
+    if figure.is_empty() || root.is_empty() {
+        let found = format!("{} joints in {} frames", figure.len(), root.len());
+        return refuse("figure", found, "at least one joint and one frame");
+    }
+    if rotations.len() != root.len() * figure.len() {
+        let found = format!("a list of {}", rotations.len());
+        return refuse("rotations", found, "one rotation for each joint and frame");
+    }
+    if !root.as_flattened().iter().all(|value| value.is_finite()) {
+        return refuse("root", "not finite".to_string(), "finite numbers");
+    }
+    if !rotations.iter().all(|rotation| rotation.norm().is_finite()) {
+        return refuse("rotations", "not finite".to_string(), "unit quaternions");
+    }
+    Ok(())
+}
+
+/// The joints in the order of the text: each followed by all that hangs on it.
+fn depth_first(figure: &[FigureJoint]) -> Vec<usize> {
+    let mut order = Vec::with_capacity(figure.len());
+    let mut waiting = vec![0];
+    while let Some(joint) = waiting.pop() {
+        order.push(joint);
+        let children = (joint + 1..figure.len()).filter(|c| figure[*c].parent == Some(joint));
+        // The first child is taken from the end first.
+        waiting.extend(children.rev());
+    }
+    order
+}
+
+/// The angles (z, x, y) in degrees of `Rz Rx Ry`, for a quaternion of any norm but zero.
+fn zxy_degrees(rotation: Quaternion) -> [f64; 3] {
+    let rotation = rotation.normalised();
+    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
+    let entry = |row: usize, column: usize| columns[column][row];
+    let sine = entry(2, 1).clamp(-1.0, 1.0);
+    // A quarter turn about x leaves the other two on one axis: all of it goes to z.
+    let (z, y) = if sine.abs() > 1.0 - 1e-12 {
+        (entry(1, 0).atan2(entry(0, 0)), 0.0)
+    } else {
+        (
+            (-entry(0, 1)).atan2(entry(1, 1)),
+            (-entry(2, 0)).atan2(entry(2, 2)),
+        )
+    };
+    [z, sine.asin(), y].map(f64::to_degrees)
+}
+
+fn line(text: &mut String, depth: usize, content: &str) {
+    text.extend(std::iter::repeat_n('\t', depth));
+    text.push_str(content);
+    text.push('\n');
+}
+
+fn offset([x, y, z]: [f64; 3]) -> String {
+    format!("OFFSET {x:.6} {y:.6} {z:.6}")
+}
+
+fn channel_name(channel: &Channel) -> String {
+    let (axis, kind) = match channel {
+        Channel::Position(axis) => (axis, "position"),
+        Channel::Rotation(axis) => (axis, "rotation"),
+    };
+    format!("{axis:?}{kind}")
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn joint(name: &str, parent: Option<usize>) -> FigureJoint {
+        FigureJoint {
+            name: name.to_string(),
+            parent,
+            offset: [1.0, 2.0, -0.5],
+            end_site: parent.map(|_| [0.0, 0.25, 0.0]),
+        }
+    }
+
+    /// Joints that are not given depth first: the second child of the root comes before its
+    /// grandchild.
+    fn figure() -> [FigureJoint; 4] {
+        [
+            joint("hips", None),
+            joint("left leg", Some(0)),
+            joint("right leg", Some(0)),
+            joint("left foot", Some(1)),
+        ]
+    }
+
+    #[test]
+    fn mistakes_in_a_figure_are_named() {
+        let still = [Quaternion::IDENTITY; 4];
+        let write = |figure: &[FigureJoint], frame_time, root: &[[f64; 3]]| {
+            let bvh = Bvh::from_rotations(figure, frame_time, root, &still);
+            bvh.unwrap_err().to_string()
+        };
+        let root = [[0.0; 3]];
+        assert!(write(&figure(), 0.0, &root).contains("`frame_time` is 0"));
+        assert!(write(&figure(), 0.05, &[]).contains("4 joints in 0 frames"));
+        assert!(write(&figure()[..3], 0.05, &root).contains("a list of 4"));
+        assert!(write(&figure(), 0.05, &[[f64::NAN; 3]]).contains("`root`"));
+        let mut spoiled = figure();
+        spoiled[1].parent = Some(1);
+        assert!(write(&spoiled, 0.05, &root).contains("for joint 1"));
+        spoiled = figure();
+        spoiled[2].name = "right\nleg".to_string();
+        assert!(write(&spoiled, 0.05, &root).contains("right\\nleg"));
+    }
+
+    #[test]
+    fn a_quarter_turn_about_x_keeps_its_heading() {
+        let turns = [[0.0, 0.7, 0.0], [90f64.to_radians(), 0.0, 0.0]];
+        let [yaw, pitch] = turns.map(Quaternion::from_rotation_vector);
+        let [z, x, y] = zxy_degrees(yaw * pitch).map(|angle| angle.to_radians());
+        let about = |axis: usize, angle: f64| {
+            let mut turn = [0.0; 3];
+            turn[axis] = angle;
+            Quaternion::from_rotation_vector(turn)
+        };
+        let back = about(2, z) * about(0, x) * about(1, y);
+        assert!((back.dot(yaw * pitch).abs() - 1.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn a_written_figure_is_read_back(
+            turns in proptest::collection::vec(proptest::array::uniform3(-3.0..3.0f64), 8),
+        ) {
+            let rotations: Vec<Quaternion> =
+                turns.into_iter().map(Quaternion::from_rotation_vector).collect();
+            let root = [[0.5, 1.0, -0.25], [4.0, 0.0, 0.125]];
+            let bvh = Bvh::from_rotations(&figure(), 0.05, &root, &rotations).unwrap();
+            let read = Bvh::parse(bvh.to_text().as_bytes(), "figure.bvh").unwrap();
+            prop_assert_eq!(read.joints(), bvh.joints());
+            prop_assert_eq!((read.frames(), read.frame_time()), (2, 0.05));
+            // Root, left leg, left foot, right leg.
+            for t in 0..2 {
+                let world = read.world(t);
+                prop_assert_eq!(world[0].position, root[t]);
+                let of_file = [0, 1, 3, 2].map(|joint| rotations[4 * t + joint]);
+                let expected = [
+                    of_file[0],
+                    of_file[0] * of_file[1],
+                    of_file[0] * of_file[1] * of_file[2],
+                    of_file[0] * of_file[3],
+                ];
+                for (pose, expected) in world.iter().zip(expected) {
+                    prop_assert!((pose.orientation.dot(expected).abs() - 1.0).abs() < 1e-12);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Settings of the emphasis projection.
+
+use kinegrad_random::{Key, Purpose};
+use serde::{Deserialize, Serialize};
+
+use super::{EmphasisError, EmphasisProjection};
+
+/// Which matrix mixes the emphasised features.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EmphasisKind {
+    /// None: features stay as they are.
+    #[default]
+    None,
+    /// Independent normal numbers, as the published models have it
+    /// ([`EmphasisProjection::gaussian`]).
+    Gaussian,
+    /// A random rotation or reflection ([`EmphasisProjection::orthogonal`]): the same emphasis,
+    /// with the smallest condition number that it can have.
+    Orthogonal,
+}
+
+/// How the trajectory is emphasised within a frame's features (GMD, appendix C).
+///
+/// The matrix is a function of these settings and of the number of features; it is stored with a
+/// model all the same, as a published model's matrix follows from no seed.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EmphasisConfig {
+    /// Which matrix, if any.
+    pub kind: EmphasisKind,
+    /// How much larger the emphasised features become, c in the source.
+    pub scale: f64,
+    /// Seed of the matrix.
+    pub seed: u64,
+    /// The emphasised features: root rotation, x and z.
+    pub channels: Vec<usize>,
+}
+
+impl Default for EmphasisConfig {
+    /// No projection; once a kind is chosen, the published scale of 10.
+    fn default() -> Self {
+        Self {
+            kind: EmphasisKind::None,
+            scale: 10.0,
+            seed: 0,
+            channels: vec![0, 1, 2],
+        }
+    }
+}
+
+impl EmphasisConfig {
+    /// Refuses a scale that is not positive or beyond a million, and channels that are missing or repeated.
+    ///
+    /// # Errors
+    /// [`EmphasisError::InvalidSetting`] names the first such setting.
+    pub fn validate(&self) -> Result<(), EmphasisError> {
+        check(self.scale, &self.channels, usize::MAX)
+    }
+
+    /// The projection of frames with `dimension` features; `None` where the kind is none.
+    ///
+    /// # Errors
+    /// [`EmphasisError::InvalidSetting`] if a setting is out of range or a channel is not among
+    /// the features; [`EmphasisError::Singular`] if the drawn matrix cannot be undone.
+    pub fn projection(
+        &self,
+        dimension: usize,
+    ) -> Result<Option<EmphasisProjection>, EmphasisError> {
+        // Before any number is drawn.
+        check(self.scale, &self.channels, dimension)?;
+        let construct = match self.kind {
+            EmphasisKind::None => return Ok(None),
+            EmphasisKind::Gaussian => EmphasisProjection::gaussian,
+            EmphasisKind::Orthogonal => EmphasisProjection::orthogonal,
+        };
+        let draws = Key::new(self.seed, Purpose::Emphasis).normals(dimension * dimension);
+        construct(&draws, dimension, self.scale, &self.channels).map(Some)
+    }
+}
+
+/// Largest scale: beyond it single precision cannot hold a frame and undo the projection.
+const LARGEST_SCALE: f64 = 1e6;
+
+/// Refuses a scale or channels that no projection of `dimension` features can have.
+pub(super) fn check(scale: f64, channels: &[usize], dimension: usize) -> Result<(), EmphasisError> {
+    let invalid = |key, found, allowed| {
+        Err(EmphasisError::InvalidSetting {
+            key,
+            found,
+            allowed,
+        })
+    };
+    if !(scale > 0.0 && scale <= LARGEST_SCALE) {
+        let allowed = "give a positive number, at most 1000000; 1 emphasises nothing".to_owned();
+        return invalid("scale", scale.to_string(), allowed);
+    }
+    let repeated = |(index, channel)| channels[..index].contains(channel);
+    if channels.is_empty() || channels.iter().enumerate().any(repeated) {
+        let allowed = "name one or more features, each once".to_owned();
+        return invalid("channels", format!("{channels:?}"), allowed);
+    }
+    if let Some(channel) = channels.iter().find(|channel| **channel >= dimension) {
+        let allowed = format!("name features below {dimension}, counted from 0");
+        return invalid("channels", channel.to_string(), allowed);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_keys_take_the_default_and_unknown_ones_are_refused() {
+        let read = |json: &str| serde_json::from_str::<EmphasisConfig>(json);
+        assert_eq!(read("{}").unwrap(), EmphasisConfig::default());
+        let config = read(r#"{"kind": "orthogonal", "scale": 5, "seed": 3}"#).unwrap();
+        assert_eq!(config.kind, EmphasisKind::Orthogonal);
+        assert_eq!((config.scale, config.seed), (5.0, 3));
+        assert_eq!(config.channels, [0, 1, 2]);
+        assert!(read(r#"{"kind": "hadamard"}"#).is_err());
+        assert!(read(r#"{"c": 10}"#).is_err());
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let key = |config: EmphasisConfig, dimension: usize| {
+            assert!(config.validate().is_err() || dimension < 263);
+            match config.projection(dimension) {
+                Err(EmphasisError::InvalidSetting { key, .. }) => key,
+                other => panic!("{other:?}"),
+            }
+        };
+        let default = EmphasisConfig::default;
+        for scale in [0.0, -1.0, 1e7, f64::NAN, f64::INFINITY] {
+            assert_eq!(key(EmphasisConfig { scale, ..default() }, 263), "scale");
+        }
+        for channels in [vec![], vec![0, 1, 0]] {
+            let config = EmphasisConfig {
+                channels,
+                ..default()
+            };
+            assert_eq!(key(config, 263), "channels");
+        }
+        assert_eq!(key(default(), 2), "channels");
+    }
+
+    #[test]
+    fn no_kind_has_no_projection() {
+        assert_eq!(EmphasisConfig::default().projection(263), Ok(None));
+    }
+
+    #[test]
+    fn one_seed_gives_one_matrix() {
+        let matrix = |seed| {
+            let config = EmphasisConfig {
+                kind: EmphasisKind::Gaussian,
+                seed,
+                ..EmphasisConfig::default()
+            };
+            config.projection(12).unwrap().unwrap().matrix().to_vec()
+        };
+        assert_eq!(matrix(4), matrix(4));
+        assert_ne!(matrix(4), matrix(5));
+    }
+}

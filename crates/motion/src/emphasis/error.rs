@@ -1,0 +1,65 @@
+//! What can be wrong with an emphasis projection.
+
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// An error about the settings or the matrix of an emphasis projection.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum EmphasisError {
+    /// A setting is out of range.
+    #[error("`{key}` is {found}, which is out of range")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSetting {
+        /// Name of the setting.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: String,
+    },
+
+    /// The matrix is not square.
+    #[error(
+        "the projection matrix has {values} values, which are not {dimension} rows of {dimension}"
+    )]
+    #[diagnostic(help(
+        "give the square matrix that was trained with, row by row, as wide as the motion's features"
+    ))]
+    NotSquare {
+        /// Number of values given.
+        values: usize,
+        /// Number of features of a frame.
+        dimension: usize,
+    },
+
+    /// The matrix holds NaN or an infinity.
+    #[error(
+        "the projection matrix is not finite in row {row}, column {column} (counted from 0): \
+         {found}"
+    )]
+    #[diagnostic(help("the file that holds the matrix is damaged: fetch or export it again"))]
+    NonFinite {
+        /// Row of the first such value.
+        row: usize,
+        /// Column of that value.
+        column: usize,
+        /// The value.
+        found: f32,
+    },
+
+    /// The matrix cannot be undone in single precision.
+    #[error(
+        "the projection matrix is singular: its condition number is {condition_number:.1e}, \
+         allowed: less than {limit:.1e}"
+    )]
+    #[diagnostic(help(
+        "motion cannot be brought back from it; check that the matrix is complete, or draw \
+         another one with another seed or a smaller `scale`"
+    ))]
+    Singular {
+        /// Largest singular value divided by the smallest.
+        condition_number: f64,
+        /// The bound.
+        limit: f64,
+    },
+}

@@ -1,0 +1,137 @@
+//! What a projection costs: conditioning, evenness of the variances, error of a round trip.
+
+use std::fmt;
+
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+
+use super::{EmphasisConfig, EmphasisError, EmphasisKind, EmphasisProjection};
+
+/// Frames of the round trip.
+const FRAMES: usize = 196;
+
+/// Measurements of one [`EmphasisProjection`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EmphasisMeasures {
+    /// Largest singular value divided by the smallest.
+    pub condition_number: f64,
+    /// Smallest variance of a projected feature, those of the frame independent and of variance 1.
+    pub variance_min: f64,
+    /// Mean of these variances.
+    pub variance_mean: f64,
+    /// Largest of these variances.
+    pub variance_max: f64,
+    /// (Population) standard deviation of these variances.
+    pub variance_std: f64,
+    /// Share of the emphasised features in the total variance.
+    pub trajectory_share: f64,
+    /// Largest absolute error of frames projected and brought back in single precision. The frames
+    /// are drawn from the standard normal distribution.
+    pub round_trip_max: f64,
+    /// Mean absolute error of the same frames.
+    pub round_trip_mean: f64,
+}
+
+impl EmphasisProjection {
+    /// Measures this projection, with 196 frames drawn from `seed` for the round trip.
+    pub fn measure(&self, seed: u64) -> EmphasisMeasures {
+        let variances = self.variance_per_dimension();
+        let variance_mean = mean(variances.iter().copied());
+        let spread = mean(variances.iter().map(|v| (v - variance_mean).powi(2)));
+        // One level below the draws of the matrix itself.
+        let frames = Key::new(seed, Purpose::Emphasis)
+            .at(0)
+            .normals(FRAMES * self.dimension());
+        let back = self.unproject(&self.project(&frames));
+        let errors = frames
+            .iter()
+            .zip(&back)
+            .map(|(&before, &after)| (f64::from(before) - f64::from(after)).abs());
+        EmphasisMeasures {
+            condition_number: self.condition_number(),
+            variance_min: variances.iter().copied().fold(f64::INFINITY, f64::min),
+            variance_mean,
+            variance_max: variances.iter().copied().fold(0.0, f64::max),
+            variance_std: spread.sqrt(),
+            trajectory_share: self.trajectory_share(),
+            round_trip_max: errors.clone().fold(0.0, f64::max),
+            round_trip_mean: mean(errors),
+        }
+    }
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len();
+    values.sum::<f64>() / count as f64
+}
+
+/// One row of the table that [`compare`] makes. It prints as a line of a Markdown table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EmphasisRow {
+    /// Which matrix.
+    pub kind: EmphasisKind,
+    /// Its scale.
+    pub scale: f64,
+    /// What it comes to.
+    pub measures: EmphasisMeasures,
+}
+
+impl EmphasisRow {
+    /// The two lines above the rows of the table.
+    pub const HEADING: &'static str = "\
+| kind | scale | condition number | variance min | mean | max | std | trajectory share \
+| round trip max | mean |
+|---|---|---|---|---|---|---|---|---|---|";
+}
+
+impl fmt::Display for EmphasisRow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = match self.kind {
+            EmphasisKind::None => "none",
+            EmphasisKind::Gaussian => "gaussian",
+            EmphasisKind::Orthogonal => "orthogonal",
+        };
+        let m = &self.measures;
+        write!(f, "| {kind} | {} | {:.1} ", self.scale, m.condition_number)?;
+        for number in [
+            m.variance_min,
+            m.variance_mean,
+            m.variance_max,
+            m.variance_std,
+            m.trajectory_share,
+        ] {
+            write!(f, "| {number:.3} ")?;
+        }
+        let (max, mean) = (m.round_trip_max, m.round_trip_mean);
+        write!(f, "| {max:.1e} | {mean:.1e} |")
+    }
+}
+
+/// Measures both kinds of matrix at each of the `scales`, the Gaussian ones first, all drawn from
+/// `seed`.
+///
+/// # Errors
+/// Those of [`EmphasisConfig::projection`].
+pub fn compare(
+    dimension: usize,
+    scales: &[f64],
+    seed: u64,
+) -> Result<Vec<EmphasisRow>, EmphasisError> {
+    let mut rows = Vec::new();
+    for kind in [EmphasisKind::Gaussian, EmphasisKind::Orthogonal] {
+        for &scale in scales {
+            let config = EmphasisConfig {
+                kind,
+                scale,
+                seed,
+                ..EmphasisConfig::default()
+            };
+            rows.extend(config.projection(dimension)?.map(|projection| EmphasisRow {
+                kind,
+                scale,
+                measures: projection.measure(seed),
+            }));
+        }
+    }
+    Ok(rows)
+}

@@ -1,0 +1,254 @@
+//! Emphasis projection: the trajectory made a larger part of what a motion model sees.
+//!
+//! Among a frame's 263 features the root's rotation and ground position are three, and a model
+//! that predicts all of them equally well may miss where the body goes. Here these three rows are
+//! multiplied by a scale c, and a random matrix spreads them over all features, so that each has
+//! about unit variance again. A frame is a row: `y = x P`, `x = y P^-1`. Source: Guided Motion
+//! Diffusion, appendix C.
+//!
+//! Deviation: the source's factor `1/(D - 3 + 3 c^2)` is one of variance; the matrix carries its
+//! square root. Taken as an amplitude it would leave a variance of 1/560 at c = 10.
+
+mod config;
+mod error;
+mod measures;
+
+pub use config::{EmphasisConfig, EmphasisKind};
+pub use error::EmphasisError;
+pub use measures::{EmphasisMeasures, EmphasisRow, compare};
+
+use nalgebra::DMatrix;
+
+/// From this condition number on no digit of a single-precision value survives there and back.
+const SINGULAR: f64 = 1.0 / f32::EPSILON as f64;
+
+/// A projection of frames of `dimension` features, and its inverse.
+///
+/// Made by [`EmphasisConfig::projection`] from settings, or from a published model's matrix.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EmphasisProjection {
+    scale: f64,
+    channels: Vec<usize>,
+    // nalgebra keeps columns: these are the transposed matrices, whose memory is P row by row.
+    matrix: DMatrix<f32>,
+    inverse: DMatrix<f32>,
+    condition_number: f64,
+}
+
+impl EmphasisProjection {
+    /// The published construction: `draws`, independent standard normal numbers
+    /// `[dimension, dimension]`, the rows of `channels` times `scale`, all divided by
+    /// `sqrt(D - n + n c^2)` with D the dimension, n the number of channels and c the scale.
+    ///
+    /// The variance of a projected feature is 1 on average over draws; in one matrix of 263 at
+    /// c = 10 it lies between about 0.4 and 3, and the condition number is in the thousands.
+    ///
+    /// # Errors
+    /// [`EmphasisError::InvalidSetting`] if the scale or a channel is out of range; else those of
+    /// [`from_matrix`](Self::from_matrix).
+    pub fn gaussian(
+        draws: &[f32],
+        dimension: usize,
+        scale: f64,
+        channels: &[usize],
+    ) -> Result<Self, EmphasisError> {
+        let mut transposed = read(draws, dimension)?;
+        config::check(scale, channels, dimension)?;
+        emphasise(&mut transposed, scale, channels);
+        transposed /= total_variance(dimension, channels.len(), scale).sqrt();
+        Self::new(transposed.cast(), scale, channels)
+    }
+
+    /// The same emphasis, spread by an orthogonal matrix Q: `P = s diag(c or 1) Q` with
+    /// `s^2 (D - n + n c^2) = D`, symbols as for [`gaussian`](Self::gaussian). Q follows from
+    /// `draws` by QR decomposition, R's diagonal positive, which makes it uniformly distributed.
+    ///
+    /// The variance averaged over features is exactly 1, the condition number exactly the scale
+    /// (its inverse for scales below 1), which no matrix with these row norms undercuts.
+    ///
+    /// # Errors
+    /// As for [`gaussian`](Self::gaussian).
+    pub fn orthogonal(
+        draws: &[f32],
+        dimension: usize,
+        scale: f64,
+        channels: &[usize],
+    ) -> Result<Self, EmphasisError> {
+        let draws = read(draws, dimension)?;
+        config::check(scale, channels, dimension)?;
+        let decomposition = draws.qr();
+        let mut rotation = decomposition.q();
+        let signs = decomposition.r().diagonal();
+        for (mut column, sign) in rotation.column_iter_mut().zip(signs.iter()) {
+            column *= sign.signum();
+        }
+        let mut transposed = rotation.transpose();
+        emphasise(&mut transposed, scale, channels);
+        let variance = total_variance(dimension, channels.len(), scale);
+        transposed *= (dimension as f64 / variance).sqrt();
+        Self::new(transposed.cast(), scale, channels)
+    }
+
+    /// A published model's matrix, row by row `[dimension, dimension]`, with the scale and the
+    /// channels that it was made with, which only describe it. The inverse is computed here, in
+    /// double precision.
+    ///
+    /// # Errors
+    /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`] or [`EmphasisError::Singular`]
+    /// if the matrix is so; [`EmphasisError::InvalidSetting`] if the scale or a channel is out of
+    /// range.
+    pub fn from_matrix(
+        matrix: &[f32],
+        dimension: usize,
+        scale: f64,
+        channels: &[usize],
+    ) -> Result<Self, EmphasisError> {
+        let transposed = read(matrix, dimension)?;
+        config::check(scale, channels, dimension)?;
+        Self::new(transposed.cast(), scale, channels)
+    }
+
+    fn new(
+        transposed: DMatrix<f32>,
+        scale: f64,
+        channels: &[usize],
+    ) -> Result<Self, EmphasisError> {
+        // The matrix as stored is what must be undone.
+        let stored: DMatrix<f64> = transposed.clone().cast();
+        let singular_values = stored.singular_values();
+        let condition_number = singular_values.max() / singular_values.min();
+        let singular = || EmphasisError::Singular {
+            condition_number,
+            limit: SINGULAR,
+        };
+        // All zeros divide to NaN.
+        if condition_number.is_nan() || condition_number >= SINGULAR {
+            return Err(singular());
+        }
+        let inverse = stored.try_inverse().ok_or_else(singular)?;
+        Ok(Self {
+            scale,
+            channels: channels.to_vec(),
+            matrix: transposed,
+            inverse: inverse.cast(),
+            condition_number,
+        })
+    }
+
+    /// Number of features of a frame.
+    pub fn dimension(&self) -> usize {
+        self.matrix.nrows()
+    }
+
+    /// How much larger the emphasised features become, c in the source.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// The emphasised features.
+    pub fn channels(&self) -> &[usize] {
+        &self.channels
+    }
+
+    /// P, row by row `[dimension, dimension]`.
+    pub fn matrix(&self) -> &[f32] {
+        self.matrix.as_slice()
+    }
+
+    /// The inverse of P, row by row `[dimension, dimension]`, rounded from double precision.
+    pub fn inverse(&self) -> &[f32] {
+        self.inverse.as_slice()
+    }
+
+    /// Projects frame-major values `[frames, dimension]` in single precision: `y = x P`.
+    ///
+    /// # Panics
+    /// Panics if these are not whole frames.
+    pub fn project(&self, frames: &[f32]) -> Vec<f32> {
+        multiply(&self.matrix, frames)
+    }
+
+    /// Brings projected values `[frames, dimension]` back in single precision: `x = y P^-1`.
+    ///
+    /// # Panics
+    /// Panics if these are not whole frames.
+    pub fn unproject(&self, frames: &[f32]) -> Vec<f32> {
+        multiply(&self.inverse, frames)
+    }
+
+    /// Largest singular value of P divided by the smallest: how much larger than the rounding of a
+    /// projected frame the error of the frame brought back may be, relative to their sizes.
+    pub fn condition_number(&self) -> f64 {
+        self.condition_number
+    }
+
+    /// Variance of each projected feature, `[dimension]`, where the features are independent and
+    /// of unit variance: `sum_i P_ij^2`.
+    pub fn variance_per_dimension(&self) -> Vec<f64> {
+        let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
+        squares.column_sum().as_slice().to_vec()
+    }
+
+    /// Share of the emphasised features in the total variance. [`relative_importance`] is what is
+    /// expected of it.
+    pub fn trajectory_share(&self) -> f64 {
+        let squares = self.matrix.clone().cast::<f64>().map(|value| value.powi(2));
+        let of_rows = squares.row_sum();
+        let emphasised: f64 = self.channels.iter().map(|&row| of_rows[row]).sum();
+        emphasised / of_rows.sum()
+    }
+}
+
+/// Share of `channels` features in the total variance of `dimension` features of unit variance
+/// when they are made `scale` times larger: `n c^2 / (D - n + n c^2)` (GMD, appendix, equation 4,
+/// there with n = 3 and D = 263).
+///
+/// # Panics
+/// Panics if there are more channels than features.
+pub fn relative_importance(scale: f64, channels: usize, dimension: usize) -> f64 {
+    channels as f64 * scale.powi(2) / total_variance(dimension, channels, scale)
+}
+
+/// Variance of all features together before it is scaled down: `D - n + n c^2`.
+fn total_variance(dimension: usize, channels: usize, scale: f64) -> f64 {
+    (dimension - channels) as f64 + channels as f64 * scale.powi(2)
+}
+
+/// The transpose of a matrix given row by row.
+fn read(matrix: &[f32], dimension: usize) -> Result<DMatrix<f64>, EmphasisError> {
+    if dimension == 0 || dimension.checked_pow(2) != Some(matrix.len()) {
+        return Err(EmphasisError::NotSquare {
+            values: matrix.len(),
+            dimension,
+        });
+    }
+    if let Some(index) = matrix.iter().position(|value| !value.is_finite()) {
+        return Err(EmphasisError::NonFinite {
+            row: index / dimension,
+            column: index % dimension,
+            found: matrix[index],
+        });
+    }
+    let values = matrix.iter().map(|&value| f64::from(value));
+    Ok(DMatrix::from_iterator(dimension, dimension, values))
+}
+
+/// Multiplies the rows of `channels`, which are columns of the transpose, by `scale`.
+fn emphasise(transposed: &mut DMatrix<f64>, scale: f64, channels: &[usize]) {
+    for &channel in channels {
+        transposed.column_mut(channel).scale_mut(scale);
+    }
+}
+
+fn multiply(transposed: &DMatrix<f32>, frames: &[f32]) -> Vec<f32> {
+    let dimension = transposed.nrows();
+    assert!(
+        frames.len().is_multiple_of(dimension),
+        "whole frames of {dimension} features"
+    );
+    let frames = nalgebra::DMatrixView::from_slice(frames, dimension, frames.len() / dimension);
+    (transposed * frames).data.into()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,189 @@
+//! How far a motion is from its goal, and in which direction it would come nearer.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Goal, GoalError, GroundTargets, Obstacle};
+
+/// How the distance from a target counts.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GuidanceNorm {
+    /// Absolute differences, p = 1 in the source: canonical.
+    #[default]
+    L1,
+    /// Squared differences, as the published demonstration has it.
+    Mse,
+}
+
+/// Settings of the [`GuidanceLoss`].
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GuidanceConfig {
+    /// How the distance from a target counts.
+    pub norm: GuidanceNorm,
+    /// Only this many frames from the first on enter the sum of distances, while the divisor counts
+    /// the targets of all frames. The published programs have 120 here; without a number all
+    /// frames enter.
+    pub frame_limit: Option<usize>,
+}
+
+/// The loss that guides a sampler towards the goals of a batch (GMD, appendix F):
+///
+/// ```text
+/// L = B / M sum_b w_b sum_n m |p - g|                        m (p - g)^2 for the squared norm
+///   + sum_b v_b / N_b sum_obstacles sum_n max(0, margin_b - d(p))
+/// ```
+///
+/// p is the ground position `[x, z]` of sample b in frame n, g its target and m 1 where it has one,
+/// M the number of values that have a target (two for each key frame) in the whole batch of B
+/// samples, d the signed distance from an obstacle, N_b the number of the goal's frames, w and v
+/// the weights of the goal. With a margin of 0 an obstacle counts by the depth in it.
+#[derive(Clone, Debug)]
+pub struct GuidanceLoss {
+    norm: GuidanceNorm,
+    frame_limit: usize,
+    frames: usize,
+    // What each term of the first sum is multiplied by, but for the sample's weight: B / M.
+    factor: f64,
+    samples: Vec<Sample>,
+}
+
+#[derive(Clone, Debug)]
+struct Sample {
+    targets: GroundTargets,
+    position_weight: f64,
+    obstacles: Vec<Obstacle>,
+    margin: f64,
+    obstacle_weight: f64,
+}
+
+impl GuidanceLoss {
+    /// The loss of a batch with one goal for each sample, whose motions have `frames` frames; those
+    /// beyond a shorter goal's own are free.
+    ///
+    /// # Errors
+    /// [`GoalError`] if [`Goal::validate`] refuses a goal, if one is longer than `frames`, or if
+    /// the limit of frames is 0.
+    pub fn new(config: &GuidanceConfig, goals: &[Goal], frames: usize) -> Result<Self, GoalError> {
+        if config.frame_limit == Some(0) {
+            return Err(GoalError::Invalid {
+                key: "frame_limit".to_owned(),
+                found: "0".to_owned(),
+                allowed: "1 or more".to_owned(),
+                hint: "leave it out to guide all frames",
+            });
+        }
+        for goal in goals {
+            goal.validate()?;
+            if goal.frames > frames {
+                return Err(GoalError::Invalid {
+                    key: "frames".to_owned(),
+                    found: goal.frames.to_string(),
+                    allowed: format!("at most {frames}, the length of the motion"),
+                    hint: "shorten the goal, or sample a longer motion",
+                });
+            }
+        }
+        let samples: Vec<Sample> = goals.iter().map(Sample::new).collect();
+        let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();
+        Ok(Self {
+            norm: config.norm,
+            frame_limit: config.frame_limit.unwrap_or(frames),
+            frames,
+            // Without a target there is no term to multiply.
+            factor: samples.len() as f64 / masked.max(1) as f64,
+            samples,
+        })
+    }
+
+    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient with respect to
+    /// them, `[batch, frames, 2]`.
+    ///
+    /// Where the loss has a kink the gradient is one of its subgradients: 0 for a coordinate that
+    /// equals its target under the absolute norm, and 0 at exactly the margin from an obstacle.
+    /// [`Obstacle::distance_and_gradient`] says which one at equal distances.
+    ///
+    /// # Panics
+    /// Panics if there are not `2 * frames` values for each goal.
+    pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
+        let width = 2 * self.frames;
+        assert_eq!(
+            positions.len(),
+            self.samples.len() * width,
+            "an x and a z for each frame of each sample"
+        );
+        let mut value = 0.0;
+        let mut gradient = vec![0.0; positions.len()];
+        for (index, sample) in self.samples.iter().enumerate() {
+            let range = index * width..(index + 1) * width;
+            let (positions, _) = positions[range.clone()].as_chunks::<2>();
+            let (gradient, _) = gradient[range].as_chunks_mut::<2>();
+            value += self.add_distances(sample, positions, gradient);
+            value += sample.add_depths(positions, gradient);
+        }
+        (value, gradient)
+    }
+
+    /// The sample's part of the first sum; its gradient is added to `gradient`.
+    fn add_distances(
+        &self,
+        sample: &Sample,
+        positions: &[[f64; 2]],
+        gradient: &mut [[f64; 2]],
+    ) -> f64 {
+        let factor = self.factor * sample.position_weight;
+        let mut value = 0.0;
+        let guided = |(frame, _): &(usize, [f64; 2])| *frame < self.frame_limit;
+        for (frame, target) in sample.targets.masked().filter(guided) {
+            for axis in 0..2 {
+                let difference = positions[frame][axis] - target[axis];
+                let (term, slope) = match self.norm {
+                    GuidanceNorm::L1 => (difference.abs(), sign(difference)),
+                    GuidanceNorm::Mse => (difference.powi(2), 2.0 * difference),
+                };
+                value += factor * term;
+                gradient[frame][axis] += factor * slope;
+            }
+        }
+        value
+    }
+}
+
+impl Sample {
+    fn new(goal: &Goal) -> Self {
+        Self {
+            targets: goal.points(),
+            position_weight: goal.weights.position,
+            obstacles: goal.obstacles.clone(),
+            margin: goal.margin,
+            obstacle_weight: goal.weights.obstacle,
+        }
+    }
+
+    /// The sample's part of the second sum; its gradient is added to `gradient`.
+    fn add_depths(&self, positions: &[[f64; 2]], gradient: &mut [[f64; 2]]) -> f64 {
+        let frames = self.targets.frames();
+        let factor = self.obstacle_weight / frames as f64;
+        let mut value = 0.0;
+        for obstacle in &self.obstacles {
+            for (position, gradient) in positions.iter().zip(gradient.iter_mut()).take(frames) {
+                let (distance, direction) = obstacle.distance_and_gradient(*position);
+                let depth = self.margin - distance;
+                // So that a position that is not a number does not pass for one in the open.
+                if depth <= 0.0 {
+                    continue;
+                }
+                value += factor * depth;
+                for axis in 0..2 {
+                    gradient[axis] -= factor * direction[axis];
+                }
+            }
+        }
+        value
+    }
+}
+
+/// -1, 0 or 1; of a value that is not a number, that value.
+fn sign(value: f64) -> f64 {
+    if value == 0.0 { 0.0 } else { value.signum() }
+}

@@ -1,0 +1,245 @@
+//! What the root shall keep out of, by signed distance.
+
+use serde::{Deserialize, Serialize};
+
+use super::GoalError;
+use super::error::{check_number, check_position};
+use super::polygon;
+
+/// A region of the ground that the root shall not enter, in metres.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Obstacle {
+    /// All points nearer than `radius` to a centre.
+    Disc {
+        /// Centre, x.
+        x: f64,
+        /// Centre, z.
+        z: f64,
+        /// Radius, positive.
+        radius: f64,
+    },
+    /// The inside of a simple polygon.
+    Polygon {
+        /// Corners `[x, z]` in order, in either direction. The first one may stand again at the
+        /// end.
+        vertices: Vec<[f64; 2]>,
+    },
+}
+
+impl Obstacle {
+    /// Distance of a point from the obstacle's edge, metres: negative inside.
+    pub fn signed_distance(&self, point: [f64; 2]) -> f64 {
+        self.distance_and_gradient(point).0
+    }
+
+    /// The [signed distance](Self::signed_distance) and its gradient, the unit vector in which it
+    /// grows.
+    ///
+    /// Where several edges are nearest the gradient is that of the first one, and on an edge it is
+    /// the edge's outward normal. In a disc's centre every direction is as good: it is +x there,
+    /// not zero, so that guidance finds a way out.
+    pub fn distance_and_gradient(&self, point: [f64; 2]) -> (f64, [f64; 2]) {
+        match self {
+            &Self::Disc { x, z, radius } => {
+                let offset = [point[0] - x, point[1] - z];
+                let distance = offset[0].hypot(offset[1]);
+                let gradient = match distance {
+                    0.0 => [1.0, 0.0],
+                    distance => offset.map(|component| component / distance),
+                };
+                (distance - radius, gradient)
+            }
+            Self::Polygon { vertices } => polygon::distance_and_gradient(vertices, point),
+        }
+    }
+
+    /// Refuses numbers that are not finite, a radius that is not positive, and polygons with fewer
+    /// than three corners or edges that touch one another. `key` names the obstacle in the error.
+    ///
+    /// # Errors
+    /// [`GoalError::Invalid`] names the first such value.
+    pub fn validate(&self, key: &str) -> Result<(), GoalError> {
+        match self {
+            &Self::Disc { x, z, radius } => {
+                check_position(|| key.to_owned(), [x, z])?;
+                check_number(
+                    || format!("{key}.radius"),
+                    radius,
+                    |radius| radius > 0.0,
+                    "a positive number of metres",
+                    "leave out an obstacle that has no size",
+                )
+            }
+            Self::Polygon { vertices } => {
+                for (index, &vertex) in vertices.iter().enumerate() {
+                    check_position(|| format!("{key}.vertices[{index}]"), vertex)?;
+                }
+                polygon::check(vertices, key)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A square of side 2 about the origin, with a notch from its upper edge to the middle.
+    fn notched() -> Obstacle {
+        let vertices = vec![
+            [-1.0, -1.0],
+            [1.0, -1.0],
+            [1.0, 1.0],
+            [0.0, 0.0],
+            [-1.0, 1.0],
+        ];
+        Obstacle::Polygon { vertices }
+    }
+
+    fn disc() -> Obstacle {
+        Obstacle::Disc {
+            x: 1.0,
+            z: -2.0,
+            radius: 0.5,
+        }
+    }
+
+    fn assert_near(found: (f64, [f64; 2]), expected: (f64, [f64; 2])) {
+        let pairs = [
+            (found.0, expected.0),
+            (found.1[0], expected.1[0]),
+            (found.1[1], expected.1[1]),
+        ];
+        assert!(
+            pairs.iter().all(|(a, b)| (a - b).abs() < 1e-12),
+            "{found:?} instead of {expected:?}"
+        );
+    }
+
+    #[test]
+    fn a_disc_is_left_along_its_radius() {
+        let at = |point| disc().distance_and_gradient(point);
+        assert_near(at([4.0, 2.0]), (4.5, [0.6, 0.8]));
+        assert_near(at([1.0, -2.25]), (-0.25, [0.0, -1.0]));
+        assert_near(at([1.0, -2.0]), (-0.5, [1.0, 0.0]));
+    }
+
+    #[test]
+    fn a_polygon_is_left_over_its_nearest_edge() {
+        let root = 0.5f64.sqrt();
+        for obstacle in [notched(), reversed(notched())] {
+            let at = |point| obstacle.distance_and_gradient(point);
+            assert_near(at([0.5, -3.0]), (2.0, [0.0, -1.0]));
+            assert_near(at([0.5, -0.75]), (-0.25, [0.0, 1.0 - 2.0]));
+            assert_near(at([4.0, -5.0]), (5.0, [0.6, -0.8]));
+            // In the notch, but inside the hull.
+            assert_near(at([0.1, 0.9]), (0.8 * root, [-root, root]));
+            // Inside, a reflex corner is nearest.
+            assert_near(at([0.0, -0.25]), (-0.25, [0.0, 1.0]));
+            // On an edge and beyond a corner of it.
+            assert_near(at([0.25, -1.0]), (0.0, [0.0, -1.0]));
+            assert_near(at([0.5, 0.5]), (0.0, [-root, root]));
+        }
+    }
+
+    fn reversed(obstacle: Obstacle) -> Obstacle {
+        match obstacle {
+            Obstacle::Polygon { mut vertices } => {
+                vertices.reverse();
+                Obstacle::Polygon { vertices }
+            }
+            disc => disc,
+        }
+    }
+
+    #[test]
+    fn obstacles_read_by_kind_and_refuse_unknown_keys() {
+        let read = |json: &str| serde_json::from_str::<Obstacle>(json);
+        let found = read(r#"{"kind": "disc", "x": 1, "z": -2.0, "radius": 0.5}"#).unwrap();
+        assert_eq!(found, disc());
+        let json = serde_json::to_string(&notched()).unwrap();
+        assert_eq!(read(&json).unwrap(), notched());
+        assert!(read(r#"{"kind": "disc", "x": 1, "z": 2, "radius": 1, "y": 0}"#).is_err());
+        assert!(read(r#"{"kind": "polygon", "vertices": [], "radius": 1}"#).is_err());
+        assert!(read(r#"{"kind": "disc", "x": 1, "z": 2}"#).is_err());
+        assert!(read(r#"{"kind": "box", "x": 1, "z": 2}"#).is_err());
+        assert!(read(r#"{"x": 1, "z": 2, "radius": 1}"#).is_err());
+    }
+
+    #[test]
+    fn shapes_without_an_inside_are_refused() {
+        let message =
+            |obstacle: Obstacle| obstacle.validate("obstacle[3]").unwrap_err().to_string();
+        let disc = |x, radius| Obstacle::Disc { x, z: 0.0, radius };
+        assert_eq!(
+            message(disc(0.0, -1.0)),
+            "`obstacle[3].radius` is -1, allowed: a positive number of metres"
+        );
+        assert!(message(disc(f64::NAN, 1.0)).starts_with("`obstacle[3].x` is NaN"));
+        assert!(message(disc(0.0, f64::INFINITY)).contains("radius"));
+        let polygon = |vertices: &[[f64; 2]]| Obstacle::Polygon {
+            vertices: vertices.to_vec(),
+        };
+        let (a, b, c, d) = ([0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]);
+        for few in [&[][..], &[a, b], &[a, b, a], &[a, a, b, b, a]] {
+            assert!(
+                message(polygon(few)).contains("distinct corners"),
+                "{few:?}"
+            );
+        }
+        let middle = [1.0, 0.0];
+        for crossing in [
+            &[a, c, b, d][..],
+            &[a, b, middle],
+            &[a, b, c, middle, d],
+            &[a, b, c, a, d, [-1.0, 1.0]],
+            &[a, [3.0, 0.0], b, c],
+        ] {
+            assert!(message(polygon(crossing)).contains("cross"), "{crossing:?}");
+        }
+        assert!(message(polygon(&[a, [1.0, f64::NAN], c])).contains("vertices[1].z"));
+        // A first corner that stands again at the end, or twice in a row, harms nothing; nor does
+        // a corner that bends nothing.
+        for good in [&[a, b, c][..], &[a, b, b, c, d, a], &[a, middle, b, c]] {
+            polygon(good).validate("obstacle[3]").unwrap();
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn gradients_are_those_of_the_distance(x in -3.0..3.0f64, z in -3.0..3.0f64, round: bool) {
+            let obstacle = if round { disc() } else { notched() };
+            let (distance, gradient) = obstacle.distance_and_gradient([x, z]);
+            // Half a step to each side stays on one side of a tie, mostly; the distance never
+            // changes by more than the step.
+            let step = 1e-6;
+            let numeric = [[step, 0.0], [0.0, step]].map(|[dx, dz]| {
+                let ahead = obstacle.signed_distance([x + dx, z + dz]);
+                (ahead - obstacle.signed_distance([x - dx, z - dz])) / (2.0 * step)
+            });
+            prop_assert!((gradient[0].hypot(gradient[1]) - 1.0).abs() < 1e-9);
+            // Walking against the gradient arrives at the edge: exactness of both.
+            let edge = [x - distance * gradient[0], z - distance * gradient[1]];
+            prop_assert!(obstacle.signed_distance(edge).abs() < 1e-9);
+            let smooth = (numeric[0].hypot(numeric[1]) - 1.0).abs() < 1e-4;
+            if smooth {
+                prop_assert!((numeric[0] - gradient[0]).abs() < 1e-3);
+                prop_assert!((numeric[1] - gradient[1]).abs() < 1e-3);
+            }
+        }
+
+        #[test]
+        fn direction_and_first_corner_do_not_matter(
+            x in -3.0..3.0f64, z in -3.0..3.0f64, turn in 0usize..5,
+        ) {
+            let Obstacle::Polygon { mut vertices } = notched() else { unreachable!() };
+            vertices.rotate_left(turn);
+            let turned = reversed(Obstacle::Polygon { vertices });
+            let difference = turned.signed_distance([x, z]) - notched().signed_distance([x, z]);
+            prop_assert!(difference.abs() < 1e-12);
+        }
+    }
+}

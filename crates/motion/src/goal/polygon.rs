@@ -1,0 +1,124 @@
+//! Plane geometry of simple polygons: signed distance, and which polygons are simple.
+
+use super::GoalError;
+
+/// The edges of a closed polygon without those of no length.
+fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + Clone {
+    let after = vertices.iter().cycle().skip(1);
+    let edges = vertices.iter().zip(after);
+    edges.filter(|(a, b)| a != b).map(|(a, b)| (*a, *b))
+}
+
+/// Signed distance of a point from a simple polygon's edge, negative inside, and its gradient. A
+/// polygon without edges is nowhere: infinitely far in no direction.
+pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (f64, [f64; 2]) {
+    let mut inside = false;
+    let mut nearest = (f64::INFINITY, [0.0; 2], [0.0; 2]);
+    for (a, b) in edges(vertices) {
+        let along = minus(b, a);
+        let share = dot(minus(point, a), along) / dot(along, along);
+        let share = share.clamp(0.0, 1.0);
+        let closest = [a[0] + share * along[0], a[1] + share * along[1]];
+        let offset = minus(point, closest);
+        let distance = offset[0].hypot(offset[1]);
+        // A point that is not a number has a distance that is none.
+        if distance < nearest.0 || distance.is_nan() {
+            nearest = (distance, offset, along);
+        }
+        // A ray from the point in +x enters or leaves where it crosses an edge.
+        if (a[1] > point[1]) != (b[1] > point[1]) {
+            let crossing = a[0] + (point[1] - a[1]) / along[1] * along[0];
+            inside ^= point[0] < crossing;
+        }
+    }
+    let (distance, offset, along) = nearest;
+    if distance == 0.0 {
+        // To the right of an edge of a polygon that runs anticlockwise (x to z).
+        let length = along[0].hypot(along[1]).copysign(doubled_area(vertices));
+        return (0.0, [along[1] / length, -along[0] / length]);
+    }
+    let sign = if inside { -1.0 } else { 1.0 };
+    let gradient = offset.map(|component| sign * component / distance);
+    (sign * distance, gradient)
+}
+
+/// Twice the area, positive where the corners run from +x towards +z.
+fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
+    edges(vertices).map(|(a, b)| cross(a, b)).sum()
+}
+
+/// Refuses a polygon with fewer than three distinct corners and one whose edges touch one another
+/// elsewhere than at the corners that they share.
+pub(super) fn check(vertices: &[[f64; 2]], key: &str) -> Result<(), GoalError> {
+    let key = || format!("{key}.vertices");
+    let edges: Vec<_> = edges(vertices).collect();
+    let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();
+    corners.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    corners.dedup();
+    if corners.len() < 3 {
+        return Err(GoalError::Invalid {
+            key: key(),
+            found: format!("a list of {} distinct corners", corners.len()),
+            allowed: "three or more".to_owned(),
+            hint: "name the corners in order around the obstacle, or use the kind `disc`",
+        });
+    }
+    for (i, &first) in edges.iter().enumerate() {
+        for (distance, &second) in edges[i + 1..].iter().enumerate() {
+            let j = i + 1 + distance;
+            let touches = if distance == 0 {
+                folds_back(first, second)
+            } else if (j + 1) % edges.len() == i {
+                folds_back(second, first)
+            } else {
+                intersect(first, second)
+            };
+            if touches {
+                return Err(GoalError::Invalid {
+                    key: key(),
+                    found: format!(
+                        "a line whose edges from {:?} and from {:?} cross or touch",
+                        first.0, second.0
+                    ),
+                    allowed: "a line that meets itself nowhere".to_owned(),
+                    hint: "name the corners in order around the obstacle; split a shape with \
+                           several parts into several obstacles",
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether the second edge, which begins where the first one ends, runs back over it.
+fn folds_back((a, b): ([f64; 2], [f64; 2]), (_, c): ([f64; 2], [f64; 2])) -> bool {
+    let (first, second) = (minus(b, a), minus(c, b));
+    cross(first, second) == 0.0 && dot(first, second) < 0.0
+}
+
+/// Whether two edges have a point in common.
+fn intersect((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> bool {
+    let side = |from: [f64; 2], to: [f64; 2], point| cross(minus(to, from), minus(point, from));
+    let (c_side, d_side) = (side(a, b, c), side(a, b, d));
+    let (a_side, b_side) = (side(c, d, a), side(c, d, b));
+    let within = |from: [f64; 2], to: [f64; 2], point: [f64; 2]| {
+        (0..2).all(|i| from[i].min(to[i]) <= point[i] && point[i] <= from[i].max(to[i]))
+    };
+    (c_side * d_side < 0.0 && a_side * b_side < 0.0)
+        || (c_side == 0.0 && within(a, b, c))
+        || (d_side == 0.0 && within(a, b, d))
+        || (a_side == 0.0 && within(c, d, a))
+        || (b_side == 0.0 && within(c, d, b))
+}
+
+fn minus(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] - b[0], a[1] - b[1]]
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}

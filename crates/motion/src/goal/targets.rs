@@ -1,0 +1,176 @@
+//! Where the root shall be, frame by frame.
+
+use super::Keyframe;
+
+/// Channels of the trajectory model, in its order: root rotation, x, z, height.
+pub const TRAJECTORY_CHANNELS: usize = 4;
+/// The x channel, of the trajectory model as of a motion's features.
+pub const GROUND_X: usize = 1;
+/// The z channel, of the trajectory model as of a motion's features.
+pub const GROUND_Z: usize = 2;
+
+/// Ground positions in metres for some frames of a clip.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroundTargets {
+    targets: Vec<Option<[f64; 2]>>,
+}
+
+impl GroundTargets {
+    /// The key frames alone, in a clip of `frames` frames. Of two for one frame the last counts.
+    ///
+    /// # Panics
+    /// Panics if a key frame lies outside of the clip.
+    pub fn points(keyframes: &[Keyframe], frames: usize) -> Self {
+        let mut targets = vec![None; frames];
+        for keyframe in keyframes {
+            targets[keyframe.frame] = Some(keyframe.position());
+        }
+        Self { targets }
+    }
+
+    /// The key frames and straight lines between them, walked at even speed, beginning at the
+    /// origin in frame 0. Frames after the last key frame have no target.
+    ///
+    /// Where frame 0 is no key frame, the line from the origin to the first one is asked for like
+    /// any other; where it is one, it need not be at the origin.
+    ///
+    /// # Panics
+    /// Panics if a key frame lies outside of the clip.
+    pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
+        let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
+        ordered.sort_by_key(|keyframe| keyframe.frame);
+        let mut line = Self::points(keyframes, frames);
+        let (mut first, mut from) = (0, [0.0; 2]);
+        for keyframe in ordered {
+            let to = keyframe.position();
+            let steps = (keyframe.frame - first) as f64;
+            for frame in first..keyframe.frame {
+                let share = (frame - first) as f64 / steps;
+                line.targets[frame] = Some([0, 1].map(|i| from[i] + (to[i] - from[i]) * share));
+            }
+            (first, from) = (keyframe.frame, to);
+        }
+        line
+    }
+
+    /// A position for each frame from `first_frame` on.
+    ///
+    /// # Panics
+    /// Panics if the positions reach beyond the clip.
+    pub fn trajectory(positions: &[[f64; 2]], first_frame: usize, frames: usize) -> Self {
+        let mut targets = vec![None; frames];
+        for (target, &position) in targets[first_frame..][..positions.len()]
+            .iter_mut()
+            .zip(positions)
+        {
+            *target = Some(position);
+        }
+        Self { targets }
+    }
+
+    /// Number of frames of the clip.
+    pub fn frames(&self) -> usize {
+        self.targets.len()
+    }
+
+    /// The target `[x, z]` of each frame, where it has one.
+    pub fn positions(&self) -> &[Option<[f64; 2]>] {
+        &self.targets
+    }
+
+    /// The frames that have a target, each with its target `[x, z]`.
+    pub fn masked(&self) -> impl Iterator<Item = (usize, [f64; 2])> + Clone {
+        let targets = self.targets.iter().enumerate();
+        targets.filter_map(|(frame, target)| target.map(|target| (frame, target)))
+    }
+
+    /// Which values of the trajectory model's channels are given, `[4, frames]`: x and z of the
+    /// frames that have a target.
+    pub fn channel_mask(&self) -> Vec<bool> {
+        self.channels(|channel, target| target.is_some() && [GROUND_X, GROUND_Z].contains(&channel))
+    }
+
+    /// The targets as values of the trajectory model's channels, `[4, frames]`, in metres; zero
+    /// where nothing is given.
+    pub fn motion_space(&self) -> Vec<f32> {
+        self.channels(|channel, target| value(channel, target) as f32)
+    }
+
+    /// [`motion_space`](Self::motion_space) normalised, `(value - mean) / std`. Where nothing is
+    /// given a normalised zero stands, which means nothing.
+    pub fn model_space(
+        &self,
+        mean: &[f64; TRAJECTORY_CHANNELS],
+        std: &[f64; TRAJECTORY_CHANNELS],
+    ) -> Vec<f32> {
+        self.channels(|channel, target| {
+            ((value(channel, target) - mean[channel]) / std[channel]) as f32
+        })
+    }
+
+    /// Channel-major values `[4, frames]`.
+    fn channels<T>(&self, value: impl Fn(usize, Option<[f64; 2]>) -> T) -> Vec<T> {
+        let of_channel = |channel| self.targets.iter().map(move |target| (channel, *target));
+        let places = (0..TRAJECTORY_CHANNELS).flat_map(of_channel);
+        places
+            .map(|(channel, target)| value(channel, target))
+            .collect()
+    }
+}
+
+fn value(channel: usize, target: Option<[f64; 2]>) -> f64 {
+    match (channel, target) {
+        (GROUND_X, Some([x, _])) => x,
+        (GROUND_Z, Some([_, z])) => z,
+        _ => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keyframe(frame: usize, x: f64, z: f64) -> Keyframe {
+        Keyframe { frame, x, z }
+    }
+
+    #[test]
+    fn the_line_begins_at_the_origin_and_ends_at_the_last_key_frame() {
+        // Unsorted on purpose.
+        let keyframes = [keyframe(4, 1.0, 3.0), keyframe(2, 1.0, -1.0)];
+        let line = GroundTargets::point_to_point(&keyframes, 7);
+        let expected = [
+            Some([0.0, 0.0]),
+            Some([0.5, -0.5]),
+            Some([1.0, -1.0]),
+            Some([1.0, 1.0]),
+            Some([1.0, 3.0]),
+            None,
+            None,
+        ];
+        assert_eq!(line.positions(), expected);
+        let points = GroundTargets::points(&keyframes, 7);
+        let masked: Vec<_> = points.masked().collect();
+        assert_eq!(masked, [(2, [1.0, -1.0]), (4, [1.0, 3.0])]);
+    }
+
+    #[test]
+    fn a_key_frame_in_frame_0_needs_no_line() {
+        let line = GroundTargets::point_to_point(&[keyframe(0, 2.0, 1.0)], 3);
+        assert_eq!(line.positions(), [Some([2.0, 1.0]), None, None]);
+        let keyframes = [keyframe(0, 2.0, 0.0), keyframe(2, 0.0, 0.0)];
+        let line = GroundTargets::point_to_point(&keyframes, 3);
+        assert_eq!(line.positions()[1], Some([1.0, 0.0]));
+    }
+
+    #[test]
+    fn targets_fill_two_of_four_channels() {
+        let targets = GroundTargets::trajectory(&[[1.0, 2.0]], 1, 2);
+        let (t, f) = (true, false);
+        assert_eq!(targets.channel_mask(), [f, f, f, t, f, t, f, f]);
+        let expected = [0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 0.0];
+        assert_eq!(targets.motion_space(), expected);
+        let model = targets.model_space(&[1.0, 1.0, 0.0, 0.5], &[2.0, 1.0, 4.0, 1.0]);
+        assert_eq!(model, [-0.5, -0.5, -1.0, 0.0, 0.0, 0.5, -0.5, -0.5]);
+    }
+}

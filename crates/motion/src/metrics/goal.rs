@@ -1,0 +1,293 @@
+//! Did the motion reach its goal, and at what cost?
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{FeatureMoments, JointTracks, feature_diversity, frechet_distance};
+use crate::goal::Goal;
+
+/// One generated motion and what was asked of it.
+#[derive(Clone, Copy, Debug)]
+pub struct GoalSample<'a> {
+    /// What was asked.
+    pub goal: &'a Goal,
+    /// Ground positions `[x, z]` of the root, one for each frame of the goal or more, metres.
+    pub ground: &'a [[f64; 2]],
+    /// The body, if it is known.
+    pub joints: Option<JointTracks<'a>>,
+}
+
+/// Distance in metres of the root from each position that the goal asks for, key frames or
+/// trajectory, in the order of frames.
+///
+/// # Panics
+/// Panics if the motion is shorter than the goal, or [`Goal::validate`] would refuse a frame.
+pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
+    let distance = |(frame, [x, z]): (usize, [f64; 2])| {
+        let [there_x, there_z] = ground[frame];
+        (there_x - x).hypot(there_z - z)
+    };
+    goal.points().masked().map(distance).collect()
+}
+
+/// Number of the goal's frames in which the root is inside of an obstacle; the margin does not
+/// count.
+///
+/// # Panics
+/// Panics if the motion is shorter than the goal.
+pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
+    let inside = |position: &&[f64; 2]| {
+        let mut obstacles = goal.obstacles.iter();
+        obstacles.any(|obstacle| obstacle.signed_distance(**position) < 0.0)
+    };
+    ground[..goal.frames].iter().filter(inside).count()
+}
+
+/// How generated motions reach their goals and how they look meanwhile.
+///
+/// A metric that cannot be computed, for want of key frames, obstacles, joints or features, or
+/// because a value is not finite, is `None`. The two thresholds are the ones in use in the field.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct GoalReport {
+    /// Number of motions.
+    pub samples: usize,
+    /// Number of positions that were asked for.
+    pub keyframes: usize,
+    /// Share of the motions with key frames of which one or more is missed by more than 20 cm.
+    pub trajectory_error_20cm: Option<f64>,
+    /// Share of the motions with key frames of which one or more is missed by more than 50 cm.
+    pub trajectory_error_50cm: Option<f64>,
+    /// Share of all motions' key frames that are missed by more than 20 cm.
+    pub location_error_20cm: Option<f64>,
+    /// Share of all motions' key frames that are missed by more than 50 cm.
+    pub location_error_50cm: Option<f64>,
+    /// Mean distance from all motions' key frames, metres.
+    pub average_error: Option<f64>,
+    /// Mean over motions of [`JointTracks::skating_ratio`].
+    pub foot_skating: Option<f64>,
+    /// Mean over motions of [`JointTracks::mean_jerk`], metres per second cubed.
+    pub jerk: Option<f64>,
+    /// Share of the frames of all motions with obstacles in which the root is inside of one.
+    pub inside_obstacles: Option<f64>,
+    /// [`feature_diversity`], once [`with_features`](Self::with_features) has seen them.
+    pub diversity: Option<f64>,
+    /// [`frechet_distance`] from real motion, once [`with_features`](Self::with_features) has seen
+    /// the features of both.
+    pub frechet_distance: Option<f64>,
+}
+
+impl GoalReport {
+    /// Measures motions. `feet` are the joints of the toes.
+    ///
+    /// # Panics
+    /// Panics if a motion is shorter than its goal, if [`Goal::validate`] would refuse a frame, or
+    /// if a foot is not among the joints.
+    pub fn compute(samples: &[GoalSample], feet: &[usize]) -> Self {
+        let distances: Vec<Vec<f64>> = samples
+            .iter()
+            .map(|sample| keyframe_distances(sample.goal, sample.ground))
+            .filter(|distances| !distances.is_empty())
+            .collect();
+        let all: Vec<f64> = distances.concat();
+        let finite = all.iter().all(|distance| distance.is_finite());
+        let missed_motions = |threshold: f64| {
+            let missed = |of: &&Vec<f64>| of.iter().any(|distance| *distance > threshold);
+            share(distances.iter().filter(missed).count(), distances.len()).filter(|_| finite)
+        };
+        let missed_keyframes = |threshold: f64| {
+            let missed = all.iter().filter(|distance| **distance > threshold);
+            share(missed.count(), all.len()).filter(|_| finite)
+        };
+        let bodies = || samples.iter().filter_map(|sample| sample.joints);
+        let among_obstacles = || samples.iter().filter(|s| !s.goal.obstacles.is_empty());
+        let ground =
+            |sample: &GoalSample| sample.ground[..sample.goal.frames].as_flattened().to_vec();
+        let known = among_obstacles().flat_map(ground).all(f64::is_finite);
+        let inside = among_obstacles().map(|s| inside_obstacles(s.goal, s.ground));
+        let frames = among_obstacles().map(|s| s.goal.frames);
+        Self {
+            samples: samples.len(),
+            keyframes: all.len(),
+            trajectory_error_20cm: missed_motions(0.2),
+            trajectory_error_50cm: missed_motions(0.5),
+            location_error_20cm: missed_keyframes(0.2),
+            location_error_50cm: missed_keyframes(0.5),
+            average_error: mean(all.iter().copied().map(Some)),
+            foot_skating: mean(bodies().map(|joints| joints.skating_ratio(feet))),
+            jerk: mean(bodies().map(|joints| joints.mean_jerk())),
+            inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| known),
+            diversity: None,
+            frechet_distance: None,
+        }
+    }
+
+    /// Adds what feature vectors `[n, features]` of the generated motions and of real ones tell:
+    /// the diversity over `pairs` pairs drawn from `seed`, and the Fréchet distance.
+    ///
+    /// # Panics
+    /// Panics if the vectors differ in length.
+    #[must_use]
+    pub fn with_features(
+        mut self,
+        generated: &[Vec<f64>],
+        real: &[Vec<f64>],
+        pairs: usize,
+        seed: u64,
+    ) -> Self {
+        self.diversity = feature_diversity(generated, pairs, seed);
+        let moments = FeatureMoments::compute(generated).zip(FeatureMoments::compute(real));
+        self.frechet_distance =
+            moments.map(|(generated, real)| frechet_distance(&generated, &real));
+        self
+    }
+
+    /// The metrics in the order in which they print, each with its name and unit.
+    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 10] {
+        [
+            ("trajectory error, 20 cm", self.trajectory_error_20cm, ""),
+            ("trajectory error, 50 cm", self.trajectory_error_50cm, ""),
+            ("location error, 20 cm", self.location_error_20cm, ""),
+            ("location error, 50 cm", self.location_error_50cm, ""),
+            ("average error", self.average_error, " m"),
+            ("foot skating", self.foot_skating, ""),
+            ("mean jerk", self.jerk, " m/s^3"),
+            ("inside obstacles", self.inside_obstacles, ""),
+            ("diversity", self.diversity, ""),
+            ("Fréchet distance", self.frechet_distance, ""),
+        ]
+    }
+}
+
+impl fmt::Display for GoalReport {
+    /// One line for each metric that could be computed.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} motions, {} key frames", self.samples, self.keyframes)?;
+        for (name, value, unit) in self.rows() {
+            if let Some(value) = value {
+                write!(f, "\n{name:<24} {value:>9.4}{unit}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+/// The mean; `None` of nothing, and where a value is missing or not finite.
+fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values: Vec<f64> = values.collect::<Option<_>>()?;
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    mean.is_finite().then_some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::goal::{Keyframe, Obstacle};
+
+    fn goal(frames: usize, keyframes: &[(usize, f64, f64)]) -> Goal {
+        let mut goal = Goal::new(frames);
+        let keyframe = |&(frame, x, z): &(usize, f64, f64)| Keyframe { frame, x, z };
+        goal.keyframes = keyframes.iter().map(keyframe).collect();
+        goal
+    }
+
+    fn sample<'a>(goal: &'a Goal, ground: &'a [[f64; 2]]) -> GoalSample<'a> {
+        GoalSample {
+            goal,
+            ground,
+            joints: None,
+        }
+    }
+
+    #[test]
+    fn misses_count_by_motion_and_by_key_frame() {
+        let still = [[0.0; 2]; 4];
+        // Missed by 0.1 m and 0.5 m exactly; by 0.3 m; by 0.6, 0 and 0 m.
+        let goals = [
+            goal(4, &[(3, 0.3, 0.4), (0, 0.1, 0.0)]),
+            goal(2, &[(1, 0.0, -0.3)]),
+            goal(4, &[(0, 0.6, 0.0), (1, 0.0, 0.0), (2, 0.0, 0.0)]),
+            goal(4, &[]),
+        ];
+        assert_eq!(keyframe_distances(&goals[0], &still), [0.1, 0.5]);
+        let samples: Vec<_> = goals.iter().map(|goal| sample(goal, &still)).collect();
+        let report = GoalReport::compute(&samples, &[]);
+        assert_eq!((report.samples, report.keyframes), (4, 6));
+        assert_eq!(report.trajectory_error_20cm, Some(1.0));
+        assert_eq!(report.trajectory_error_50cm, Some(1.0 / 3.0));
+        assert_eq!(report.location_error_20cm, Some(0.5));
+        assert_eq!(report.location_error_50cm, Some(1.0 / 6.0));
+        assert!((report.average_error.unwrap() - 1.5 / 6.0).abs() < 1e-12);
+        assert_eq!(report.inside_obstacles, None);
+        assert_eq!((report.foot_skating, report.jerk), (None, None));
+        assert_eq!(report.diversity, None);
+    }
+
+    #[test]
+    fn frames_inside_of_any_obstacle_count_once() {
+        let mut goal = goal(4, &[]);
+        let disc = |x, radius| Obstacle::Disc { x, z: 0.0, radius };
+        goal.obstacles = vec![disc(0.0, 1.0), disc(0.5, 1.0)];
+        goal.margin = 3.0;
+        let ground = [[0.2, 0.0], [1.4, 0.0], [1.5, 0.0], [9.0, 0.0], [0.0, 0.0]];
+        assert_eq!(inside_obstacles(&goal, &ground), 2);
+        let free = Goal::new(4);
+        let samples = [sample(&goal, &ground), sample(&free, &ground)];
+        let report = GoalReport::compute(&samples, &[]);
+        assert_eq!(report.inside_obstacles, Some(0.5));
+        assert_eq!(report.location_error_20cm, None);
+        let broken = [[f64::NAN, 0.0]; 4];
+        let report = GoalReport::compute(&[sample(&goal, &broken)], &[]);
+        assert_eq!(report.inside_obstacles, None);
+    }
+
+    #[test]
+    fn broken_positions_have_no_errors() {
+        let goal = goal(2, &[(1, 0.0, 0.0)]);
+        let ground = [[0.0; 2], [f64::NAN, 0.0]];
+        let report = GoalReport::compute(&[sample(&goal, &ground)], &[]);
+        assert_eq!(report.keyframes, 1);
+        assert_eq!(report.average_error, None);
+        assert_eq!(report.trajectory_error_50cm, None);
+        assert_eq!(report.location_error_50cm, None);
+    }
+
+    #[test]
+    fn bodies_and_features_enter_the_report() {
+        let goal = goal(4, &[(0, 0.0, 0.0)]);
+        // One joint that slides by 1 m in each frame, at 2 frames per second.
+        let track: Vec<_> = (0..4).map(|t| [f64::from(t), 0.0, 0.0]).collect();
+        let joints = Some(JointTracks::new(&track, 1, 2.0));
+        let ground = [[0.0; 2]; 4];
+        let sliding = GoalSample {
+            joints,
+            ..sample(&goal, &ground)
+        };
+        let stand = [[0.0; 3]; 4];
+        let standing = GoalSample {
+            joints: Some(JointTracks::new(&stand, 1, 2.0)),
+            ..sliding
+        };
+        let report = GoalReport::compute(&[sliding, standing, sample(&goal, &ground)], &[0]);
+        assert_eq!(report.foot_skating, Some(0.5));
+        assert_eq!(report.jerk, Some(0.0));
+        let features = |shift: f64| vec![vec![shift], vec![shift + 2.0]];
+        let report = report.with_features(&features(0.0), &features(3.0), 9, 0);
+        assert_eq!(report.diversity, Some(2.0));
+        assert!((report.frechet_distance.unwrap() - 9.0).abs() < 1e-9);
+        let json = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<GoalReport>(&json).unwrap(), report);
+        let printed = report.to_string();
+        assert!(printed.starts_with("3 motions, 3 key frames\n"));
+        assert!(
+            printed.contains("\nfoot skating                0.5000\n"),
+            "{printed}"
+        );
+        assert!(!printed.contains("obstacles"));
+    }
+}

@@ -1,0 +1,93 @@
+//! What a recipe's paper says, beneath what a config says.
+
+use toml::{Table, Value};
+
+/// Of both models (Guided Motion Diffusion, table D.1 and appendix E and F; golden README, sections
+/// 1.1 and 2.1).
+const GMD: &str = r#"
+[data]
+kind = "humanml3d"
+target_frames = 196
+[model]
+kind = "gmd_unet"
+[diffusion]
+beta_schedule = "cosine"
+beta_min = 0.0
+beta_max = 0.999
+loss_type = "mse"
+cond_drop_prob = 0.1
+[optim]
+learning_rate = 1e-4
+weight_decay = 1e-2
+warmup_steps = 0
+lr_schedule = "constant"
+[ema]
+decay = 0.9999
+update_every = 1
+inv_gamma = 0.0
+[sampling.sampler]
+kind = "ddpm"
+num_inference_steps = 1000
+guidance_scale = 2.5
+"#;
+
+const GMD_MOTION: &str = r#"
+[data]
+batch_size = 64
+[model]
+size = "gmd_motion"
+[diffusion]
+prediction_type = "sample"
+[emphasis]
+kind = "gaussian"
+[train]
+max_steps = 500000
+[sampling]
+clip = "none"
+"#;
+
+const GMD_TRAJECTORY: &str = r#"
+[data]
+batch_size = 512
+[model]
+size = "gmd_trajectory"
+[diffusion]
+prediction_type = "epsilon"
+[emphasis]
+kind = "none"
+[train]
+max_steps = 62500
+[sampling]
+clip = "six"
+"#;
+
+/// The defaults of the recipe that `config` names, where they are not those of the tables.
+pub(super) fn of_recipe(config: &Table) -> Option<Table> {
+    let recipe = config.get("train")?.get("recipe")?.as_str()?;
+    let own = match recipe {
+        "gmd_motion" => GMD_MOTION,
+        "gmd_trajectory" => GMD_TRAJECTORY,
+        _ => return None,
+    };
+    let parse = |text: &str| text.parse::<Table>().expect("text of this file");
+    let mut table = parse(GMD);
+    lay_over(&mut table, parse(own));
+    // A named network brings its own sizes.
+    let kind = config.get("model").and_then(|model| model.get("kind"));
+    if kind.and_then(Value::as_str) == Some("mdm_transformer") {
+        lay_over(&mut table, parse("[model]\nsize = \"mdm\""));
+    }
+    Some(table)
+}
+
+/// Puts the values of `above` into `table`, table by table.
+pub(super) fn lay_over(table: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! The table `sampling.steering`: how a draw is led to its goal.
+
+use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
+use serde::{Deserialize, Serialize};
+
+use super::ConfigError;
+use crate::Error;
+
+/// How a draw is led to its goal (Guided Motion Diffusion, appendix F).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SteeringConfig {
+    /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
+    pub scale: f64,
+    /// Whether known positions are put into the draw.
+    pub imputation: bool,
+    /// The loss whose gradient guides.
+    pub guidance: GuidanceConfig,
+    /// Which positions act at which timesteps.
+    pub schedule: GuidanceSchedule,
+}
+
+impl Default for SteeringConfig {
+    fn default() -> Self {
+        Self {
+            scale: 100.0,
+            imputation: true,
+            guidance: GuidanceConfig::default(),
+            schedule: GuidanceSchedule::default(),
+        }
+    }
+}
+
+impl SteeringConfig {
+    /// Refuses what no draw can be led by.
+    ///
+    /// # Errors
+    /// Names the first key with a bad value.
+    pub fn validate(&self) -> Result<(), Error> {
+        if !(self.scale >= 0.0 && self.scale.is_finite()) {
+            let key = "sampling.steering.scale";
+            return Err(ConfigError::range(key, self.scale, "0 or more").into());
+        }
+        Ok(self.schedule.validate()?)
+    }
+}

@@ -1,0 +1,2 @@
+"""The denoisers of Guided Motion Diffusion and of its transformer baseline in PyTorch, for
+comparison."""

@@ -1,0 +1,29 @@
+//! Networks described by golden files of Guided Motion Diffusion, which say their sizes by their
+//! weights' shapes alone.
+
+use kinegrad_models::gmd::GmdUnetConfig;
+
+use crate::golden::Golden;
+
+/// The UNet whose weights stand under `prefix`.
+///
+/// # Panics
+/// Panics if they are not those of one.
+pub fn unet(golden: &Golden, prefix: &str) -> GmdUnetConfig {
+    let size = |name: &str, axis: usize| golden.get(&format!("{prefix}{name}")).shape[axis];
+    let adagn = golden.has(&format!("{prefix}downs.0.0.blocks.0.block1.0.weight"));
+    let half = if adagn { "block1" } else { "block" };
+    let first = |level: usize| format!("downs.{level}.0.blocks.0.{half}.0.weight");
+    let latent_dim = size("time_mlp.2.weight", 0);
+    let levels = (0..).take_while(|&level| golden.has(&format!("{prefix}{}", first(level))));
+    GmdUnetConfig {
+        in_channels: size(&first(0), 1),
+        cond_dim: size("time_mlp.0.weight", 1),
+        latent_dim,
+        dim_mults: levels
+            .map(|level| size(&first(level), 0) as f64 / latent_dim as f64)
+            .collect(),
+        adagn,
+        zero_init: true,
+    }
+}
