@@ -1,6 +1,5 @@
 //! One clip: its features and its captions, read from the layout of HumanML3D.
 
-use std::io::Write;
 use std::path::Path;
 
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
@@ -8,7 +7,7 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use crate::files::Files;
 use crate::library::{Origin, Reading};
 use crate::listing::Expected;
-use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
+use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
 
 use super::config::SkeletonName;
 use super::embeddings::{EMBEDDING_CHANNELS, Embeddings};
