@@ -18,7 +18,7 @@ use tokio::sync::Semaphore;
 
 use super::client::{client_options, no_retries};
 use super::gcs::{self, GcsUploader};
-use super::{Object, StoreError, middle};
+use super::{Object, StoreError};
 use crate::layout::check_path;
 use crate::location::Service;
 use crate::{Counters, Error, StoreConfig};
