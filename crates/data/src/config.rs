@@ -10,7 +10,8 @@ use crate::{Error, Humanml3dConfig};
 /// Fewest frames a sample may have: the third difference of the jerk check needs four.
 pub const MIN_FRAMES: usize = 4;
 
-/// Where the phrases come from and how batches are made of them.
+/// Where the phrases come from and how batches are made of them. What is said of phrases holds for
+/// [clips](crate::humanml) as well, where nothing else is said.
 ///
 /// Defaults follow CC-MotionGen, sections 6.1 and 6.3 (120 frames, batches of 32, four workers).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -24,7 +24,7 @@ pub struct LoaderReport {
     pub samples: u64,
     /// Seconds that the trainer waited for them.
     pub wait_seconds: f64,
-    /// Phrases found in memory.
+    /// Phrases or clips found in memory.
     pub memory_hits: u64,
     /// Files found in the disk cache.
     pub disk_hits: u64,

@@ -77,7 +77,8 @@ impl Loader {
     /// the embedding of a caption as the condition.
     ///
     /// # Panics
-    /// As [`new`](Self::new); or if `statistics` or `channels` are not of the clips' layout.
+    /// As [`new`](Self::new); or if `statistics` or `channels` are not of the configured layout and
+    /// root.
     pub fn clips(
         clips: ClipSet,
         statistics: Arc<FeatureStatistics>,

@@ -1,6 +1,6 @@
 //! The lists of a dataset's clips: `train.txt` and `val.txt`, one id a line.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use crate::files::Files;
 use crate::layout::check_id;
@@ -9,6 +9,7 @@ use crate::split::Side;
 use crate::{Error, FileError, StoreError};
 
 use super::Humanml3dConfig;
+use super::clip::{FEATURES, TEXTS, features_path, texts_path};
 
 /// The longest list: some millions of ids.
 const MAX_BYTES: u64 = 1 << 28;
@@ -61,10 +62,22 @@ pub(super) fn read_lists(
             ));
         }
     }
-    let listed = sides.into_iter().map(|(id, side)| Listed {
-        id,
-        side: Some(side),
-        files: vec![Expected::Version(String::new()); 2],
+    let (features, texts) = (
+        files.store.versions(FEATURES)?,
+        files.store.versions(TEXTS)?,
+    );
+    let listed = sides.into_iter().map(|(id, side)| {
+        let version = |versions: &HashMap<String, String>, path: String| {
+            Expected::Version(versions.get(&path).cloned().unwrap_or_default())
+        };
+        Listed {
+            files: vec![
+                version(&features, features_path(&id)),
+                version(&texts, texts_path(&id)),
+            ],
+            id,
+            side: Some(side),
+        }
     });
     Ok(listed.collect())
 }

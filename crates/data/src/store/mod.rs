@@ -13,6 +13,7 @@ mod local;
 #[cfg(feature = "cloud")]
 mod remote;
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 pub use error::StoreError;
@@ -158,10 +159,41 @@ impl Store {
         let mut objects = match &self.kind {
             Kind::Local(root) => root.list(folder, file)?,
             #[cfg(feature = "cloud")]
-            Kind::Remote(remote) => remote.list(folder, file)?,
+            Kind::Remote(remote) => {
+                remote.list(folder, |path| middle(path, folder, file).is_some())?
+            }
         };
         objects.sort_unstable_by(|a, b| a.path.cmp(&b.path));
         Ok(objects)
+    }
+
+    /// The version of each object directly below `folder`, by its path: what a cached copy of it
+    /// is known by. None where nothing is cached, or nothing can be listed.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    #[cfg_attr(not(feature = "cloud"), expect(unused_variables))]
+    pub(crate) fn versions(&self, folder: &str) -> Result<HashMap<String, String>, StoreError> {
+        match &self.kind {
+            Kind::Local(_) => Ok(HashMap::new()),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => {
+                let inside = |path: &str| {
+                    let name = path
+                        .strip_prefix(folder)
+                        .and_then(|rest| rest.strip_prefix('/'));
+                    name.is_some_and(|name| !name.contains('/'))
+                };
+                let objects = match remote.list(folder, inside) {
+                    Err(StoreError::NoListing { .. }) => Vec::new(),
+                    listed => listed?,
+                };
+                let versions = objects
+                    .into_iter()
+                    .map(|object| (object.path, object.version));
+                Ok(versions.collect())
+            }
+        }
     }
 
     /// What has been read so far.

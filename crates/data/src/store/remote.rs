@@ -18,7 +18,7 @@ use tokio::sync::Semaphore;
 
 use super::client::{client_options, no_retries};
 use super::gcs::{self, GcsUploader};
-use super::{Object, StoreError, middle};
+use super::{Object, StoreError};
 use crate::layout::check_path;
 use crate::location::Service;
 use crate::{Counters, Error, StoreConfig};
@@ -159,7 +159,12 @@ impl Remote {
         written.map_err(Stopped::into_store)
     }
 
-    pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
+    /// The objects below `folder` whose paths `keep` picks.
+    pub fn list(
+        &self,
+        folder: &str,
+        keep: impl Fn(&str) -> bool,
+    ) -> Result<Vec<Object>, StoreError> {
         if !self.can_list {
             return Err(StoreError::NoListing {
                 uri: self.uri.clone(),
@@ -180,8 +185,7 @@ impl Remote {
                 "" => location.as_str(),
                 prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
             };
-            middle(path, folder, file)?;
-            Some(Object {
+            keep(path).then(|| Object {
                 path: path.to_owned(),
                 bytes: meta.size,
                 version: version(&meta),
