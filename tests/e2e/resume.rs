@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::{Map, Value};
 
 const KILLS: usize = 5;
@@ -108,13 +108,16 @@ fn train_with_kills(sandbox: &Sandbox, arguments: &str, runs: &str, uninterrupte
 }
 
 fn check_kills(settings: &str) {
-    let sandbox = sandbox();
+    check_kills_in(&sandbox(), settings);
+}
+
+fn check_kills_in(sandbox: &Sandbox, settings: &str) {
     let arguments = format!("train c.toml {settings}");
     let started = Instant::now();
     sandbox
         .run(&format!("{arguments} --runs-dir whole"))
         .succeeded();
-    train_with_kills(&sandbox, &arguments, "attempt", started.elapsed());
+    train_with_kills(sandbox, &arguments, "attempt", started.elapsed());
     let whole = result(&sandbox.path("whole/smallest"));
     assert_same(&whole, &result(&sandbox.path("killed/smallest")));
     assert!(whole.metrics.len() > 8, "losses and validations");
@@ -160,6 +163,18 @@ fn killed_run_ends_the_same_with_a_tensor_that_the_backend_sums_in_any_order() {
     check_kills(
         "--set model.time_embed_dim=2056 --set train.max_steps=12 --set checkpoint.every_steps=3",
     );
+}
+
+#[test]
+fn killed_runs_on_clips_end_the_same() {
+    for recipe in ["gmd_motion --set emphasis.kind=gaussian", "gmd_trajectory"] {
+        let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+        sandbox.write("c.toml", SMALLEST_WALKS);
+        check_kills_in(
+            &sandbox,
+            &format!("--set train.recipe={recipe} --set data.num_workers=1"),
+        );
+    }
 }
 
 #[test]

@@ -52,14 +52,21 @@ impl Golden {
             );
             return None;
         }
-        let bytes = std::fs::read(&path).expect("golden file is readable");
+        Some(Self::read(&path))
+    }
+
+    /// The file at `path`.
+    ///
+    /// # Panics
+    /// Panics if it is not there or cannot be parsed.
+    pub fn read(path: &Path) -> Self {
+        let bytes = std::fs::read(path).expect("golden file is readable");
         let (_, header) = SafeTensors::read_metadata(&bytes).expect("golden file has a header");
-        let metadata = header.metadata().clone().unwrap_or_default();
-        Some(Self {
-            path,
+        Self {
+            path: path.to_owned(),
+            metadata: header.metadata().clone().unwrap_or_default(),
             bytes,
-            metadata,
-        })
+        }
     }
 
     /// A string of the file's metadata.

@@ -58,6 +58,42 @@ every_steps = 10
 draws = 2
 "#;
 
+/// A config that trains a network on synthetic walks in about a second: two levels, 16 frames. The
+/// recipe is left open: `train.recipe` is `gmd_motion` or `gmd_trajectory`.
+pub const SMALLEST_WALKS: &str = r#"
+[run]
+name = "smallest"
+device = "cpu"
+[data]
+kind = "synthetic_walks"
+target_frames = 16
+batch_size = 4
+num_workers = 0
+[data.synthetic]
+phrases = 12
+frames = 48
+[model]
+kind = "gmd_unet"
+latent_dim = 16
+dim_mults = [1.0, 1.0]
+padded_frames = 16
+[optim]
+warmup_steps = 5
+learning_rate = 1e-3
+[train]
+recipe = "gmd_motion"
+max_steps = 40
+[ema]
+decay = 0.9
+[checkpoint]
+every_steps = 4
+[validation]
+every_steps = 10
+draws = 2
+[sampling.sampler]
+num_inference_steps = 6
+"#;
+
 impl Sandbox {
     /// An empty folder for the binary at `binary`.
     pub fn new(binary: &str) -> Self {

@@ -239,6 +239,9 @@ pub struct ImportArguments {
     /// Matrix of the emphasis projection that the model works in
     #[arg(long, value_name = "P.npy")]
     pub projection: Option<PathBuf>,
+    /// Frames that the network pads every clip to
+    #[arg(long, default_value_t = 224, value_name = "T")]
+    pub padded_frames: usize,
     /// Take `model`, the weights of the last step, instead of `model_avg`
     #[arg(long)]
     pub last: bool,

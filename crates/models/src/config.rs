@@ -57,7 +57,7 @@ pub enum ModelSize {
     GmdMotion,
     /// Of `gmd_unet`: 512 wide, factors 0.125, 0.25, 0.5: 8,549,316 parameters (table D.1).
     GmdTrajectory,
-    /// Of `gmd_unet`: 48 wide, factors 1, 1, 1: for tests and first steps.
+    /// Of `gmd_unet`: 40 wide, factors 1, 1, 1: for tests and first steps.
     GmdMotionTiny,
     /// Of `gmd_unet`: 64 wide, factors 0.25, 0.5, 1: for tests and first steps.
     GmdTrajectoryTiny,
@@ -169,7 +169,7 @@ impl ModelConfig {
     fn resolved_gmd_unet(&self) -> Self {
         let (width, mults): (usize, &[f64]) = match self.size {
             ModelSize::GmdTrajectory => (512, &[0.125, 0.25, 0.5]),
-            ModelSize::GmdMotionTiny => (48, &[1.0, 1.0, 1.0]),
+            ModelSize::GmdMotionTiny => (40, &[1.0, 1.0, 1.0]),
             ModelSize::GmdTrajectoryTiny => (64, &[0.25, 0.5, 1.0]),
             _ => (512, &[2.0, 2.0, 2.0, 2.0]),
         };

@@ -25,6 +25,7 @@ pub fn run(arguments: ImportArguments) -> Result<ExitCode, Failure> {
         mean,
         std,
         projection: arguments.projection,
+        padded_frames: arguments.padded_frames,
         last: arguments.last,
         out: arguments.out,
     })?;

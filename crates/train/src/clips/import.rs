@@ -51,6 +51,8 @@ pub struct ImportRequest {
     pub std: PathBuf,
     /// `.npy` file of the projection's matrix, for a model that works in a projected space.
     pub projection: Option<PathBuf>,
+    /// Frames that the network pads every clip to; 224 in the published models.
+    pub padded_frames: usize,
     /// Take the weights of the last step and not their moving average.
     pub last: bool,
     /// Folder of the new run.
@@ -261,6 +263,9 @@ fn settings(
         model.dim_mults = Some(mults);
     }
     model.adagn = Some(sizes.adagn);
+    model.padded_frames = Some(request.padded_frames);
+    let most = config.data.target_frames.min(request.padded_frames);
+    config.data.target_frames = most;
     if request.projection.is_none() {
         config.emphasis.kind = EmphasisKind::None;
     }

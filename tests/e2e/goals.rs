@@ -1,0 +1,341 @@
+//! Models of clips from training to motion: goals, published weights, evaluation, bad input.
+
+use std::fs;
+use std::path::Path;
+
+use kinegrad_data::humanml::write_walks;
+use kinegrad_data::{read_array, write_values};
+use kinegrad_motion::capture::Bvh;
+use kinegrad_tests::golden::workspace;
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, contents};
+use serde_json::Value;
+
+const GOAL: &str = "frames = 16\n[[keyframe]]\nframe = 8\nx = 0.1\nz = 0.4\n\
+                    [[keyframe]]\nframe = 15\nx = 0.2\nz = 0.9\n";
+
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST_WALKS);
+    sandbox.write("goal.toml", GOAL);
+    sandbox
+}
+
+/// A motion and a trajectory run of a few steps.
+fn trained() -> Sandbox {
+    let sandbox = sandbox();
+    for recipe in ["gmd_motion", "gmd_trajectory"] {
+        let settings = format!("--set train.recipe={recipe} --set train.max_steps=4");
+        sandbox
+            .run(&format!("train c.toml --name {recipe} {settings}"))
+            .succeeded();
+    }
+    sandbox
+}
+
+fn shape(path: &Path) -> Vec<usize> {
+    read_array(path).expect("an array").shape
+}
+
+#[test]
+fn two_stages_lead_to_a_goal_in_four_files() {
+    let sandbox = trained();
+    let sample = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml";
+    let said = sandbox.run(&format!("{sample} --out walk")).succeeded();
+    assert!(said.stdout.contains("average error"), "{}", said.stdout);
+    assert_eq!(shape(&sandbox.path("walk.npy")), [16, 22, 3]);
+    assert_eq!(shape(&sandbox.path("walk.features.npy")), [16, 263]);
+    assert_eq!(shape(&sandbox.path("walk.path.npy")), [16, 2]);
+    let bvh = fs::read(sandbox.path("walk.bvh")).expect("a file");
+    let bvh = Bvh::parse(&bvh, "walk.bvh").expect("what was written can be read");
+    assert_eq!(bvh.frames(), 16);
+
+    sandbox.run(&format!("{sample} --out again")).succeeded();
+    let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");
+    assert!(bytes("walk.npy") == bytes("again.npy"));
+    sandbox.run(&format!("{sample} --seed 1 --out other")).succeeded();
+    assert!(bytes("walk.npy") != bytes("other.npy"));
+}
+
+#[test]
+fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths() {
+    let sandbox = trained();
+    let sample = "sample runs/gmd_trajectory --goal goal.toml --goal goal.toml --count 2";
+    sandbox.run(&format!("{sample} --out path")).succeeded();
+    for index in 0..4 {
+        assert_eq!(shape(&sandbox.path(format!("path-{index:03}.npy"))), [16, 2]);
+    }
+    sandbox
+        .run("sample runs/gmd_motion --frames 12 --out free")
+        .succeeded();
+    assert_eq!(shape(&sandbox.path("free.npy")), [12, 22, 3]);
+}
+
+#[test]
+fn runs_are_measured_on_goals_of_held_out_clips() {
+    let sandbox = trained();
+    let said = sandbox
+        .run("eval runs/gmd_motion --goals 2 --keyframes 3 --trajectory-run runs/gmd_trajectory")
+        .succeeded();
+    assert!(said.stdout.contains("held out"), "{}", said.stdout);
+    let report = sandbox.path("runs/gmd_motion/reports/eval-goals.json");
+    let report: Value =
+        serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
+    assert_eq!(report["real"]["average_error"], 0.0);
+    assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
+    sandbox
+        .run("eval runs/gmd_trajectory --goals 2 --obstacles 1 --classifier-scale 0")
+        .succeeded();
+}
+
+#[test]
+fn a_run_starts_from_another_and_keeps_its_space() {
+    let sandbox = trained();
+    let train = "train c.toml --name tuned --set init.diffusion=runs/gmd_motion \
+                 --set train.max_steps=2 --set emphasis.seed=9";
+    sandbox.run(train).succeeded();
+    let matrix = |run: &str, step: &str| {
+        let path = format!("runs/{run}/checkpoints/step-{step}/model.safetensors");
+        let bytes = fs::read(sandbox.path(path)).expect("weights");
+        let tensors = safetensors::SafeTensors::deserialize(&bytes).expect("a file of tensors");
+        let matrix = tensors.tensor("projection.matrix").expect("a matrix");
+        matrix.data().to_vec()
+    };
+    assert!(matrix("tuned", "00000002") == matrix("gmd_motion", "00000004"));
+    sandbox
+        .run("train c.toml --name other --set init.diffusion=runs/gmd_trajectory")
+        .failed(2, &["init.diffusion", "`gmd_trajectory`"]);
+}
+
+/// A dataset of walks on disk, and a config that reads it.
+fn dataset() -> Sandbox {
+    let sandbox = sandbox();
+    write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
+    sandbox.write(
+        "c.toml",
+        SMALLEST_WALKS.replace("kind = \"synthetic_walks\"", "kind = \"humanml3d\"\nsource = \"walks\""),
+    );
+    sandbox
+}
+
+#[test]
+fn a_dataset_on_disk_trains_and_is_looked_at() {
+    let sandbox = dataset();
+    sandbox
+        .run("train c.toml --set train.max_steps=30")
+        .succeeded();
+    let said = sandbox.run("data inspect walks --humanml3d").succeeded();
+    assert!(said.stdout.contains("text embeddings"), "{}", said.stdout);
+    let key = "walk_00000";
+    let listed = fs::read_to_string(sandbox.path("walks/train.txt")).expect("a list");
+    let key = listed.lines().next().unwrap_or(key);
+    let embedding = format!("walks/text_embeddings.safetensors#{key}");
+    sandbox
+        .run(&format!("sample runs/smallest --text-embedding {embedding} --out told"))
+        .succeeded();
+    sandbox.run("sample runs/smallest --out untold").succeeded();
+    let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");
+    assert!(bytes("told.npy") != bytes("untold.npy"));
+}
+
+#[test]
+fn bad_clips_are_refused_before_anything_is_written() {
+    let refused = |spoil: &dyn Fn(&Path), texts: &[&str]| {
+        let sandbox = dataset();
+        spoil(&sandbox.path("walks"));
+        sandbox.run("train c.toml").failed(2, texts);
+        assert!(!sandbox.path("runs").exists());
+    };
+    let first = |folder: &Path| {
+        let listed = fs::read_to_string(folder.join("train.txt")).expect("a list");
+        listed.lines().next().expect("a clip").to_string()
+    };
+    refused(
+        &|folder| {
+            let path = folder.join(format!("new_joint_vecs/{}.npy", first(folder)));
+            write_values(&path, &[48, 251], &[0.0; 48 * 251]).expect("a file");
+        },
+        &["new_joint_vecs", "251", "263"],
+    );
+    refused(
+        &|folder| {
+            for name in ["Mean_abs_3d.npy", "Std_abs_3d.npy"] {
+                write_values(&folder.join(name), &[251], &[1.0; 251]).expect("a file");
+            }
+        },
+        &["Mean_abs_3d.npy", "251", "263"],
+    );
+    refused(
+        &|folder| {
+            let path = folder.join(format!("texts/{}.txt", first(folder)));
+            fs::remove_file(path).expect("a file");
+        },
+        &["texts/", "caption"],
+    );
+}
+
+#[test]
+fn goals_that_cannot_be_followed_are_refused_by_name() {
+    let sandbox = trained();
+    let sample = "sample runs/gmd_motion --goal goal.toml --out walk";
+    let refused = |goal: &str, texts: &[&str]| {
+        sandbox.write("goal.toml", goal);
+        sandbox.run(sample).failed(2, texts);
+        assert!(!sandbox.path("walk.npy").exists());
+    };
+    refused(
+        "frames = 16\n[[keyframe]]\nframe = 16\nx = 0.0\nz = 0.0\n",
+        &["goal.toml", "keyframe[0].frame", "0 to 15"],
+    );
+    refused(
+        "frames = 99\n[[keyframe]]\nframe = 50\nx = 0.0\nz = 0.0\n",
+        &["99 frames", "16"],
+    );
+    refused("frames = 16\n[[keyframes]]\nframe = 1\n", &["goal.toml", "keyframes"]);
+    refused("frames = 16\n", &["goal.toml"]);
+    sandbox.write("goal.toml", GOAL);
+    sandbox
+        .run("sample runs/gmd_motion --audio song.mp3 --out walk")
+        .failed(2, &["`--audio`", "--text-embedding"]);
+    sandbox
+        .run("sample runs/gmd_motion --trajectory-run runs/gmd_motion --goal goal.toml --out walk")
+        .failed(2, &["--trajectory-run", "gmd_trajectory"]);
+    sandbox
+        .run("sample runs/gmd_motion --goal goal.toml --sampler ddim --steps 0 --out walk")
+        .failed(2, &["num_inference_steps"]);
+}
+
+#[test]
+fn settings_of_another_kind_of_run_are_refused_by_name() {
+    let sandbox = sandbox();
+    let refused = |settings: &str, texts: &[&str]| {
+        sandbox
+            .run(&format!("train c.toml {settings}"))
+            .failed(2, texts);
+        assert!(!sandbox.path("runs").exists());
+    };
+    refused("--set model.kind=unet1d", &["model.kind", "gmd_unet"]);
+    refused("--set model.num_res_blocks=2", &["model.num_res_blocks", "unet1d"]);
+    refused("--set data.kind=synthetic", &["data.kind", "synthetic_walks"]);
+    refused("--set model.padded_frames=15", &["model.padded_frames"]);
+    refused("--set model.padded_frames=8", &["data.target_frames", "8"]);
+    refused("--set model.dim_mults=[0.3,1]", &["model.dim_mults"]);
+    refused("--set emphasis.scale=0", &["scale"]);
+    refused("--set loss.trajectory_scale=5", &["loss.trajectory_scale", "projected"]);
+    refused(
+        "--set train.recipe=gmd_trajectory --set emphasis.kind=gaussian",
+        &["emphasis.kind"],
+    );
+    refused("--set sampling.clip=training_range", &["sampling.clip"]);
+    refused("--set sampling.steering.scale=-1", &["sampling.steering.scale"]);
+    sandbox.write("c.toml", SMALLEST);
+    refused("--set data.kind=synthetic_walks", &["data.kind", "phrases"]);
+}
+
+/// A sandbox with the weights of `data_fixtures/gmd` and statistics for them.
+fn published() -> Sandbox {
+    let sandbox = sandbox();
+    for name in ["checkpoint_tiny.pt", "checkpoint_bare.pt"] {
+        let bytes = fs::read(workspace().join("data_fixtures/gmd").join(name)).expect("a fixture");
+        sandbox.write(name, bytes);
+    }
+    for name in ["m.npy", "s.npy"] {
+        write_values(&sandbox.path(name), &[263], &[1.0; 263]).expect("a file");
+    }
+    sandbox
+}
+
+#[test]
+fn published_weights_become_a_run() {
+    let sandbox = published();
+    let import = "import checkpoint_tiny.pt --arch gmd_trajectory --mean m.npy --std s.npy";
+    let said = sandbox.run(&format!("{import} --out runs/gmd")).succeeded();
+    assert!(said.stdout.contains("`model_avg`"), "{}", said.stdout);
+    assert!(said.stdout.contains("12,636 parameters"), "{}", said.stdout);
+    sandbox
+        .run(&format!("{import} --out runs/gmd"))
+        .failed(2, &["runs/gmd"]);
+    sandbox.write("goal.toml", GOAL);
+    sandbox
+        .run("sample runs/gmd --goal goal.toml --steps 3 --out path")
+        .succeeded();
+    assert_eq!(shape(&sandbox.path("path.npy")), [16, 2]);
+    write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
+    sandbox
+        .run("eval runs/gmd --source walks --goals 1 --steps 3")
+        .succeeded();
+    let tune = "train c.toml --name tuned --set train.recipe=gmd_trajectory \
+                --set init.diffusion=runs/gmd --set model.latent_dim=8 --set train.max_steps=2 \
+                --set model.size=gmd_motion --set model.adagn=true --set data.target_frames=16";
+    sandbox
+        .run(&format!("{tune} --set model.padded_frames=224"))
+        .succeeded();
+}
+
+#[test]
+fn weights_that_do_not_fit_are_refused_with_all_differences() {
+    let sandbox = published();
+    let import = |weights: &str, arch: &str, rest: &str| {
+        sandbox.run(&format!("import {weights} --arch {arch} --out runs/gmd {rest}"))
+    };
+    let statistics = "--mean m.npy --std s.npy";
+    import("checkpoint_tiny.pt", "gmd_trajectory", "").failed(2, &["--mean"]);
+    import("checkpoint_tiny.pt", "gmd_motion", statistics)
+        .failed(2, &["4 channels", "263"]);
+    import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
+    write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
+    import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
+    write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");
+
+    // One name changed within the pickle is one parameter missing and another not known.
+    let path = sandbox.path("checkpoint_bare.pt");
+    let bytes = fs::read(&path).expect("a fixture");
+    fs::write(&path, renamed(bytes, b"embed_text.bias", b"embed_text.bios")).expect("a file");
+    import("checkpoint_bare.pt", "gmd_trajectory", statistics).failed(
+        2,
+        &[
+            "2 differences",
+            "missing: `embed_text.bias` [8]",
+            "not known: `embed_text.bios`",
+        ],
+    );
+    let left = contents(&sandbox.path("."));
+    assert!(left.iter().all(|(name, _)| !name.starts_with("runs")), "nothing written");
+}
+
+/// An archive whose first file that holds `name` holds `other`, of the same length, in its place.
+fn renamed(mut archive: Vec<u8>, name: &[u8], other: &[u8]) -> Vec<u8> {
+    let place = |archive: &[u8], text: &[u8]| {
+        archive
+            .windows(text.len())
+            .position(|window| window == text)
+            .expect("the text is there")
+    };
+    // The pickle is the archive's first file: its local header says where it lies.
+    let number = |archive: &[u8], at: usize, bytes: usize| {
+        (0..bytes).fold(0usize, |n, i| n | usize::from(archive[at + i]) << (8 * i))
+    };
+    let directory = place(&archive, b"PK\x01\x02");
+    let (old_sum, length) = (
+        archive[directory + 16..directory + 20].to_vec(),
+        number(&archive, directory + 20, 4),
+    );
+    let start = 30 + number(&archive, 26, 2) + number(&archive, 28, 2);
+    let at = start + place(&archive[start..start + length], name);
+    archive[at..at + name.len()].copy_from_slice(other);
+    let sum = crc32(&archive[start..start + length]).to_le_bytes();
+    for at in 0..archive.len() - 4 {
+        if archive[at..at + 4] == old_sum[..] {
+            archive[at..at + 4].copy_from_slice(&sum);
+        }
+    }
+    archive
+}
+
+/// The checksum of zip archives.
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0u32, |sum, &byte| {
+        (0..8).fold(sum ^ u32::from(byte), |sum, _| {
+            (sum >> 1) ^ (0xedb8_8320 & (sum & 1).wrapping_neg())
+        })
+    })
+}
