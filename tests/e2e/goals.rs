@@ -91,8 +91,17 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
 fn a_run_starts_from_another_and_keeps_its_space() {
     let sandbox = trained();
     let train = "train c.toml --name tuned --set init.diffusion=runs/gmd_motion \
-                 --set train.max_steps=2 --set emphasis.seed=9";
+                 --set train.max_steps=2";
     sandbox.run(train).succeeded();
+    let more = format!("{train} --resume --set train.max_steps=4 --set optim.weight_decay=0.5");
+    sandbox
+        .run(&more)
+        .failed(2, &["optim.weight_decay"]);
+    let more = format!("{train} --resume").replace("max_steps=2", "max_steps=4");
+    sandbox.run(&more).succeeded();
+    sandbox
+        .run(&format!("{train} --name plain --set emphasis.kind=none"))
+        .failed(2, &["emphasis.kind"]);
     let matrix = |run: &str, step: &str| {
         let path = format!("runs/{run}/checkpoints/step-{step}/model.safetensors");
         let bytes = fs::read(sandbox.path(path)).expect("weights");
@@ -100,7 +109,7 @@ fn a_run_starts_from_another_and_keeps_its_space() {
         let matrix = tensors.tensor("projection.matrix").expect("a matrix");
         matrix.data().to_vec()
     };
-    assert!(matrix("tuned", "00000002") == matrix("gmd_motion", "00000004"));
+    assert!(matrix("tuned", "00000004") == matrix("gmd_motion", "00000004"));
     sandbox
         .run("train c.toml --name other --set init.diffusion=runs/gmd_trajectory")
         .failed(2, &["init.diffusion", "`gmd_trajectory`"]);
@@ -199,9 +208,19 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
     sandbox
         .run("sample runs/gmd_motion --trajectory-run runs/gmd_motion --goal goal.toml --out walk")
         .failed(2, &["--trajectory-run", "gmd_trajectory"]);
+    let sample = "sample runs/gmd_motion --goal goal.toml --out walk";
+    for (settings, texts) in [
+        ("--steps 0", ["num_inference_steps", "1 to"]),
+        ("--sampler ddim", ["sampling.sampler.kind", "ddpm"]),
+        ("--frames 8", ["`--frames` with `--goal`", "frames = 16"]),
+        ("--classifier-scale=-1", ["sampling.steering.scale", "0 or more"]),
+        ("--clip unit", ["`--clip`", "sampling.clip"]),
+    ] {
+        sandbox.run(&format!("{sample} {settings}")).failed(2, &texts);
+    }
     sandbox
-        .run("sample runs/gmd_motion --goal goal.toml --sampler ddim --steps 0 --out walk")
-        .failed(2, &["num_inference_steps"]);
+        .run("sample runs/gmd_motion --frames 0 --out walk")
+        .failed(2, &["`--frames` is 0"]);
 }
 
 #[test]
@@ -264,11 +283,10 @@ fn published_weights_become_a_run() {
         .run("eval runs/gmd --source walks --goals 1 --steps 3")
         .succeeded();
     let tune = "train c.toml --name tuned --set train.recipe=gmd_trajectory \
-                --set init.diffusion=runs/gmd --set model.latent_dim=8 --set train.max_steps=2 \
-                --set model.size=gmd_motion --set model.adagn=true --set data.target_frames=16";
-    sandbox
-        .run(&format!("{tune} --set model.padded_frames=224"))
-        .succeeded();
+                --set init.diffusion=runs/gmd --set train.max_steps=2";
+    let without_model = SMALLEST_WALKS.split("[model]").next().expect("what comes first");
+    sandbox.write("c.toml", without_model);
+    sandbox.run(tune).succeeded();
 }
 
 #[test]

@@ -162,6 +162,11 @@ fn every_shipped_config_is_valid() {
             seen += 1;
             continue;
         }
+        if path.ends_with("goal.toml") {
+            // A goal: tested where goals are.
+            seen += 1;
+            continue;
+        }
         let show = format!("config show {} --set data.source=set", path.display());
         let shown = sandbox.run(&show).succeeded();
         assert!(shown.stdout.starts_with("# model: "), "{}", shown.stdout);

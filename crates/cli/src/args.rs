@@ -109,7 +109,8 @@ pub enum ClipName {
 /// phrase of the run's own dataset. Sampler settings default to those of the run's config.
 ///
 /// A run of recipe `gmd_motion` gives joints `[T, J, 3]` in metres as PATH.npy, the features as
-/// PATH.features.npy and PATH.bvh in centimetres; one of recipe `gmd_trajectory` the ground path
+/// PATH.features.npy, PATH.bvh in centimetres, and the path of a trajectory run as PATH.path.npy;
+/// one of recipe `gmd_trajectory` the ground path
 /// `[T, 2]`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -154,8 +155,8 @@ pub struct SampleArguments {
     /// Run of recipe `gmd_trajectory` that draws the ground path to the goal first
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Text that is the condition: a vector of 512 numbers in a file of safetensors, KEY or KEY:N
-    /// for row N
+    /// Text that is the condition: 512 numbers in a file of safetensors, tensor KEY, or row N of it
+    /// with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
     /// Strength of the guidance to the goal, 0 is none [default: the run's, else 100]
@@ -167,14 +168,14 @@ pub struct SampleArguments {
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
-    /// Frames to draw, at most those of the condition [default: all of them, of a song as many as
-    /// the run trained on]
+    /// Frames to draw, at most those of the condition [default: all of them; of a song, and of a
+    /// clip without a goal, as many as the run trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
-    /// Sampler [default: the run's, else ddim]
+    /// Sampler; goals need ddpm [default: the run's]
     #[arg(long)]
     pub sampler: Option<SamplerName>,
-    /// Denoising steps [default: the run's, else 20]
+    /// Denoising steps [default: the run's]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
     /// Noise added in each DDIM step, 0 (none) to 1 [default: the run's, else 0]
@@ -230,7 +231,7 @@ pub struct ImportArguments {
     /// What they are of
     #[arg(long)]
     pub arch: ArchitectureName,
-    /// Mean of the training data, one number a feature
+    /// Mean of the training data, one number a feature: all of them, of a trajectory model too
     #[arg(long, value_name = "M.npy")]
     pub mean: Option<PathBuf>,
     /// Standard deviation of the training data
@@ -324,9 +325,9 @@ pub struct EvalArguments {
     /// Folders of runs (the best checkpoint of each is taken) or of checkpoints
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
-    /// Samples per phrase
-    #[arg(long, default_value_t = 2, value_name = "N")]
-    pub seeds: usize,
+    /// Samples per phrase [default: 2]
+    #[arg(long, value_name = "N")]
+    pub seeds: Option<usize>,
     /// Draw for the first N held-out phrases only [default: all]
     #[arg(long, value_name = "N")]
     pub phrases: Option<usize>,
@@ -348,9 +349,9 @@ pub struct EvalArguments {
     /// Put no known positions into the draws
     #[arg(long)]
     pub no_imputation: bool,
-    /// What the model hears
-    #[arg(long, value_enum, value_name = "COND", default_value_t = CondName::Phrases)]
-    pub cond: CondName,
+    /// What the model hears [default: phrases]
+    #[arg(long, value_enum, value_name = "COND")]
+    pub cond: Option<CondName>,
     /// Denoising steps [default: the run's, else 20]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
@@ -492,9 +493,18 @@ pub struct InspectArguments {
     /// The dataset is one in the layout of HumanML3D
     #[arg(long, conflicts_with_all = ["condition", "plot"])]
     pub humanml3d: bool,
+    /// Whose joints it has
+    #[arg(long, value_enum, default_value_t = SkeletonArgument::Humanml3d, requires = "humanml3d")]
+    pub skeleton: SkeletonArgument,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum SkeletonArgument {
+    Humanml3d,
+    Kit,
 }
 
 #[derive(Debug, Subcommand)]

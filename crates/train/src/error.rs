@@ -63,12 +63,26 @@ pub enum Error {
     Features(#[from] kinegrad_motion::humanml::FeatureError),
     /// A clip longer than the network can draw.
     #[error("a clip of {frames} frames, but the network draws at most {most}")]
-    #[diagnostic(help("shorten the goal, or ask for fewer `--frames`"))]
+    #[diagnostic(help(
+        "shorten the goal (`frames`), or ask for fewer `--frames` where there is none"
+    ))]
     TooLong {
         /// Frames asked for.
         frames: usize,
         /// `model.padded_frames` of the run.
         most: usize,
+    },
+    /// A trajectory model that cannot draw paths for the other.
+    #[error("`{trajectory}` cannot draw paths for `{motion}`")]
+    #[diagnostic(help(
+        "the first is to be a run of recipe `gmd_trajectory`, the second one of `gmd_motion`, on clips \
+         of the same `data.humanml3d.skeleton` and `root`"
+    ))]
+    OtherStage {
+        /// The run that draws motion.
+        motion: String,
+        /// The run that draws paths.
+        trajectory: String,
     },
     /// A goal for a model that knows no absolute positions.
     #[error("the run was trained on the relative root: it cannot be led to positions")]
@@ -184,8 +198,8 @@ pub enum Error {
     /// A checkpoint that no fine-tuning can start from.
     #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
     #[diagnostic(help(
-        "`init.diffusion` takes a run whose denoiser works on 25-channel phrases, `init.decoder` \
-         one of recipe `decoder` or `e2e` made on the same base"
+        "`init.diffusion` takes a run whose denoiser is of the same recipe, or of phrases for \
+         `decoder` and `e2e`; `init.decoder` one of recipe `decoder` or `e2e` made on the same base"
     ))]
     Start {
         /// The key that names it.

@@ -11,11 +11,11 @@ use kinegrad_motion::phrase::CHANNELS;
 use toml::Table;
 
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
-use crate::clips::{clip_channels, text_denoiser};
+use crate::clips::{ClipStart, clip_channels, text_denoiser};
 use crate::config::{self, Config};
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::start::{Starts, tables_of};
+use crate::start::{Starts, clip_tables_of, tables_of};
 use crate::trained::denoiser;
 use crate::trainer::Ending;
 
@@ -73,9 +73,10 @@ pub fn train(request: &TrainRequest, observer: &mut dyn Observer) -> Result<Outc
     } else {
         None
     };
-    if config.train.recipe.rolls_out() {
+    if config.train.recipe.rolls_out() || config.train.recipe.reads_clips() {
         let beneath = match &saved {
             // A resumed run does not need its start any more.
+            Some(saved) if config.train.recipe.reads_clips() => Some(clip_tables_of(saved)),
             Some(saved) => Some(tables_of(saved, Some(saved))),
             None => start_tables(&config)?,
         };
@@ -115,6 +116,10 @@ pub fn load_config(
 }
 
 fn start_tables(config: &Config) -> Result<Option<Table>, Error> {
+    if config.train.recipe.reads_clips() {
+        let start = ClipStart::named(config)?;
+        return start.map(|start| start.tables()).transpose();
+    }
     if !config.train.recipe.rolls_out() {
         return Ok(None);
     }

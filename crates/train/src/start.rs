@@ -132,19 +132,23 @@ pub(crate) fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
 
 /// The tables `model` and `diffusion` of `base` and `decoder` of `decoder`.
 pub(crate) fn tables_of(base: &Config, decoder: Option<&Config>) -> Table {
-    let mut tables = Table::new();
-    let mut take = |config: &Config, names: &[&str]| {
-        let mut whole: Table = config::to_toml(config).parse().expect("own output");
-        for name in names {
-            let table = whole.remove(*name).unwrap_or(Value::Table(Table::new()));
-            tables.insert((*name).to_string(), table);
-        }
-    };
-    take(base, &["model", "diffusion"]);
+    let mut tables = take(base, &["model", "diffusion"]);
     if let Some(decoder) = decoder {
-        take(decoder, &["decoder"]);
+        tables.extend(take(decoder, &["decoder"]));
     }
     tables
+}
+
+/// What `base` says of the network, process and space of a run on clips.
+pub(crate) fn clip_tables_of(base: &Config) -> Table {
+    take(base, &["model", "diffusion", "emphasis"])
+}
+
+fn take(config: &Config, names: &[&str]) -> Table {
+    let mut whole: Table = config::to_toml(config).parse().expect("own output");
+    let table = |name: &&str| whole.remove(*name).unwrap_or(Value::Table(Table::new()));
+    let tables: Vec<Value> = names.iter().map(table).collect();
+    names.iter().map(|name| (*name).to_string()).zip(tables).collect()
 }
 
 /// Refuses a config whose networks or process are not those of its start.

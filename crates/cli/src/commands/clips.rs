@@ -33,6 +33,9 @@ pub fn sample(
     sampler
         .validate(config.diffusion.num_train_timesteps)
         .map_err(kinegrad_train::Error::from)?;
+    if arguments.frames == Some(0) {
+        return Err(UsageError::new("`--frames` is 0", "ask for at least one frame").into());
+    }
     let goals: Vec<Goal> = arguments
         .goal
         .iter()
@@ -41,6 +44,11 @@ pub fn sample(
     if goals.is_empty() && arguments.trajectory_run.is_some() {
         let hint = "the first stage draws the path to a goal: give `--goal GOAL.toml` too";
         return Err(UsageError::new("`--trajectory-run` without `--goal`", hint).into());
+    }
+    if let (Some(_), Some(goal)) = (arguments.frames, goals.first()) {
+        let message = "`--frames` with `--goal`";
+        let hint = format!("the goal says how long the clip is: `frames = {}`", goal.frames);
+        return Err(UsageError::new(message, hint).into());
     }
     let text = arguments.text_embedding.as_deref().map(read_embedding);
     let text = text.transpose()?;
@@ -61,7 +69,7 @@ pub fn sample(
         config,
         arguments.classifier_scale,
         arguments.no_imputation,
-    );
+    )?;
     let bar = denoising_bar();
     let samples = generator.sample(
         trajectory.as_ref(),
@@ -104,11 +112,19 @@ pub fn weights(no_ema: bool) -> Weights {
 }
 
 /// How the run's draws are led, with what the command line says instead.
-pub fn steering(config: &Config, scale: Option<f64>, no_imputation: bool) -> SteeringConfig {
+///
+/// # Errors
+/// If the strength is no number of 0 or more.
+pub fn steering(
+    config: &Config,
+    scale: Option<f64>,
+    no_imputation: bool,
+) -> Result<SteeringConfig, Failure> {
     let mut steering = config.sampling.steering.clone();
     steering.scale = scale.unwrap_or(steering.scale);
     steering.imputation &= !no_imputation;
-    steering
+    steering.validate()?;
+    Ok(steering)
 }
 
 /// The checkpoint of a trajectory run.
@@ -133,13 +149,18 @@ fn refuse_phrases(arguments: &SampleArguments) -> Result<(), UsageError> {
         ("--cond", arguments.cond.is_some()),
         ("--audio", arguments.audio.is_some()),
     ];
-    match given.into_iter().find(|(_, given)| *given) {
-        Some((name, _)) => Err(UsageError::new(
+    if let Some((name, _)) = given.into_iter().find(|(_, given)| *given) {
+        return Err(UsageError::new(
             format!("`{name}` with a run on clips of joint features"),
             "its condition is a text: `--text-embedding FILE#KEY`",
-        )),
-        None => Ok(()),
+        ));
     }
+    if arguments.clip.is_some() {
+        let hint = "it is clipped as its config's `sampling.clip` says";
+        let message = "`--clip` with a run on clips of joint features";
+        return Err(UsageError::new(message, hint));
+    }
+    Ok(())
 }
 
 /// `--count` clips for each goal, or for none.

@@ -39,13 +39,13 @@ pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
     match &arguments.out {
         Some(out) => {
             let comparison = Comparison::new(&arguments.runs, &evaluations);
-            written.extend(write(out, arguments.cond, &comparison)?);
+            written.extend(write(out, cond(&arguments), &comparison)?);
         }
         None => {
             for (subject, evaluation) in subjects.iter().zip(&evaluations) {
                 let alone = std::slice::from_ref(evaluation);
                 let comparison = Comparison::new(&arguments.runs, alone);
-                written.extend(write(&subject.reports, arguments.cond, &comparison)?);
+                written.extend(write(&subject.reports, cond(&arguments), &comparison)?);
             }
         }
     }
@@ -61,8 +61,12 @@ pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
+fn cond(arguments: &EvalArguments) -> CondName {
+    arguments.cond.unwrap_or(CondName::Phrases)
+}
+
 fn refuse_zero(arguments: &EvalArguments) -> Result<(), UsageError> {
-    if arguments.seeds == 0 {
+    if arguments.seeds == Some(0) {
         let hint = "draw at least one sample for each phrase; 2 tell how much two of them differ";
         return Err(UsageError::new("`--seeds` is 0", hint));
     }
@@ -118,9 +122,9 @@ impl Subject {
         let mut held_out = dataset.validation.load()?;
         held_out.truncate(limit);
         let settings = EvaluationSettings {
-            seeds: arguments.seeds,
+            seeds: arguments.seeds.unwrap_or(2),
             seed: arguments.seed,
-            cond: match arguments.cond {
+            cond: match cond(arguments) {
                 CondName::Phrases => CondSource::Phrases,
                 CondName::Noise => CondSource::Noise,
             },

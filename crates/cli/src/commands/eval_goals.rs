@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::DataKind;
+use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_data::humanml::ClipDataset;
 use kinegrad_motion::metrics::GoalReport;
 use kinegrad_train::checkpoint::State;
@@ -41,27 +41,52 @@ pub fn are_of_clips(runs: &[PathBuf]) -> Result<bool, Failure> {
 
 /// Leads each run to the same goals, writes the reports and prints them.
 pub fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
+    refuse_phrases(arguments)?;
     if arguments.goals == 0 {
         return Err(UsageError::new("`--goals` is 0", "ask for at least one goal").into());
     }
     let trajectory = arguments.trajectory_run.as_deref();
     let trajectory = trajectory.map(trajectory_checkpoint).transpose()?;
-    let mut evaluations = Vec::new();
+    let (mut evaluations, mut written) = (Vec::new(), Vec::new());
     for run in &arguments.runs {
         let (folder, evaluation) = evaluate(run, trajectory.as_deref(), arguments)?;
         make_folder(&folder)?;
         let path = folder.join("eval-goals.json");
         let text = serde_json::to_string_pretty(&evaluation).expect("plain data") + "\n";
-        std::fs::write(&path, text).map_err(kinegrad_train::Error::io("write", &path))?;
+        // A crash midway leaves the report that was there.
+        let temporary = path.with_extension("partial");
+        std::fs::write(&temporary, text)
+            .and_then(|()| std::fs::rename(&temporary, &path))
+            .map_err(kinegrad_train::Error::io("write", &path))?;
         evaluations.push(evaluation);
+        written.push(path);
     }
     if arguments.json {
         let text = serde_json::to_string_pretty(&evaluations).expect("plain data");
         println!("{text}");
     } else {
         println!("{}", comparison(&evaluations));
+        for path in written {
+            println!("{}", path.display());
+        }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn refuse_phrases(arguments: &EvalArguments) -> Result<(), UsageError> {
+    let given = [
+        ("--seeds", arguments.seeds.is_some()),
+        ("--phrases", arguments.phrases.is_some()),
+        ("--cond", arguments.cond.is_some()),
+        ("--clip", arguments.clip.is_some()),
+    ];
+    match given.into_iter().find(|(_, given)| *given) {
+        Some((name, _)) => Err(UsageError::new(
+            format!("`{name}` with runs on clips of joint features"),
+            "they are measured on goals: `--goals`, `--keyframes`, `--obstacles`",
+        )),
+        None => Ok(()),
+    }
 }
 
 fn evaluate(
@@ -81,6 +106,8 @@ fn evaluate(
     if let Some(source) = &arguments.source {
         data.kind = DataKind::Humanml3d;
         data.source = Some(source.clone());
+        // The dataset's own lists say what is held out.
+        data.validation = ValidationSplit::default();
     }
     let dataset = ClipDataset::open(&data)?;
     if dataset.validation.is_empty() {
@@ -92,6 +119,13 @@ fn evaluate(
     let held_out = (0..dataset.validation.len().min(arguments.goals))
         .map(|position| dataset.validation.get(position))
         .collect::<Result<Vec<_>, _>>()?;
+    if held_out.len() < arguments.goals {
+        eprintln!(
+            "note: {} clips are held out for {}, fewer than `--goals`",
+            held_out.len(),
+            run.display()
+        );
+    }
     let weights = weights(arguments.no_ema);
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = ClipGenerator::load(&checkpoint, weights, &device)?;
@@ -108,7 +142,7 @@ fn evaluate(
             &config,
             arguments.classifier_scale,
             arguments.no_imputation,
-        ),
+        )?,
         sampler,
         seed: arguments.seed,
     };

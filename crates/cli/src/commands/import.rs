@@ -16,6 +16,19 @@ pub fn run(arguments: ImportArguments) -> Result<ExitCode, Failure> {
                     an absolute root Mean_abs_3d.npy and Std_abs_3d.npy";
         return Err(UsageError::new(message, hint).into());
     };
+    let motion = matches!(arguments.arch, ArchitectureName::GmdMotion);
+    match (motion, &arguments.projection) {
+        (true, None) => eprintln!(
+            "warning: no `--projection`: published motion models work in a projected space, and \
+             draw nonsense outside of it"
+        ),
+        (false, Some(_)) => {
+            let message = "`--projection` with `--arch gmd_trajectory`";
+            let hint = "trajectory models work on features as they are";
+            return Err(UsageError::new(message, hint).into());
+        }
+        _ => {}
+    }
     let imported = import(&ImportRequest {
         weights: arguments.weights.clone(),
         architecture: match arguments.arch {

@@ -2,17 +2,27 @@
 
 use std::process::ExitCode;
 
-use kinegrad_data::humanml::{ClipInspection, inspect_clips};
+use kinegrad_data::humanml::{ClipInspection, SkeletonName, inspect_clips};
 use kinegrad_data::{DataConfig, DataKind};
 
 use super::data::{channels, print_problems};
-use crate::args::InspectArguments;
+use crate::args::{InspectArguments, SkeletonArgument};
 use crate::failure::Failure;
 use crate::output::{grouped, table};
+
+/// Fewest frames of a clip of KIT-ML, in the published trainings.
+const KIT_MIN_FRAMES: usize = 24;
 
 /// Prints what a dataset of clips holds; exit code 1 if clips cannot be used.
 pub fn run(arguments: &InspectArguments, mut config: DataConfig) -> Result<ExitCode, Failure> {
     config.kind = DataKind::Humanml3d;
+    config.humanml3d.skeleton = match arguments.skeleton {
+        SkeletonArgument::Humanml3d => SkeletonName::Humanml3d,
+        SkeletonArgument::Kit => SkeletonName::Kit,
+    };
+    if config.humanml3d.skeleton == SkeletonName::Kit {
+        config.humanml3d.min_frames = KIT_MIN_FRAMES;
+    }
     let inspection = inspect_clips(&config)?;
     if arguments.json {
         let text = serde_json::to_string(&inspection).expect("plain data");

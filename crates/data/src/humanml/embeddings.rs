@@ -88,6 +88,15 @@ pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
     let tensor = tensors
         .tensor(key)
         .map_err(|_| refused(&format!("no tensor `{key}`")))?;
+    let tensor = match *tensor.shape() {
+        // One embedding by itself.
+        [EMBEDDING_CHANNELS] => {
+            let shape = vec![1, EMBEDDING_CHANNELS];
+            TensorView::new(tensor.dtype(), shape, tensor.data())
+                .map_err(|error| refused(&error.to_string()))?
+        }
+        _ => tensor,
+    };
     let rows = rows(key, &tensor, path)?;
     let found = rows.get(row).ok_or_else(|| {
         let found = format!("{} rows in `{key}`", rows.len());

@@ -262,7 +262,7 @@ impl Goal {
         }
     }
 
-    /// The positions that guide an early step of a sampler: the trajectory, or the key frames with
+    /// The positions that are put into an early step of a sampler: the trajectory, or the key frames with
     /// the [line between them](GroundTargets::point_to_point), but the key frames alone where there
     /// are obstacles, through which the line might lead (GMD, appendix F).
     ///

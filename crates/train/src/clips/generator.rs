@@ -9,8 +9,8 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    GaussianDiffusion, Guidance, Imputation, Networks, SamplerConfig, SamplerKind, Steering,
-    sample, steered_sample,
+    GaussianDiffusion, Guidance, Imputation, Networks, SamplerConfig, Steering, sample,
+    steered_sample,
 };
 use kinegrad_models::TextDenoiser;
 use kinegrad_models::gmd::TEXT_CHANNELS;
@@ -139,6 +139,7 @@ impl ClipGenerator {
         let mut paths = None;
         let mut goals = goals.unwrap_or_default();
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
+            self.must_match(model)?;
             let mut told = |done, all| on_step(Stage::Trajectory, done, all);
             let key = key.named("trajectory");
             let x = model.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
@@ -171,6 +172,20 @@ impl ClipGenerator {
                 path: next_path(),
             })
             .collect())
+    }
+
+    /// Refuses a trajectory model of other clips, or before another trajectory model.
+    fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
+        let (own, other) = (self.config(), trajectory.config());
+        let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
+            == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
+        match own.train.recipe == Recipe::GmdMotion && same {
+            true => Ok(()),
+            false => Err(Error::OtherStage {
+                motion: own.run.name.clone(),
+                trajectory: other.run.name.clone(),
+            }),
+        }
     }
 
     /// Motion in the network's space, led to `goals` where there are any.
@@ -231,10 +246,6 @@ impl ClipGenerator {
         if self.trained.config.data.humanml3d.root == Root::Relative {
             return Err(Error::RelativeRoot);
         }
-        let sampler = SamplerConfig {
-            kind: SamplerKind::Ddpm,
-            ..sampler
-        };
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
         let goal = GroundGoal {
             space: &self.space,

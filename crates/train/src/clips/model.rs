@@ -6,13 +6,14 @@ use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::humanml::FeatureStatistics;
+use toml::Table;
 
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, Recipe};
 use crate::error::Error;
 use crate::generate::resolve_checkpoint;
 use crate::recipes::gmd_motion::TRAJECTORY_CHANNELS;
-use crate::start::{must_agree, refused, values};
+use crate::start::{clip_tables_of, must_agree, refused, values};
 
 /// Parameter of the matrix of a projected space.
 pub(super) const MATRIX: &str = "projection.matrix";
@@ -138,6 +139,14 @@ impl ClipStart {
         Ok(State::read(&self.0)?.statistics.features()?.clone())
     }
 
+    /// What the start's config says of network, process and space: it stands beneath the new one.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged.
+    pub fn tables(&self) -> Result<Table, Error> {
+        Ok(clip_tables_of(&State::read(&self.0)?.config))
+    }
+
     /// The start's averaged weights, in its space, on an autodiff device.
     ///
     /// # Errors
@@ -150,7 +159,13 @@ impl ClipStart {
             let reason = format!("its recipe is `{}`, not `{}`", recipe.name(), given.name());
             return Err(refused("init.diffusion", &self.0, &reason));
         }
-        must_agree(config, &start.state.config, &["model", "diffusion"])?;
+        let base = &start.state.config;
+        must_agree(config, base, &["model", "diffusion", "emphasis"])?;
+        let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
+        if (given.root, given.skeleton) != (found.root, found.skeleton) {
+            let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
+            return Err(refused("init.diffusion", &self.0, &reason));
+        }
         let fresh = text_denoiser(config, clip_channels(config), device)?;
         let fresh = match &start.projection {
             Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),

@@ -1,7 +1,8 @@
 //! What must hold of the config of a run on clips.
 
 use kinegrad_data::DataKind;
-use kinegrad_motion::emphasis::EmphasisKind;
+use kinegrad_diffusion::LossType;
+use kinegrad_motion::emphasis::{EmphasisError, EmphasisKind};
 
 use super::{Clip, Config, ConfigError, Recipe};
 use crate::Error;
@@ -30,7 +31,33 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let allowed = "\"none\", \"six\" or \"unit\": the ranges of joint features are not kept";
         return Err(ConfigError::range("sampling.clip", "\"training_range\"", allowed).into());
     }
-    config.emphasis.validate()?;
+    if config.sampling.count_at_end > 0 {
+        let allowed = "0 for recipes on clips: `kinegrad sample` draws";
+        let found = config.sampling.count_at_end;
+        return Err(ConfigError::range("sampling.count_at_end", found, allowed).into());
+    }
+    let diffusion = &config.diffusion;
+    if diffusion.loss_type != LossType::Mse {
+        let allowed = "\"mse\" for recipes on clips";
+        return Err(ConfigError::range("diffusion.loss_type", "another", allowed).into());
+    }
+    if let Some(snr_gamma) = diffusion.snr_gamma {
+        let allowed = "no such key for recipes on clips";
+        return Err(ConfigError::range("diffusion.snr_gamma", snr_gamma, allowed).into());
+    }
+    if !config.init.decoder.as_os_str().is_empty() {
+        let found = config.init.decoder.display();
+        let allowed = "nothing for recipes on clips: they have no decoder";
+        return Err(ConfigError::range("init.decoder", found, allowed).into());
+    }
+    config.emphasis.validate().map_err(|error| match error {
+        EmphasisError::InvalidSetting {
+            key,
+            found,
+            allowed,
+        } => ConfigError::range(format!("emphasis.{key}"), found, allowed).into(),
+        other => Error::from(other),
+    })?;
     let scale = config.loss.trajectory_scale;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(ConfigError::range("loss.trajectory_scale", scale, "more than 0").into());

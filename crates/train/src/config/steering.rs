@@ -1,6 +1,6 @@
 //! The table `sampling.steering`: how a draw is led to its goal.
 
-use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
+use kinegrad_motion::goal::{GoalError, GuidanceConfig, GuidanceSchedule};
 use serde::{Deserialize, Serialize};
 
 use super::ConfigError;
@@ -41,6 +41,21 @@ impl SteeringConfig {
             let key = "sampling.steering.scale";
             return Err(ConfigError::range(key, self.scale, "0 or more").into());
         }
-        Ok(self.schedule.validate()?)
+        if self.guidance.frame_limit == Some(0) {
+            let key = "sampling.steering.guidance.frame_limit";
+            return Err(ConfigError::range(key, 0, "1 or more, or no such key").into());
+        }
+        self.schedule.validate().map_err(|error| match error {
+            GoalError::Invalid {
+                key,
+                found,
+                allowed,
+                ..
+            } => {
+                let key = format!("sampling.steering.schedule.{key}");
+                ConfigError::range(key, found, allowed).into()
+            }
+            other => Error::from(other),
+        })
     }
 }

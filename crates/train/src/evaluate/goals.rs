@@ -16,6 +16,9 @@ use crate::error::Error;
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
+/// Distance of an obstacle's edge from where the way begins and ends, metres.
+const CLEARANCE: f64 = 0.1;
+
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
 
@@ -24,8 +27,8 @@ const DIVERSITY_PAIRS: usize = 200;
 pub struct GoalTask {
     /// Key frames, evenly spaced, the last one in the last frame.
     pub keyframes: usize,
-    /// Discs of 35 cm that stand on the way, between the key frames or evenly spaced. With them
-    /// only the last key frame is asked for.
+    /// Discs of 35 cm that stand on the way, evenly spaced in time; those that would cover its
+    /// beginning or end are left out. With them only the last key frame is asked for.
     pub obstacles: usize,
     /// Frames of a clip at most.
     pub frames: usize,
@@ -51,14 +54,18 @@ impl GoalTask {
             return goal;
         }
         goal.keyframes = vec![keyframe(last)];
+        let ends = [path[0], path[last]];
+        let clear = |[x, _, z]: &[f64; 3]| {
+            let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > OBSTACLE_RADIUS + CLEARANCE;
+            ends.iter().all(far)
+        };
         goal.obstacles = (1..=self.obstacles)
-            .map(|k| {
-                let [x, _, z] = path[k * last / (self.obstacles + 1)];
-                Obstacle::Disc {
-                    x,
-                    z,
-                    radius: OBSTACLE_RADIUS,
-                }
+            .map(|k| path[k * last / (self.obstacles + 1)])
+            .filter(clear)
+            .map(|[x, _, z]| Obstacle::Disc {
+                x,
+                z,
+                radius: OBSTACLE_RADIUS,
             })
             .collect();
         goal
@@ -164,7 +171,7 @@ fn embedding(clip: &Clip) -> Option<Vec<f32>> {
 struct Measured<'a> {
     samples: &'a [ClipSample],
     joints: Vec<Option<Joints>>,
-    /// Mean and deviation over time of each feature: what diversity and Fréchet distance compare.
+    /// Mean position of each joint about the root: what diversity and Fréchet distance compare.
     features: Vec<Vec<f64>>,
 }
 
