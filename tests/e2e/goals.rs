@@ -52,7 +52,9 @@ fn two_stages_lead_to_a_goal_in_four_files() {
     sandbox.run(&format!("{sample} --out again")).succeeded();
     let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");
     assert!(bytes("walk.npy") == bytes("again.npy"));
-    sandbox.run(&format!("{sample} --seed 1 --out other")).succeeded();
+    sandbox
+        .run(&format!("{sample} --seed 1 --out other"))
+        .succeeded();
     assert!(bytes("walk.npy") != bytes("other.npy"));
 }
 
@@ -62,7 +64,10 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
     let sample = "sample runs/gmd_trajectory --goal goal.toml --goal goal.toml --count 2";
     sandbox.run(&format!("{sample} --out path")).succeeded();
     for index in 0..4 {
-        assert_eq!(shape(&sandbox.path(format!("path-{index:03}.npy"))), [16, 2]);
+        assert_eq!(
+            shape(&sandbox.path(format!("path-{index:03}.npy"))),
+            [16, 2]
+        );
     }
     sandbox
         .run("sample runs/gmd_motion --frames 12 --out free")
@@ -78,8 +83,7 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
         .succeeded();
     assert!(said.stdout.contains("held out"), "{}", said.stdout);
     let report = sandbox.path("runs/gmd_motion/reports/eval-goals.json");
-    let report: Value =
-        serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
+    let report: Value = serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
     sandbox
@@ -94,13 +98,11 @@ fn a_run_starts_from_another_and_keeps_its_space() {
                  --set train.max_steps=2";
     sandbox.run(train).succeeded();
     let more = format!("{train} --resume --set train.max_steps=4 --set optim.weight_decay=0.5");
-    sandbox
-        .run(&more)
-        .failed(2, &["optim.weight_decay"]);
+    sandbox.run(&more).failed(2, &["optim.weight_decay"]);
     let more = format!("{train} --resume").replace("max_steps=2", "max_steps=4");
     sandbox.run(&more).succeeded();
     sandbox
-        .run(&format!("{train} --name plain --set emphasis.kind=none"))
+        .run(&format!("{train} --set emphasis.kind=none").replace("--name tuned", "--name plain"))
         .failed(2, &["emphasis.kind"]);
     let matrix = |run: &str, step: &str| {
         let path = format!("runs/{run}/checkpoints/step-{step}/model.safetensors");
@@ -121,7 +123,10 @@ fn dataset() -> Sandbox {
     write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
     sandbox.write(
         "c.toml",
-        SMALLEST_WALKS.replace("kind = \"synthetic_walks\"", "kind = \"humanml3d\"\nsource = \"walks\""),
+        SMALLEST_WALKS.replace(
+            "kind = \"synthetic_walks\"",
+            "kind = \"humanml3d\"\nsource = \"walks\"",
+        ),
     );
     sandbox
 }
@@ -139,7 +144,9 @@ fn a_dataset_on_disk_trains_and_is_looked_at() {
     let key = listed.lines().next().unwrap_or(key);
     let embedding = format!("walks/text_embeddings.safetensors#{key}");
     sandbox
-        .run(&format!("sample runs/smallest --text-embedding {embedding} --out told"))
+        .run(&format!(
+            "sample runs/smallest --text-embedding {embedding} --out told"
+        ))
         .succeeded();
     sandbox.run("sample runs/smallest --out untold").succeeded();
     let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");
@@ -199,7 +206,10 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         "frames = 99\n[[keyframe]]\nframe = 50\nx = 0.0\nz = 0.0\n",
         &["99 frames", "16"],
     );
-    refused("frames = 16\n[[keyframes]]\nframe = 1\n", &["goal.toml", "keyframes"]);
+    refused(
+        "frames = 16\n[[keyframes]]\nframe = 1\n",
+        &["goal.toml", "keyframes"],
+    );
     refused("frames = 16\n", &["goal.toml"]);
     sandbox.write("goal.toml", GOAL);
     sandbox
@@ -213,10 +223,15 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         ("--steps 0", ["num_inference_steps", "1 to"]),
         ("--sampler ddim", ["sampling.sampler.kind", "ddpm"]),
         ("--frames 8", ["`--frames` with `--goal`", "frames = 16"]),
-        ("--classifier-scale=-1", ["sampling.steering.scale", "0 or more"]),
+        (
+            "--classifier-scale=-1",
+            ["sampling.steering.scale", "0 or more"],
+        ),
         ("--clip unit", ["`--clip`", "sampling.clip"]),
     ] {
-        sandbox.run(&format!("{sample} {settings}")).failed(2, &texts);
+        sandbox
+            .run(&format!("{sample} {settings}"))
+            .failed(2, &texts);
     }
     sandbox
         .run("sample runs/gmd_motion --frames 0 --out walk")
@@ -233,19 +248,31 @@ fn settings_of_another_kind_of_run_are_refused_by_name() {
         assert!(!sandbox.path("runs").exists());
     };
     refused("--set model.kind=unet1d", &["model.kind", "gmd_unet"]);
-    refused("--set model.num_res_blocks=2", &["model.num_res_blocks", "unet1d"]);
-    refused("--set data.kind=synthetic", &["data.kind", "synthetic_walks"]);
+    refused(
+        "--set model.num_res_blocks=2",
+        &["model.num_res_blocks", "unet1d"],
+    );
+    refused(
+        "--set data.kind=synthetic",
+        &["data.kind", "synthetic_walks"],
+    );
     refused("--set model.padded_frames=15", &["model.padded_frames"]);
     refused("--set model.padded_frames=8", &["data.target_frames", "8"]);
     refused("--set model.dim_mults=[0.3,1]", &["model.dim_mults"]);
     refused("--set emphasis.scale=0", &["scale"]);
-    refused("--set loss.trajectory_scale=5", &["loss.trajectory_scale", "projected"]);
+    refused(
+        "--set loss.trajectory_scale=5",
+        &["loss.trajectory_scale", "projected"],
+    );
     refused(
         "--set train.recipe=gmd_trajectory --set emphasis.kind=gaussian",
         &["emphasis.kind"],
     );
     refused("--set sampling.clip=training_range", &["sampling.clip"]);
-    refused("--set sampling.steering.scale=-1", &["sampling.steering.scale"]);
+    refused(
+        "--set sampling.steering.scale=-1",
+        &["sampling.steering.scale"],
+    );
     sandbox.write("c.toml", SMALLEST);
     refused("--set data.kind=synthetic_walks", &["data.kind", "phrases"]);
 }
@@ -284,7 +311,10 @@ fn published_weights_become_a_run() {
         .succeeded();
     let tune = "train c.toml --name tuned --set train.recipe=gmd_trajectory \
                 --set init.diffusion=runs/gmd --set train.max_steps=2";
-    let without_model = SMALLEST_WALKS.split("[model]").next().expect("what comes first");
+    let without_model = SMALLEST_WALKS
+        .split("[model]")
+        .next()
+        .expect("what comes first");
     sandbox.write("c.toml", without_model);
     sandbox.run(tune).succeeded();
 }
@@ -293,12 +323,13 @@ fn published_weights_become_a_run() {
 fn weights_that_do_not_fit_are_refused_with_all_differences() {
     let sandbox = published();
     let import = |weights: &str, arch: &str, rest: &str| {
-        sandbox.run(&format!("import {weights} --arch {arch} --out runs/gmd {rest}"))
+        sandbox.run(&format!(
+            "import {weights} --arch {arch} --out runs/gmd {rest}"
+        ))
     };
     let statistics = "--mean m.npy --std s.npy";
     import("checkpoint_tiny.pt", "gmd_trajectory", "").failed(2, &["--mean"]);
-    import("checkpoint_tiny.pt", "gmd_motion", statistics)
-        .failed(2, &["4 channels", "263"]);
+    import("checkpoint_tiny.pt", "gmd_motion", statistics).failed(2, &["4 channels", "263"]);
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
     write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
     import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
@@ -307,7 +338,11 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     // One name changed within the pickle is one parameter missing and another not known.
     let path = sandbox.path("checkpoint_bare.pt");
     let bytes = fs::read(&path).expect("a fixture");
-    fs::write(&path, renamed(bytes, b"embed_text.bias", b"embed_text.bios")).expect("a file");
+    fs::write(
+        &path,
+        renamed(bytes, b"embed_text.bias", b"embed_text.bios"),
+    )
+    .expect("a file");
     import("checkpoint_bare.pt", "gmd_trajectory", statistics).failed(
         2,
         &[
@@ -317,7 +352,10 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
         ],
     );
     let left = contents(&sandbox.path("."));
-    assert!(left.iter().all(|(name, _)| !name.starts_with("runs")), "nothing written");
+    assert!(
+        left.iter().all(|(name, _)| !name.starts_with("runs")),
+        "nothing written"
+    );
 }
 
 /// An archive whose first file that holds `name` holds `other`, of the same length, in its place.

@@ -19,7 +19,9 @@ fn fixture(name: &str) -> Golden {
 }
 
 fn answer(network: &TextDenoiser, golden: &Golden, device: &Device, told: bool) -> Tensor<3> {
-    let text = golden.tensor::<2>("in.text_features", device).unsqueeze_dim(2);
+    let text = golden
+        .tensor::<2>("in.text_features", device)
+        .unsqueeze_dim(2);
     let text: Tensor<3> = if told { text } else { text.zeros_like() };
     network.forward(
         golden.tensor("in.x", device),
@@ -35,9 +37,13 @@ fn the_transformer_is_that_of_pytorch() {
     let config: serde_json::Value =
         serde_json::from_str(golden.metadata("config")).expect("the sizes");
     let width = golden.get("model.embed_text.weight").shape[0];
-    let inner = golden.get("model.seqTransEncoder.layers.0.linear1.weight").shape[0];
+    let inner = golden
+        .get("model.seqTransEncoder.layers.0.linear1.weight")
+        .shape[0];
     let layers = (0..).take_while(|layer| {
-        golden.has(&format!("model.seqTransEncoder.layers.{layer}.linear1.weight"))
+        golden.has(&format!(
+            "model.seqTransEncoder.layers.{layer}.linear1.weight"
+        ))
     });
     let heads = ["num_heads", "heads", "nhead"]
         .iter()
@@ -54,9 +60,13 @@ fn the_transformer_is_that_of_pytorch() {
     let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let x = golden.tensor::<3>("in.x", &device).require_grad();
-    let text = golden.tensor::<2>("in.text_features", &device).unsqueeze_dim(2);
+    let text = golden
+        .tensor::<2>("in.text_features", &device)
+        .unsqueeze_dim(2);
     let y = network.forward(x.clone(), &golden.get("in.t").indices(), text);
-    golden.get("out.y").assert_within("y", y.clone(), OUTPUT, 0.0);
+    golden
+        .get("out.y")
+        .assert_within("y", y.clone(), OUTPUT, 0.0);
     golden.get("out.y_uncond").assert_within(
         "y without text",
         answer(&network, &golden, &device, false),
@@ -65,14 +75,18 @@ fn the_transformer_is_that_of_pytorch() {
     );
     let mut gradients = (y.clone() * y).mean().backward();
     let dx = x.grad(&gradients).expect("part of the loss");
-    golden.get("grad.in.x").assert_close_tensor("dx", dx, GRADIENT);
+    golden
+        .get("grad.in.x")
+        .assert_close_tensor("dx", dx, GRADIENT);
     let infos = parameters::infos(&network);
     let gradients = parameters::gradients(&network, &mut gradients);
     let mut compared = 0;
     for (info, gradient) in infos.iter().zip(&gradients) {
         let name = format!("grad.model.{}", info.name);
         if golden.has(&name) {
-            golden.get(&name).assert_close_f32(&name, gradient, GRADIENT);
+            golden
+                .get(&name)
+                .assert_close_f32(&name, gradient, GRADIENT);
             compared += 1;
         }
     }

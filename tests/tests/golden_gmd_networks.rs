@@ -57,7 +57,9 @@ fn compare_unet(file: &str) {
     let cond = golden.tensor::<2>("in.cond", &device).require_grad();
     let y = network.forward(sequence_first(x.clone()), cond.clone());
     let y = y.permute([2, 0, 1]);
-    golden.get("out.y").assert_within(file, y.clone(), OUTPUT, 0.0);
+    golden
+        .get("out.y")
+        .assert_within(file, y.clone(), OUTPUT, 0.0);
 
     let loss = (y.clone() * y).mean();
     golden
@@ -68,9 +70,11 @@ fn compare_unet(file: &str) {
     golden
         .get("grad.in.x")
         .assert_close_tensor("dx", of(x.grad(&gradients)), GRADIENT);
-    golden
-        .get("grad.in.cond")
-        .assert_close_tensor("dcond", cond.grad(&gradients).expect("too"), GRADIENT);
+    golden.get("grad.in.cond").assert_close_tensor(
+        "dcond",
+        cond.grad(&gradients).expect("too"),
+        GRADIENT,
+    );
     let computed = parameters::gradients(&network, &mut gradients);
     compare_gradients(&golden, &network, &computed);
 }
@@ -101,8 +105,14 @@ fn golden_gmd_whole_model() {
     let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let timesteps = golden.get("in.t").indices();
-    let text = golden.tensor::<2>("in.text_features", &device).unsqueeze_dim(2);
-    let x = golden.get("in.x").flat().tensor::<3>(&device).require_grad();
+    let text = golden
+        .tensor::<2>("in.text_features", &device)
+        .unsqueeze_dim(2);
+    let x = golden
+        .get("in.x")
+        .flat()
+        .tensor::<3>(&device)
+        .require_grad();
 
     let width = golden.get("out.time_emb").shape[1];
     golden.get("out.pe_rows").assert_within(
@@ -113,16 +123,26 @@ fn golden_gmd_whole_model() {
     );
     let conditioner = network.conditioner();
     let time = conditioner.time(&timesteps, &device);
-    golden.get("out.time_emb").assert_within("time", time, WHOLE, 0.0);
+    golden
+        .get("out.time_emb")
+        .assert_within("time", time, WHOLE, 0.0);
     let cond = conditioner.forward(&timesteps, text.clone());
-    golden.get("out.emb").assert_within("cond", cond, WHOLE, 0.0);
+    golden
+        .get("out.emb")
+        .assert_within("cond", cond, WHOLE, 0.0);
     let uncond = conditioner.forward(&timesteps, text.zeros_like());
-    golden.get("out.emb_uncond").assert_within("uncond", uncond, WHOLE, 0.0);
+    golden
+        .get("out.emb_uncond")
+        .assert_within("uncond", uncond, WHOLE, 0.0);
 
     let y = network.forward(x.clone(), &timesteps, text.clone());
-    golden.get("out.y").assert_within("y", y.clone(), WHOLE, 0.0);
+    golden
+        .get("out.y")
+        .assert_within("y", y.clone(), WHOLE, 0.0);
     let uncond = network.forward(x.clone(), &timesteps, text.zeros_like());
-    golden.get("out.y_uncond").assert_within("y without text", uncond, WHOLE, 0.0);
+    golden
+        .get("out.y_uncond")
+        .assert_within("y without text", uncond, WHOLE, 0.0);
     let scales = golden.get("in.cfg_scale");
     for (sample, &scale) in scales.values.iter().enumerate() {
         let mixed = guided(&network, x.clone(), &timesteps, &text, scale);

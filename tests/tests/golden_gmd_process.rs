@@ -113,15 +113,8 @@ impl Bench {
             tracked: &self.tracked,
             plain: &self.plain,
         };
-        let output = steered_step(
-            &self.diffusion,
-            networks,
-            input,
-            &x_t,
-            &self.clip,
-            steering,
-        )
-        .expect("sizes fit");
+        let output = steered_step(&self.diffusion, networks, input, &x_t, &self.clip, steering)
+            .expect("sizes fit");
         (output.prev_sample, output.pred_original_sample)
     }
 }
@@ -395,9 +388,12 @@ fn golden_gmd_imputation_of_trajectories() {
         let part = |name: &str| Some(bench.part(name, index).tensor(&bench.device));
         let (noise, noise_q) = (part("in.traj.noise"), part("in.traj.noise_q"));
         let (sample, x_start) = bench.step(x_t.clone(), timestep, noise, noise_q, &steering);
-        bench
-            .part("out.traj.sample", index)
-            .assert_within(&format!("sample at {timestep}"), sample, 1e-4, 0.0);
+        bench.part("out.traj.sample", index).assert_within(
+            &format!("sample at {timestep}"),
+            sample,
+            1e-4,
+            0.0,
+        );
         bench
             .part("out.traj.pred_xstart", index)
             .assert_within("prediction", x_start, 1e-4, 0.0);
@@ -564,12 +560,16 @@ fn golden_gmd_trajectory_loss() {
             }
             let loss = weighted_masked_mse(output, target, mask.clone(), &weights);
             let gradients = loss.backward();
-            golden
-                .get(&format!("grad.{name}.W"))
-                .assert_close_tensor("dW", w.grad(&gradients).expect("one"), 1e-4);
-            golden
-                .get(&format!("grad.{name}.v"))
-                .assert_close_tensor("dv", v.grad(&gradients).expect("one"), 1e-4);
+            golden.get(&format!("grad.{name}.W")).assert_close_tensor(
+                "dW",
+                w.grad(&gradients).expect("one"),
+                1e-4,
+            );
+            golden.get(&format!("grad.{name}.v")).assert_close_tensor(
+                "dv",
+                v.grad(&gradients).expect("one"),
+                1e-4,
+            );
         }
     }
 }

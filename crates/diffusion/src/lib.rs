@@ -50,5 +50,6 @@ pub use sampler::{
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Goal, Guidance, Imputation, Networks, Space, SteeredInput, Steering, steered_sample, steered_step,
+    Goal, Guidance, Imputation, Networks, Space, SteeredInput, Steering, steered_sample,
+    steered_step,
 };

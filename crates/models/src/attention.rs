@@ -40,7 +40,8 @@ impl AttentionBlock {
             norm: GroupNorm::new(channels, GROUPS, &init.at("norm")),
             qkv: pointwise("qkv", channels, 3 * channels),
             proj: pointwise("proj", channels, channels),
-            cross_norm: context_dim.map(|_| GroupNorm::new(channels, GROUPS, &init.at("cross_norm"))),
+            cross_norm: context_dim
+                .map(|_| GroupNorm::new(channels, GROUPS, &init.at("cross_norm"))),
             q_cross: context_dim.map(|_| pointwise("q_cross", channels, channels)),
             kv_cross: context_dim.map(|dim| pointwise("kv_cross", dim, 2 * channels)),
             proj_cross: context_dim.map(|_| pointwise("proj_cross", channels, channels)),

@@ -148,7 +148,11 @@ fn take(config: &Config, names: &[&str]) -> Table {
     let mut whole: Table = config::to_toml(config).parse().expect("own output");
     let table = |name: &&str| whole.remove(*name).unwrap_or(Value::Table(Table::new()));
     let tables: Vec<Value> = names.iter().map(table).collect();
-    names.iter().map(|name| (*name).to_string()).zip(tables).collect()
+    names
+        .iter()
+        .map(|name| (*name).to_string())
+        .zip(tables)
+        .collect()
 }
 
 /// Refuses a config whose networks or process are not those of its start.

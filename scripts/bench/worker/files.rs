@@ -6,7 +6,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-use kinegrad_train::recipes::{DenoisingDraws, Inputs};
+use kinegrad_train::recipes::{ClipDraws, ClipInputs, DenoisingDraws, Inputs};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::Result;
@@ -46,6 +46,23 @@ impl NamedTensors {
             mask: Tensor::ones([batch, time], &x_start.device()),
             cond: self.tensor("cond")?,
             x_start,
+        })
+    }
+
+    /// Clips with a mask `[batch, 1, time]` and a text each.
+    pub fn clips(&self) -> Result<ClipInputs> {
+        Ok(ClipInputs {
+            x_start: self.tensor("motion")?,
+            text: self.tensor("cond")?,
+            mask: self.tensor("mask")?.squeeze_dim(1),
+        })
+    }
+
+    pub fn clip_draws(&self) -> Result<ClipDraws> {
+        Ok(ClipDraws {
+            timesteps: self.timesteps.clone(),
+            noise: self.tensor("noise")?,
+            keep_text: None,
         })
     }
 

@@ -32,14 +32,20 @@ use kinegrad_diffusion::{
 };
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_models::{DecoderConfig, Initializer, ModelConfig, MotionModel, UNet1d};
+use kinegrad_models::{
+    DecoderConfig, Initializer, ModelConfig, ModelKind, MotionModel, TextDenoiser, UNet1d,
+};
 use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::humanml::{FeatureStatistics, Root};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::config::{LossConfig, OptimConfig, RolloutConfig, ValidationConfig};
+use kinegrad_train::Config;
+use kinegrad_train::config::{EmaConfig, LossConfig, OptimConfig, RolloutConfig, ValidationConfig};
+use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
 use kinegrad_train::recipes::{
-    DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Loss, Recipe, Sampler,
+    DiffusionRecipe, E2eDraws, E2eRecipe, GmdMotionRecipe, HeldOut, HeldOutClips, Loss, Recipe,
+    Sampler,
 };
 use serde::Deserialize;
 use serde_json::json;
@@ -53,9 +59,44 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 struct Row {
     /// File of weights by state-dict name.
     weights: PathBuf,
-    model: ModelConfig,
+    model: Network,
     prediction_type: PredictionType,
     task: Task,
+}
+
+/// Which network a step is of.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Network {
+    /// One of Guided Motion Diffusion.
+    Gmd(Gmd),
+    /// One of motion under audio.
+    Audio(Box<ModelConfig>),
+}
+
+/// The sizes of a network of Guided Motion Diffusion.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Gmd {
+    kind: ModelKind,
+    motion_channels: usize,
+    model_channels: usize,
+    channel_mult: Vec<f64>,
+    padded_frames: usize,
+}
+
+impl Gmd {
+    fn init(&self, device: &Device) -> Result<TextDenoiser> {
+        let config = ModelConfig {
+            kind: self.kind,
+            latent_dim: Some(self.model_channels),
+            dim_mults: Some(self.channel_mult.clone()),
+            padded_frames: Some(self.padded_frames),
+            ..ModelConfig::default()
+        };
+        let backbone = config.backbone(self.motion_channels)?;
+        Ok(TextDenoiser::new(&backbone, &Initializer::new(0, device))?)
+    }
 }
 
 /// What a step does.
@@ -72,6 +113,14 @@ enum Task {
         optim: OptimConfig,
         max_grad_norm: f64,
         rollout: RolloutConfig,
+    },
+    /// Trains a network of Guided Motion Diffusion on noised clips, its moving average with it.
+    TrainGmd {
+        diffusion: DiffusionConfig,
+        trajectory_scale: f64,
+        optim: OptimConfig,
+        max_grad_norm: f64,
+        ema: EmaConfig,
     },
     /// Draws one batch of motion.
     Sample { sampler: SamplerConfig },
@@ -95,8 +144,7 @@ struct Done {
 
 type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss>;
 
-/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same and without a moving
-/// average.
+/// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same.
 struct Training<R: Recipe> {
     recipe: R,
     /// `None` only while an update holds it.
@@ -106,6 +154,9 @@ struct Training<R: Recipe> {
     /// Learning rate of each parameter.
     rates: Vec<f64>,
     max_grad_norm: f64,
+    /// The moving average, where the row has one, and the updates done.
+    ema: Option<Ema>,
+    steps: u64,
 }
 
 impl<R: Recipe> Training<R> {
@@ -128,6 +179,17 @@ impl<R: Recipe> Training<R> {
             model: Some(model),
             loss: Box::new(loss),
             max_grad_norm,
+            ema: None,
+            steps: 0,
+        }
+    }
+
+    fn with_ema(self, config: &EmaConfig) -> Self {
+        let model = self.model.as_ref().expect("held between updates");
+        let values = parameters::export(model).into_iter().map(|p| p.values);
+        Self {
+            ema: Some(Ema::new(config, values.collect())),
+            ..self
         }
     }
 }
@@ -145,9 +207,20 @@ impl<R: Recipe> Work for Training<R> {
         let gradients = self.recipe.backward(&model, loss);
         let scale = clip_factor(global_norm(&gradients), self.max_grad_norm);
         self.optimizer.begin_step();
-        let (optimizer, rates) = (&mut self.optimizer, &self.rates);
+        self.steps += 1;
+        let decay = self.ema.as_ref().and_then(|ema| ema.decay_at(self.steps));
+        let (optimizer, rates, ema) = (&mut self.optimizer, &self.rates, &mut self.ema);
         self.model = Some(parameters::update(model, |index, values| {
-            optimizer.update(index, values, &gradients[index], scale, rates[index], None);
+            let average = ema.as_mut().zip(decay);
+            let average = average.map(|(ema, decay)| ema.average(index, decay));
+            optimizer.update(
+                index,
+                values,
+                &gradients[index],
+                scale,
+                rates[index],
+                average,
+            );
         }));
         Ok(Done {
             loss: Some(value),
@@ -192,14 +265,22 @@ impl Work for Sampling {
 fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     let diffusion = GaussianDiffusion::new(&DiffusionConfig {
         prediction_type: row.prediction_type,
-        ..DiffusionConfig::default()
+        ..match &row.task {
+            Task::TrainGmd { diffusion, .. } => diffusion.clone(),
+            _ => DiffusionConfig::default(),
+        }
     })?;
     let device = match row.task {
-        Task::Train { .. } | Task::EndToEnd { .. } => device.clone().autodiff(),
+        Task::Train { .. } | Task::EndToEnd { .. } | Task::TrainGmd { .. } => {
+            device.clone().autodiff()
+        }
         Task::Sample { .. } => device.clone(),
     };
     let unet = || -> Result<UNet1d> {
-        let config = row.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
+        let Network::Audio(model) = &row.model else {
+            return Err("the task is one of networks under audio".into());
+        };
+        let config = model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
         Ok(config.init(&Initializer::new(0, &device))?)
     };
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
@@ -257,6 +338,29 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
                 recipe.loss_of(model, batch.clone(), draws.clone())
             };
             Box::new(Training::new(recipe, model, &optim, max_grad_norm, loss))
+        }
+        Task::TrainGmd {
+            trajectory_scale,
+            optim,
+            max_grad_norm,
+            ema,
+            ..
+        } => {
+            let Network::Gmd(network) = &row.model else {
+                return Err("the task is one of networks under a text".into());
+            };
+            let model = parameters::load(network.init(&device)?, weights)?;
+            let channels = network.motion_channels;
+            let unit = FeatureStatistics::new(vec![0.0; 263], vec![1.0; 263], Root::Absolute)?;
+            let held_out =
+                HeldOutClips::new(Vec::new(), Arc::new(unit), 0..channels, &Config::default());
+            let recipe = GmdMotionRecipe::new(diffusion, channels, trajectory_scale, held_out);
+            let (batch, draws) = (inputs.clips()?, inputs.clip_draws()?);
+            let loss = move |recipe: &GmdMotionRecipe, model: &TextDenoiser| {
+                recipe.loss_of(model, batch.clone(), draws.clone())
+            };
+            let training = Training::new(recipe, model, &optim, max_grad_norm, loss);
+            Box::new(training.with_ema(&ema))
         }
         Task::Sample { sampler } => Box::new(Sampling {
             unet: parameters::load(unet()?, weights)?,

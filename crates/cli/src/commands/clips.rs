@@ -47,7 +47,10 @@ pub fn sample(
     }
     if let (Some(_), Some(goal)) = (arguments.frames, goals.first()) {
         let message = "`--frames` with `--goal`";
-        let hint = format!("the goal says how long the clip is: `frames = {}`", goal.frames);
+        let hint = format!(
+            "the goal says how long the clip is: `frames = {}`",
+            goal.frames
+        );
         return Err(UsageError::new(message, hint).into());
     }
     let text = arguments.text_embedding.as_deref().map(read_embedding);
@@ -65,11 +68,7 @@ pub fn sample(
     let trajectory = trajectory
         .map(|checkpoint| ClipGenerator::load(&checkpoint, weights, &device))
         .transpose()?;
-    let steering = steering(
-        config,
-        arguments.classifier_scale,
-        arguments.no_imputation,
-    )?;
+    let steering = steering(config, arguments.classifier_scale, arguments.no_imputation)?;
     let bar = denoising_bar();
     let samples = generator.sample(
         trajectory.as_ref(),
@@ -164,11 +163,7 @@ fn refuse_phrases(arguments: &SampleArguments) -> Result<(), UsageError> {
 }
 
 /// `--count` clips for each goal, or for none.
-fn requests(
-    arguments: &SampleArguments,
-    goals: &[Goal],
-    text: Option<&[f32]>,
-) -> Vec<ClipRequest> {
+fn requests(arguments: &SampleArguments, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipRequest> {
     let request = |goal: Option<&Goal>| ClipRequest {
         goal: goal.cloned(),
         text: text.map(<[f32]>::to_vec),
@@ -232,6 +227,9 @@ fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton)
         })
         .collect();
     if !measured.is_empty() {
-        println!("{}", GoalReport::compute(&measured, &skeleton.contact_joints()));
+        println!(
+            "{}",
+            GoalReport::compute(&measured, &skeleton.contact_joints())
+        );
     }
 }

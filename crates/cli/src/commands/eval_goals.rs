@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_data::humanml::ClipDataset;
+use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::{ClipGenerator, Stage};
@@ -138,11 +138,7 @@ fn evaluate(
             obstacles: arguments.obstacles,
             frames: data.target_frames,
         },
-        steering: steering(
-            &config,
-            arguments.classifier_scale,
-            arguments.no_imputation,
-        )?,
+        steering: steering(&config, arguments.classifier_scale, arguments.no_imputation)?,
         sampler,
         seed: arguments.seed,
     };
@@ -188,7 +184,11 @@ fn comparison(evaluations: &[GoalEvaluation]) -> String {
             Some(value) => format!("{value:.4}"),
             None => "-".to_string(),
         });
-        Some(std::iter::once(format!("{name}{unit}")).chain(shown).collect())
+        Some(
+            std::iter::once(format!("{name}{unit}"))
+                .chain(shown)
+                .collect(),
+        )
     });
     table(std::iter::once(header.collect()).chain(rows))
 }

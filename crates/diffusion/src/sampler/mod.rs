@@ -97,7 +97,11 @@ pub fn sample<D: Denoiser + ?Sized>(
 
 /// Whether the step's noise has a factor above 0: not when it lands on the clean motion, and not
 /// when it stays where it is.
-pub(crate) fn draws_noise(config: &SamplerConfig, timestep: usize, prev_timestep: Option<usize>) -> bool {
+pub(crate) fn draws_noise(
+    config: &SamplerConfig,
+    timestep: usize,
+    prev_timestep: Option<usize>,
+) -> bool {
     let random = config.kind == SamplerKind::Ddpm || config.eta > 0.0;
     random && prev_timestep.is_some_and(|prev| prev != timestep)
 }

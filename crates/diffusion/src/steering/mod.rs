@@ -114,8 +114,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let prev_timestep = kept.get(index + 1).copied();
         let key = key.at(index as u64);
         let steering = steering(timestep);
-        let noise =
-            draws_noise(config, timestep, prev_timestep).then(|| step_noise(key, &x));
+        let noise = draws_noise(config, timestep, prev_timestep).then(|| step_noise(key, &x));
         let imputation_noise = steering
             .imputation
             .as_ref()

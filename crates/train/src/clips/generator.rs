@@ -345,7 +345,8 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
     };
     let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
     let goal: Goal = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
-    goal.validate().map_err(|error| refused(error.to_string()))?;
+    goal.validate()
+        .map_err(|error| refused(error.to_string()))?;
     Ok(goal)
 }
 

@@ -201,10 +201,7 @@ impl Sizes {
         let adagn = tensors.contains_key(adagn_name);
         let levels = (0..).map_while(|level| {
             let half = if adagn { "block1" } else { "block" };
-            size(
-                &format!("unet.downs.{level}.0.blocks.0.{half}.0.weight"),
-                0,
-            )
+            size(&format!("unet.downs.{level}.0.blocks.0.{half}.0.weight"), 0)
         });
         let sizes = Self {
             channels: size(output, 0).ok_or_else(|| lacking(output))?,
@@ -220,10 +217,7 @@ impl Sizes {
 }
 
 /// The config that describes the weights, and the statistics of their data.
-fn settings(
-    request: &ImportRequest,
-    sizes: &Sizes,
-) -> Result<(Config, FeatureStatistics), Error> {
+fn settings(request: &ImportRequest, sizes: &Sizes) -> Result<(Config, FeatureStatistics), Error> {
     let recipe = request.architecture.recipe();
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
     let mut config = config::parse(&text, "the recipe's defaults", &[])?;
@@ -334,11 +328,17 @@ fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
         }
         DType::F16 => {
             let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits.into_iter().map(|b| f16::from_bits(b).to_f32()).collect())
+            Ok(bits
+                .into_iter()
+                .map(|b| f16::from_bits(b).to_f32())
+                .collect())
         }
         DType::BF16 => {
             let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits.into_iter().map(|b| bf16::from_bits(b).to_f32()).collect())
+            Ok(bits
+                .into_iter()
+                .map(|b| bf16::from_bits(b).to_f32())
+                .collect())
         }
         other => Err(format!("{other:?} found, a floating-point type needed")),
     }

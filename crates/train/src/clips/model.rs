@@ -22,7 +22,13 @@ pub(super) const MATRIX: &str = "projection.matrix";
 pub fn clip_channels(config: &Config) -> usize {
     match config.train.recipe {
         Recipe::GmdTrajectory => TRAJECTORY_CHANNELS,
-        _ => config.data.humanml3d.skeleton.skeleton().layout().channels(),
+        _ => config
+            .data
+            .humanml3d
+            .skeleton
+            .skeleton()
+            .layout()
+            .channels(),
     }
 }
 

@@ -51,8 +51,15 @@ impl FeatureSpace {
             Tensor::from_data(TensorData::new(values, shape), device)
         };
         let square = |values: &[f32]| -> Tensor<2> {
-            assert_eq!(values.len(), channels * channels, "a matrix of the channels");
-            Tensor::from_data(TensorData::new(values.to_vec(), [channels, channels]), device)
+            assert_eq!(
+                values.len(),
+                channels * channels,
+                "a matrix of the channels"
+            );
+            Tensor::from_data(
+                TensorData::new(values.to_vec(), [channels, channels]),
+                device,
+            )
         };
         Self {
             ground: tensor(&ground, [1, 2, channels]),
@@ -103,7 +110,10 @@ pub struct GroundGoal<'a> {
 impl Goal for GroundGoal<'_> {
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = pred_original_sample.dims();
-        let positions = self.space.ground(pred_original_sample.clone()).swap_dims(1, 2);
+        let positions = self
+            .space
+            .ground(pred_original_sample.clone())
+            .swap_dims(1, 2);
         let positions = positions.try_into_vec_as::<f32>();
         let positions = positions.expect("samples are float32").into_iter();
         let positions: Vec<f64> = positions.map(f64::from).collect();

@@ -38,7 +38,11 @@ impl GoalTask {
     /// The goal on the way of `clip`.
     pub fn goal(&self, clip: &Clip) -> Goal {
         let frames = clip.features.frames().min(self.frames);
-        let path = clip.features.slice(0..frames).to_absolute().root_positions();
+        let path = clip
+            .features
+            .slice(0..frames)
+            .to_absolute()
+            .root_positions();
         let last = frames - 1;
         let mut goal = Goal::new(frames);
         let keyframe = |frame: usize| {

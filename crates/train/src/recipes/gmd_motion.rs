@@ -52,13 +52,7 @@ impl GmdMotionRecipe {
             None => inputs.x_start,
         };
         let inputs = ClipInputs { x_start, ..inputs };
-        clip_loss(
-            &self.diffusion,
-            model,
-            inputs,
-            draws,
-            &self.channel_weights,
-        )
+        clip_loss(&self.diffusion, model, inputs, draws, &self.channel_weights)
     }
 }
 
