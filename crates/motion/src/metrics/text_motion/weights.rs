@@ -116,7 +116,10 @@ fn unfit(
         let wanted: Vec<String> = wanted.iter().map(named).collect();
         return Some(format!("is {shape:?}, expected [{}]", wanted.join(", ")));
     }
-    if values.len() != shape.iter().product::<usize>() {
+    let count = shape
+        .iter()
+        .try_fold(1, |count: usize, axis| count.checked_mul(*axis));
+    if count != Some(values.len()) {
         return Some(format!("has {} values for {shape:?}", values.len()));
     }
     let broken = values.iter().position(|value| !value.is_finite())?;
@@ -173,6 +176,8 @@ mod tests {
         let message = "the weights of `gru` do not fit: `bias` has 5 values for [6]; `initial` \
                        holds NaN at place 2";
         assert_eq!(problems(&unfit), message);
+        unfit.insert("weight".into(), (vec![6, usize::MAX], vec![0.0; 7]));
+        assert!(problems(&unfit).contains("`weight` has 7 values for [6, "));
         unfit.insert("weight".into(), (vec![7], vec![0.0; 7]));
         assert!(problems(&unfit).contains("`weight` is [7], expected [6, any]"));
     }
