@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from gmd.checkpoint import perturbed, save, state_dict
 from gmd.conditioning import TEXT_FEATURES
 from gmd.denoiser import UNetDenoiser
+from gmd.text_motion import Evaluator, TextMotionConfig, metrics
 from gmd.transformer import TransformerConfig, TransformerDenoiser
 from gmd.unet import UNetConfig
 
@@ -54,6 +55,28 @@ TRANSFORMER_GRADIENTS = [
     "seqTransEncoder.layers.1.norm2.bias",
     "seqTransEncoder.layers.1.norm2.weight",
 ]
+
+EVALUATOR = TextMotionConfig(
+    channels=23,
+    convolution=6,
+    movement=5,
+    motion_state=7,
+    word_vector=4,
+    text_state=6,
+    embedding=8,
+)
+CLIPS = [40, 23, 196, 8, 4, 62]
+WORDS = "unk sos eos a man walk slowly left arm chair over and the jump sit".split()
+CAPTIONS = [
+    "a/DET man/NOUN walk/VERB slowly/ADV",
+    "the/DET man/NOUN jump/NOUN over/ADP the/DET chair/NOUN and/CCONJ sit/VERB",
+    "a/DET " * 19 + "left/NOUN arm/NOUN man/NOUN",
+    "zzz/VERB left/OTHER qqq/NOUN",
+    "",
+    "man/PROPN man/NUM man/AUX man/PRON man/ADJ",
+    "arm/Act_VIP man/Act_VIP",
+]
+PAIRS = 70
 
 
 def randomize(model: nn.Module, generator: torch.Generator) -> None:
@@ -93,7 +116,7 @@ def without_text(given: dict[str, Tensor]) -> dict[str, Tensor]:
     return given | {"in.text_features": torch.zeros_like(given["in.text_features"])}
 
 
-def write(path: Path, tensors: dict[str, Tensor], config: object, **more: int) -> None:
+def write(path: Path, tensors: dict[str, Tensor], config: object, **more: object) -> None:
     """A file with its configuration; floats become float32."""
     stored = {
         name: (values.detach().float() if values.is_floating_point() else values).contiguous()
@@ -152,6 +175,41 @@ def transformer(folder: Path) -> None:
     write(folder / "mdm_transformer_tiny.safetensors", tensors, TRANSFORMER)
 
 
+def evaluator(folder: Path) -> None:
+    """The text-motion evaluator: weights, clips, captions, their embeddings, and the metrics of
+    other embeddings."""
+    generator = torch.Generator().manual_seed(4)
+    model = Evaluator(EVALUATOR).eval()
+    randomize(model, generator)
+    tensors = dict(model.state_dict())
+    tensors |= {f"in.clip{i}": torch.randn(n, 23, generator=generator) for i, n in enumerate(CLIPS)}
+    tensors["in.mean"] = torch.randn(23, generator=generator)
+    tensors["in.std"] = 0.5 + torch.rand(23, generator=generator)
+    tensors["in.vectors"] = torch.randn(len(WORDS), EVALUATOR.word_vector, generator=generator)
+    texts = torch.randn(PAIRS, 3, generator=generator)
+    tensors["in.texts"] = texts
+    tensors["in.motions"] = texts + 0.5 * torch.randn(PAIRS, 3, generator=generator)
+    tensors["in.real"] = texts * torch.tensor([1.0, 0.5, 2.0]) + 0.3
+    tensors = {name: values.clone() for name, values in tensors.items()}
+    given = {name: values.double() for name, values in tensors.items()}
+    model.double()
+    vectors = dict(zip(WORDS, given["in.vectors"], strict=True))
+    clips = [given[f"in.clip{i}"] for i in range(len(CLIPS))]
+    with torch.no_grad():
+        tensors["out.motion"] = model.motions(clips, given["in.mean"], given["in.std"])
+        tensors["out.text"] = model.text_encoder.captions(CAPTIONS, vectors)
+        found = metrics(given["in.texts"], given["in.motions"], given["in.real"])
+    tensors |= {f"out.{name}": values for name, values in found.items()}
+    write(
+        folder / "text_motion_tiny.safetensors",
+        tensors,
+        EVALUATOR,
+        words=WORDS,
+        captions=CAPTIONS,
+        clips=len(CLIPS),
+    )
+
+
 def keep(tensors: dict[str, Tensor], key: str) -> Callable[..., None]:
     """A hook that notes a module's output."""
     return lambda _module, _inputs, output: tensors.update({key: output})
@@ -165,6 +223,7 @@ def main() -> None:
     checkpoint(folder, "checkpoint_tiny", TINY, seed=1, bare=False)
     checkpoint(folder, "checkpoint_bare", PLAIN, seed=2, bare=True)
     transformer(folder)
+    evaluator(folder)
 
 
 if __name__ == "__main__":

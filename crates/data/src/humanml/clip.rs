@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
 use crate::library::{Origin, Reading};
@@ -54,7 +55,11 @@ impl Item for Clip {
     }
 
     fn bytes(&self) -> usize {
-        let texts = self.captions.iter().map(|caption| caption.text.len());
+        let token = |token: &Token| size_of_val(token) + token.word.len();
+        let texts = self
+            .captions
+            .iter()
+            .map(|caption| caption.text.len() + caption.tokens.iter().map(token).sum::<usize>());
         let captions = texts.sum::<usize>() + size_of_val(&self.captions[..]);
         size_of_val(self) + self.id.len() + 4 * self.features.as_slice().len() + captions
     }

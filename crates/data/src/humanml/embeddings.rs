@@ -109,21 +109,8 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
     let unexpected = |found: String, expected: &str| {
         FileError::unexpected(format!("{file}, tensor `{id}`"), found, expected, HINT)
     };
-    let values: Vec<f32> = match tensor.dtype() {
-        Dtype::F32 => {
-            let (numbers, _) = tensor.data().as_chunks();
-            numbers
-                .iter()
-                .map(|&bytes| f32::from_le_bytes(bytes))
-                .collect()
-        }
-        Dtype::F16 => {
-            let (numbers, _) = tensor.data().as_chunks();
-            let half = |&bytes| from_half(u16::from_le_bytes(bytes));
-            numbers.iter().map(half).collect()
-        }
-        found => return Err(unexpected(format!("{found:?} numbers"), "F32 or F16")),
-    };
+    let values = numbers(tensor)
+        .ok_or_else(|| unexpected(format!("{:?} numbers", tensor.dtype()), "F32 or F16"))?;
     match *tensor.shape() {
         [_, EMBEDDING_CHANNELS] => {}
         ref found => {
@@ -138,6 +125,23 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
     }
     let rows = values.chunks_exact(EMBEDDING_CHANNELS);
     Ok(rows.map(Arc::from).collect())
+}
+
+/// The numbers of a tensor in single or half precision; none for other types.
+pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
+    Some(match tensor.dtype() {
+        Dtype::F32 => {
+            let (numbers, _) = tensor.data().as_chunks();
+            let single = |&bytes| f32::from_le_bytes(bytes);
+            numbers.iter().map(single).collect()
+        }
+        Dtype::F16 => {
+            let (numbers, _) = tensor.data().as_chunks();
+            let half = |&bytes| from_half(u16::from_le_bytes(bytes));
+            numbers.iter().map(half).collect()
+        }
+        _ => return None,
+    })
 }
 
 /// The number that a half-precision float stands for (IEEE 754, binary16).

@@ -32,6 +32,7 @@ mod statistics;
 mod synthetic;
 mod texts;
 mod walk;
+mod word_vectors;
 
 pub use clip::{Clip, ClipSet, parse_features, write_features};
 pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
@@ -42,3 +43,4 @@ pub(crate) use maker::ClipMaker;
 pub use maker::collate_clips;
 pub use synthetic::{synthetic_id, walk, write_walks};
 pub use texts::{Caption, parse_captions};
+pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -6,6 +6,7 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
+use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
@@ -191,6 +192,7 @@ fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
     let unit = noise.iter().map(|value| value / square.sqrt() as f32);
     Caption {
         embedding: Some(unit.collect()),
+        tokens: Token::parse_all(&text),
         text,
         seconds,
     }
@@ -309,8 +311,7 @@ fn write_text(path: &Path, text: &str) -> Result<(), Error> {
 
 /// The line of a caption in `texts/ID.txt`.
 fn line(caption: &Caption) -> String {
-    let tokens = caption.text.split(' ').map(|word| format!("{word}/OTHER"));
-    let tokens: Vec<String> = tokens.collect();
+    let tokens: Vec<String> = caption.tokens.iter().map(Token::to_string).collect();
     let (from, to) = caption.seconds.unwrap_or_default();
     format!("{}#{}#{from:?}#{to:?}\n", caption.text, tokens.join(" "))
 }

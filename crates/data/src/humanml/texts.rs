@@ -3,6 +3,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use kinegrad_motion::metrics::text_motion::Token;
+
 use crate::FileError;
 
 /// The longest file of captions.
@@ -16,6 +18,9 @@ const LINE: &str = "`CAPTION#TOKENS#FROM#TO`";
 pub struct Caption {
     /// The sentence.
     pub text: String,
+    /// Its words with their parts of speech, by which the text-motion evaluator reads it; may be
+    /// empty.
+    pub tokens: Vec<Token>,
     /// Begin and end of the passage in seconds; none where the sentence describes the whole clip.
     pub seconds: Option<(f64, f64)>,
     /// Its embedding, `[512]`; none in a dataset without.
@@ -36,9 +41,9 @@ impl Caption {
 
 /// Parses a file of captions; `file` names it in errors.
 ///
-/// A line is `CAPTION#TOKENS#FROM#TO`: the sentence, the same with parts of speech (not used), and
-/// the passage in seconds, for which 0.0 and 0.0 (or NaN) mean the whole clip. Empty lines are
-/// passed over.
+/// A line is `CAPTION#TOKENS#FROM#TO`: the sentence, its words with parts of speech
+/// ([`Token::parse_all`] reads anything), and the passage in seconds, for which 0.0 and 0.0 (or
+/// NaN) mean the whole clip. Empty lines are passed over.
 ///
 /// # Errors
 /// [`FileError::Unexpected`] with the line.
@@ -75,7 +80,7 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
 /// A caption, or what was found and what is expected instead.
 fn parse_line(line: &str) -> Result<Caption, (String, String)> {
     let mut fields = line.rsplitn(4, '#');
-    let (Some(to), Some(from), Some(_), Some(text)) =
+    let (Some(to), Some(from), Some(tokens), Some(text)) =
         (fields.next(), fields.next(), fields.next(), fields.next())
     else {
         return Err((format!("`{}`", shortened(line)), LINE.to_owned()));
@@ -95,6 +100,7 @@ fn parse_line(line: &str) -> Result<Caption, (String, String)> {
     let (from, to) = (seconds(from, "FROM")?, seconds(to, "TO")?);
     Ok(Caption {
         text: text.to_owned(),
+        tokens: Token::parse_all(tokens),
         seconds: (from != 0.0 || to != 0.0).then_some((from, to)),
         embedding: None,
     })
@@ -134,6 +140,15 @@ mod tests {
         assert_eq!(captions[2].frames(90, 20.0), 25..70);
         assert_eq!(captions[2].frames(60, 20.0), 25..60);
         assert_eq!(captions[2].frames(20, 20.0), 20..20);
+    }
+
+    #[test]
+    fn words_keep_their_parts_of_speech() {
+        let text = "a man #1 walks.#a/DET man/NOUN walk/VERB#0.0#0.0\nsits##0.0#0.0";
+        let captions = parse_captions(text.as_bytes(), "a.txt").unwrap();
+        let tokens: Vec<String> = captions[0].tokens.iter().map(Token::to_string).collect();
+        assert_eq!(tokens, ["a/DET", "man/NOUN", "walk/VERB"]);
+        assert_eq!(captions[1].tokens, []);
     }
 
     #[test]

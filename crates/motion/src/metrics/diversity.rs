@@ -58,14 +58,21 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
         let others = |(first, second)| (first, second + usize::from(second >= first));
         firsts.into_iter().zip(seconds).map(others).collect()
     };
-    let distance = |&(first, second): &(usize, usize)| {
-        let (a, b): (&Vec<f64>, &Vec<f64>) = (&features[first], &features[second]);
-        assert_eq!(a.len(), b.len(), "feature vectors of one length");
-        let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
-        squares.sum::<f64>().sqrt()
-    };
-    let mean = drawn.iter().map(distance).sum::<f64>() / drawn.len() as f64;
+    let between = drawn
+        .iter()
+        .map(|&(first, second)| distance(&features[first], &features[second]));
+    let mean = between.sum::<f64>() / drawn.len() as f64;
     mean.is_finite().then_some(mean)
+}
+
+/// Euclidean distance.
+///
+/// # Panics
+/// Panics if the vectors differ in length.
+pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len(), "feature vectors of one length");
+    let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+    squares.sum::<f64>().sqrt()
 }
 
 #[cfg(test)]

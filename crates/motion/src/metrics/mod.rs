@@ -6,13 +6,14 @@
 //! or because a value is not finite, is `None`.
 //!
 //! How well generated bodies reach a [`Goal`](crate::goal::Goal), and how they move meanwhile, is
-//! in [`GoalReport`].
+//! in [`GoalReport`]; how well they match their captions, in [`text_motion`].
 
 mod beats;
 mod diversity;
 mod frechet;
 mod goal;
 mod joints;
+pub mod text_motion;
 
 pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats};
 pub use diversity::{diversity, feature_diversity, trajectory_distance};

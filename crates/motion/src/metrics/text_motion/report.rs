@@ -1,0 +1,241 @@
+//! The metrics over embeddings of motions and captions.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::metrics::diversity::distance;
+use crate::metrics::{FeatureMoments, feature_diversity, frechet_distance};
+
+/// Motions that each caption is ranked among.
+pub const POOL: usize = 32;
+
+/// Pairs over which diversity is measured.
+pub const DIVERSITY_PAIRS: usize = 300;
+
+/// Share of the captions whose own motion is the nearest, among the two nearest, and among the
+/// three nearest of its pool. Embeddings are `[n, width]`, a caption's and its motion's at the
+/// same place.
+///
+/// Pools are [`POOL`] pairs in their order; what is left over at the end is not ranked. Of two
+/// motions equally near, the first counts as nearer: motions that are all alike rank as by chance.
+/// Each caption ranks motions by Euclidean distance, as in the published program (the paper tells
+/// it the other way around). `None` for less than one pool or where a value is not finite.
+///
+/// # Panics
+/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]> {
+    assert_eq!(texts.len(), motions.len(), "a caption for each motion");
+    let mut found = [0usize; 3];
+    let (text_pools, motion_pools) = (texts.chunks_exact(POOL), motions.chunks_exact(POOL));
+    let ranked = text_pools.len() * POOL;
+    for (texts, motions) in text_pools.zip(motion_pools) {
+        for (own, text) in texts.iter().enumerate() {
+            let distances: Vec<f64> = motions
+                .iter()
+                .map(|motion| distance(text, motion))
+                .collect();
+            if !distances.iter().all(|distance| distance.is_finite()) {
+                return None;
+            }
+            let nearer = |(other, distance): (usize, &f64)| {
+                *distance < distances[own] || (*distance == distances[own] && other < own)
+            };
+            let rank = distances
+                .iter()
+                .enumerate()
+                .filter(|&of| nearer(of))
+                .count();
+            found.iter_mut().skip(rank).for_each(|count| *count += 1);
+        }
+    }
+    (ranked > 0).then(|| found.map(|count| count as f64 / ranked as f64))
+}
+
+/// Mean Euclidean distance between each caption's embedding and its motion's, both `[n, width]`;
+/// also called matching score. `None` of nothing or where a value is not finite.
+///
+/// # Panics
+/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
+    assert_eq!(texts.len(), motions.len(), "a caption for each motion");
+    let distances = texts.iter().zip(motions).map(|(a, b)| distance(a, b));
+    let mean = distances.sum::<f64>() / texts.len() as f64;
+    mean.is_finite().then_some(mean)
+}
+
+/// How motions match their captions and how they compare with real ones, by their embeddings.
+///
+/// A metric that cannot be computed, for want of motions or because a value is not finite, is
+/// `None`. The published program leaves the remainder after the last whole pool out of all
+/// metrics; here it is left out of the R-precision alone.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextMotionReport {
+    /// Number of motions.
+    pub samples: usize,
+    /// Number of whole pools, for the R-precision.
+    pub pools: usize,
+    /// First number of [`r_precision`].
+    pub r_precision_top1: Option<f64>,
+    /// Second number of [`r_precision`].
+    pub r_precision_top2: Option<f64>,
+    /// Third number of [`r_precision`].
+    pub r_precision_top3: Option<f64>,
+    /// [`multimodal_distance`].
+    pub multimodal_distance: Option<f64>,
+    /// [`frechet_distance`] from real motion, known as FID.
+    pub frechet_distance: Option<f64>,
+    /// [`feature_diversity`] over [`DIVERSITY_PAIRS`] pairs.
+    pub diversity: Option<f64>,
+}
+
+impl TextMotionReport {
+    /// Measures motions by their embeddings, those of their captions at the same places and those
+    /// of real motions, of which there may be more or fewer. Real motions given for both are
+    /// measured as published "real motions" are. `seed` draws the pairs for diversity.
+    ///
+    /// # Panics
+    /// Panics if there are not as many captions as motions, or the embeddings differ in length.
+    pub fn compute(texts: &[Vec<f64>], motions: &[Vec<f64>], real: &[Vec<f64>], seed: u64) -> Self {
+        let r_precision = r_precision(texts, motions);
+        let moments = FeatureMoments::compute(motions).zip(FeatureMoments::compute(real));
+        Self {
+            samples: motions.len(),
+            pools: motions.len() / POOL,
+            r_precision_top1: r_precision.map(|top| top[0]),
+            r_precision_top2: r_precision.map(|top| top[1]),
+            r_precision_top3: r_precision.map(|top| top[2]),
+            multimodal_distance: multimodal_distance(texts, motions),
+            frechet_distance: moments.map(|(motions, real)| frechet_distance(&motions, &real)),
+            diversity: feature_diversity(motions, DIVERSITY_PAIRS, seed),
+        }
+    }
+
+    /// The metrics in the order in which they print, each with its name.
+    pub fn rows(&self) -> [(&'static str, Option<f64>); 6] {
+        [
+            ("R-precision, top 1", self.r_precision_top1),
+            ("R-precision, top 2", self.r_precision_top2),
+            ("R-precision, top 3", self.r_precision_top3),
+            ("multimodal distance", self.multimodal_distance),
+            ("FID", self.frechet_distance),
+            ("diversity", self.diversity),
+        ]
+    }
+}
+
+impl fmt::Display for TextMotionReport {
+    /// One line for each metric that could be computed.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} motions, {} pools of {POOL}",
+            self.samples, self.pools
+        )?;
+        for (name, value) in self.rows() {
+            if let Some(value) = value {
+                write!(f, "\n{name:<24} {value:>9.4}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    /// Embeddings on a line, at these places.
+    fn at(places: impl IntoIterator<Item = f64>) -> Vec<Vec<f64>> {
+        places.into_iter().map(|place| vec![place, 0.0]).collect()
+    }
+
+    /// The numbers below `count`.
+    fn numbers(count: u8) -> impl Iterator<Item = f64> {
+        (0..count).map(f64::from)
+    }
+
+    #[test]
+    fn captions_beside_their_motions_find_them() {
+        let motions = at(numbers(64));
+        let texts = at(numbers(64).map(|place| place + 0.2));
+        assert_eq!(r_precision(&texts, &motions), Some([1.0; 3]));
+        let distance = multimodal_distance(&texts, &motions).unwrap();
+        assert!((distance - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_motion_is_ranked_within_its_pool() {
+        // Every caption lies by the next motion: its own is the second nearest, but that of the
+        // last one, whose next motion is in another pool.
+        let motions = at(numbers(64));
+        let texts = at(numbers(64).map(|place| place + 0.9));
+        let found = r_precision(&texts, &motions).unwrap();
+        assert_eq!(found, [1.0 / 32.0, 1.0, 1.0]);
+        // By the next but one: the own one is third, but for the last two of a pool.
+        let texts = at(numbers(64).map(|place| place + 1.4));
+        let found = r_precision(&texts, &motions).unwrap();
+        assert_eq!(found, [1.0 / 32.0, 2.0 / 32.0, 1.0]);
+    }
+
+    #[test]
+    fn what_makes_no_whole_pool_is_not_ranked() {
+        let mut motions = at(numbers(40));
+        let texts = motions.clone();
+        motions[32..].reverse();
+        assert_eq!(r_precision(&texts, &motions), Some([1.0; 3]));
+        assert_eq!(r_precision(&texts[..31], &motions[..31]), None);
+        // (7 + 5 + 3 + 1) * 2 over the last eight.
+        assert_eq!(multimodal_distance(&texts, &motions), Some(32.0 / 40.0));
+        assert_eq!(multimodal_distance(&[], &[]), None);
+    }
+
+    #[test]
+    fn motions_that_are_all_alike_rank_as_by_chance() {
+        let (texts, motions) = (at(numbers(32)), at([3.0; 32]));
+        let chance = [1.0 / 32.0, 2.0 / 32.0, 3.0 / 32.0];
+        assert_eq!(r_precision(&texts, &motions), Some(chance));
+    }
+
+    #[test]
+    fn broken_embeddings_have_no_metrics() {
+        let motions = at(numbers(32));
+        let mut broken = motions.clone();
+        broken[7][1] = f64::NAN;
+        let report = TextMotionReport::compute(&motions, &broken, &motions, 0);
+        let none = TextMotionReport {
+            samples: 32,
+            pools: 1,
+            ..TextMotionReport::default()
+        };
+        assert_eq!(report, none);
+    }
+
+    #[test]
+    fn a_report_has_all_metrics_and_survives_storage() {
+        let drawn = |seed: u64| -> Vec<Vec<f64>> {
+            let draw = |index| Key::new(seed, Purpose::Synthetic).at(index).normals(4);
+            let wide = |vector: Vec<f32>| vector.into_iter().map(f64::from).collect();
+            (0..70).map(draw).map(wide).collect()
+        };
+        let (texts, motions) = (drawn(1), drawn(2));
+        let report = TextMotionReport::compute(&texts, &motions, &motions, 5);
+        assert_eq!((report.samples, report.pools), (70, 2));
+        assert!(report.frechet_distance.unwrap() < 1e-9);
+        let diversity = feature_diversity(&motions, DIVERSITY_PAIRS, 5);
+        assert_eq!(report.diversity, diversity);
+        let top = r_precision(&texts, &motions).map(|top| top[2]);
+        assert_eq!(report.r_precision_top3, top);
+        let json = serde_json::to_string(&report).unwrap();
+        assert_eq!(
+            serde_json::from_str::<TextMotionReport>(&json).unwrap(),
+            report
+        );
+        let printed = report.to_string();
+        assert!(printed.starts_with("70 motions, 2 pools of 32\nR-precision, top 1 "));
+        assert_eq!(printed.lines().count(), 7);
+    }
+}

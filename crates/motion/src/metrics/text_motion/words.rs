@@ -1,0 +1,292 @@
+//! Words of captions: their parts of speech and their vectors.
+
+use std::collections::HashMap;
+use std::fmt;
+
+use super::TextMotionError;
+
+/// The most words of a caption that are read.
+pub const MAX_WORDS: usize = 20;
+
+/// What stands in for words without a vector.
+const UNKNOWN: &str = "unk";
+
+/// The classes of words, in the order of the encoder's one-hot vectors. Certain words count as a
+/// class of their own, whatever their part of speech.
+#[derive(Clone, Copy, Debug, Eq, Hash, PartialEq)]
+pub enum PartOfSpeech {
+    /// `VERB`.
+    Verb,
+    /// `NOUN`.
+    Noun,
+    /// `DET`, a determiner.
+    Determiner,
+    /// `ADP`, an adposition.
+    Adposition,
+    /// `NUM`, a numeral.
+    Numeral,
+    /// `AUX`, an auxiliary verb.
+    Auxiliary,
+    /// `PRON`, a pronoun.
+    Pronoun,
+    /// `ADJ`, an adjective.
+    Adjective,
+    /// `ADV`, an adverb.
+    Adverb,
+    /// `Loc_VIP`: a direction.
+    Direction,
+    /// `Body_VIP`: a part of the body.
+    BodyPart,
+    /// `Obj_VIP`: an object.
+    Object,
+    /// `Act_VIP`: an action.
+    Action,
+    /// `Desc_VIP`: a manner.
+    Manner,
+    /// `OTHER`, and every part of speech without a class.
+    Other,
+}
+
+impl PartOfSpeech {
+    /// All of them, in order.
+    pub const ALL: [Self; 15] = [
+        Self::Verb,
+        Self::Noun,
+        Self::Determiner,
+        Self::Adposition,
+        Self::Numeral,
+        Self::Auxiliary,
+        Self::Pronoun,
+        Self::Adjective,
+        Self::Adverb,
+        Self::Direction,
+        Self::BodyPart,
+        Self::Object,
+        Self::Action,
+        Self::Manner,
+        Self::Other,
+    ];
+
+    /// Its name in caption files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Verb => "VERB",
+            Self::Noun => "NOUN",
+            Self::Determiner => "DET",
+            Self::Adposition => "ADP",
+            Self::Numeral => "NUM",
+            Self::Auxiliary => "AUX",
+            Self::Pronoun => "PRON",
+            Self::Adjective => "ADJ",
+            Self::Adverb => "ADV",
+            Self::Direction => "Loc_VIP",
+            Self::BodyPart => "Body_VIP",
+            Self::Object => "Obj_VIP",
+            Self::Action => "Act_VIP",
+            Self::Manner => "Desc_VIP",
+            Self::Other => "OTHER",
+        }
+    }
+
+    /// The class of that name; [`Other`](Self::Other) for every name that is not one.
+    pub fn from_name(name: &str) -> Self {
+        let mut all = Self::ALL.into_iter();
+        all.find(|class| class.name() == name)
+            .unwrap_or(Self::Other)
+    }
+
+    /// The class that `word` has by itself.
+    fn of_word(word: &str) -> Option<Self> {
+        Some(match word {
+            "left" | "right" | "clockwise" | "counterclockwise" | "anticlockwise" | "forward"
+            | "back" | "backward" | "up" | "down" | "straight" | "curve" => Self::Direction,
+            "arm" | "chin" | "foot" | "feet" | "face" | "hand" | "mouth" | "leg" | "waist"
+            | "eye" | "knee" | "shoulder" | "thigh" => Self::BodyPart,
+            "stair" | "dumbbell" | "chair" | "window" | "floor" | "car" | "ball" | "handrail"
+            | "baseball" | "basketball" => Self::Object,
+            "walk" | "run" | "swing" | "pick" | "bring" | "kick" | "put" | "squat" | "throw"
+            | "hop" | "dance" | "jump" | "turn" | "stumble" | "stop" | "sit" | "lift" | "lower"
+            | "raise" | "wash" | "stand" | "kneel" | "stroll" | "rub" | "bend" | "balance"
+            | "flap" | "jog" | "shuffle" | "lean" | "rotate" | "spin" | "spread" | "climb" => {
+                Self::Action
+            }
+            "slowly" | "carefully" | "fast" | "careful" | "slow" | "quickly" | "happy"
+            | "angry" | "sad" | "happily" | "angrily" | "sadly" => Self::Manner,
+            _ => return None,
+        })
+    }
+}
+
+/// A word of a caption. Displays as `word/POS`.
+#[derive(Clone, Debug, Eq, Hash, PartialEq)]
+pub struct Token {
+    /// The word, as a dictionary has it.
+    pub word: String,
+    /// Its part of speech, as the caption file states it.
+    pub part_of_speech: PartOfSpeech,
+}
+
+impl Token {
+    /// Parses words `word/POS` with spaces between them. A word without `/POS` is
+    /// [`PartOfSpeech::Other`]; what has no word is passed over.
+    pub fn parse_all(text: &str) -> Vec<Self> {
+        text.split_whitespace()
+            .map(|token| token.rsplit_once('/').unwrap_or((token, "")))
+            .filter(|(word, _)| !word.is_empty())
+            .map(|(word, name)| Self {
+                word: word.to_owned(),
+                part_of_speech: PartOfSpeech::from_name(name),
+            })
+            .collect()
+    }
+}
+
+impl fmt::Display for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.word, self.part_of_speech.name())
+    }
+}
+
+/// A vector for each word of a vocabulary.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WordVectors {
+    places: HashMap<String, usize>,
+    values: Vec<f32>,
+    width: usize,
+}
+
+impl WordVectors {
+    /// The vectors `[words, width]` of different words, `unk` among them.
+    ///
+    /// # Errors
+    /// [`TextMotionError::Words`] if the values make no whole vector for each word or are not
+    /// finite, if a word comes twice, and if there is no `unk`.
+    pub fn new(words: Vec<String>, values: Vec<f32>) -> Result<Self, TextMotionError> {
+        let refused = |found: String, expected: &str| TextMotionError::Words {
+            found,
+            expected: expected.to_owned(),
+        };
+        let (count, width) = (words.len(), values.len() / words.len().max(1));
+        if width == 0 || values.len() != count * width {
+            let found = format!("{} values for {count} words", values.len());
+            return Err(refused(found, "as many values for each word"));
+        }
+        if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+            let found = format!("{} in row {}", values[place], place / width);
+            return Err(refused(found, "finite numbers"));
+        }
+        let mut places = HashMap::with_capacity(count);
+        for (row, word) in words.into_iter().enumerate() {
+            if let Some(first) = places.insert(word.clone(), row) {
+                let found = format!("the word `{word}` in rows {first} and {row}");
+                return Err(refused(found, "different words"));
+            }
+        }
+        if !places.contains_key(UNKNOWN) {
+            let found = format!("no word `{UNKNOWN}`");
+            return Err(refused(found, "a vector for it: that of words without one"));
+        }
+        Ok(Self {
+            places,
+            values,
+            width,
+        })
+    }
+
+    /// Number of words.
+    pub fn words(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Numbers of a vector.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The vector of a word, if it has one.
+    pub fn vector(&self, word: &str) -> Option<&[f32]> {
+        let start = self.places.get(word)? * self.width;
+        Some(&self.values[start..start + self.width])
+    }
+
+    /// Vectors and classes of a caption's first [`MAX_WORDS`] words between `sos` and `eos`. A
+    /// word without a vector has that of `unk` and is [`PartOfSpeech::Other`].
+    pub(super) fn sentence(&self, tokens: &[Token]) -> Vec<(&[f32], PartOfSpeech)> {
+        let words = tokens.iter().take(MAX_WORDS);
+        let words = words.map(|token| (token.word.as_str(), token.part_of_speech));
+        let start = std::iter::once(("sos", PartOfSpeech::Other));
+        let end = std::iter::once(("eos", PartOfSpeech::Other));
+        let read = |(word, stated)| match self.vector(word) {
+            Some(vector) => (vector, PartOfSpeech::of_word(word).unwrap_or(stated)),
+            None => {
+                let unknown = self.vector(UNKNOWN).expect("checked when made");
+                (unknown, PartOfSpeech::Other)
+            }
+        };
+        start.chain(words).chain(end).map(read).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vectors() -> WordVectors {
+        let words = ["unk", "sos", "eos", "walk", "man"].map(str::to_owned);
+        WordVectors::new(words.into(), (0..10u8).map(f32::from).collect()).unwrap()
+    }
+
+    #[test]
+    fn classes_are_in_their_order_and_found_by_name() {
+        for (index, class) in PartOfSpeech::ALL.into_iter().enumerate() {
+            assert_eq!(class as usize, index);
+            assert_eq!(PartOfSpeech::from_name(class.name()), class);
+        }
+        assert_eq!(PartOfSpeech::from_name("PUNCT"), PartOfSpeech::Other);
+    }
+
+    #[test]
+    fn tokens_are_read_leniently_and_written_back() {
+        let tokens = Token::parse_all(" a/DET  1/2/NUM and /NOUN x/PUNCT / ");
+        let written: Vec<String> = tokens.iter().map(Token::to_string).collect();
+        assert_eq!(written, ["a/DET", "1/2/NUM", "and/OTHER", "x/OTHER"]);
+        assert_eq!(Token::parse_all(&written.join(" ")), tokens);
+        assert!(Token::parse_all(" ").is_empty());
+    }
+
+    #[test]
+    fn a_sentence_is_framed_and_unknown_words_are_unk() {
+        let vectors = vectors();
+        let sentence = vectors.sentence(&Token::parse_all("man/NOUN walk/VERB left/ADV"));
+        let expected: [(&[f32], PartOfSpeech); 5] = [
+            (&[2.0, 3.0], PartOfSpeech::Other),
+            (&[8.0, 9.0], PartOfSpeech::Noun),
+            (&[6.0, 7.0], PartOfSpeech::Action),
+            (&[0.0, 1.0], PartOfSpeech::Other),
+            (&[4.0, 5.0], PartOfSpeech::Other),
+        ];
+        assert_eq!(sentence, expected);
+        let long = Token::parse_all(&"man/NOUN ".repeat(30));
+        assert_eq!(vectors.sentence(&long).len(), MAX_WORDS + 2);
+        assert_eq!(vectors.sentence(&[]).len(), 2);
+    }
+
+    #[test]
+    fn unusable_vectors_are_refused() {
+        let refused = |words: &[&str], values: Vec<f32>| {
+            let words = words.iter().map(|word| word.to_string()).collect();
+            WordVectors::new(words, values).unwrap_err().to_string()
+        };
+        for (words, values, message) in [
+            (&[][..], vec![], "0 values for 0 words"),
+            (&["unk", "a"], vec![1.0; 3], "3 values for 2 words"),
+            (&["unk", "a"], vec![], "0 values for 2 words"),
+            (&["unk", "a", "a"], vec![1.0; 3], "`a` in rows 1 and 2"),
+            (&["b", "a"], vec![1.0; 2], "no word `unk`"),
+            (&["unk", "a"], vec![1.0, f32::NAN], "NaN in row 1"),
+        ] {
+            let found = refused(words, values);
+            assert!(found.contains(message), "{found}");
+        }
+    }
+}
