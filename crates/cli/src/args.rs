@@ -349,6 +349,19 @@ pub struct EvalArguments {
     /// Put no known positions into the draws
     #[arg(long)]
     pub no_imputation: bool,
+    /// Weights of the published text-motion evaluator, for R-precision and FID of runs on clips;
+    /// needs the three files below
+    #[arg(long, value_name = "FINEST.tar", requires_all = ["evaluator_mean", "evaluator_std", "word_vectors"])]
+    pub evaluator: Option<PathBuf>,
+    /// Mean that the evaluator normalises by
+    #[arg(long, value_name = "M.npy", requires = "evaluator")]
+    pub evaluator_mean: Option<PathBuf>,
+    /// Deviation that the evaluator normalises by
+    #[arg(long, value_name = "S.npy", requires = "evaluator")]
+    pub evaluator_std: Option<PathBuf>,
+    /// Word vectors of the evaluator; docs/dataset.md says how to make the file
+    #[arg(long, value_name = "W.safetensors", requires = "evaluator")]
+    pub word_vectors: Option<PathBuf>,
     /// What the model hears [default: phrases]
     #[arg(long, value_enum, value_name = "COND")]
     pub cond: Option<CondName>,

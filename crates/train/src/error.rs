@@ -48,6 +48,10 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Goal(#[from] kinegrad_motion::goal::GoalError),
+    /// The text-motion evaluator cannot be used.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    TextMotion(#[from] kinegrad_motion::metrics::text_motion::TextMotionError),
     /// A file with a goal that cannot be followed.
     #[error("{}: {reason}", path.display())]
     #[diagnostic(help("docs/goals.md describes goals"))]

@@ -9,7 +9,9 @@ use kinegrad_motion::metrics::GoalReport;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::{ClipGenerator, Stage};
 use kinegrad_train::device;
-use kinegrad_train::evaluate::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
+use kinegrad_train::evaluate::{
+    EvaluatorFiles, GoalEvaluation, GoalSettings, GoalTask, TextMotion, evaluate_goals,
+};
 use kinegrad_train::generate::resolve_checkpoint;
 
 use super::clips::{steering, trajectory_checkpoint, weights};
@@ -47,9 +49,19 @@ pub fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
     }
     let trajectory = arguments.trajectory_run.as_deref();
     let trajectory = trajectory.map(trajectory_checkpoint).transpose()?;
+    let evaluator = match (&arguments.evaluator, &arguments.evaluator_mean) {
+        (Some(weights), Some(mean)) => Some(TextMotion::read(&EvaluatorFiles {
+            weights: weights.clone(),
+            mean: mean.clone(),
+            std: arguments.evaluator_std.clone().unwrap_or_default(),
+            word_vectors: arguments.word_vectors.clone().unwrap_or_default(),
+        })?),
+        _ => None,
+    };
     let (mut evaluations, mut written) = (Vec::new(), Vec::new());
     for run in &arguments.runs {
-        let (folder, evaluation) = evaluate(run, trajectory.as_deref(), arguments)?;
+        let (folder, evaluation) =
+            evaluate(run, trajectory.as_deref(), evaluator.as_ref(), arguments)?;
         make_folder(&folder)?;
         let path = folder.join("eval-goals.json");
         let text = serde_json::to_string_pretty(&evaluation).expect("plain data") + "\n";
@@ -66,6 +78,12 @@ pub fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
         println!("{text}");
     } else {
         println!("{}", comparison(&evaluations));
+        for evaluation in &evaluations {
+            if let Some(reports) = &evaluation.text_motion {
+                println!("\n{}: {}", evaluation.run, reports.drawn);
+                println!("\nheld out: {}", reports.real);
+            }
+        }
         for path in written {
             println!("{}", path.display());
         }
@@ -92,6 +110,7 @@ fn refuse_phrases(arguments: &EvalArguments) -> Result<(), UsageError> {
 fn evaluate(
     run: &Path,
     trajectory: Option<&Path>,
+    evaluator: Option<&TextMotion>,
     arguments: &EvalArguments,
 ) -> Result<(PathBuf, GoalEvaluation), Failure> {
     let checkpoint = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
@@ -148,6 +167,7 @@ fn evaluate(
         trajectory.as_ref(),
         &held_out,
         &settings,
+        evaluator,
         &mut |stage, done, all| {
             bar.set_message(match stage {
                 Stage::Trajectory => "trajectory",

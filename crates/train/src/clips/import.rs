@@ -4,16 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
-use half::{bf16, f16};
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
 use kinegrad_models::{ModelSize, TextDenoiser};
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::{FeatureStatistics, Root};
-use pytorch_reader::{DType, PytorchReader, Tensor};
+use pytorch_reader::Tensor;
 
 use super::model::{clip_channels, in_space_of, text_denoiser};
+use super::published::{part_of, read_tensors, values_of, vector};
 use crate::checkpoint::{FORMAT, Progress, State};
 use crate::config::{self, Config};
 use crate::error::Error;
@@ -150,29 +150,19 @@ fn read_weights(
     path: &Path,
     last: bool,
 ) -> Result<(Option<&'static str>, BTreeMap<String, Tensor>), Error> {
-    let failed = |error: pytorch_reader::PytorchError| Error::Foreign {
-        path: path.to_path_buf(),
-        reason: error.to_string(),
-    };
-    let all = PytorchReader::new(path).map_err(failed)?.into_tensors();
+    let all = read_tensors(path)?;
     let parts: [&'static str; 2] = match last {
         true => ["model", "model_avg"],
         false => ["model_avg", "model"],
     };
-    for part in parts {
-        let prefix = format!("{part}.");
-        let inside: BTreeMap<String, Tensor> = all
-            .iter()
-            .filter_map(|(name, tensor)| {
-                let name = name.strip_prefix(&prefix)?;
-                Some((name.to_string(), tensor.clone()))
-            })
-            .collect();
-        if !inside.is_empty() {
-            return Ok((Some(part), inside));
-        }
+    let inside = |part: &'static str| {
+        let inside = part_of(&all, part);
+        (!inside.is_empty()).then_some((Some(part), inside))
+    };
+    match parts.into_iter().find_map(inside) {
+        Some(found) => Ok(found),
+        None => Ok((None, all)),
     }
-    Ok((None, all.into_iter().collect()))
 }
 
 /// What the shapes of the weights say of the network.
@@ -313,46 +303,6 @@ fn fitting(
             path: path.to_path_buf(),
             count: wrong.len(),
             list: wrong.join("\n  "),
-        }),
-    }
-}
-
-/// A tensor in single precision.
-fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
-    let bytes = tensor.read().map_err(|error| error.to_string())?;
-    match tensor.dtype() {
-        DType::F32 => Ok(bytemuck::pod_collect_to_vec(&bytes)),
-        DType::F64 => {
-            let values: Vec<f64> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(values.into_iter().map(|value| value as f32).collect())
-        }
-        DType::F16 => {
-            let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits
-                .into_iter()
-                .map(|b| f16::from_bits(b).to_f32())
-                .collect())
-        }
-        DType::BF16 => {
-            let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits
-                .into_iter()
-                .map(|b| bf16::from_bits(b).to_f32())
-                .collect())
-        }
-        other => Err(format!("{other:?} found, a floating-point type needed")),
-    }
-}
-
-/// The numbers of a one-dimensional `.npy` file.
-fn vector(path: &Path) -> Result<Vec<f64>, Error> {
-    let array = read_array(path)?;
-    match array.shape.len() {
-        1 => Ok(array.values.into_iter().map(f64::from).collect()),
-        _ => Err(Error::Array {
-            path: path.to_path_buf(),
-            found: format!("shape {:?}", array.shape),
-            allowed: "one axis".into(),
         }),
     }
 }

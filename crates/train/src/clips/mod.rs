@@ -4,6 +4,7 @@
 mod generator;
 mod import;
 mod model;
+pub(crate) mod published;
 mod space;
 
 pub use generator::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};

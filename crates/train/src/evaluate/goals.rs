@@ -9,6 +9,7 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
 use serde::Serialize;
 
+use super::text_motion::{TextMotion, TextMotionReports};
 use crate::clips::{ClipGenerator, ClipRequest, ClipSample, Stage};
 use crate::config::SteeringConfig;
 use crate::error::Error;
@@ -106,6 +107,9 @@ pub struct GoalEvaluation {
     pub drawn: GoalReport,
     /// The held-out clips, by the same measures.
     pub real: GoalReport,
+    /// How they match their captions, where the evaluator is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub text_motion: Option<TextMotionReports>,
 }
 
 /// Draws one clip for each of the `held_out`, all as one batch, and measures them.
@@ -117,6 +121,7 @@ pub fn evaluate_goals(
     trajectory: Option<&ClipGenerator>,
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
+    evaluator: Option<&TextMotion>,
     on_step: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<GoalEvaluation, Error> {
     let task = &settings.task;
@@ -140,6 +145,17 @@ pub fn evaluate_goals(
         settings.seed,
         on_step,
     )?;
+    let drawn: Option<Vec<_>> = samples
+        .iter()
+        .map(|sample| sample.features.as_ref())
+        .collect();
+    let text_motion = match (evaluator, drawn) {
+        (Some(evaluator), Some(drawn)) => {
+            let real: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
+            Some(evaluator.reports(&drawn, &real, settings.seed)?)
+        }
+        _ => None,
+    };
     let real: Vec<ClipSample> = held_out
         .iter()
         .zip(&goals)
@@ -161,6 +177,7 @@ pub fn evaluate_goals(
         trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
         drawn: drawn.report(generator, &goals, &real),
         real: real.report(generator, &goals, &real),
+        text_motion,
         settings: settings.clone(),
     })
 }

@@ -3,6 +3,7 @@
 mod goals;
 mod measures;
 mod terms;
+mod text_motion;
 
 use std::sync::Arc;
 
@@ -15,6 +16,7 @@ use serde::Serialize;
 pub use goals::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
 pub use measures::{CheckRate, Measures, ProfileRates};
 pub use terms::LossTerm;
+pub use text_motion::{EvaluatorFiles, TextMotion, TextMotionReports};
 
 use crate::config::Clip;
 use crate::error::Error;
