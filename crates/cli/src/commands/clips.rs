@@ -36,11 +36,10 @@ pub fn sample(
     if arguments.frames == Some(0) {
         return Err(UsageError::new("`--frames` is 0", "ask for at least one frame").into());
     }
-    let goals: Vec<Goal> = arguments
-        .goal
-        .iter()
-        .map(|path| read_goal(path))
-        .collect::<Result<_, _>>()?;
+    let mut goals: Vec<Goal> = Vec::with_capacity(arguments.goal.len());
+    for path in &arguments.goal {
+        goals.push(read_goal(path)?);
+    }
     if goals.is_empty() && arguments.trajectory_run.is_some() {
         let hint = "the first stage draws the path to a goal: give `--goal GOAL.toml` too";
         return Err(UsageError::new("`--trajectory-run` without `--goal`", hint).into());
@@ -65,9 +64,10 @@ pub fn sample(
     let weights = weights(arguments.no_ema);
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = ClipGenerator::load(checkpoint, weights, &device)?;
-    let trajectory = trajectory
-        .map(|checkpoint| ClipGenerator::load(&checkpoint, weights, &device))
-        .transpose()?;
+    let trajectory = match &trajectory {
+        Some(checkpoint) => Some(ClipGenerator::load(checkpoint, weights, &device)?),
+        None => None,
+    };
     let steering = steering(config, arguments.classifier_scale, arguments.no_imputation)?;
     let bar = denoising_bar();
     let samples = generator.sample(

@@ -148,9 +148,10 @@ fn evaluate(
     let weights = weights(arguments.no_ema);
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = ClipGenerator::load(&checkpoint, weights, &device)?;
-    let trajectory = trajectory
-        .map(|checkpoint| ClipGenerator::load(checkpoint, weights, &device))
-        .transpose()?;
+    let trajectory = match trajectory {
+        Some(checkpoint) => Some(ClipGenerator::load(checkpoint, weights, &device)?),
+        None => None,
+    };
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: arguments.keyframes,

@@ -145,7 +145,6 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
 }
 
 /// The tensors of the file's averaged weights, of its last ones, or of a bare state dict, by name.
-#[expect(clippy::type_complexity, reason = "a name and what it names")]
 fn read_weights(
     path: &Path,
     last: bool,

@@ -37,8 +37,11 @@ pub(super) struct Material {
     pub digest: Digest,
     pub statistics: Statistics,
     /// The stream of batches from a number on.
-    pub loader: Box<dyn FnOnce(&Config, u64) -> Loader>,
+    pub loader: Box<MakeLoader>,
 }
+
+/// Makes the stream of batches of a config from a number on.
+pub(super) type MakeLoader = dyn FnOnce(&Config, u64) -> Loader;
 
 impl Setup {
     /// Trains to the end, or until stopped; nothing but the record of the best step is written before.
