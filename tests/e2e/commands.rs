@@ -9,6 +9,8 @@ fn help() {
         "",
         "train",
         "sample",
+        "import",
+        "merge",
         "check",
         "eval",
         "plot",
