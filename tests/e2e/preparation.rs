@@ -3,6 +3,7 @@
 
 use std::fs;
 
+use kinegrad_tests::captures::{self, PLAN, bvh, wav};
 use kinegrad_tests::golden::workspace;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, finish};
 use kinegrad_tests::servers;
@@ -13,74 +14,9 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// A BVH file of a root that walks a circle of so many frames at 60 per second, in centimetres.
-fn bvh(frames: usize) -> String {
-    let mut text = String::from(
-        "HIERARCHY\nROOT Hips\n{\n OFFSET 0 90 0\n CHANNELS 6 Xposition Yposition Zposition \
-         Zrotation Xrotation Yrotation\n End Site\n {\n  OFFSET 0 10 0\n }\n}\nMOTION\n",
-    );
-    text.push_str(&format!("Frames: {frames}\nFrame Time: 0.0166667\n"));
-    for frame in 0..frames {
-        let turn = frame as f64 / 90.0;
-        let (x, z) = (100.0 * turn.cos(), 100.0 * turn.sin());
-        let y = 90.0 + 2.0 * (7.0 * turn).sin();
-        text.push_str(&format!("{x} {y} {z} 0 0 {}\n", -turn.to_degrees()));
-    }
-    text
-}
-
-/// Clicks at 120 beats per minute over a tone, as 16-bit WAV at 44100 Hz.
-fn wav(seconds: usize) -> Vec<u8> {
-    let rate = 44_100usize;
-    let samples: Vec<i16> = (0..seconds * rate)
-        .map(|n| {
-            let beat = (n % (rate / 2)) as f64 / rate as f64;
-            let click = (-beat * 60.0).exp() * (beat * 9000.0).sin();
-            let tone = (n as f64 * 0.03).sin();
-            (12_000.0 * click + 2_000.0 * tone) as i16
-        })
-        .collect();
-    let data: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
-    let mut bytes = b"RIFF".to_vec();
-    bytes.extend((36 + data.len() as u32).to_le_bytes());
-    bytes.extend(b"WAVEfmt ");
-    bytes.extend(16u32.to_le_bytes());
-    bytes.extend([1, 0, 1, 0]);
-    bytes.extend((rate as u32).to_le_bytes());
-    bytes.extend((2 * rate as u32).to_le_bytes());
-    bytes.extend([2, 0, 16, 0]);
-    bytes.extend(b"data");
-    bytes.extend((data.len() as u32).to_le_bytes());
-    bytes.extend(data);
-    bytes
-}
-
-const PLAN: &str = r#"
-output = "set"
-[phrases]
-frames = 40
-hop = 20
-[split]
-validation = ["two_*"]
-[[take]]
-motion = "captures/*.bvh"
-audio = "songs/{name}.*"
-audio_start_seconds = 0.5
-[[take]]
-name = "alone"
-motion = "captures/one.bvh"
-motion_end_seconds = 3.0
-audio = "none"
-beats = { start_seconds = 0.0, seconds_per_beat = 0.5, beats_per_bar = 4 }
-"#;
-
 fn with_captures() -> Sandbox {
     let sandbox = sandbox();
-    sandbox.write("captures/one.bvh", bvh(360));
-    sandbox.write("captures/two.bvh", bvh(300));
-    sandbox.write("songs/one.wav", wav(7));
-    sandbox.write("songs/two.wav", wav(4));
-    sandbox.write("plan.toml", PLAN);
+    captures::write(&sandbox);
     sandbox
 }
 
@@ -192,51 +128,6 @@ fn captures_and_songs_become_a_dataset_that_trains() {
     ] {
         assert!(line[key].is_number(), "{key}: {line}");
     }
-}
-
-#[test]
-fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
-    let sandbox = with_captures();
-    sandbox
-        .run("data prepare plan.toml --out whole")
-        .succeeded();
-    sandbox.run("data prepare plan.toml --out set").succeeded();
-    // As after a kill: one take is not noted, the manifest not written.
-    fs::remove_file(sandbox.path("set/prepare/takes/two.json")).expect("a note");
-    fs::remove_file(sandbox.path("set/manifest.parquet")).expect("a manifest");
-    fs::remove_dir_all(sandbox.path("set/motion/two_00015")).expect("a phrase");
-    sandbox.run("data inspect set").failed(
-        2,
-        &["manifest.parquet", "preparation has not ended", "hint:"],
-    );
-    let again = sandbox.run("data prepare plan.toml --out set").succeeded();
-    assert!(
-        again.stdout.contains("2 of 3 takes had been made before"),
-        "{}",
-        again.stdout
-    );
-    let same = |folder: &str| {
-        let mut all = contents(&sandbox.path(folder));
-        all.retain(|(name, _)| name != "prepare/report.json");
-        all
-    };
-    assert_eq!(same("set"), same("whole"));
-    // A phrase that was lost is made again.
-    fs::remove_dir_all(sandbox.path("set/audio_features/one_00015")).expect("a phrase");
-    let again = sandbox.run("data prepare plan.toml --out set").succeeded();
-    assert!(
-        again.stdout.contains("2 of 3 takes had been made before"),
-        "{}",
-        again.stdout
-    );
-    assert_eq!(same("set"), same("whole"));
-    sandbox.write("captures/two.bvh", bvh(200));
-    let again = sandbox.run("data prepare plan.toml --out set").succeeded();
-    assert!(
-        again.stdout.contains("2 of 3 takes had been made before"),
-        "{}",
-        again.stdout
-    );
 }
 
 #[test]
@@ -380,74 +271,6 @@ fn songs_become_features_pictures_and_motion() {
         .run("audio features songs/bad.mp3 songs/a.wav --out more")
         .failed(2, &["bad.mp3", "hint:"]);
     assert_eq!(sandbox.list("more"), ["a"], "the others are done");
-}
-
-#[test]
-fn wrong_plans_say_what_is_wrong_and_write_nothing() {
-    let sandbox = with_captures();
-    for (plan, texts) in [
-        ("output = 3", &["plan.toml", "line 1"][..]),
-        (
-            "output = \"o\"\n[[take]]\nmotoin = \"x\"\naudio = \"none\"",
-            &["motoin", "line 3"],
-        ),
-        ("output = \"o\"", &["nothing to prepare"]),
-        (
-            "output = \"o\"\n[[take]]\nmotion = \"captures/no.bvh\"\naudio = \"none\"",
-            &["there is no file", "no.bvh"],
-        ),
-        (
-            "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"songs/no.mp3\"",
-            &["there is no file", "no.mp3"],
-        ),
-        (
-            "output = \"o\"\n[[take]]\nname = \"../x\"\nmotion = \"captures/one.bvh\"\naudio = \"none\"",
-            &["no slash"],
-        ),
-        (
-            "output = \"o\"\n[[take]]\nname = \"x\"\nmotion = \"captures/*.bvh\"\naudio = \"none\"",
-            &["two takes have the name `x`"],
-        ),
-        (
-            "output = \"ftp://host/o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"",
-            &["`ftp`"],
-        ),
-    ] {
-        sandbox.write("plan.toml", plan);
-        sandbox.run("data prepare plan.toml").failed(2, texts);
-        assert!(!sandbox.path("o").exists(), "{plan}");
-    }
-    sandbox
-        .run("data synth --out foreign --phrases 2 --frames 10")
-        .succeeded();
-    sandbox.write("plan.toml", PLAN);
-    sandbox
-        .run("data prepare plan.toml --out foreign")
-        .failed(2, &["already holds a dataset"]);
-    let missing = PLAN.replace("captures/one.bvh", "captures/*.c3d");
-    sandbox.write("plan.toml", missing);
-    sandbox
-        .run("data prepare plan.toml --out o")
-        .failed(2, &["there is no file"]);
-    sandbox.write(
-        "plan.toml",
-        "output = \"o\"\n[[take]]\nname = \"x\"\naudio = \"none\"\nbeats = { start_seconds = 0, \
-         seconds_per_beat = 0.5, beats_per_bar = 4 }\n[[take.segment]]\nmotion = \"no.c3d\"\n\
-         frames = [0, 9]\nbeats = 8\n",
-    );
-    sandbox
-        .run("data prepare plan.toml")
-        .failed(2, &["no phrase could be made", "no capture: no.c3d"]);
-    assert!(!sandbox.path("o/manifest.parquet").exists());
-    sandbox.write("plan.toml", PLAN);
-    sandbox.write("captures/two.bvh", "HIERARCHY nonsense");
-    let half = sandbox.run("data prepare plan.toml").failed(1, &[]);
-    assert!(
-        half.stdout.contains("two: failed") && half.stdout.contains("line 1"),
-        "{}",
-        half.stdout
-    );
-    sandbox.run("data inspect set").succeeded();
 }
 
 #[cfg(unix)]

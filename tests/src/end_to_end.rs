@@ -11,7 +11,7 @@ use kinegrad_train::config::{
 };
 use kinegrad_train::recipes::{DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler};
 
-use crate::golden::{Golden, Reference};
+use crate::golden::{Golden, GoldenTensors, Reference};
 use crate::{decoder, unet, weights};
 
 /// A case of golden file 07_e2e.

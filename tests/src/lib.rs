@@ -1,5 +1,6 @@
 //! What the golden, parity and end-to-end tests share.
 
+pub mod captures;
 pub mod decoder;
 pub mod end_to_end;
 pub mod gmd;

@@ -6,7 +6,7 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_data::write_values;
 use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
-use kinegrad_tests::golden::{Golden, workspace};
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
 use kinegrad_tests::weights;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::clips::{Architecture, ImportRequest, TrainedClips, import};

@@ -5,7 +5,7 @@ use kinegrad_models::attention::AttentionBlock;
 use kinegrad_models::res_block::{ResBlock, ResBlockConfig};
 use kinegrad_models::time_embedding::sinusoidal;
 use kinegrad_models::{Initializer, parameters};
-use kinegrad_tests::golden::{Golden, Reference};
+use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors};
 use kinegrad_tests::weights;
 
 const OUTPUT: f64 = 2e-6;

@@ -8,7 +8,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::{unet, weights};
 
 #[test]

@@ -3,7 +3,7 @@
 
 use burn::tensor::Device;
 use kinegrad_models::parameters;
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::{decoder, weights};
 
 #[test]

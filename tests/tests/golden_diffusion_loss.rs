@@ -6,7 +6,7 @@ use kinegrad_diffusion::{
     DiffusionConfig, GaussianDiffusion, LossType, PredictionType, diffusion_loss,
 };
 use kinegrad_models::{Initializer, parameters};
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::{unet, weights};
 
 #[test]

@@ -5,7 +5,7 @@ use kinegrad_diffusion::{
     BetaSchedule, Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig,
     StepInput, ddim_step, ddpm_step,
 };
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 
 /// Golden README, file 02: everything but the predicted motion, which the division by sqrt(abar)
 /// amplifies.

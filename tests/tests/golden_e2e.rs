@@ -9,6 +9,7 @@ use burn::tensor::Tensor;
 use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, rollout_timesteps};
 use kinegrad_models::{UNet1d, parameters};
 use kinegrad_tests::end_to_end::Case;
+use kinegrad_tests::golden::ReferenceTensors;
 use kinegrad_train::config::{LossConfig, OptimConfig, RolloutMode};
 use kinegrad_train::losses::{ReconstructionLoss, temporal_losses};
 use kinegrad_train::optim::{AdamW, global_norm};

@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::guided;
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::{gmd, weights};
 
 const OUTPUT: f64 = 2e-5;

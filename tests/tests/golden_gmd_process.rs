@@ -4,13 +4,14 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
     BetaSchedule, Clip, Denoiser, DiffusionConfig, GaussianDiffusion, Goal, Guidance, Imputation,
-    Networks, PredictionType, Space, SteeredInput, Steering, steered_step,
+    Networks, PredictionType, SamplerConfig, Space, SteeredInput, SteeredOutput, Steering,
+    TimestepSpacing, steered_step, timesteps,
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{
     Goal as RootGoal, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle,
 };
-use kinegrad_tests::golden::{Golden, Reference};
+use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors};
 use kinegrad_train::clips::{FeatureSpace, GroundGoal};
 use kinegrad_train::recipes::clips::weighted_masked_mse;
 
@@ -87,6 +88,10 @@ impl Bench {
         self.golden.get(name).flat().tensor(&self.device)
     }
 
+    fn timesteps(&self) -> Vec<usize> {
+        self.golden.get("in.timesteps").indices()
+    }
+
     /// Part `index` of the leading axis.
     fn part(&self, name: &str, index: usize) -> Reference {
         self.golden.get(name).part(index).flat()
@@ -99,7 +104,7 @@ impl Bench {
         noise: Option<Tensor<3>>,
         imputation_noise: Option<Tensor<3>>,
         steering: &Steering<'_>,
-    ) -> (Tensor<3>, Tensor<3>) {
+    ) -> SteeredOutput {
         let input = SteeredInput {
             prev_timestep: timestep.checked_sub(1),
             guidance_scale: 1.0,
@@ -113,9 +118,8 @@ impl Bench {
             tracked: &self.tracked,
             plain: &self.plain,
         };
-        let output = steered_step(&self.diffusion, networks, input, &x_t, &self.clip, steering)
-            .expect("sizes fit");
-        (output.prev_sample, output.pred_original_sample)
+        steered_step(&self.diffusion, networks, input, &x_t, &self.clip, steering)
+            .expect("sizes fit")
     }
 }
 
@@ -158,6 +162,31 @@ fn golden_gmd_schedule() {
     same("out.posterior_mean_coef1", &schedule.posterior_mean_coef1);
     same("out.posterior_mean_coef2", &schedule.posterior_mean_coef2);
     same("out.posterior_variance", &schedule.posterior_variance);
+    // Equations 1 and 2 of the appendix.
+    let (a, b) = (
+        &schedule.posterior_mean_coef1,
+        &schedule.posterior_mean_coef2,
+    );
+    same("out.coef_a_x0", a);
+    same("out.coef_b_xt", b);
+    let of_both = |value: &dyn Fn(usize) -> f64| (0..a.len()).map(value).collect::<Vec<f64>>();
+    let (root, noise) = (
+        &schedule.sqrt_alphas_cumprod,
+        &schedule.sqrt_one_minus_alphas_cumprod,
+    );
+    same("out.coef_c_eps_xt", &of_both(&|t| a[t] / root[t] + b[t]));
+    same("out.coef_d_eps", &of_both(&|t| a[t] * noise[t] / root[t]));
+
+    let respaced = SamplerConfig {
+        num_inference_steps: golden.get("out.ddim100_timestep_map").values.len(),
+        timestep_spacing: TimestepSpacing::Leading,
+        ..SamplerConfig::default()
+    };
+    let mut kept = timesteps(&respaced, a.len());
+    kept.reverse();
+    assert_eq!(kept, golden.get("out.ddim100_timestep_map").indices());
+    let kept: Vec<f64> = kept.iter().map(|&t| schedule.alphas_cumprod[t]).collect();
+    same("out.ddim100_alphas_cumprod", &kept);
 }
 
 #[test]
@@ -176,17 +205,18 @@ fn golden_gmd_p_sample() {
             let at = |name: &str| bench.part(&format!("out.{kind}.{name}"), index);
             let noise = Some(bench.part("in.noise", index).tensor(&bench.device));
             let x_t = bench.input("in.x_t");
-            let (sample, x_start) = bench.step(x_t.clone(), timestep, noise, None, &none);
-            at("sample").assert_within("sample", sample, 1e-5, 0.0);
+            let step = bench.step(x_t.clone(), timestep, noise, None, &none);
+            at("sample").assert_within("sample", step.prev_sample, 1e-5, 0.0);
+            let x_start = step.pred_original_sample;
             at("pred_xstart").assert_within("pred_xstart", x_start, 1e-5, 0.0);
-            let (mean, _) = bench.step(x_t, timestep, None, None, &none);
+            let mean = bench.step(x_t, timestep, None, None, &none).prev_sample;
             at("mean").assert_within("mean", mean, 1e-5, 0.0);
         }
         let mut x = bench.input("in.x_t");
         for (index, timestep) in (0..6).rev().enumerate() {
             let noise = bench.part(&format!("in.{kind}.loop_noise"), index);
             let noise = Some(noise.tensor(&bench.device));
-            (x, _) = bench.step(x, timestep, noise, None, &none);
+            x = bench.step(x, timestep, noise, None, &none).prev_sample;
             let expected = bench.part(&format!("out.{kind}.loop"), index);
             expected.assert_within("loop", x.clone(), 1e-5, 0.0);
         }
@@ -277,35 +307,42 @@ fn golden_gmd_guidance() {
                     imputation: None,
                 };
                 let none = Steering::default();
-                let step = |steering: &Steering<'_>| {
-                    bench.step(x_t.clone(), timestep, None, None, steering).0
-                };
-                let plain = step(&none);
+                let step = |steering| bench.step(x_t.clone(), timestep, None, None, steering);
                 bench
                     .part(&format!("out.{kind}.unguided_mean"), index)
-                    .assert_within("unguided mean", plain.clone(), 1e-4, 1e-4);
+                    .assert_within("unguided mean", step(&none).prev_sample, 1e-4, 1e-4);
                 // Guidance acts while t >= 20 alone; the file's obstacles act always.
                 let acts = timestep >= 20 || variant == "sdf_l1";
                 let steering = if acts { &steering } else { &none };
-                // The shift of the mean is the scaled gradient times the variance.
-                let variance = bench.diffusion.schedule.posterior_variance[timestep];
-                let shift = step(steering) - plain;
-                if variance > 0.0 {
-                    let mut expected = bench.part(&gradient_name, index);
-                    let scaled = expected.values.iter().map(|value| value * variance);
-                    expected.values = scaled.collect();
-                    let what = format!("{kind} {variant} shift at {timestep}");
-                    expected.assert_within(&what, shift, absolute, relative);
+                let led = step(steering);
+                let what = |of: &str| format!("{kind} {variant} {of} at {timestep}");
+                let scaled_gradient = led.scaled_gradient.unwrap_or_else(|| x_t.zeros_like());
+                bench.part(&gradient_name, index).assert_within(
+                    &what("scaled gradient"),
+                    scaled_gradient,
+                    absolute,
+                    relative,
+                );
+                let mean_name = format!("out.{kind}.{variant}.mean");
+                if golden.has(&mean_name) {
+                    bench.part(&mean_name, index).assert_within(
+                        &what("mean"),
+                        led.prev_sample,
+                        absolute,
+                        relative,
+                    );
                 }
                 let sample_name = format!("out.{kind}.{variant}.sample");
                 if golden.has(&sample_name) {
                     let noise = bench.part(&format!("in.{kind}.noise"), index);
                     let noise = Some(noise.tensor(&bench.device));
-                    let (sample, _) = bench.step(x_t.clone(), timestep, noise, None, steering);
-                    let what = format!("{kind} {variant} sample at {timestep}");
-                    bench
-                        .part(&sample_name, index)
-                        .assert_within(&what, sample, absolute, relative);
+                    let step = bench.step(x_t.clone(), timestep, noise, None, steering);
+                    bench.part(&sample_name, index).assert_within(
+                        &what("sample"),
+                        step.prev_sample,
+                        absolute,
+                        relative,
+                    );
                 }
             }
         }
@@ -336,13 +373,7 @@ fn golden_gmd_imputation_of_motion() {
         let channels = x_t.dims()[1];
         let space = space(&bench.golden, channels, variant == "proj", &bench.device);
         let target = bench.input("in.motion.target");
-        for (index, &timestep) in bench
-            .golden
-            .get("in.timesteps")
-            .indices()
-            .iter()
-            .enumerate()
-        {
+        for (index, &timestep) in bench.timesteps().iter().enumerate() {
             let known = || imputation(&bench, &space, target.clone(), "in.motion.mask");
             let steering = Steering {
                 guidance: None,
@@ -351,10 +382,13 @@ fn golden_gmd_imputation_of_motion() {
             let at = |name: &str| bench.part(&format!("out.motion.{variant}.{name}"), index);
             let noise = bench.part("in.motion.noise", index);
             let noise = Some(noise.tensor(&bench.device));
-            let (sample, x_start) = bench.step(x_t.clone(), timestep, noise, None, &steering);
-            at("sample").assert_within(&format!("{variant} at {timestep}"), sample, 1e-4, 0.0);
+            let step = bench.step(x_t.clone(), timestep, noise, None, &steering);
+            let what = format!("{variant} at {timestep}");
+            at("sample").assert_within(&what, step.prev_sample, 1e-4, 0.0);
+            let x_start = step.pred_original_sample;
             at("pred_xstart").assert_within("prediction", x_start, 1e-4, 0.0);
-            let (mean, _) = bench.step(x_t.clone(), timestep, None, None, &steering);
+            let step = bench.step(x_t.clone(), timestep, None, None, &steering);
+            let mean = step.prev_sample;
             at("mean").assert_within("mean", mean, 1e-4, 0.0);
         }
     }
@@ -369,13 +403,7 @@ fn golden_gmd_imputation_of_trajectories() {
     let x_t = bench.input("in.traj.x_t");
     let space = space(&bench.golden, x_t.dims()[1], false, &bench.device);
     let target = space.to_motion(bench.input("in.traj.target_model_space"));
-    for (index, &timestep) in bench
-        .golden
-        .get("in.timesteps")
-        .indices()
-        .iter()
-        .enumerate()
-    {
+    for (index, &timestep) in bench.timesteps().iter().enumerate() {
         let mask = match timestep {
             100.. => Some("in.traj.mask_dense"),
             20..100 => Some("in.traj.mask_points"),
@@ -387,7 +415,8 @@ fn golden_gmd_imputation_of_trajectories() {
         };
         let part = |name: &str| Some(bench.part(name, index).tensor(&bench.device));
         let (noise, noise_q) = (part("in.traj.noise"), part("in.traj.noise_q"));
-        let (sample, x_start) = bench.step(x_t.clone(), timestep, noise, noise_q, &steering);
+        let step = bench.step(x_t.clone(), timestep, noise, noise_q, &steering);
+        let (sample, x_start) = (step.prev_sample, step.pred_original_sample);
         bench.part("out.traj.sample", index).assert_within(
             &format!("sample at {timestep}"),
             sample,
@@ -465,13 +494,7 @@ fn golden_gmd_guided_imputation() {
                 }
             }
         };
-        for (index, &timestep) in bench
-            .golden
-            .get("in.timesteps")
-            .indices()
-            .iter()
-            .enumerate()
-        {
+        for (index, &timestep) in bench.timesteps().iter().enumerate() {
             // The motion model has the key points alone in this file.
             let name = match (kind, timestep) {
                 ("traj", 100..) => "in.mask_dense",
@@ -497,7 +520,8 @@ fn golden_gmd_guided_imputation() {
             };
             let noise = part(format!("in.{kind}.noise"));
             let noise_q = part(format!("in.{kind}.noise_q"));
-            let (sample, _) = bench.step(x_t.clone(), timestep, noise, noise_q, &steering);
+            let step = bench.step(x_t.clone(), timestep, noise, noise_q, &steering);
+            let sample = step.prev_sample;
             let tolerance = match (kind, timestep) {
                 ("motion", 999) => 2e-3,
                 _ => 1e-4,

@@ -2,7 +2,7 @@
 //! gradients at the places where naive formulas have none.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_train::losses::{PhaseLoss, TemporalLossConfig, temporal_losses};
 
 fn terms(motion: &Tensor<3>, config: &TemporalLossConfig) -> Vec<(&'static str, Tensor<1>)> {

@@ -4,7 +4,7 @@
 use burn::tensor::Device;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
 use kinegrad_models::{Initializer, UNet1d};
-use kinegrad_tests::golden::Golden;
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::{unet, weights};
 
 const OUTPUT: f64 = 2e-5;

@@ -253,6 +253,29 @@ fn forbidden_objects_are_not_tried_again() {
     assert_eq!(server.injected(), 1);
 }
 
+#[test]
+fn phrases_of_a_batch_that_are_far_away_are_read_at_once() {
+    let (_folder, server, mut config) = web(true);
+    config.cache.memory_mib = 0;
+    config.cache.disk_mib = 0;
+    config.num_workers = 1;
+    let most_with = |concurrency| {
+        let mut config = config.clone();
+        config.store.concurrency = concurrency;
+        let dataset = Dataset::open(&config).expect("all is there");
+        let statistics = Arc::new(dataset.train.statistics().expect("statistics"));
+        server.take_most_under_way();
+        server.inject("synthetic_", Fault::Slow, config.batch_size);
+        let mut loader = Loader::new(dataset.train.clone(), statistics, &config, 7, 0);
+        loader.next().expect("all is there");
+        drop(loader);
+        server.take_most_under_way()
+    };
+    // A server may still be closing a connection when the next one comes.
+    assert!(most_with(1) <= 2);
+    assert!(most_with(4) > 2);
+}
+
 /// Opens a dataset that keeps nothing, lets `change` happen and goes on.
 fn changed_under_way(change: impl Fn(&Path)) -> (String, Vec<Vec<f32>>) {
     let (folder, _server, mut config) = web(true);

@@ -9,7 +9,7 @@ use symphonia::core::audio::GenericAudioBufferRef;
 use symphonia::core::codecs::audio::{AudioDecoder, AudioDecoderOptions};
 use symphonia::core::errors::Error as StreamError;
 use symphonia::core::formats::probe::Hint;
-use symphonia::core::formats::{FormatOptions, FormatReader, TrackType};
+use symphonia::core::formats::{FormatOptions, FormatReader, Track, TrackType};
 use symphonia::core::io::{MediaSource, MediaSourceStream};
 use symphonia::core::meta::MetadataOptions;
 use symphonia::core::packet::Packet;
@@ -27,6 +27,10 @@ pub const LOWEST_RATE: u32 = 4000;
 /// Largest sample rate that is read, in Hz.
 pub const HIGHEST_RATE: u32 = 768_000;
 
+/// Missing seconds worth a word: MP3 without a header for its length is measured by its size, and
+/// tags at its end count as music then.
+const NOTICED_SECONDS: f64 = 0.1;
+
 /// A decoded recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waveform {
@@ -36,9 +40,28 @@ pub struct Waveform {
     pub source_rate: u32,
     /// Channels in the file, averaged.
     pub source_channels: usize,
-    /// Damaged packets, replaced by silence of the same length as players do; a file that was cut
-    /// off counts one.
+    /// Damaged packets, replaced by silence of the same length as players do. A damaged part in
+    /// which not even packets can be found, as in MP3, is lost, and what follows comes early by it.
     pub skipped_packets: usize,
+    /// Seconds that the file's headers promise beyond what it holds; 0 where they promise none.
+    pub missing_seconds: f64,
+}
+
+impl Waveform {
+    /// What of the recording was lost, in words.
+    pub fn damage(&self) -> Option<String> {
+        let packets = (self.skipped_packets > 0)
+            .then(|| format!("{} damaged packets were passed over", self.skipped_packets));
+        let missing = (self.missing_seconds > NOTICED_SECONDS).then(|| {
+            format!(
+                "it is {:.2} s shorter than its headers say: it was cut off, or parts of it are \
+                 lost and what follows them comes too early",
+                self.missing_seconds
+            )
+        });
+        let parts: Vec<String> = packets.into_iter().chain(missing).collect();
+        (!parts.is_empty()).then(|| parts.join("; "))
+    }
 }
 
 /// Decodes an MP3, WAV, FLAC or Ogg Vorbis file: channels averaged, encoder delay and padding
@@ -84,6 +107,7 @@ pub fn decode_reader(
         source_rate: mono.rate,
         source_channels: mono.channels,
         skipped_packets: mono.skipped_packets,
+        missing_seconds: mono.missing_seconds(),
         samples: resample::to_sample_rate(mono.samples, mono.rate),
     })
 }
@@ -112,10 +136,10 @@ fn open_format<'s>(
 }
 
 /// The first audio track with a known coding, and its decoder.
-fn open_track(
-    format: &dyn FormatReader,
+fn open_track<'f>(
+    format: &'f dyn FormatReader,
     name: &str,
-) -> Result<(u32, Box<dyn AudioDecoder>), Error> {
+) -> Result<(&'f Track, Box<dyn AudioDecoder>), Error> {
     let file = || name.to_owned();
     let no_track = || Error::NoAudioTrack { file: file() };
     let track = format
@@ -135,7 +159,7 @@ fn open_track(
             file: file(),
             reason: e.to_string(),
         })?;
-    Ok((track.id, decoder))
+    Ok((track, decoder))
 }
 
 fn check_rate(rate: u32, name: &str) -> Result<(), Error> {
@@ -157,6 +181,8 @@ struct Mono<'a> {
     rate: u32,
     channels: usize,
     skipped_packets: usize,
+    /// Samples that the headers promise.
+    promised: Option<u64>,
     samples: Vec<f32>,
     interleaved: Vec<f32>,
 }
@@ -168,6 +194,7 @@ impl<'a> Mono<'a> {
             rate: 0,
             channels: 0,
             skipped_packets: 0,
+            promised: None,
             samples: Vec::new(),
             interleaved: Vec::new(),
         }
@@ -177,12 +204,14 @@ impl<'a> Mono<'a> {
     fn read(&mut self, source: impl MediaSource, extension: Option<&str>) -> Result<(), Error> {
         let mut format = open_format(source, extension, self.name)?;
         let (track, mut decoder) = open_track(format.as_ref(), self.name)?;
+        self.promised = track.num_frames;
+        let track = track.id;
         loop {
             let packet = match format.next_packet() {
                 Ok(Some(packet)) => packet,
                 Ok(None) => break,
                 Err(StreamError::IoError(e)) if e.kind() == io::ErrorKind::UnexpectedEof => {
-                    self.skipped_packets += 1;
+                    self.skipped_packets += usize::from(!self.is_endless());
                     break;
                 }
                 Err(e) => return Err(self.corrupt(e.to_string())),
@@ -261,6 +290,20 @@ impl<'a> Mono<'a> {
             second: self.seconds(),
             reason,
         }
+    }
+
+    /// Whether it was written without knowing its end, as into a pipe: then the headers promise
+    /// nothing, or more than any recording has.
+    fn is_endless(&self) -> bool {
+        let most = MAX_HOURS * 3600 * u64::from(self.rate.max(1));
+        self.promised.is_none_or(|promised| promised > most)
+    }
+
+    /// See [`Waveform::missing_seconds`].
+    fn missing_seconds(&self) -> f64 {
+        let promised = self.promised.filter(|_| !self.is_endless());
+        let missing = promised.map_or(0, |p| p.saturating_sub(self.samples.len() as u64));
+        missing as f64 / f64::from(self.rate.max(1))
     }
 
     fn seconds(&self) -> f64 {

@@ -27,7 +27,10 @@ pub enum Error {
 
     /// The file is in no format that can be read.
     #[error("{file}: no known audio format: {reason}")]
-    #[diagnostic(help("MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one"))]
+    #[diagnostic(help(
+        "MP3, WAV (PCM), FLAC and Ogg Vorbis can be read: convert the file to one, or copy it again if \
+         it is one and was cut off"
+    ))]
     UnknownFormat {
         /// The file.
         file: String,

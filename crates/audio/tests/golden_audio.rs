@@ -1,10 +1,9 @@
 //! Every tensor of the reference clips, against librosa 0.11.
 //!
-//! The folder is `KINEGRAD_GOLDEN` + `/audio` when that is set, and then a missing clip fails;
-//! otherwise it is `data_fixtures/golden/audio`, which holds the small clips only, with the
-//! tensors that matter most. The tolerances are the reference data's own.
+//! `data_fixtures/golden/audio` holds the small clips only, with the tensors that matter most. The
+//! tolerances are the reference data's own.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use kinegrad_audio::features::{CENTROID, CHROMA, MEL, MFCC, ONSET, RMS};
 use kinegrad_audio::stft::{BINS, Stft};
@@ -12,13 +11,13 @@ use kinegrad_audio::{
     Analysis, CHANNELS, Features, FrameMatrix, HOP, beats, chroma, decode, mel, num_frames, tempo,
     tuning,
 };
-use safetensors::{Dtype, SafeTensors};
+use kinegrad_golden::{Golden, differences, wide};
 
 /// One reference clip: its samples and its tensors.
 struct Clip {
     name: &'static str,
     recording: PathBuf,
-    bytes: Vec<u8>,
+    golden: Golden,
 }
 
 /// What the two signals of a clip that needs resampling may differ by, in the stacked tensor.
@@ -32,19 +31,7 @@ struct Resampled {
 impl Clip {
     /// The clip `name`, or `None` when the small set does not hold it.
     fn open(name: &'static str) -> Option<Self> {
-        let workspace = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-        let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
-        let root = match &set {
-            // Tests run in their package's folder; a relative folder is meant from the root.
-            Some(folder) => workspace.join(folder),
-            None => workspace.join("data_fixtures/golden"),
-        };
-        let tensors = root.join(format!("audio/{name}.safetensors"));
-        if !tensors.exists() {
-            assert!(set.is_none(), "{} is missing", tensors.display());
-            eprintln!("{name} is not among the small fixtures: nothing compared");
-            return None;
-        }
+        let tensors = Golden::locate("audio", &format!("{name}.safetensors"))?;
         // The small set keeps longer clips as FLAC.
         let recording = ["wav", "flac"]
             .map(|extension| tensors.with_extension(extension))
@@ -54,7 +41,7 @@ impl Clip {
         Some(Self {
             name,
             recording,
-            bytes: std::fs::read(tensors).expect("golden file is readable"),
+            golden: Golden::read(&tensors),
         })
     }
 
@@ -63,59 +50,32 @@ impl Clip {
         decode(&self.recording).expect("the clip decodes").samples
     }
 
-    /// The tensor `key`, widened, or `None` if the file leaves it out.
+    /// The tensor `key`, or `None` if the file leaves it out.
     fn find(&self, key: &str) -> Option<Vec<f64>> {
-        let parsed = SafeTensors::deserialize(&self.bytes).expect("golden file parses");
-        let view = parsed.tensor(key).ok()?;
-        let bytes = view.data();
-        Some(match view.dtype() {
-            Dtype::F64 => each(bytes, f64::from_le_bytes),
-            Dtype::F32 => each(bytes, |b| f64::from(f32::from_le_bytes(b))),
-            Dtype::I64 => each(bytes, |b| i64::from_le_bytes(b) as f64),
-            Dtype::I32 => each(bytes, |b| f64::from(i32::from_le_bytes(b))),
-            other => panic!("`{key}` has the unexpected type {other:?}"),
-        })
+        self.golden.find(key).map(|tensor| tensor.values)
     }
 
     fn get(&self, key: &str) -> Vec<f64> {
-        self.find(key)
-            .unwrap_or_else(|| panic!("{} has no tensor `{key}`", self.name))
+        self.golden.get(key).values
     }
 
     /// Asserts `|found - reference| <= tolerance` everywhere, if the file holds the tensor.
     fn compare(&self, key: &str, found: &[f64], tolerance: f64) {
-        if let Some(reference) = self.find(key) {
-            self.bound(key, largest_difference(key, found, &reference), tolerance);
+        if self.golden.has(key) {
+            self.golden.compare(key, found, tolerance);
         }
     }
 
     /// [`compare`](Self::compare), relative to the reference's largest magnitude.
     fn compare_relative(&self, key: &str, found: &[f64], tolerance: f64) {
-        if let Some(reference) = self.find(key) {
-            let largest = reference.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-            let error = largest_difference(key, found, &reference);
-            let scale = if largest == 0.0 { 1.0 } else { largest };
-            self.bound(key, error / scale, tolerance);
+        if self.golden.has(key) {
+            self.golden.compare_relative(key, found, tolerance);
         }
     }
 
     fn bound(&self, what: &str, error: f64, tolerance: f64) {
-        println!("{} {what}: error {error:.1e} of {tolerance:.0e}", self.name);
-        assert!(
-            error <= tolerance,
-            "{} {what}: error {error:.3e} exceeds {tolerance:.1e}",
-            self.name
-        );
+        self.golden.bound(what, error, tolerance);
     }
-}
-
-fn each<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-    let (chunks, _) = bytes.as_chunks::<N>();
-    chunks.iter().map(|chunk| convert(*chunk)).collect()
-}
-
-fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&v| f64::from(v)).collect()
 }
 
 fn major(matrix: &FrameMatrix) -> Vec<f64> {
@@ -128,18 +88,6 @@ fn largest_difference(what: &str, found: &[f64], reference: &[f64]) -> f64 {
 
 fn mean_difference(what: &str, found: &[f64], reference: &[f64]) -> f64 {
     differences(what, found, reference).sum::<f64>() / reference.len().max(1) as f64
-}
-
-fn differences<'a>(
-    what: &'a str,
-    found: &'a [f64],
-    reference: &'a [f64],
-) -> impl Iterator<Item = f64> + 'a {
-    assert_eq!(found.len(), reference.len(), "{what}: number of values");
-    found.iter().zip(reference).map(move |(a, r)| {
-        assert!(a.is_finite(), "{what} is {a}");
-        (a - r).abs()
-    })
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {

@@ -423,7 +423,7 @@ pub enum DataCommand {
 
 /// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts phrases and writes
 /// them with a manifest into a folder or bucket; docs/dataset.md describes plans. Stopped, it goes
-/// on with what is left when it is run again.
+/// on with what is left when it is run again. Exit code 1 if nothing could be made of a take.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -435,6 +435,12 @@ pub struct PrepareArguments {
     /// Where to write: a folder, gs:// or s3:// [default: the plan's `output`]
     #[arg(long, value_name = "URI")]
     pub out: Option<String>,
+    /// Make every take again, whatever has been made before
+    #[arg(long)]
+    pub again: bool,
+    /// Remove phrases of takes that the plan no longer has
+    #[arg(long)]
+    pub prune: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

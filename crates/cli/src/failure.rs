@@ -14,9 +14,9 @@ pub struct Failure {
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "error: {}", self.diagnostic)?;
+        write!(f, "error: {}", self.diagnostic)?;
         match self.diagnostic.help() {
-            Some(help) => writeln!(f, "\nhint: {help}"),
+            Some(help) => write!(f, "\n\nhint: {help}"),
             None => Ok(()),
         }
     }

@@ -1,11 +1,15 @@
 //! `kinegrad`: train and fine-tune motion-generation models.
 #![recursion_limit = "256"]
+// `say!` and `tell!` stand for them, which survive a reader that has gone.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+#[macro_use]
+mod output;
 
 mod args;
 mod commands;
 mod comparison;
 mod failure;
-mod output;
 mod picture;
 mod progress;
 
@@ -22,7 +26,7 @@ fn main() -> ExitCode {
     match run(arguments.command) {
         Ok(code) => code,
         Err(failure) => {
-            eprint!("{failure}");
+            tell!("{failure}");
             ExitCode::from(failure.exit_code)
         }
     }

@@ -1,7 +1,40 @@
-//! Tables and counts for people.
+//! Lines, tables and counts for people.
+
+use std::fmt;
+use std::io::{self, ErrorKind, Write};
 
 use tabled::builder::Builder;
 use tabled::settings::{Alignment, Style, object::Columns};
+
+/// Prints a line of results to standard output.
+///
+/// Unlike `println!`, it does not panic where nobody reads on, as in `kinegrad ... | head`.
+macro_rules! say {
+    ($($text:tt)*) => { $crate::output::result(format_args!($($text)*)) };
+}
+
+/// Prints a line about what is going on to standard error, or drops it where that is full: no
+/// training ends for it.
+macro_rules! tell {
+    ($($text:tt)*) => { $crate::output::remark(format_args!($($text)*)) };
+}
+
+/// See [`say!`]. Where a result is lost though somebody reads, the program ends with exit code 1.
+pub fn result(text: fmt::Arguments<'_>) {
+    if let Err(error) = writeln!(io::stdout(), "{text}")
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        remark(format_args!(
+            "error: standard output cannot be written: {error}"
+        ));
+        std::process::exit(1);
+    }
+}
+
+/// See [`tell!`].
+pub fn remark(text: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr(), "{text}");
+}
 
 /// A plain table: the first row is the header, columns after the first are aligned right.
 pub fn table(rows: impl IntoIterator<Item = Vec<String>>) -> String {

@@ -23,6 +23,8 @@ pub struct Panel {
     kind: Kind,
     /// Upright lines at these places.
     marks: Vec<f64>,
+    /// What lies between the left and the right edge; by default a little more than there is.
+    across: Option<Range<f64>>,
 }
 
 enum Kind {
@@ -93,12 +95,20 @@ impl Panel {
         self
     }
 
+    /// The same from edge to edge: panels below each other line up.
+    #[must_use]
+    pub fn spanning(mut self, across: Range<f64>) -> Self {
+        self.across = Some(across);
+        self
+    }
+
     fn of(title: impl Into<String>, x_label: &'static str, kind: Kind) -> Self {
         Self {
             title: title.into(),
             x_label,
             kind,
             marks: Vec::new(),
+            across: None,
         }
     }
 
@@ -234,6 +244,7 @@ where
             (bounds(ends), 0.0..1.05 * most as f64)
         }
     };
+    let x = panel.across.clone().unwrap_or(x);
     let height = y.clone();
     let mut chart = ChartBuilder::on(area)
         .margin(8)

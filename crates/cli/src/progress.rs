@@ -2,11 +2,12 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use kinegrad_train::clips::Stage;
 use kinegrad_train::{Observer, RunSummary, StepReport};
 
 use crate::output::grouped;
@@ -17,6 +18,9 @@ const SMOOTHING: f64 = 0.98;
 /// Lines of progress that a whole training prints where there is no terminal.
 const LINES: u64 = 20;
 
+/// Time between lines of a count where there is no terminal.
+const LINE_INTERVAL: Duration = Duration::from_secs(20);
+
 /// Shows a training on standard error.
 pub struct TrainProgress {
     bar: Option<ProgressBar>,
@@ -24,13 +28,19 @@ pub struct TrainProgress {
     started: Instant,
     steps_here: u64,
     stop: Arc<AtomicBool>,
+    /// Whether there is anything yet that a checkpoint would save.
+    trains: Arc<AtomicBool>,
 }
 
 impl TrainProgress {
-    /// Shows nothing yet; Ctrl-C asks for a stop from now on, a second Ctrl-C ends the process.
+    /// Shows nothing yet. Ctrl-C ends the process, once the training has begun it asks for a stop,
+    /// and a second one ends the process.
     pub fn new() -> Self {
-        let stop = stop_on_ctrl_c("stopping after this step and writing a checkpoint");
+        let trains = Arc::new(AtomicBool::new(false));
+        let message = "stopping after this step and writing a checkpoint";
+        let stop = stop_on_ctrl_c(message, trains.clone());
         Self {
+            trains,
             bar: None,
             smoothed: None,
             started: Instant::now(),
@@ -42,8 +52,8 @@ impl TrainProgress {
     /// A line that stays, above the bar.
     pub fn line(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bar) => bar.suspend(|| tell!("{text}")),
+            None => tell!("{text}"),
         }
     }
 
@@ -57,7 +67,8 @@ impl TrainProgress {
 
 impl Observer for TrainProgress {
     fn started(&mut self, summary: &RunSummary) {
-        eprintln!(
+        self.trains.store(true, Ordering::SeqCst);
+        tell!(
             "run {}: {} parameters on {}, {} phrases to train on, {} held out",
             summary.name,
             grouped(summary.parameters),
@@ -66,15 +77,16 @@ impl Observer for TrainProgress {
             summary.validation_phrases,
         );
         if !summary.skipped.is_empty() {
-            eprintln!("warning: {} bad phrases skipped:", summary.skipped.len());
+            tell!("warning: {} bad phrases skipped:", summary.skipped.len());
             for (id, reason) in &summary.skipped {
-                eprintln!("  {id}: {reason}");
+                tell!("  {id}: {reason}");
             }
         }
         if summary.step > 0 {
-            eprintln!(
+            tell!(
                 "continuing after step {} of {}",
-                summary.step, summary.max_steps
+                summary.step,
+                summary.max_steps
             );
         }
         self.started = Instant::now();
@@ -113,7 +125,7 @@ impl Observer for TrainProgress {
                 if report.step.is_multiple_of(every) || report.step == report.max_steps {
                     let left = (report.max_steps - report.step) as f64 / speed;
                     let (step, max) = (report.step, report.max_steps);
-                    eprintln!("step {step}/{max}  {message}  ETA {}", duration(left));
+                    tell!("step {step}/{max}  {message}  ETA {}", duration(left));
                 }
             }
         }
@@ -137,14 +149,7 @@ impl Observer for TrainProgress {
     }
 
     fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
-        let bar = counting_bar("phrases read");
-        Box::new(move |read, total| {
-            bar.set_length(total as u64);
-            bar.set_position(read as u64);
-            if read == total {
-                bar.finish_and_clear();
-            }
-        })
+        reading()
     }
 
     fn stop_requested(&self) -> bool {
@@ -162,33 +167,81 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, saying `message`; a second Ctrl-C ends the process.
-pub fn stop_on_ctrl_c(message: &'static str) -> Arc<AtomicBool> {
+/// A flag that Ctrl-C sets, saying `message`, once something is `under_way`; a second Ctrl-C, or one
+/// before, ends the process.
+pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     let handler = move || {
-        if flag.swap(true, Ordering::SeqCst) {
+        if flag.swap(true, Ordering::SeqCst) || !under_way.load(Ordering::SeqCst) {
             std::process::exit(130);
         }
-        eprintln!("\n{message}; again to stop at once");
+        tell!("\n{message}; again to stop at once");
     };
     // Fails only if a handler is set already; then that one decides.
     let _ = ctrlc::set_handler(handler);
     stop
 }
 
-/// A bar that counts `what`, whose length is set by its user. Draws nothing where standard error
-/// is no terminal.
-pub fn counting_bar(what: &str) -> ProgressBar {
-    let template = format!("{{bar:24}} {{pos}}/{{len}} {what}  {{elapsed}}<{{eta}}");
-    let style = ProgressStyle::with_template(&template).expect("a valid template");
-    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+/// Counts things done: a bar on a terminal, a line now and then elsewhere.
+pub struct Count {
+    bar: ProgressBar,
+    what: &'static str,
+    /// When the last line was written.
+    told: Mutex<Instant>,
+}
+
+impl Count {
+    /// Shows nothing yet.
+    pub fn new(what: &'static str) -> Self {
+        let template = format!("{{bar:24}} {{pos}}/{{len}} {what}  {{elapsed}}<{{eta}}");
+        let style = ProgressStyle::with_template(&template).expect("a valid template");
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+        Self {
+            bar: bar.with_style(style),
+            what,
+            told: Mutex::new(Instant::now()),
+        }
+    }
+
+    /// So many of so many are done.
+    pub fn show(&self, done: usize, total: usize) {
+        self.bar.set_length(total as u64);
+        self.bar.set_position(done as u64);
+        if done == total {
+            self.bar.finish_and_clear();
+        } else if self.bar.is_hidden()
+            && let Ok(mut told) = self.told.try_lock()
+            && told.elapsed() >= LINE_INTERVAL
+        {
+            *told = Instant::now();
+            tell!("{} of {} {}", grouped(done), grouped(total), self.what);
+        }
+    }
+}
+
+/// What shows how many phrases or clips of a dataset have been read.
+pub fn reading() -> Box<dyn Fn(usize, usize) + Sync> {
+    let count = Count::new("phrases read");
+    Box::new(move |read, total| count.show(read, total))
 }
 
 /// A bar for the drawing of samples, whose length is set by its user. Draws nothing where standard
 /// error is no terminal.
 pub fn denoising_bar() -> ProgressBar {
-    let template = "{prefix}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+    let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
     let style = ProgressStyle::with_template(template).expect("a valid template");
     ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+}
+
+/// Shows the stage of drawing clips on a bar, and its steps done and in all.
+pub fn on_stage(bar: &ProgressBar) -> impl FnMut(Stage, usize, usize) + '_ {
+    |stage, done, all| {
+        bar.set_message(match stage {
+            Stage::Trajectory => "trajectory  ",
+            Stage::Motion => "motion  ",
+        });
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    }
 }

@@ -200,9 +200,9 @@ pub struct StoreConfig {
     pub anonymous: bool,
     /// Seconds without a byte after which a request is given up.
     pub timeout_seconds: f64,
-    /// How often a failed request is tried again, after pauses from 0.1 s that double up to 5 s.
+    /// How often a failed request is tried again, after pauses from 0.1 s that double up to 20 s.
     pub max_retries: usize,
-    /// Most requests at a time.
+    /// Most requests at a time; so many phrases of a training batch are read at once.
     pub concurrency: usize,
 }
 
@@ -212,7 +212,7 @@ impl Default for StoreConfig {
             endpoint: None,
             anonymous: false,
             timeout_seconds: 30.0,
-            max_retries: 6,
+            max_retries: 9,
             concurrency: 16,
         }
     }

@@ -259,10 +259,7 @@ pub enum Error {
     },
     /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
     #[error("{kind} `{id}`: {cause}")]
-    #[diagnostic(help(
-        "repair or remove the {kind}, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
-         inspect` lists every problem"
-    ))]
+    #[diagnostic(help("{hint}"))]
     BadItem {
         /// `phrase` or `clip`.
         kind: &'static str,
@@ -270,6 +267,20 @@ pub enum Error {
         id: String,
         /// What is wrong with it. Not a `source`, as the message holds it already.
         cause: Box<FileError>,
+        /// What to do.
+        hint: String,
+    },
+    /// An address says more than where the data lies.
+    #[error("the address {place}... {problem}")]
+    #[diagnostic(help(
+        "credentials come from the environment, not from the address, which is written into configs \
+         and checkpoints"
+    ))]
+    Address {
+        /// Its scheme and host, without what should not be shown.
+        place: String,
+        /// What is wrong with it.
+        problem: &'static str,
     },
     /// A file outside any dataset is bad.
     #[error(transparent)]
@@ -292,6 +303,13 @@ pub enum Error {
     Exists {
         /// The folder.
         path: PathBuf,
+    },
+    /// Another preparation is writing the same dataset.
+    #[error("{output}: another preparation is writing there")]
+    #[diagnostic(help("wait until it has ended, or write to another place with `--out`"))]
+    Busy {
+        /// The dataset.
+        output: String,
     },
 }
 
@@ -328,10 +346,25 @@ impl Error {
 
     /// The [`Error::BadItem`] of `id`.
     pub(crate) fn bad<T: Item>(id: &str, cause: FileError) -> Self {
+        let kind = T::KIND;
+        let hint = match &cause {
+            // Nothing is wrong with the item as such.
+            FileError::Store(error) if !error.concerns_one_object() => {
+                error.help().map(|help| help.to_string())
+            }
+            _ => None,
+        };
+        let hint = hint.unwrap_or_else(|| {
+            format!(
+                "repair or remove the {kind}, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
+                 inspect` lists every problem"
+            )
+        });
         Self::BadItem {
-            kind: T::KIND,
+            kind,
             id: id.to_owned(),
             cause: Box::new(cause),
+            hint,
         }
     }
 

@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::features::AUDIO_CHANNELS;
 use crate::split::Split;
 use crate::summary::{summarise_audio, summarise_motion};
-use crate::survey::Survey;
+use crate::survey::{OpenProgress, Survey};
 use crate::{ChannelSummary, DataConfig, Error, Phrase};
 
 /// The contents of a dataset. Numbers describe the phrases that can be used.
@@ -67,11 +67,12 @@ pub struct Problem {
 ///
 /// # Errors
 /// As [`Dataset::open`](crate::Dataset::open), but never for a single bad phrase.
-pub fn inspect(config: &DataConfig) -> Result<Inspection, Error> {
+pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     let split = Split::new(&config.validation)?;
-    let survey = Survey::phrases(config)?;
-    let outcomes = survey.meet_all(&|_, _| {}, |_, met| (met.entry.side, met.item, met.note))?;
+    let mut survey = Survey::phrases(config)?;
+    survey.tolerates_changes = true;
+    let outcomes = survey.meet_all(progress, |_, met| (met.entry.side, met.item, met.note))?;
     let listed: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
     let mut warnings = survey.warnings;
     warnings.extend(split.idle_entries(&listed));
@@ -189,7 +190,7 @@ mod tests {
             ..DataConfig::default()
         };
         config.validation.patterns = vec!["*3".into(), "*4".into()];
-        let found = inspect(&config).unwrap();
+        let found = inspect(&config, &|_, _| {}).unwrap();
         assert_eq!(
             (
                 found.phrases,
@@ -264,10 +265,13 @@ mod tests {
         write_features(&features, &synthetic::phrase(5, 20, 3).audio).unwrap();
         fs::write(folder.path().join(features_path(&id(6))), b"PK").unwrap();
         let source = Some(folder.path().display().to_string());
-        let found = inspect(&DataConfig {
-            source,
-            ..DataConfig::default()
-        })
+        let found = inspect(
+            &DataConfig {
+                source,
+                ..DataConfig::default()
+            },
+            &|_, _| {},
+        )
         .unwrap();
         assert_eq!((found.phrases, found.bad_phrases), (6, 2));
         for (index, expected) in [
@@ -300,10 +304,13 @@ mod tests {
             fs::create_dir_all(folder.path().join(part)).unwrap();
         }
         let source = Some(folder.path().display().to_string());
-        let found = inspect(&DataConfig {
-            source,
-            ..DataConfig::default()
-        })
+        let found = inspect(
+            &DataConfig {
+                source,
+                ..DataConfig::default()
+            },
+            &|_, _| {},
+        )
         .unwrap();
         assert_eq!((found.phrases, found.bad_phrases, found.frames), (0, 1, 0));
         assert!(found.motion.is_empty() && found.audio.is_empty());
@@ -316,7 +323,7 @@ mod tests {
             kind: crate::DataKind::Synthetic,
             ..DataConfig::default()
         };
-        let found = inspect(&config).unwrap();
+        let found = inspect(&config, &|_, _| {}).unwrap();
         assert_eq!(
             (found.source.as_str(), found.phrases, found.frames),
             ("synthetic", 64, 7680)

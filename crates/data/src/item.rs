@@ -105,6 +105,11 @@ impl<T: Item> ItemSet<T> {
         position.map(|position| self.get(position)).transpose()
     }
 
+    /// Most items worth reading at once from afar; 0 where they are not far.
+    pub(crate) fn concurrency(&self) -> usize {
+        self.library.concurrency
+    }
+
     /// Whether item `position` is in memory now.
     pub(crate) fn is_at_hand(&self, position: usize) -> bool {
         self.library.is_at_hand(self.indices[position])

@@ -21,6 +21,8 @@ pub(crate) struct Library<T> {
     origin: Box<dyn Origin<T>>,
     memory: MemoryCache<T>,
     pub counters: Arc<Counters>,
+    /// Most items worth reading at once from afar; 0 where they are not far.
+    pub concurrency: usize,
 }
 
 /// What is known of an item that can be used.
@@ -155,6 +157,16 @@ impl<T: Item> Library<T> {
             origin,
             memory,
             counters,
+            concurrency: 0,
+        }
+    }
+
+    /// The same, of items that lie so far away that `concurrency` of them are read at once.
+    #[must_use]
+    pub fn read_at_once(self, concurrency: usize) -> Self {
+        Self {
+            concurrency,
+            ..self
         }
     }
 

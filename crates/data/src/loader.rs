@@ -7,6 +7,7 @@ use std::time::Instant;
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::humanml::FeatureStatistics;
 use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::augment::Sampler;
 use crate::batch::Shape;
@@ -56,14 +57,14 @@ impl Loader {
     ) -> Self {
         assert!(!phrases.is_empty(), "a loader needs at least one phrase");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
-        let counters = phrases.counters().clone();
+        let (counters, concurrency) = (phrases.counters().clone(), phrases.concurrency());
         let passages = if config.join_neighbours {
             Passages::joined(phrases, config.target_frames)
         } else {
             Passages::alone(phrases, config.target_frames)
         };
         let maker = PhraseMaker {
-            samples: Samples::new(passages.len(), config, seed),
+            samples: Samples::new(passages.len(), config, seed, concurrency),
             sampler: Sampler::new(config, seed),
             passages,
             statistics,
@@ -90,7 +91,7 @@ impl Loader {
         assert!(!clips.is_empty(), "a loader needs at least one clip");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
         let counters = clips.counters().clone();
-        let samples = Samples::new(clips.len(), config, seed);
+        let samples = Samples::new(clips.len(), config, seed, clips.concurrency());
         let maker = ClipMaker::new(clips, statistics, channels, samples, config, seed);
         Self::start(maker, config.num_workers, first_batch, counters)
     }
@@ -130,15 +131,31 @@ impl Loader {
         reason = "the stream has no end, so no Option"
     )]
     pub fn next(&mut self) -> Result<Batch, Error> {
+        let batch = self.next_unless(&|| false)?;
+        Ok(batch.expect("nobody asks to stop"))
+    }
+
+    /// [`next`](Self::next), or `None` if `stop` comes to hold while a worker makes it, which may
+    /// wait for a network.
+    ///
+    /// # Errors
+    /// As [`next`](Self::next).
+    ///
+    /// # Panics
+    /// As [`next`](Self::next).
+    pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
         let asked = Instant::now();
-        let number = self.next_batch;
-        self.next_batch += 1;
         let batch = match &mut self.prefetch {
-            Some(prefetch) => prefetch.next(),
-            None => self.maker.make(number),
-        }?;
+            Some(prefetch) => match prefetch.next_unless(stop) {
+                Some(batch) => batch,
+                None => return Ok(None),
+            },
+            None => self.maker.make(self.next_batch),
+        };
+        self.next_batch += 1;
+        let batch = batch?;
         self.counters.batch(batch.batch_size, asked.elapsed());
-        Ok(batch)
+        Ok(Some(batch))
     }
 
     /// What loading has cost since the dataset was opened.
@@ -159,12 +176,20 @@ pub(crate) struct Samples {
     batch_size: usize,
     /// Whether the items of a batch are read by rayon's threads and not one after the other.
     all_cores: bool,
+    /// Threads that wait for a network, shared by all workers; there, they read the items.
+    readers: Option<Arc<ThreadPool>>,
 }
 
 impl Samples {
-    /// The samples of a run with this `seed` over so many items.
-    pub fn new(items: usize, config: &DataConfig, seed: u64) -> Self {
+    /// The samples of a run with this `seed` over so many items, of which `concurrency` may be
+    /// read at once where they lie far away.
+    pub fn new(items: usize, config: &DataConfig, seed: u64, concurrency: usize) -> Self {
+        let readers = ThreadPoolBuilder::new().num_threads(concurrency);
         Self {
+            readers: match concurrency {
+                0 => None,
+                _ => readers.build().ok().map(Arc::new),
+            },
             order: Order::new(items, seed),
             batch_size: config.batch_size,
             all_cores: config.num_workers == 0,
@@ -190,9 +215,12 @@ impl Samples {
         let samples = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
         let samples: Vec<(u64, usize)> = samples.map(|n| (n, self.order.phrase(n))).collect();
         let at_hand = |&(_, position): &(u64, usize)| is_at_hand(position);
-        let ahead: Vec<Result<T, Error>> = match self.all_cores && !samples.iter().all(at_hand) {
-            true => samples.par_iter().map(|&(_, item)| get(item)).collect(),
-            false => Vec::new(),
+        let read = || samples.par_iter().map(|&(_, item)| get(item)).collect();
+        let at_once = self.all_cores || self.readers.is_some();
+        let ahead: Vec<Result<T, Error>> = match &self.readers {
+            _ if !at_once || samples.iter().all(at_hand) => Vec::new(),
+            Some(readers) => readers.install(read),
+            None => read(),
         };
         let mut ahead = ahead.into_iter();
         for (n, position) in samples {

@@ -34,7 +34,8 @@ impl Location {
     ///
     /// # Errors
     /// [`Error::Scheme`] for any other scheme, a `file://` URI with a host, percent escapes that
-    /// are not UTF-8, and an address without a bucket or host.
+    /// are not UTF-8, and an address without a bucket or host; [`Error::Address`] for one with
+    /// credentials or a query.
     pub fn parse(source: &str) -> Result<Self, Error> {
         let Some((scheme, rest)) = source.split_once("://") else {
             return Ok(Self::Folder(PathBuf::from(source)));
@@ -62,6 +63,21 @@ impl Location {
             return Err(refused(&format!("{scheme}://(nothing)")));
         }
         let scheme = scheme.to_ascii_lowercase();
+        let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
+        let (user, host) = authority.rsplit_once('@').unwrap_or(("", authority));
+        let problem = match service {
+            _ if !user.is_empty() => Some("holds a user name or password"),
+            Service::Http if path.contains(['?', '#']) => {
+                Some("goes on after its path (`?` or `#`)")
+            }
+            _ => None,
+        };
+        if let Some(problem) = problem {
+            return Err(Error::Address {
+                place: format!("{scheme}://{}", host.split('?').next().unwrap_or_default()),
+                problem,
+            });
+        }
         Ok(Self::Remote {
             service,
             uri: format!("{scheme}://{}", rest.trim_end_matches('/')),
@@ -118,6 +134,21 @@ mod tests {
                 Location::Remote { service, uri }
             );
         }
+    }
+
+    #[test]
+    fn secrets_in_addresses_are_refused_and_not_repeated() {
+        for source in [
+            "http://me:secret@host/set",
+            "https://host/set?signature=secret",
+            "https://host/set#secret",
+            "gs://secret@bucket/set",
+        ] {
+            let error = Location::parse(source).unwrap_err();
+            assert!(matches!(error, Error::Address { .. }), "{source}");
+            assert!(!error.to_string().contains("secret"), "{error}");
+        }
+        assert!(Location::parse("gs://bucket/what?/is#this@").is_ok());
     }
 
     #[test]

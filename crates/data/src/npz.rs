@@ -15,6 +15,10 @@ use crate::{Error, FileError, atomic};
 /// The longest archive of features; more than any that unpacks to [`MAX_FRAMES`] frames.
 pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS) + (1 << 20);
 
+/// How features are written: deflating real phrases saves 13 % and halves the speed at which they
+/// are read.
+const METHOD: CompressionMethod = CompressionMethod::Stored;
+
 /// Bytes that one packed byte can become at most, when deflated.
 const MOST_UNPACKED: usize = 1032;
 
@@ -115,20 +119,25 @@ pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error
     let times: Vec<f32> = beats.times().into_iter().map(|time| time as f32).collect();
     let stacked = AudioFeatures::from(features);
     let beside = [("tempo", &[beats.tempo as f32][..]), ("beat_times", &times)];
-    atomic::write(path, |writer| writer.write_all(&archive(&stacked, &beside)))
+    let bytes = archive(&stacked, &beside, METHOD);
+    atomic::write(path, |writer| writer.write_all(&bytes))
 }
 
 /// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
 pub(crate) fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
-    archive(features, &[])
+    archive(features, &[], METHOD)
 }
 
-fn archive(features: &AudioFeatures, beside: &[(&str, &[f32])]) -> Vec<u8> {
+fn archive(
+    features: &AudioFeatures,
+    beside: &[(&str, &[f32])],
+    method: CompressionMethod,
+) -> Vec<u8> {
     let frames = features.frames();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     // Without a date of its own an entry has the time of day.
     let options = FileOptions::default()
-        .compression_method(CompressionMethod::Deflated)
+        .compression_method(method)
         .last_modified_time(DateTime::default());
     let mut rest = features.as_slice();
     let mut members: Vec<(&str, Vec<usize>, &[f32])> = Vec::new();
@@ -400,7 +409,7 @@ mod tests {
 
     /// A deflated archive, the declared size of whose members is `change`d in the directory.
     fn with_declared_size(change: impl Fn(u32) -> u32) -> Vec<u8> {
-        let mut bytes = features_bytes(&ramp(4));
+        let mut bytes = super::archive(&ramp(4), &[], CompressionMethod::Deflated);
         let places = bytes.windows(4).enumerate();
         let places: Vec<usize> = places
             .filter(|(_, mark)| *mark == b"PK\x01\x02")

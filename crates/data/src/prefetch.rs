@@ -4,9 +4,16 @@ use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 /// How many finished things may wait for each worker: one being handed out, one in reserve.
 const LOOK_AHEAD_PER_WORKER: u64 = 2;
+
+/// How often a consumer that waits asks whether it shall stop.
+const STOP_INTERVAL: Duration = Duration::from_millis(100);
+
+/// How long dropping waits for workers to end what they are at.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Worker threads that make thing 0, 1, 2, ... and a consumer that gets them in that order.
 ///
@@ -88,29 +95,27 @@ impl<T: Send + 'static> Prefetch<T> {
         (!workers.is_empty()).then_some(Self { shared, workers })
     }
 
-    /// The next thing, waiting for it where need be.
+    /// The next thing, waiting for it where need be; `None` if `stop` comes to hold meanwhile.
     ///
     /// # Panics
     /// Goes on with the panic of the worker that made it.
-    pub fn next(&mut self) -> T {
+    pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Option<T> {
         let mut state = self.shared.lock();
         let number = state.next_to_hand_out;
         let outcome = loop {
-            match state.ready.remove(&number) {
-                Some(outcome) => break outcome,
-                None => {
-                    state = self
-                        .shared
-                        .finished
-                        .wait(state)
-                        .unwrap_or_else(PoisonError::into_inner);
-                }
+            if let Some(outcome) = state.ready.remove(&number) {
+                break outcome;
             }
+            if stop() {
+                return None;
+            }
+            let waited = self.shared.finished.wait_timeout(state, STOP_INTERVAL);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
         };
         state.next_to_hand_out += 1;
         drop(state);
         self.shared.room.notify_all();
-        outcome.unwrap_or_else(|panic| resume_unwind(panic))
+        Some(outcome.unwrap_or_else(|panic| resume_unwind(panic)))
     }
 }
 
@@ -128,9 +133,16 @@ impl<T> Drop for Prefetch<T> {
     fn drop(&mut self) {
         self.shared.lock().stopped = true;
         self.shared.room.notify_all();
+        let deadline = Instant::now() + PATIENCE;
         for worker in self.workers.drain(..) {
-            // Its panics were caught.
-            let _ = worker.join();
+            while !worker.is_finished() && Instant::now() < deadline {
+                thread::sleep(Duration::from_millis(1));
+            }
+            // One that waits for a network longer ends by itself, or with the process.
+            if worker.is_finished() {
+                // Its panics were caught.
+                let _ = worker.join();
+            }
         }
     }
 }
@@ -139,7 +151,23 @@ impl<T> Drop for Prefetch<T> {
 mod tests {
     use super::*;
     use std::sync::atomic::{AtomicU64, Ordering};
-    use std::time::{Duration, Instant};
+
+    fn next<T: Send + 'static>(prefetch: &mut Prefetch<T>) -> T {
+        prefetch
+            .next_unless(&|| false)
+            .expect("nobody asks to stop")
+    }
+
+    #[test]
+    fn who_asks_to_stop_does_not_wait() {
+        let mut prefetch =
+            Prefetch::start(1, 0, |_| thread::sleep(Duration::from_secs(4))).unwrap();
+        let asked = Instant::now();
+        let waited = || asked.elapsed() > Duration::from_millis(50);
+        assert_eq!(prefetch.next_unless(&waited), None);
+        drop(prefetch);
+        assert!(asked.elapsed() < Duration::from_secs(4));
+    }
 
     #[test]
     fn things_come_in_order_whatever_the_speed_of_each() {
@@ -150,7 +178,7 @@ mod tests {
             };
             let mut prefetch = Prefetch::start(workers, 5, make).unwrap();
             for number in 5..60 {
-                assert_eq!(prefetch.next(), number * number);
+                assert_eq!(next(&mut prefetch), number * number);
             }
         }
     }
@@ -174,7 +202,7 @@ mod tests {
             6,
             "two for each worker, and no more"
         );
-        assert_eq!(prefetch.next(), 0);
+        assert_eq!(next(&mut prefetch), 0);
     }
 
     #[test]
@@ -184,13 +212,13 @@ mod tests {
             other => other,
         };
         let mut prefetch = Prefetch::start(1, 0, make).unwrap();
-        assert_eq!((prefetch.next(), prefetch.next()), (0, 1));
-        let panic = catch_unwind(AssertUnwindSafe(|| prefetch.next())).unwrap_err();
+        assert_eq!((next(&mut prefetch), next(&mut prefetch)), (0, 1));
+        let panic = catch_unwind(AssertUnwindSafe(|| next(&mut prefetch))).unwrap_err();
         assert_eq!(
             *panic.downcast_ref::<&str>().unwrap(),
             "thing two is broken"
         );
-        assert_eq!(prefetch.next(), 3);
+        assert_eq!(next(&mut prefetch), 3);
     }
 
     #[test]
@@ -202,7 +230,7 @@ mod tests {
             number
         })
         .unwrap();
-        assert_eq!(prefetch.next(), 0);
+        assert_eq!(next(&mut prefetch), 0);
         drop(prefetch);
         assert_eq!(
             Arc::strong_count(&alive),

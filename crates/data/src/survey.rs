@@ -31,6 +31,8 @@ pub(crate) struct Survey<T> {
     pub listed: Vec<Listed>,
     /// Most requests at a time; 0 where nothing is requested from afar.
     pub concurrency: usize,
+    /// Whether items that are not as they were recorded are to be listed as well.
+    pub tolerates_changes: bool,
 }
 
 /// The items of a dataset that can be used, and what was said of the others.
@@ -69,6 +71,7 @@ impl Survey<Phrase> {
                 source: "synthetic".to_owned(),
                 listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
                 concurrency: 0,
+                tolerates_changes: false,
             }),
             kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => Err(Error::wrong_kind(
                 kind,
@@ -114,6 +117,7 @@ impl Survey<Phrase> {
             source: files.store.uri(),
             listed: phrases,
             concurrency: files.concurrency(config),
+            tolerates_changes: false,
             origin: Box::new(PhraseFiles(files)),
         })
     }
@@ -223,6 +227,7 @@ impl<T: Item> Survey<T> {
             });
         }
         let library = Library::new(self.origin, entries, memory, self.counters);
+        let library = library.read_at_once(self.concurrency);
         let library = Arc::new(library);
         Ok(Sides {
             digest: library.digest(&validation),
@@ -236,6 +241,7 @@ impl<T: Item> Survey<T> {
         // A file that this machine does not give out says nothing of the next one.
         let here = self.concurrency == 0;
         let unreadable = matches!(error, StoreError::Denied { .. } | StoreError::Failed { .. });
-        error.concerns_one_object() || (here && unreadable)
+        let changed = matches!(error, StoreError::Changed { .. });
+        error.concerns_one_object() || (here && unreadable) || (self.tolerates_changes && changed)
     }
 }

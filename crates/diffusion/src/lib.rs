@@ -50,6 +50,6 @@ pub use sampler::{
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Goal, Guidance, Imputation, Networks, Space, SteeredInput, Steering, steered_sample,
-    steered_step,
+    Goal, Guidance, Imputation, Networks, Space, SteeredInput, SteeredOutput, Steering,
+    steered_sample, steered_step,
 };

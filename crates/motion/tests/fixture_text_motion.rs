@@ -2,62 +2,54 @@
 //!
 //! `data_fixtures/gmd/README.md` says what the file holds and how it was made.
 
-use std::path::Path;
-
+use kinegrad_golden::{Golden, bound, differences, workspace};
 use kinegrad_motion::humanml::{FeatureLayout, FeatureStatistics, Features, Root};
 use kinegrad_motion::metrics::text_motion::{
     EvaluatorWeights, NamedArrays, TextMotionError, TextMotionEvaluator, TextMotionReport, Token,
     WordVectors,
 };
-use safetensors::{Dtype, SafeTensors};
 
 /// Of embeddings and metrics, absolute.
 const TOLERANCE: f64 = 1e-5;
 
 /// The file of weights, inputs and answers.
 struct Fixture {
-    bytes: Vec<u8>,
+    file: Golden,
     config: serde_json::Value,
 }
 
 impl Fixture {
     fn open() -> Self {
-        let file = "../../data_fixtures/gmd/text_motion_tiny.safetensors";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
-        let bytes = std::fs::read(path).expect("fixture is readable");
-        let (_, metadata) = SafeTensors::read_metadata(&bytes).expect("fixture parses");
-        let metadata = metadata.metadata().clone().expect("metadata");
-        let config = serde_json::from_str(&metadata["config"]).expect("config is JSON");
-        Self { bytes, config }
+        let path = workspace().join("data_fixtures/gmd/text_motion_tiny.safetensors");
+        let file = Golden::read(&path);
+        let config = serde_json::from_str(file.metadata("config")).expect("config is JSON");
+        Self { file, config }
     }
 
     /// All tensors whose name begins with `prefix`, by the rest of the name.
     fn under(&self, prefix: &str) -> NamedArrays {
-        let parsed = SafeTensors::deserialize(&self.bytes).expect("fixture parses");
-        let tensors = parsed.iter().filter_map(|(name, tensor)| {
-            let name = name.strip_prefix(prefix)?;
-            assert_eq!(tensor.dtype(), Dtype::F32);
-            let (numbers, _) = tensor.data().as_chunks();
-            let values = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes));
-            Some((name.to_owned(), (tensor.shape().to_vec(), values.collect())))
-        });
-        tensors.collect()
+        let names = self.file.names_under(prefix).into_iter();
+        let load = |name: String| {
+            let tensor = self.file.get(&format!("{prefix}{name}"));
+            let values = tensor.f32s();
+            (name, (tensor.shape, values))
+        };
+        names.map(load).collect()
     }
 
     fn values(&self, name: &str) -> Vec<f32> {
-        let (_, values) = self.under(name).remove("").expect("tensor exists");
-        values
+        self.file.get(name).f32s()
     }
 
     fn wide(&self, name: &str) -> Vec<f64> {
-        self.values(name).into_iter().map(f64::from).collect()
+        self.file.get(name).values
     }
 
     /// The rows of a tensor `[n, width]`.
     fn rows(&self, name: &str) -> Vec<Vec<f64>> {
-        let width = self.under(name)[""].0[1];
-        let rows = self.wide(name);
-        rows.chunks_exact(width).map(<[f64]>::to_vec).collect()
+        let tensor = self.file.get(name);
+        let rows = tensor.values.chunks_exact(tensor.shape[1]);
+        rows.map(<[f64]>::to_vec).collect()
     }
 
     fn strings(&self, key: &str) -> Vec<String> {
@@ -100,14 +92,10 @@ impl Fixture {
     }
 }
 
-/// Prints and bounds the largest difference.
+/// Bounds the largest difference.
 fn compare(what: &str, found: &[f64], reference: &[f64]) {
-    assert_eq!(found.len(), reference.len(), "{what}");
-    let differences = found.iter().zip(reference).map(|(a, b)| (a - b).abs());
-    let error = differences.fold(0.0, f64::max);
-    eprintln!("text_motion_tiny {what}: error {error:.1e} of {TOLERANCE:.0e}");
-    assert!(error <= TOLERANCE, "{what}: {error:.3e}");
-    assert!(found.iter().all(|value| value.is_finite()), "{what}");
+    let error = differences(what, found, reference).fold(0.0, f64::max);
+    bound(&format!("text_motion_tiny {what}"), error, TOLERANCE);
 }
 
 fn slices<T>(lists: &[Vec<T>]) -> Vec<&[T]> {

@@ -1,117 +1,18 @@
 //! Emphasis projection and goals against the reference data of Guided Motion Diffusion.
 //!
-//! The folder is `KINEGRAD_GOLDEN` + `/gmd` when that is set, and then a missing file fails;
-//! otherwise it is `data_fixtures/golden/gmd`, which may hold some of the files. Sizes and numbers
-//! are read from the files; the tolerances are the reference data's own.
+//! The tolerances are the reference data's own.
 
-use std::path::Path;
-
+use kinegrad_golden::{Golden, wide};
 use kinegrad_motion::emphasis::{EmphasisProjection, relative_importance};
 use kinegrad_motion::goal::{
     Goal, GroundTargets, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle, Phase,
 };
-use safetensors::{Dtype, SafeTensors};
 
 /// The rows that the published models emphasise: root rotation, x and z.
 const CHANNELS: [usize; 3] = [0, 1, 2];
 
-/// One reference file.
-struct Golden {
-    name: &'static str,
-    bytes: Vec<u8>,
-}
-
-impl Golden {
-    /// The file `name`, or `None` when the small set does not hold it.
-    fn open(name: &'static str) -> Option<Self> {
-        let workspace = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-        let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
-        let root = match &set {
-            // Tests run in their package's folder; a relative folder is meant from the root.
-            Some(folder) => workspace.join(folder),
-            None => workspace.join("data_fixtures/golden"),
-        };
-        let path = root.join(format!("gmd/{name}.safetensors"));
-        if !path.exists() {
-            assert!(set.is_none(), "{} is missing", path.display());
-            eprintln!("{name} is not among the small fixtures: nothing compared");
-            return None;
-        }
-        let bytes = std::fs::read(path).expect("golden file is readable");
-        Some(Self { name, bytes })
-    }
-
-    /// Shape and values of the tensor `key`, widened.
-    fn tensor(&self, key: &str) -> (Vec<usize>, Vec<f64>) {
-        let parsed = SafeTensors::deserialize(&self.bytes).expect("golden file parses");
-        let view = parsed
-            .tensor(key)
-            .unwrap_or_else(|_| panic!("{} has no tensor `{key}`", self.name));
-        let bytes = view.data();
-        let values = match view.dtype() {
-            Dtype::F64 => each(bytes, f64::from_le_bytes),
-            Dtype::F32 => each(bytes, |b| f64::from(f32::from_le_bytes(b))),
-            Dtype::I32 => each(bytes, |b| f64::from(i32::from_le_bytes(b))),
-            Dtype::U8 => each(bytes, |b| f64::from(u8::from_le_bytes(b))),
-            other => panic!("`{key}` has the unexpected type {other:?}"),
-        };
-        (view.shape().to_vec(), values)
-    }
-
-    fn get(&self, key: &str) -> Vec<f64> {
-        self.tensor(key).1
-    }
-
-    fn single(&self, key: &str) -> Vec<f32> {
-        self.get(key)
-            .into_iter()
-            .map(|value| value as f32)
-            .collect()
-    }
-
-    /// Asserts `|found - reference| <= tolerance` everywhere.
-    fn compare(&self, key: &str, found: &[f64], tolerance: f64) {
-        self.bound(key, largest_difference(found, &self.get(key)), tolerance);
-    }
-
-    /// [`compare`](Self::compare), relative to the reference's largest magnitude.
-    fn compare_relative(&self, key: &str, found: &[f64], tolerance: f64) {
-        let reference = self.get(key);
-        let largest = reference.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let error = largest_difference(found, &reference) / largest;
-        self.bound(key, error, tolerance);
-    }
-
-    fn bound(&self, what: &str, error: f64, tolerance: f64) {
-        eprintln!("{} {what}: error {error:.1e} of {tolerance:.0e}", self.name);
-        assert!(
-            error <= tolerance,
-            "{} {what}: error {error:.3e} exceeds {tolerance:.1e}",
-            self.name
-        );
-    }
-}
-
-fn each<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-    let (chunks, _) = bytes.as_chunks::<N>();
-    chunks.iter().map(|chunk| convert(*chunk)).collect()
-}
-
-fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&value| f64::from(value)).collect()
-}
-
-fn largest_difference(found: &[f64], reference: &[f64]) -> f64 {
-    assert_eq!(found.len(), reference.len(), "number of values");
-    let difference = |(a, b): (&f64, &f64)| {
-        assert!(a.is_finite(), "found {a}");
-        (a - b).abs()
-    };
-    found
-        .iter()
-        .zip(reference)
-        .map(difference)
-        .fold(0.0, f64::max)
+fn open(name: &str) -> Option<Golden> {
+    Golden::open("gmd", &format!("{name}.safetensors"))
 }
 
 /// What differs between the files' tolerances.
@@ -123,23 +24,23 @@ struct Tolerances {
 /// Everything that a file says about one projection, under keys that begin with `prefix`.
 fn check_projection(golden: &Golden, prefix: &str, scale: f64, tolerances: &Tolerances) {
     let key = |name: &str| format!("{prefix}{name}");
-    let (shape, draws) = golden.tensor("in.G");
-    let draws: Vec<f32> = draws.iter().map(|&value| value as f32).collect();
-    let dimension = shape[0];
+    let draws = golden.get("in.G");
+    let dimension = draws.shape[0];
+    let draws = draws.f32s();
     let projection = EmphasisProjection::gaussian(&draws, dimension, scale, &CHANNELS)
         .expect("the reference matrix can be undone");
     golden.compare_relative(&key("P"), &wide(projection.matrix()), 1e-6);
     golden.compare_relative(&key("P_inv"), &wide(projection.inverse()), 1e-3);
     let variances = projection.variance_per_dimension();
     golden.compare_relative(&key("var_per_dim"), &variances, 1e-5);
-    let frames = golden.single("in.x");
+    let frames = golden.get("in.x").f32s();
     let projected = projection.project(&frames);
     golden.compare(&key("y"), &wide(&projected), tolerances.projected);
     let back = wide(&projection.unproject(&projected));
     golden.compare(&key("x_back"), &back, tolerances.round_trip);
     golden.compare("in.x", &back, tolerances.round_trip);
     // As a published model's matrix.
-    let given = golden.single(&key("P"));
+    let given = golden.get(&key("P")).f32s();
     let given = EmphasisProjection::from_matrix(&given, dimension, scale, &CHANNELS)
         .expect("the reference matrix can be undone");
     golden.compare_relative(&key("P_inv"), &wide(given.inverse()), 1e-3);
@@ -152,15 +53,15 @@ fn check_projection(golden: &Golden, prefix: &str, scale: f64, tolerances: &Tole
 
 #[test]
 fn golden_projections_of_12_features_agree_at_every_scale() {
-    let Some(golden) = Golden::open("projection_d12") else {
+    let Some(golden) = open("projection_d12") else {
         return;
     };
     let tolerances = Tolerances {
         projected: 1e-5,
         round_trip: 1e-4,
     };
-    let scales = golden.get("in.c_values");
-    let dimension = golden.tensor("in.G").0[0];
+    let scales = golden.get("in.c_values").values;
+    let dimension = golden.get("in.G").shape[0];
     let importance: Vec<f64> = scales
         .iter()
         .map(|&scale| relative_importance(scale, CHANNELS.len(), dimension))
@@ -173,12 +74,12 @@ fn golden_projections_of_12_features_agree_at_every_scale() {
 
 #[test]
 fn golden_projection_of_normalised_motion_goes_there_and_back() {
-    let Some(golden) = Golden::open("projection_d12") else {
+    let Some(golden) = open("projection_d12") else {
         return;
     };
     // The reference has this at a scale of 10.
-    let matrix = golden.single("out.c10.P");
-    let (mean, std) = (golden.get("in.mean"), golden.get("in.std"));
+    let matrix = golden.get("out.c10.P").f32s();
+    let (mean, std) = (golden.get("in.mean").values, golden.get("in.std").values);
     let dimension = mean.len();
     let projection = EmphasisProjection::from_matrix(&matrix, dimension, 10.0, &CHANNELS)
         .expect("the reference matrix can be undone");
@@ -189,7 +90,9 @@ fn golden_projection_of_normalised_motion_goes_there_and_back() {
             .collect()
     };
     let single = |values: Vec<f64>| values.into_iter().map(|v| v as f32).collect::<Vec<_>>();
-    let normalised = each_channel(&golden.get("in.motion"), &|v, c| (v - mean[c]) / std[c]);
+    let normalised = each_channel(&golden.get("in.motion").values, &|v, c| {
+        (v - mean[c]) / std[c]
+    });
     let projected = projection.project(&single(normalised));
     golden.compare("out.motion_to_model", &wide(&projected), 1e-5);
     let back = wide(&projection.unproject(&projected));
@@ -200,7 +103,7 @@ fn golden_projection_of_normalised_motion_goes_there_and_back() {
 
 #[test]
 fn golden_projection_at_full_width_agrees() {
-    let Some(golden) = Golden::open("projection_d263") else {
+    let Some(golden) = open("projection_d263") else {
         return;
     };
     let tolerances = Tolerances {
@@ -210,10 +113,10 @@ fn golden_projection_at_full_width_agrees() {
     // The reference's own routine has this scale.
     let scale = 10.0;
     check_projection(&golden, "out.", scale, &tolerances);
-    let dimension = golden.tensor("in.G").0[0];
+    let dimension = golden.get("in.G").shape[0];
     let expected = relative_importance(scale, CHANNELS.len(), dimension);
     golden.compare_relative("out.relative_importance_expected", &[expected], 1e-6);
-    let draws = golden.single("in.G");
+    let draws = golden.get("in.G").f32s();
     let projection = EmphasisProjection::gaussian(&draws, dimension, scale, &CHANNELS)
         .expect("the reference matrix can be undone");
     let share = [projection.trajectory_share()];
@@ -230,10 +133,10 @@ fn golden_projection_at_full_width_agrees() {
 
 /// The goals of the file's batch: key frames at the given places of the given tracks.
 fn goals(golden: &Golden) -> Vec<Goal> {
-    let (shape, tracks) = golden.tensor("in.root_xyz");
-    let (per_sample, keyframes) = golden.tensor("in.keyframes");
-    let (frames, per_sample) = (shape[2], per_sample[1]);
-    let samples = tracks.chunks(3 * frames).zip(keyframes.chunks(per_sample));
+    let (tracks, keyframes) = (golden.get("in.root_xyz"), golden.get("in.keyframes"));
+    let (frames, per_sample) = (tracks.shape[2], keyframes.shape[1]);
+    let keyframes = keyframes.values.chunks(per_sample);
+    let samples = tracks.values.chunks(3 * frames).zip(keyframes);
     let goal_of = |(track, places): (&[f64], &[f64])| {
         let mut goal = Goal::new(frames);
         let keyframe = |&place: &f64| {
@@ -250,11 +153,11 @@ fn goals(golden: &Golden) -> Vec<Goal> {
 
 #[test]
 fn golden_key_frames_become_points_and_lines() {
-    let Some(golden) = Golden::open("keyframes") else {
+    let Some(golden) = open("keyframes") else {
         return;
     };
     let goals = goals(&golden);
-    let four = |key: &str| <[f64; 4]>::try_from(golden.get(key)).expect("four channels");
+    let four = |key: &str| <[f64; 4]>::try_from(golden.get(key).values).expect("four channels");
     let (mean, std) = (four("in.mean4"), four("in.std4"));
     for (phase, name) in [(Phase::Points, "points"), (Phase::Dense, "p2p")] {
         let targets: Vec<GroundTargets> = goals
@@ -297,10 +200,10 @@ fn golden_key_frames_become_points_and_lines() {
 
 #[test]
 fn golden_zigzag_is_walked_along_straight_lines() {
-    let Some(golden) = Golden::open("keyframes") else {
+    let Some(golden) = open("keyframes") else {
         return;
     };
-    let rows = golden.get("in.zigzag");
+    let rows = golden.get("in.zigzag").values;
     let (rows, _) = rows.as_chunks::<3>();
     let keyframes: Vec<Keyframe> = rows
         .iter()
@@ -310,7 +213,7 @@ fn golden_zigzag_is_walked_along_straight_lines() {
             z,
         })
         .collect();
-    let frames = golden.tensor("out.zigzag_interpolated").0[0];
+    let frames = golden.get("out.zigzag_interpolated").shape[0];
     let line = GroundTargets::point_to_point(&keyframes, frames);
     let found: Vec<f64> = line
         .masked()
@@ -355,22 +258,23 @@ impl Denoiser {
 
 #[test]
 fn golden_guidance_of_the_trajectory_agrees() {
-    let (Some(golden), Some(schedule)) = (
-        Golden::open("guidance"),
-        Golden::open("schedule_cosine1000"),
-    ) else {
+    let (Some(golden), Some(schedule)) = (open("guidance"), open("schedule_cosine1000")) else {
         return;
     };
-    let alphas = schedule.get("out.alphas_cumprod");
+    let alphas = schedule.get("out.alphas_cumprod").values;
     let denoiser = Denoiser {
-        weights: golden.get("model.traj.W"),
-        time: golden.get("model.traj.v"),
-        size: golden.get("model.traj.s")[0],
+        weights: golden.get("model.traj.W").values,
+        time: golden.get("model.traj.v").values,
+        size: golden.get("model.traj.s").values[0],
     };
-    let (shape, x_t) = golden.tensor("in.traj.x_t");
-    let (batch, channels, frames) = (shape[0], shape[1], shape[3]);
-    let (mean, std) = (golden.get("in.mean"), golden.get("in.std"));
-    let (targets, mask) = (golden.get("in.target_xz"), golden.get("in.target_mask"));
+    let x_t = golden.get("in.traj.x_t");
+    let (batch, channels, frames) = (x_t.shape[0], x_t.shape[1], x_t.shape[3]);
+    let x_t = x_t.values;
+    let (mean, std) = (golden.get("in.mean").values, golden.get("in.std").values);
+    let (targets, mask) = (
+        golden.get("in.target_xz").values,
+        golden.get("in.target_mask").values,
+    );
     let goal_of = |sample: usize| {
         let mut goal = Goal::new(frames);
         let places = (0..frames).filter(|frame| mask[sample * frames + frame] > 0.0);
@@ -382,7 +286,7 @@ fn golden_guidance_of_the_trajectory_agrees() {
         goal.keyframes = places.map(keyframe).collect();
         goal
     };
-    let obstacles = golden.get("in.obstacles");
+    let obstacles = golden.get("in.obstacles").values;
     let (obstacles, _) = obstacles.as_chunks::<3>();
     let free: Vec<Goal> = (0..batch).map(goal_of).collect();
     let mut obstructed = free.clone();
@@ -404,7 +308,7 @@ fn golden_guidance_of_the_trajectory_agrees() {
         };
         let loss = GuidanceLoss::new(&config, goals, frames).expect("sound goals");
         let mut found = Vec::new();
-        for t in golden.get("in.timesteps") {
+        for t in golden.get("in.timesteps").values {
             let predictions: Vec<_> = (0..batch * frames)
                 .map(|place| {
                     let (sample, frame) = (place / frames, place % frames);
@@ -434,7 +338,7 @@ fn golden_guidance_of_the_trajectory_agrees() {
             }
         }
         let key = format!("out.traj.{name}.scaled_grad");
-        let reference = golden.get(&key);
+        let reference = golden.get(&key).values;
         let errors = found.iter().zip(&reference);
         let error = errors.map(|(a, b)| (a - b).abs() / (1.0 + b.abs()));
         golden.bound(&key, error.fold(0.0, f64::max), 1e-4);

@@ -1,11 +1,8 @@
 //! Every tensor of the reference clips of HumanML3D and of the root's two readings.
 //!
-//! The folder is `KINEGRAD_GOLDEN` when that is set, and then a missing file fails; otherwise it
-//! is `data_fixtures/golden`, which may hold some of the files. The tolerances are the reference
-//! data's own.
+//! The tolerances are the reference data's own.
 
-use std::path::{Path, PathBuf};
-
+use kinegrad_golden::{Golden, differences, wide};
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::humanml::extract::{canonicalize, in_facing_frame, rescale};
 use kinegrad_motion::humanml::kinematics::{facing, inverse_kinematics, to_columns};
@@ -13,7 +10,6 @@ use kinegrad_motion::humanml::{
     Extraction, FeatureMoments, FeatureStatistics, Features, Heading, Joints, Root, Skeleton,
 };
 use kinegrad_motion::rotation::length;
-use safetensors::SafeTensors;
 
 /// The clips of joint positions.
 const CLIPS: [&str; 3] = ["walk_straight", "walk_turn", "turn_in_place"];
@@ -21,85 +17,33 @@ const CLIPS: [&str; 3] = ["walk_straight", "walk_turn", "turn_in_place"];
 /// Rotation, ground, height, positions, 6D, velocities, contacts.
 const EXTRACTED: [f64; 7] = [1e-6, 1e-5, 1e-5, 1e-5, 5e-5, 1e-5, 0.0];
 
-/// The path of a reference file, or `None` when the small set does not hold it.
-fn reference(file: &str) -> Option<PathBuf> {
-    let workspace = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
-    let root = match &set {
-        // Tests run in their package's folder; a relative folder is meant from the root.
-        Some(folder) => workspace.join(folder),
-        None => workspace.join("data_fixtures/golden"),
-    };
-    let path = root.join(file);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(set.is_none(), "{} is missing", path.display());
-    eprintln!("{file} is not among the small fixtures: nothing compared");
-    None
-}
+/// One reference file.
+struct File(Golden);
 
-/// One reference file of single-precision tensors.
-struct Reference {
-    name: String,
-    bytes: Vec<u8>,
-}
-
-impl Reference {
-    fn open(name: &str) -> Option<Self> {
-        let path = reference(&format!("{name}.safetensors"))?;
-        Some(Self {
-            name: name.to_string(),
-            bytes: std::fs::read(path).expect("golden file is readable"),
-        })
-    }
-
-    /// Shape and values of the tensor `key`.
-    fn tensor(&self, key: &str) -> (Vec<usize>, Vec<f32>) {
-        let parsed = SafeTensors::deserialize(&self.bytes).expect("golden file parses");
-        let view = parsed.tensor(key).expect("golden tensor exists");
-        let (values, rest) = view.data().as_chunks::<4>();
-        assert!(rest.is_empty());
-        let values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
-        (view.shape().to_vec(), values.collect())
-    }
-
-    /// The tensor `key` as vectors of N.
-    fn vectors<const N: usize>(&self, key: &str) -> Vec<[f64; N]> {
-        let (_, values) = self.tensor(key);
-        let (vectors, _) = values.as_chunks::<N>();
-        vectors.iter().map(|vector| vector.map(f64::from)).collect()
+impl File {
+    fn open(family: &str, name: &str) -> Option<Self> {
+        Golden::open(family, &format!("{name}.safetensors")).map(Self)
     }
 
     fn joints(&self, key: &str) -> Joints {
-        let (shape, values) = self.tensor(key);
-        Joints::from_f32(&values, shape[1]).expect("finite joints")
+        let tensor = self.0.get(key);
+        Joints::from_f32(&tensor.f32s(), tensor.shape[1]).expect("finite joints")
     }
 
     fn features(&self, key: &str, root: Root) -> Features {
-        let (_, values) = self.tensor(key);
+        let values = self.0.get(key).f32s();
         Features::new(values, Skeleton::humanml3d().layout(), root).expect("whole frames")
     }
 
     /// The skeleton with the reference pose of the file.
     fn skeleton(&self) -> Skeleton {
-        let rest = self.vectors("in.tgt_rest_joints");
+        let rest = self.0.get("in.tgt_rest_joints").vectors();
         let skeleton = Skeleton::humanml3d().with_rest_pose(&rest);
         skeleton.expect("bones have lengths")
     }
 
-    /// Compares with the tensor `key`, which must have as many values.
     fn compare(&self, key: &str, found: &[f64], tolerance: f64) {
-        let (_, expected) = self.tensor(key);
-        self.bound(key, found, &wide(&expected), tolerance);
-    }
-
-    /// As [`compare`](Self::compare), relative to the tensor's largest magnitude.
-    fn compare_relative(&self, key: &str, found: &[f64], tolerance: f64) {
-        let (_, expected) = self.tensor(key);
-        let expected = wide(&expected);
-        let largest = expected.iter().fold(0.0f64, |a, b| a.max(b.abs()));
-        self.bound(key, found, &expected, tolerance * largest);
+        self.0.compare(key, found, tolerance);
     }
 
     /// Compares features group by group, each with its own tolerance.
@@ -116,23 +60,9 @@ impl Reference {
     }
 
     fn bound(&self, what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
-        assert_eq!(found.len(), expected.len(), "{} {what}", self.name);
-        let mut error: f64 = 0.0;
-        for (found, expected) in found.iter().zip(expected) {
-            assert!(found.is_finite(), "{} {what} is {found}", self.name);
-            error = error.max((found - expected).abs());
-        }
-        let name = &self.name;
-        eprintln!("{name} {what}: error {error:.1e} of {tolerance:.0e}");
-        assert!(
-            error <= tolerance,
-            "{name} {what}: error {error:.3e} exceeds {tolerance:.1e}"
-        );
+        let error = differences(what, found, expected).fold(0.0, f64::max);
+        self.0.bound(what, error, tolerance);
     }
-}
-
-fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&value| f64::from(value)).collect()
 }
 
 fn parts(rotations: &[Quaternion]) -> Vec<f64> {
@@ -142,7 +72,7 @@ fn parts(rotations: &[Quaternion]) -> Vec<f64> {
 
 #[test]
 fn golden_layout_is_the_published_index_list() {
-    let Some(path) = reference("humanml/index_layout.csv") else {
+    let Some(path) = Golden::locate("humanml", "index_layout.csv") else {
         return;
     };
     let text = std::fs::read_to_string(path).expect("golden file is readable");
@@ -160,7 +90,7 @@ fn golden_layout_is_the_published_index_list() {
 #[test]
 fn golden_joints_become_features() {
     for name in CLIPS {
-        let Some(file) = Reference::open(&format!("humanml/{name}")) else {
+        let Some(file) = File::open("humanml", name) else {
             continue;
         };
         let skeleton = file.skeleton();
@@ -176,7 +106,9 @@ fn golden_joints_become_features() {
         }
         // The stored raw directions are those before they are brought to length 1.
         let raw: Vec<[f64; 3]> = file
-            .vectors("out.forward_raw")
+            .0
+            .get("out.forward_raw")
+            .vectors()
             .into_iter()
             .map(|forward: [f64; 3]| forward.map(|value| value / length(forward)))
             .collect();
@@ -209,7 +141,7 @@ fn golden_joints_become_features() {
 #[test]
 fn golden_features_become_joints() {
     for name in CLIPS {
-        let Some(file) = Reference::open(&format!("humanml/{name}")) else {
+        let Some(file) = File::open("humanml", name) else {
             continue;
         };
         let skeleton = file.skeleton();
@@ -263,7 +195,7 @@ fn golden_features_become_joints() {
 
 #[test]
 fn golden_statistics_share_deviations_within_groups() {
-    let Some(file) = Reference::open("humanml/feature_stats") else {
+    let Some(file) = File::open("humanml", "feature_stats") else {
         return;
     };
     let features = file.features("in.features_concat", Root::Relative);
@@ -273,26 +205,26 @@ fn golden_statistics_share_deviations_within_groups() {
     let statistics = FeatureStatistics::from_moments(&moments);
     file.compare("out.std_grouped", statistics.std(), 1e-5);
 
-    let (shape, expected) = file.tensor("out.normalised_first8");
-    let (rows, channels) = (shape[0], shape[1]);
+    let expected = file.0.get("out.normalised_first8");
+    let (rows, channels) = (expected.shape[0], expected.shape[1]);
     // With the stored mean and deviation: those of one precision divided by a small deviation
     // leave the tolerance.
-    let [mean, std] = ["out.mean", "out.std_grouped"].map(|key| wide(&file.tensor(key).1));
+    let [mean, std] = ["out.mean", "out.std_grouped"].map(|key| file.0.get(key).values);
     let stored = FeatureStatistics::new(mean, std, Root::Relative).expect("sound statistics");
     let normalised = stored
         .normalize(&features.slice(0..rows))
         .expect("statistics of these features");
     let row_major = (0..rows).flat_map(|t| (0..channels).map(move |c| c * rows + t));
     let found: Vec<f64> = row_major.map(|i| f64::from(normalised[i])).collect();
-    file.bound("out.normalised_first8", &found, &wide(&expected), 1e-5);
+    file.compare("out.normalised_first8", &found, 1e-5);
 }
 
 #[test]
 fn golden_root_is_the_same_way_in_both_readings() {
-    let Some(file) = Reference::open("gmd/rel_abs_root") else {
+    let Some(file) = File::open("gmd", "rel_abs_root") else {
         return;
     };
-    let (shape, _) = file.tensor("in.features_rel");
+    let shape = file.0.get("in.features_rel").shape;
     let (clips, frames) = (shape[0], shape[1]);
     let read = |key: &str, root: Root| -> Vec<Features> {
         let all = file.features(key, root);
@@ -303,7 +235,7 @@ fn golden_root_is_the_same_way_in_both_readings() {
         read("in.features_rel", Root::Relative),
         read("out.features_abs", Root::Absolute),
     );
-    let targets = file.vectors::<2>("in.root_target_xz");
+    let targets = file.0.get("in.root_target_xz").vectors::<2>();
 
     for (key, clips, root) in [
         ("out.features_abs", &relative, Root::Absolute),
@@ -339,8 +271,9 @@ fn golden_root_is_the_same_way_in_both_readings() {
         );
         file.compare(&format!("out.{name}.root_quat"), &parts(&rotations), 1e-5);
         file.compare(&format!("out.{name}.joints"), joints.as_flattened(), 1e-4);
-        file.compare_relative(&format!("out.{name}.root_loss"), &[loss], 1e-4);
+        file.0
+            .compare_relative(&format!("out.{name}.root_loss"), &[loss], 1e-4);
         let key = format!("grad.{name}.features4");
-        file.compare_relative(&key, gradient.as_flattened(), 1e-4);
+        file.0.compare_relative(&key, gradient.as_flattened(), 1e-4);
     }
 }

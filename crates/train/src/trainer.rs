@@ -198,7 +198,10 @@ impl<R: Recipe> Trainer<R> {
                     self.save_unless_saved(observer)?;
                     return Err(error);
                 }
-                outcome => outcome?,
+                outcome => match outcome? {
+                    Some(record) => record,
+                    None => break Ending::Interrupted,
+                },
             };
             if self.step.is_multiple_of(self.config.train.log_every_steps) || self.step == max_steps
             {
@@ -233,14 +236,18 @@ impl<R: Recipe> Trainer<R> {
         patience > 0 && self.progress.validations_since_best >= patience
     }
 
-    fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Record, Error> {
+    /// One step; `None` if a stop was asked for while its data were waited for.
+    fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Option<Record>, Error> {
         let (train, optim) = (self.config.train.clone(), self.config.optim.clone());
         let micro_batches = train.gradient_accumulation_steps;
         let mut gradients: Vec<Vec<f32>> = Vec::new();
         let mut loss = 0.0;
         let mut terms: Vec<(&'static str, f64)> = Vec::new();
         for micro_batch in 0..micro_batches {
-            let batch = self.loader.next()?;
+            let stop = || observer.stop_requested();
+            let Some(batch) = self.loader.next_unless(&stop)? else {
+                return Ok(None);
+            };
             let key = StepKey {
                 seed: self.config.run.seed,
                 step: self.step,
@@ -308,7 +315,7 @@ impl<R: Recipe> Trainer<R> {
         for (name, value) in terms {
             record = record.with(format!("loss_{name}"), value);
         }
-        Ok(record)
+        Ok(Some(record))
     }
 
     /// AdamW and the moving average, parameter by parameter.

@@ -32,6 +32,8 @@ pub enum Fault {
     Stall,
     /// One byte of the body is another one.
     Corrupt,
+    /// The answer takes a while to come.
+    Slow,
 }
 
 /// The faults still to be injected, and what was asked for.
@@ -41,6 +43,8 @@ struct Plan {
     faults: Vec<(String, Fault, usize)>,
     injected: usize,
     requests: Vec<String>,
+    under_way: usize,
+    most_under_way: usize,
 }
 
 /// A server on loopback. Dropping it ends it.
@@ -97,6 +101,14 @@ impl FaultyServer {
         plan.faults.push((path.to_owned(), fault, times));
     }
 
+    /// The most requests that were answered at the same time since this was last asked.
+    ///
+    /// # Panics
+    /// Panics if a thread of the server has.
+    pub fn take_most_under_way(&self) -> usize {
+        std::mem::take(&mut self.plan.lock().expect("the plan").most_under_way)
+    }
+
     /// How many faults were injected so far.
     ///
     /// # Panics
@@ -127,10 +139,27 @@ impl Drop for FaultyServer {
 }
 
 /// Answers one request and closes the connection.
-fn serve(mut stream: TcpStream, upstream: &Upstream, plan: &Mutex<Plan>, stop: &AtomicBool) {
+fn serve(stream: TcpStream, upstream: &Upstream, plan: &Mutex<Plan>, stop: &AtomicBool) {
     let Some((head, body)) = read_request(&stream) else {
         return;
     };
+    {
+        let mut plan = plan.lock().expect("the plan");
+        plan.under_way += 1;
+        plan.most_under_way = plan.most_under_way.max(plan.under_way);
+    }
+    answer(stream, &head, &body, upstream, plan, stop);
+    plan.lock().expect("the plan").under_way -= 1;
+}
+
+fn answer(
+    mut stream: TcpStream,
+    head: &str,
+    body: &[u8],
+    upstream: &Upstream,
+    plan: &Mutex<Plan>,
+    stop: &AtomicBool,
+) {
     let path = head.split(' ').nth(1).unwrap_or_default().to_owned();
     let fault = {
         let mut plan = plan.lock().expect("the plan");
@@ -158,12 +187,13 @@ fn serve(mut stream: TcpStream, upstream: &Upstream, plan: &Mutex<Plan>, stop: &
             reset(stream);
             return;
         }
+        Some(Fault::Slow) => std::thread::sleep(Duration::from_millis(200)),
         _ => {}
     }
     let mut answer = match upstream {
-        Upstream::Folder(folder) => file(folder.join(path.trim_start_matches('/')), &head),
+        Upstream::Folder(folder) => file(folder.join(path.trim_start_matches('/')), head),
         Upstream::Server(server) => {
-            request(*server, &addressed(&head, *server), &body).unwrap_or_default()
+            request(*server, &addressed(head, *server), body).unwrap_or_default()
         }
     };
     let start = answer.windows(4).position(|w| w == b"\r\n\r\n");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_audio::{Features, decode, extract};
-use kinegrad_data::write_song_features;
+use kinegrad_data::{check_id, write_song_features};
 use rayon::prelude::*;
 
 use crate::args::FeaturesArguments;
@@ -36,13 +36,13 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Failure> {
         match row {
             Ok(row) => printed.push(row),
             Err(failure) => {
-                eprint!("{failure}");
+                tell!("{failure}");
                 code = failure.exit_code;
             }
         }
     }
     if printed.len() > 1 {
-        println!("{}", table(printed));
+        say!("{}", table(printed));
     }
     Ok(ExitCode::from(code))
 }
@@ -51,8 +51,15 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Failure> {
 fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, UsageError> {
     let mut songs: Vec<Song> = Vec::new();
     for path in &arguments.songs {
-        let name = path.file_stem().unwrap_or_default();
-        let folder = arguments.out.join(name);
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        if let Err(error) = check_id(&name) {
+            let message = format!(
+                "{}: its folder would be no plain name: {error}",
+                path.display()
+            );
+            return Err(UsageError::new(message, "rename the song"));
+        }
+        let folder = arguments.out.join(&*name);
         if songs.iter().any(|song| song.folder == folder) {
             let message = format!("two songs would be written to {}", folder.display());
             return Err(UsageError::new(
@@ -70,12 +77,8 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, UsageError> {
 
 fn one(song: &Song, plot: bool) -> Result<Vec<String>, Failure> {
     let waveform = decode(&song.path)?;
-    if waveform.skipped_packets > 0 {
-        eprintln!(
-            "warning: {}: {} damaged packets passed over",
-            song.path.display(),
-            waveform.skipped_packets
-        );
+    if let Some(damage) = waveform.damage() {
+        tell!("warning: {}: {damage}", song.path.display());
     }
     let features = extract(&waveform.samples).map_err(|error| unusable(&song.path, &error))?;
     let target = song.folder.join("features.npz");
@@ -133,5 +136,6 @@ fn picture(features: &Features, out: &Path) -> Result<(), Failure> {
         Panel::lines("onset strength and beats", "s", vec![curve("onset", ONSET)])
             .with_marks(&beats),
     ];
+    let panels = panels.map(|panel| panel.spanning(0.0..seconds));
     draw(&panels, 1, (1100, 200), out)
 }

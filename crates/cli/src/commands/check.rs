@@ -35,17 +35,17 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
                 json!({ "path": path, "passed": report.passed, "checks": report.checks })
             })
             .collect();
-        println!(
+        say!(
             "{}",
             json!({ "files": files, "passed": passed, "pass_rate": rate })
         );
     } else {
         for (path, report) in &reports {
-            println!("{path}\n{}\n", report_table(report));
+            say!("{path}\n{}\n", report_table(report));
         }
-        println!("{passed} of {} pass ({:.0} %)", reports.len(), 100.0 * rate);
+        say!("{passed} of {} pass ({:.0} %)", reports.len(), 100.0 * rate);
         if reports.len() > 1 {
-            println!("{}", rates_table(reports.iter().map(|(_, report)| report)));
+            say!("{}", rates_table(reports.iter().map(|(_, report)| report)));
         }
     }
     Ok(if passed == reports.len() {
@@ -58,7 +58,7 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
 /// The statistics that `--run` or `--source` names.
 fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, Failure> {
     if let Some(run) = &arguments.run {
-        let path = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
+        let path = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
         return Ok(Some(State::read(&path)?.statistics.phrases()?.clone()));
     }
     let Some(source) = &arguments.source else {

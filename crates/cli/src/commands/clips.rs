@@ -9,7 +9,7 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use kinegrad_train::checkpoint::{State, Weights};
-use kinegrad_train::clips::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
+use kinegrad_train::clips::{ClipGenerator, ClipRequest, ClipSample, read_goal};
 use kinegrad_train::config::{Config, Recipe, SteeringConfig};
 use kinegrad_train::device;
 use kinegrad_train::generate::resolve_checkpoint;
@@ -17,7 +17,7 @@ use kinegrad_train::generate::resolve_checkpoint;
 use super::sample::sampler;
 use crate::args::SampleArguments;
 use crate::failure::{Failure, UsageError};
-use crate::progress::denoising_bar;
+use crate::progress::{denoising_bar, on_stage};
 
 /// Units of a BVH file in a metre.
 const CENTIMETRES: f64 = 100.0;
@@ -77,14 +77,7 @@ pub fn sample(
         &sampler,
         &steering,
         arguments.seed,
-        &mut |stage, done, all| {
-            bar.set_prefix(match stage {
-                Stage::Trajectory => "trajectory  ",
-                Stage::Motion => "motion  ",
-            });
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        },
+        &mut on_stage(&bar),
     )?;
     bar.finish_and_clear();
     let skeleton = config.data.humanml3d.skeleton.skeleton();
@@ -128,7 +121,7 @@ pub fn steering(
 
 /// The checkpoint of a trajectory run.
 pub fn trajectory_checkpoint(run: &Path) -> Result<PathBuf, Failure> {
-    let checkpoint = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
+    let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
     let recipe = State::read(&checkpoint)?.config.train.recipe;
     if recipe != Recipe::GmdTrajectory {
         let message = format!(
@@ -203,7 +196,7 @@ fn write(
         }
         None => write_path(&path, &sample.ground[..frames])?,
     }
-    println!("{}", path.display());
+    say!("{}", path.display());
     Ok(())
 }
 
@@ -227,7 +220,7 @@ fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton)
         })
         .collect();
     if !measured.is_empty() {
-        println!(
+        say!(
             "{}",
             GoalReport::compute(&measured, &skeleton.contact_joints())
         );

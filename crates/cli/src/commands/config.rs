@@ -11,15 +11,15 @@ use crate::output::grouped;
 /// Prints the resolved config, and the model's size as a comment, so that the output is a config.
 pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
     let config = run::load_config(&arguments.config, &arguments.overrides, &mut |missing| {
-        eprintln!("warning: {missing}; its networks and process are not shown");
+        tell!("warning: {missing}; its networks and process are not shown");
     })?;
     for warning in config.validate()? {
-        eprintln!("warning: {warning}");
+        tell!("warning: {warning}");
     }
-    println!(
+    say!(
         "# model: {} parameters",
         grouped(run::parameter_count(&config)?)
     );
-    print!("{}", config::to_toml(&config));
+    say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

@@ -13,6 +13,7 @@ use crate::args::{InspectArguments, SynthArguments};
 use crate::failure::{Failure, UsageError};
 use crate::output::{grouped, table};
 use crate::picture::{Panel, draw};
+use crate::progress::reading;
 
 /// Writes a synthetic dataset.
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
@@ -30,7 +31,7 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
         synthetic::write_dataset(&out, phrases, frames, seed)?;
         "phrases"
     };
-    println!("{phrases} {what} of {frames} frames in {}", out.display());
+    say!("{phrases} {what} of {frames} frames in {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -46,9 +47,9 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
     if arguments.humanml3d {
         return super::inspect_clips::run(&arguments, config);
     }
-    let inspection = kinegrad_data::inspect(&config)?;
+    let inspection = kinegrad_data::inspect(&config, &*reading())?;
     if arguments.json {
-        println!(
+        say!(
             "{}",
             serde_json::to_string(&inspection).expect("plain data")
         );
@@ -65,7 +66,11 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
 fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {
-        let message = format!("{} has no {MANIFEST}", store.uri());
+        let is_there = store.is_remote() || Path::new(&store.uri()).is_dir();
+        let message = match is_there {
+            true => format!("{} has no {MANIFEST}", store.uri()),
+            false => format!("there is no folder {}", store.uri()),
+        };
         let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
                     writes";
         return Err(UsageError::new(message, hint).into());
@@ -80,10 +85,10 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
     };
     if let Some(out) = &arguments.plot {
         plot(&chosen, out)?;
-        eprintln!("{}", out.display());
+        tell!("{}", out.display());
     }
     if arguments.json {
-        println!(
+        say!(
             "{}",
             serde_json::to_string(&chosen.texts("id").unwrap_or_default()).expect("plain data")
         );
@@ -113,10 +118,11 @@ fn print_selection(chosen: &Selection, all: usize) {
         let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
         columns.iter().map(cell).collect()
     });
-    println!("{}", table(std::iter::once(header).chain(rows)));
+    say!("{}", table(std::iter::once(header).chain(rows)));
     let frames = chosen.numbers("frames").unwrap_or_default();
-    let frames: f64 = frames.into_iter().flatten().sum();
-    println!(
+    // A sum of nothing is minus zero.
+    let frames = frames.into_iter().flatten().fold(0.0, |sum, f| sum + f);
+    say!(
         "{} of {} phrases, {:.2} minutes",
         grouped(chosen.len()),
         grouped(all),
@@ -152,6 +158,8 @@ fn print(inspection: &Inspection) {
     let Inspection {
         phrases,
         bad_phrases,
+        train,
+        validation,
         frames,
         hours,
         fps,
@@ -162,6 +170,10 @@ fn print(inspection: &Inspection) {
         ("source", inspection.source.clone()),
         ("phrases", grouped(*phrases)),
         ("unusable phrases", grouped(*bad_phrases)),
+        (
+            "to train on, held out",
+            format!("{}, {}", grouped(*train), grouped(*validation)),
+        ),
         (
             "frames",
             format!(
@@ -180,22 +192,22 @@ fn print(inspection: &Inspection) {
             format!("[{}, frames]", inspection.audio_channels),
         ),
     ];
-    println!(
+    say!(
         "{}\n",
         table(facts.map(|(name, value)| vec![name.to_string(), value]))
     );
-    println!("{}\n", channels(&inspection.motion));
-    println!("{}", channels(&inspection.audio));
+    say!("{}\n", channels(&inspection.motion));
+    say!("{}", channels(&inspection.audio));
     print_problems(&inspection.warnings, &inspection.problems);
 }
 
 /// What is odd about a dataset, and what is wrong with single items.
 pub fn print_problems(warnings: &[String], problems: &[Problem]) {
     for warning in warnings {
-        println!("warning: {warning}");
+        say!("warning: {warning}");
     }
     if !problems.is_empty() {
-        println!("\nproblems:");
+        say!("\nproblems:");
     }
     for problem in problems {
         let grade = if problem.unusable {
@@ -203,7 +215,7 @@ pub fn print_problems(warnings: &[String], problems: &[Problem]) {
         } else {
             "usable"
         };
-        println!("  {} ({grade}): {}", problem.id, problem.problem);
+        say!("  {} ({grade}): {}", problem.id, problem.problem);
     }
 }
 

@@ -19,8 +19,8 @@ pub fn run() -> Result<ExitCode, Failure> {
             info.description,
         ]
     });
-    println!("{}", table(std::iter::once(header).chain(rows)));
+    say!("{}", table(std::iter::once(header).chain(rows)));
     let (_, chosen) = device::open("auto")?;
-    println!("`auto` takes {chosen}");
+    say!("`auto` takes {chosen}");
     Ok(ExitCode::SUCCESS)
 }

@@ -51,11 +51,11 @@ pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
     }
     let comparison = Comparison::new(&arguments.runs, &evaluations);
     if arguments.json {
-        println!("{}", comparison.json());
+        say!("{}", comparison.json());
     } else {
-        println!("{}", comparison.table());
+        say!("{}", comparison.table());
         for path in written {
-            println!("{}", path.display());
+            say!("{}", path.display());
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -90,7 +90,7 @@ struct Subject {
 
 impl Subject {
     fn open(run: &Path, arguments: &EvalArguments) -> Result<Self, Failure> {
-        let checkpoint = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
+        let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
         let state = State::read(&checkpoint)?;
         let config = &state.config;
         let mut sampler = config.sampling.sampler.clone();

@@ -7,7 +7,7 @@ use kinegrad_data::humanml::ClipDataset;
 use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::clips::{ClipGenerator, Stage};
+use kinegrad_train::clips::ClipGenerator;
 use kinegrad_train::device;
 use kinegrad_train::evaluate::{
     EvaluatorFiles, GoalEvaluation, GoalSettings, GoalTask, TextMotion, evaluate_goals,
@@ -19,7 +19,7 @@ use super::eval::{make_folder, run_folder};
 use crate::args::EvalArguments;
 use crate::failure::{Failure, UsageError};
 use crate::output::table;
-use crate::progress::denoising_bar;
+use crate::progress::{denoising_bar, on_stage};
 
 /// Whether the runs are on clips.
 ///
@@ -75,17 +75,17 @@ pub fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
     }
     if arguments.json {
         let text = serde_json::to_string_pretty(&evaluations).expect("plain data");
-        println!("{text}");
+        say!("{text}");
     } else {
-        println!("{}", comparison(&evaluations));
+        say!("{}", comparison(&evaluations));
         for evaluation in &evaluations {
             if let Some(reports) = &evaluation.text_motion {
-                println!("\n{}: {}", evaluation.run, reports.drawn);
-                println!("\nheld out: {}", reports.real);
+                say!("\n{}: {}", evaluation.run, reports.drawn);
+                say!("\nheld out: {}", reports.real);
             }
         }
         for path in written {
-            println!("{}", path.display());
+            say!("{}", path.display());
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -113,7 +113,7 @@ fn evaluate(
     evaluator: Option<&TextMotion>,
     arguments: &EvalArguments,
 ) -> Result<(PathBuf, GoalEvaluation), Failure> {
-    let checkpoint = resolve_checkpoint(run, |damaged| eprintln!("warning: {damaged}"))?;
+    let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
     let config = State::read(&checkpoint)?.config;
     let mut sampler = config.sampling.sampler.clone();
     sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
@@ -139,7 +139,7 @@ fn evaluate(
         .map(|position| dataset.validation.get(position))
         .collect::<Result<Vec<_>, _>>()?;
     if held_out.len() < arguments.goals {
-        eprintln!(
+        tell!(
             "note: {} clips are held out for {}, fewer than `--goals`",
             held_out.len(),
             run.display()
@@ -169,14 +169,7 @@ fn evaluate(
         &held_out,
         &settings,
         evaluator,
-        &mut |stage, done, all| {
-            bar.set_message(match stage {
-                Stage::Trajectory => "trajectory",
-                Stage::Motion => "motion",
-            });
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        },
+        &mut on_stage(&bar),
     )?;
     bar.finish_and_clear();
     let folder = match &arguments.out {

@@ -18,7 +18,7 @@ pub fn run(arguments: ImportArguments) -> Result<ExitCode, Failure> {
     };
     let motion = matches!(arguments.arch, ArchitectureName::GmdMotion);
     match (motion, &arguments.projection) {
-        (true, None) => eprintln!(
+        (true, None) => tell!(
             "warning: no `--projection`: published motion models work in a projected space, and \
              draw nonsense outside of it"
         ),
@@ -46,7 +46,7 @@ pub fn run(arguments: ImportArguments) -> Result<ExitCode, Failure> {
         Some(part) => format!("`{part}` of {}", arguments.weights.display()),
         None => arguments.weights.display().to_string(),
     };
-    println!(
+    say!(
         "imported {part}: {} parameters into {} ({} tensors of other parts passed over)",
         grouped(imported.parameters),
         imported.path.display(),

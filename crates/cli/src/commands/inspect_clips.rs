@@ -9,6 +9,7 @@ use super::data::{channels, print_problems};
 use crate::args::{InspectArguments, SkeletonArgument};
 use crate::failure::Failure;
 use crate::output::{grouped, table};
+use crate::progress::reading;
 
 /// Fewest frames of a clip of KIT-ML, in the published trainings.
 const KIT_MIN_FRAMES: usize = 24;
@@ -23,10 +24,10 @@ pub fn run(arguments: &InspectArguments, mut config: DataConfig) -> Result<ExitC
     if config.humanml3d.skeleton == SkeletonName::Kit {
         config.humanml3d.min_frames = KIT_MIN_FRAMES;
     }
-    let inspection = inspect_clips(&config)?;
+    let inspection = inspect_clips(&config, &*reading())?;
     if arguments.json {
         let text = serde_json::to_string(&inspection).expect("plain data");
-        println!("{text}");
+        say!("{text}");
     } else {
         print(&inspection);
     }
@@ -38,7 +39,7 @@ pub fn run(arguments: &InspectArguments, mut config: DataConfig) -> Result<ExitC
 
 fn print(inspection: &ClipInspection) {
     let row = |name: &str, value: String| vec![name.to_string(), value];
-    println!(
+    say!(
         "{}",
         table([
             row("dataset", inspection.source.clone()),
@@ -69,6 +70,6 @@ fn print(inspection: &ClipInspection) {
             ),
         ])
     );
-    println!("{}", channels(&inspection.groups));
+    say!("{}", channels(&inspection.groups));
     print_problems(&inspection.warnings, &inspection.problems);
 }

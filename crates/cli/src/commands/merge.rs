@@ -10,8 +10,8 @@ use crate::failure::Failure;
 
 /// Writes a run of plain weights.
 pub fn run(arguments: MergeArguments) -> Result<ExitCode, Failure> {
-    let path = resolve_checkpoint(&arguments.run, |damaged| eprintln!("warning: {damaged}"))?;
+    let path = resolve_checkpoint(&arguments.run, |damaged| tell!("warning: {damaged}"))?;
     let written = merge(&path, &arguments.out)?;
-    println!("merged {} into {}", path.display(), written.display());
+    say!("merged {} into {}", path.display(), written.display());
     Ok(ExitCode::SUCCESS)
 }

@@ -33,7 +33,7 @@ pub fn run(arguments: PlotArguments) -> Result<ExitCode, Failure> {
         return Err(UsageError::new(message, hint).into());
     };
     draw(&panels, 2, (520, 250), &out)?;
-    println!("{}", out.display());
+    say!("{}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 

@@ -4,24 +4,22 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use indicatif::ProgressBar;
-use kinegrad_data::prepare::{Plan, PrepareObserver, Report, TakeReport, prepare};
+use kinegrad_data::prepare::{Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare};
 
 use crate::args::PrepareArguments;
 use crate::failure::Failure;
 use crate::output::{grouped, table};
-use crate::progress::{counting_bar, stop_on_ctrl_c};
+use crate::progress::{Count, stop_on_ctrl_c};
 
 /// Bar and stop flag of a preparation.
 struct Progress {
-    bar: ProgressBar,
+    takes: Count,
     stop: Arc<AtomicBool>,
 }
 
 impl PrepareObserver for Progress {
     fn done(&self, takes: usize, total: usize) {
-        self.bar.set_length(total as u64);
-        self.bar.set_position(takes as u64);
+        self.takes.show(takes, total);
     }
 
     fn stop_requested(&self) -> bool {
@@ -42,17 +40,23 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Failure> {
         };
     }
     let progress = Progress {
-        bar: counting_bar("takes"),
-        stop: stop_on_ctrl_c("stopping after the takes under way; run it again to go on"),
+        takes: Count::new("takes done"),
+        stop: stop_on_ctrl_c(
+            "stopping after the takes under way; run it again to go on",
+            Arc::new(AtomicBool::new(true)),
+        ),
     };
-    let report = prepare(&plan, &arguments.plan, &progress)?;
-    progress.bar.finish_and_clear();
+    let options = PrepareOptions {
+        again: arguments.again,
+        prune: arguments.prune,
+    };
+    let report = prepare(&plan, &arguments.plan, options, &progress)?;
     let Some(report) = report else {
         return Ok(ExitCode::from(130));
     };
     let failed = report.takes.iter().any(|take| take.failure.is_some());
     if arguments.json {
-        println!("{}", serde_json::to_string(&report).expect("plain data"));
+        say!("{}", serde_json::to_string(&report).expect("plain data"));
     } else {
         print(&report);
     }
@@ -81,22 +85,35 @@ fn print(report: &Report) {
             offsets(take),
         ]);
     }
-    println!("{}", table(rows));
+    say!("{}", table(rows));
     for take in &report.takes {
         if let Some(failure) = &take.failure {
-            println!("{}: failed: {failure}", take.name);
+            say!("{}: failed: {failure}", take.name);
         }
         for rejection in &take.rejected {
-            println!(
+            say!(
                 "{}: {} frames from {} left out: {}",
-                take.name, rejection.frames, rejection.first_frame, rejection.reason
+                take.name,
+                rejection.frames,
+                rejection.first_frame,
+                rejection.reason
             );
         }
         for note in &take.notes {
-            println!("{}: {note}", take.name);
+            say!("{}: {note}", take.name);
         }
     }
-    println!(
+    for entry in &report.idle_entries {
+        say!("split.validation: no phrase matches `{entry}`");
+    }
+    if report.stale > 0 {
+        say!(
+            "{} phrases of takes that the plan does not have lie there too; they do not belong to \
+             the dataset, and `--prune` removes them",
+            grouped(report.stale)
+        );
+    }
+    say!(
         "\n{} phrases ({:.2} minutes) in {}; {} of {} takes had been made before",
         grouped(report.phrases),
         report.hours * 60.0,

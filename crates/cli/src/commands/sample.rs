@@ -20,7 +20,7 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     if arguments.count == 0 {
         return Err(UsageError::new("`--count` is 0", "ask for at least one sample").into());
     }
-    let path = resolve_checkpoint(&arguments.run, |damaged| eprintln!("warning: {damaged}"))?;
+    let path = resolve_checkpoint(&arguments.run, |damaged| tell!("warning: {damaged}"))?;
     let config = State::read(&path)?.config;
     if config.train.recipe.reads_clips() {
         return super::clips::sample(&arguments, &path, &config);
@@ -175,7 +175,7 @@ fn song_condition(
         );
         return Err(UsageError::new(message, "give a moment within the song").into());
     }
-    let start = start as usize;
+    let start = start.round() as usize;
     let most = arguments.frames.unwrap_or(config.data.target_frames);
     let end = audio.frames().min(start + most.max(1));
     Ok((name.into_owned(), audio.slice(start..end)))
@@ -233,6 +233,6 @@ fn write(stem: &str, sample: &Sample) -> Result<(), Failure> {
     write_motion(&PathBuf::from(format!("{stem}.raw.npy")), &sample.raw)?;
     let path = PathBuf::from(format!("{stem}.npy"));
     write_motion(&path, &sample.motion)?;
-    println!("{}", path.display());
+    say!("{}", path.display());
     Ok(())
 }

@@ -71,13 +71,13 @@ fn summarise(outcome: &Outcome, started: Instant) {
         "time".to_string(),
         duration(started.elapsed().as_secs_f64()),
     ]);
-    println!("{}", table(rows));
+    say!("{}", table(rows));
 }
 
 /// Draws samples for the first held-out phrases into the run's folder and checks them.
 fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
     let sampling = &outcome.config.sampling;
-    let path = resolve_checkpoint(&outcome.folder, |damaged| eprintln!("warning: {damaged}"))?;
+    let path = resolve_checkpoint(&outcome.folder, |damaged| tell!("warning: {damaged}"))?;
     let (device, _) = kinegrad_train::device::open(&outcome.config.run.device)?;
     let generator = Generator::load(&path, Weights::Ema, &device)?;
     let dataset = Dataset::open(&outcome.config.data)?;
@@ -105,13 +105,13 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
         write(&folder, &format!("{}.npy", phrase.id), &sample.motion)?;
         named.push((phrase.id.clone(), sample.motion));
     }
-    println!(
+    say!(
         "\n{} samples of step {} in {}",
         named.len(),
         generator.step(),
         folder.display()
     );
-    println!("{}", sanity_table(&named, generator.statistics())?);
+    say!("{}", sanity_table(&named, generator.statistics())?);
     Ok(())
 }
 

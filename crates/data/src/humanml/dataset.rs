@@ -90,6 +90,7 @@ impl ClipSurvey {
                 source: "synthetic_walks".to_owned(),
                 listed,
                 concurrency: 0,
+                tolerates_changes: false,
             },
             split: Some(split),
         })
@@ -120,6 +121,7 @@ impl ClipSurvey {
                 source: files.store.uri(),
                 listed,
                 concurrency: files.concurrency(config),
+                tolerates_changes: false,
                 origin: Box::new(ClipFiles {
                     files,
                     skeleton: skeleton.clone(),

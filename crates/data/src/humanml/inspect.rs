@@ -5,6 +5,7 @@ use std::ops::Range;
 use kinegrad_motion::humanml::{FeatureLayout, Features};
 use serde::Serialize;
 
+use crate::survey::OpenProgress;
 use crate::{ChannelSummary, DataConfig, Error, Problem};
 
 use super::Clip;
@@ -63,10 +64,11 @@ pub struct ClipInspection {
 /// # Errors
 /// As [`ClipDataset::open`](super::ClipDataset::open), but never for a single bad clip or for a
 /// side of the split that is empty.
-pub fn inspect_clips(config: &DataConfig) -> Result<ClipInspection, Error> {
+pub fn inspect_clips(config: &DataConfig, progress: OpenProgress) -> Result<ClipInspection, Error> {
     config.validate()?;
     let mut clips = ClipSurvey::new(config)?;
-    let outcomes = clips.survey.meet_all(&|_, _| {}, |_, met| {
+    clips.survey.tolerates_changes = true;
+    let outcomes = clips.survey.meet_all(progress, |_, met| {
         let measured = match met.left_out {
             Some(reason) => Err(reason),
             None => Ok(Measured::new(&met.item, met.note)),
@@ -301,7 +303,7 @@ mod tests {
             source: Some(folder.path().display().to_string()),
             ..DataConfig::default()
         };
-        let found = inspect_clips(&config).unwrap();
+        let found = inspect_clips(&config, &|_, _| {}).unwrap();
         assert_eq!((found.clips, found.bad_clips, found.left_out), (10, 1, 1));
         assert_eq!(found.train + found.validation, 10);
         assert_eq!(
@@ -335,7 +337,7 @@ mod tests {
         };
         config.synthetic.phrases = 4;
         config.synthetic.frames = 50;
-        let found = inspect_clips(&config).unwrap();
+        let found = inspect_clips(&config, &|_, _| {}).unwrap();
         assert_eq!((found.clips, found.frames), (4, 200));
         let clips: Vec<_> = (0..4).map(|index| walk(index, 50, 0)).collect();
         let heights: Vec<f64> = (clips.iter())

@@ -13,7 +13,8 @@ pub struct ManifestRow {
     pub motion_source: String,
     /// The song, as the plan names it; none where the features are zeros.
     pub audio_source: Option<String>,
-    /// Its first frame on the time line of the song, or of the motion where there is none.
+    /// Its first frame on the take's time line: that of the song; where there is none, that of the
+    /// motion used, which begins at `audio_start_seconds`.
     pub first_frame: i64,
     /// Frames.
     pub frames: i64,
@@ -51,16 +52,19 @@ pub enum Flag {
     FilledGaps,
     /// It fails the document's sanity checks.
     FailsDocumentChecks,
+    /// A part of its song was damaged or is missing: what follows may be early.
+    DamagedAudio,
 }
 
 impl Flag {
     /// All flags.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::NoAudio,
         Self::NoBeats,
         Self::JoinedUnits,
         Self::FilledGaps,
         Self::FailsDocumentChecks,
+        Self::DamagedAudio,
     ];
 
     /// As the manifest writes it.
@@ -71,6 +75,7 @@ impl Flag {
             Self::JoinedUnits => "joined_units",
             Self::FilledGaps => "filled_gaps",
             Self::FailsDocumentChecks => "fails_document_checks",
+            Self::DamagedAudio => "damaged_audio",
         }
     }
 }

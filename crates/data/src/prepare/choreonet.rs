@@ -7,7 +7,7 @@ use std::path::Path;
 use kinegrad_motion::capture::BeatGrid;
 use serde::Deserialize;
 
-use super::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan, Units};
+use super::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan};
 use crate::Error;
 
 /// Frames per second of `start_pos` and `end_pos`.
@@ -121,16 +121,16 @@ fn take(
             beats_per_bar,
             beats: Some(beats),
         }),
-        beats_per_bar,
-        markers: choreonet.markers.clone(),
+        beats_per_bar: None,
+        markers: Some(choreonet.markers.clone()),
         name: Some(name),
         motion: None,
         motion_start_seconds: 0.0,
         motion_end_seconds: None,
         audio_start_seconds: 0.0,
-        units: Units::default(),
-        up: Default::default(),
+        units: None,
+        up: None,
         joint: None,
-        fps: kinegrad_motion::FPS,
+        fps: None,
     })
 }

@@ -3,8 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::motion::bytes;
+use super::output::Output;
 use super::plan::Plan;
-use super::take::{Take, TakeReport};
+use super::report::TakeReport;
+use super::resolve::Take;
 use crate::manifest::ManifestRow;
 use crate::{Digest, Error, Store, StoreError};
 
@@ -12,7 +14,7 @@ use crate::{Digest, Error, Store, StoreError};
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Changes when phrases of the same plan would come out otherwise.
-const MAKER: &str = "kinegrad phrases 1";
+const MAKER: &str = "kinegrad phrases 3";
 
 /// What was made of a take.
 #[derive(Clone, Debug, Deserialize, Serialize)]
@@ -23,23 +25,29 @@ pub(super) struct Journal {
     pub report: TakeReport,
 }
 
-/// A checksum of all that a take's phrases follow from: its plan and its files.
+/// A checksum of all that a take's phrases follow from: its plan and its files, wherever the plan
+/// is run from.
 ///
 /// # Errors
 /// A file that cannot be read, by name.
 pub(super) fn key(plan: &Plan, take: &Take) -> Result<Digest, String> {
-    let text = serde_json::to_string(&(take, &plan.phrases, &plan.joining)).expect("plain data");
+    let wanted = (&take.name, &take.plan, &plan.phrases, &plan.joining);
+    let text = serde_json::to_string(&wanted).expect("plain data");
     let mut parts = vec![MAKER.as_bytes().to_vec(), text.into_bytes()];
-    let segments = take.plan.segments.iter();
-    let mut files: Vec<_> = segments
-        .map(|segment| plan.resolve(&segment.motion))
-        .filter(|path| path.exists())
-        .chain(take.motion.clone())
-        .chain(take.audio.clone())
+    let mut names: Vec<&str> = take
+        .plan
+        .segments
+        .iter()
+        .map(|s| s.motion.as_str())
         .collect();
-    files.sort_unstable();
-    files.dedup();
-    for file in files {
+    names.sort_unstable();
+    names.dedup();
+    let whole = take.motion.iter().chain(&take.audio);
+    let whole = whole.map(|path| ("", path.clone()));
+    let segments = names.into_iter().map(|name| (name, plan.resolve(name)));
+    // A segment whose file is missing is a gap.
+    for (name, file) in segments.filter(|(_, path)| path.exists()).chain(whole) {
+        parts.push(name.as_bytes().to_vec());
         parts.push(Digest::of(&bytes(&file)?).as_bytes().to_vec());
     }
     Ok(Digest::of_parts(parts.iter().map(Vec::as_slice)))
@@ -82,9 +90,9 @@ impl Journal {
     /// Keeps it.
     ///
     /// # Errors
-    /// [`Error::Store`].
-    pub fn write(&self, store: &Store) -> Result<(), Error> {
+    /// As [`Output::write`].
+    pub fn write(&self, output: &Output) -> Result<(), Error> {
         let bytes = serde_json::to_vec_pretty(self).expect("plain data");
-        Ok(store.write(&path(&self.report.name), bytes)?)
+        output.write(&path(&self.report.name), bytes)
     }
 }

@@ -7,10 +7,15 @@
 
 mod choreonet;
 mod journal;
+mod lay;
 mod motion;
+mod output;
 mod plan;
+mod report;
+mod resolve;
 mod song;
 mod take;
+mod units;
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -22,17 +27,16 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 
 pub use plan::Plan;
-pub use take::{Rejection, TakeReport};
+pub use report::{Rejection, TakeReport};
 
-use crate::layout::{AUDIO, MOTION, PREPARATION as REPORT};
-use crate::manifest::{self, Manifest, ManifestRow};
+use crate::manifest::{self, Flag, ManifestRow};
 use crate::split::matches;
-use crate::{
-    Digest, Error, MANIFEST, Side, Store, StoreError, features_path, motion_path, npy, npz,
-};
+use crate::{Digest, Error, Side, features_path, motion_path, npy, npz};
 use journal::Journal;
+use output::Output;
+use resolve::Take;
 use song::LazySong;
-use take::{Made, Take};
+use take::Made;
 
 /// What became of a plan.
 #[derive(Clone, Debug, Serialize)]
@@ -45,8 +49,21 @@ pub struct Report {
     pub hours: f64,
     /// Takes that had been made before.
     pub kept: usize,
+    /// Phrases that lie there and belong to no take of the plan, and so not to the dataset.
+    pub stale: usize,
+    /// Entries of `split.validation` that match no phrase.
+    pub idle_entries: Vec<String>,
     /// Each take, by name.
     pub takes: Vec<TakeReport>,
+}
+
+/// What to do beyond what is left to do.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PrepareOptions {
+    /// Make every take again.
+    pub again: bool,
+    /// Remove the phrases that belong to no take of the plan.
+    pub prune: bool,
 }
 
 /// How far a preparation is, and whether it should go on. Called from several threads.
@@ -62,11 +79,12 @@ pub trait PrepareObserver: Sync {
 ///
 /// # Errors
 /// [`Error::Plan`] for files that are not there, [`Error::Exists`] if the output holds a dataset
-/// that no preparation wrote, [`Error::Feature`], [`Error::Store`]. A take that cannot be used is
-/// no error: its report says why.
+/// that no preparation wrote, [`Error::Busy`] if another one is writing there, [`Error::Feature`],
+/// [`Error::Store`]. A take that cannot be used is no error: its report says why.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,
+    options: PrepareOptions,
     observer: &dyn PrepareObserver,
 ) -> Result<Option<Report>, Error> {
     if !manifest::SUPPORTED {
@@ -75,20 +93,12 @@ pub fn prepare(
             feature: "manifest",
         });
     }
-    let output = match plan.output.contains("://") {
-        true => plan.output.clone(),
-        false => plan.resolve(&plan.output).display().to_string(),
-    };
-    let store = Store::open(&output, &plan.store)?;
-    if !store.is_writable() {
-        return Err(StoreError::ReadOnly { uri: store.uri() }.into());
-    }
     let takes = takes(plan, plan_file)?;
-    refuse_foreign(&store)?;
-    let present = Present::of(&store)?;
+    let output = Output::open(plan)?;
     // Threads that wait for a network are not bound to the number of cores.
     let uploads = ThreadPoolBuilder::new().num_threads(plan.store.concurrency);
-    let uploads = store.is_remote().then(|| uploads.build().ok()).flatten();
+    let uploads = output.store.is_remote().then(|| uploads.build().ok());
+    let uploads = uploads.flatten();
     let (total, done) = (takes.len(), AtomicUsize::new(0));
     observer.done(0, total);
     // Takes of one song one after the other, so that it is read once and held by one thread.
@@ -101,14 +111,9 @@ pub fn prepare(
                 if observer.stop_requested() {
                     return Ok(None);
                 }
-                journals.push(one(
-                    plan,
-                    take,
-                    &store,
-                    song.as_ref(),
-                    &present,
-                    uploads.as_ref(),
-                )?);
+                let song = song.as_ref();
+                let made = one(plan, take, options, &output, song, uploads.as_ref())?;
+                journals.push(made);
                 observer.done(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             }
             Ok(Some(journals))
@@ -120,38 +125,65 @@ pub fn prepare(
     let mut journals: Vec<(Journal, bool)> = journals.into_iter().flatten().collect();
     journals.sort_by(|(a, _), (b, _)| a.report.name.cmp(&b.report.name));
     let kept = journals.iter().filter(|(_, kept)| *kept).count();
+    let any = journals.iter().any(|(journal, _)| !journal.rows.is_empty());
     let mut rows = Vec::new();
     let mut reports = Vec::new();
-    for (journal, _) in journals {
+    for (journal, kept) in journals {
+        if any && !kept && journal.rows.is_empty() && journal.report.failure.is_none() {
+            journal.write(&output)?;
+        }
         rows.extend(journal.rows);
         reports.push(journal.report);
     }
     if rows.is_empty() {
-        let first = reports.iter().find_map(|report| {
-            let reason = report.rejected.first().map(|rejection| &rejection.reason);
-            report.failure.as_ref().or(reason)
-        });
-        let first = first.map_or("there is no take", String::as_str);
         return Err(Error::Plan {
             file: plan_file.display().to_string(),
-            problem: format!("no phrase could be made of any take; the first: {first}"),
+            problem: format!("no phrase could be made of any take{}", reasons(&reports)),
         });
     }
     for row in &mut rows {
         row.split = side(plan, &row.id);
     }
+    let stale = output.stale(&rows);
     let frames: i64 = rows.iter().map(|row| row.frames).sum();
     let report = Report {
-        output: store.uri(),
+        output: output.store.uri(),
         phrases: rows.len(),
         hours: frames as f64 / kinegrad_motion::FPS / 3600.0,
         kept,
+        stale: if options.prune { 0 } else { stale.len() },
+        idle_entries: idle_entries(plan, &rows),
         takes: reports,
     };
-    Manifest::write(&store, rows)?;
-    let text = serde_json::to_vec_pretty(&report).expect("plain data");
-    store.write(REPORT, text)?;
+    output.finish(rows, &report)?;
+    // Not before the manifest has let go of them.
+    if options.prune {
+        output.prune(&stale)?;
+    }
     Ok(Some(report))
+}
+
+/// Why the first takes gave nothing.
+fn reasons(reports: &[TakeReport]) -> String {
+    const SHOWN: usize = 5;
+    let reason = |report: &TakeReport| {
+        let rejected = report.rejected.first();
+        let rejected = rejected.map(|rejection| rejection.reason.clone());
+        let reason = report.failure.clone().or(rejected).unwrap_or_default();
+        format!("; {}: {reason}", report.name)
+    };
+    let mut text: String = reports.iter().take(SHOWN).map(reason).collect();
+    if reports.len() > SHOWN {
+        text += &format!("; and {} more", reports.len() - SHOWN);
+    }
+    text
+}
+
+/// Entries of the plan's split that match no phrase.
+fn idle_entries(plan: &Plan, rows: &[ManifestRow]) -> Vec<String> {
+    let entries = plan.split.validation.iter();
+    let idle = entries.filter(|entry| !rows.iter().any(|row| matches(entry, &row.id)));
+    idle.cloned().collect()
 }
 
 /// All takes of a plan.
@@ -160,7 +192,7 @@ fn takes(plan: &Plan, plan_file: &Path) -> Result<Vec<Take>, Error> {
     for choreonet in &plan.choreonet {
         wanted.extend(choreonet::takes(plan, choreonet)?);
     }
-    take::resolve(plan, wanted).map_err(|problem| Error::Plan {
+    resolve::resolve(plan, wanted).map_err(|problem| Error::Plan {
         file: plan_file.display().to_string(),
         problem,
     })
@@ -183,99 +215,64 @@ fn by_song(takes: &[Take]) -> Vec<Vec<&Take>> {
     groups
 }
 
-/// The files of phrases that the output has, with their lengths.
-struct Present(HashMap<String, u64>);
-
-impl Present {
-    fn of(store: &Store) -> Result<Self, Error> {
-        let mut files = HashMap::new();
-        for (folder, file) in [MOTION, AUDIO] {
-            match store.list(folder, file) {
-                Ok(objects) => files.extend(objects.into_iter().map(|o| (o.path, o.bytes))),
-                Err(StoreError::Missing { .. }) => {}
-                Err(error) => return Err(error.into()),
-            }
-        }
-        Ok(Self(files))
-    }
-
-    /// Whether both files of a phrase are there, as long as they were written.
-    fn holds(&self, row: &ManifestRow) -> bool {
-        let as_long = |path: String, bytes: i64| {
-            self.0
-                .get(&path)
-                .is_some_and(|&found| found as i64 == bytes)
-        };
-        as_long(motion_path(&row.id), row.motion_bytes)
-            && as_long(features_path(&row.id), row.audio_bytes)
-    }
-}
-
-/// Refuses to write among the phrases of somebody else, and leaves a mark where it begins.
-fn refuse_foreign(store: &Store) -> Result<(), Error> {
-    let there = |path: &str| match store.read(path, manifest::MAX_BYTES) {
-        Ok(_) => Ok(true),
-        Err(StoreError::Missing { .. }) => Ok(false),
-        Err(error) => Err(Error::Store(error)),
-    };
-    if there(REPORT)? {
-        return Ok(());
-    }
-    let holds = |(folder, file): (&str, &str)| match store.list(folder, file) {
-        Ok(objects) => Ok(!objects.is_empty()),
-        Err(StoreError::Missing { .. }) => Ok(false),
-        Err(error) => Err(Error::Store(error)),
-    };
-    if there(MANIFEST)? || holds(MOTION)? || holds(AUDIO)? {
-        return Err(Error::Exists {
-            path: store.uri().into(),
-        });
-    }
-    Ok(store.write(REPORT, b"{}\n".to_vec())?)
-}
-
 /// What has been made of a take before, or is now; and whether it had been.
 fn one(
     plan: &Plan,
     take: &Take,
-    store: &Store,
+    options: PrepareOptions,
+    output: &Output,
     song: Option<&LazySong>,
-    present: &Present,
     uploads: Option<&ThreadPool>,
 ) -> Result<(Journal, bool), Error> {
     let key = match journal::key(plan, take) {
         Ok(key) => key,
         Err(problem) => return Ok((Journal::failed(take, problem), false)),
     };
-    if let Some(journal) = Journal::read(store, &take.name, key)?
-        && journal.rows.iter().all(|row| present.holds(row))
+    if !options.again
+        && let Some(journal) = Journal::read(&output.store, &take.name, key)?
+        && journal.rows.iter().all(|row| output.holds(row))
     {
         return Ok((journal, true));
     }
-    let (phrases, report) = match take.make(plan, song) {
-        Ok(made) => made,
+    let ready = match take.ready(plan, song) {
+        Ok(ready) => ready,
         Err(problem) => return Ok((Journal::failed(take, problem), false)),
     };
-    let write = |phrase| write(store, take, phrase);
-    let rows = match uploads {
-        Some(uploads) => uploads.install(|| phrases.into_par_iter().map(write).collect()),
-        None => phrases.into_iter().map(write).collect::<Result<_, Error>>(),
+    // One phrase after the other, so that a long take need not fit into memory.
+    let make = |index| match ready.phrase(index) {
+        Ok(made) => write(output, take, made).map(Ok),
+        Err(rejection) => Ok(Err(rejection)),
+    };
+    let all = 0..ready.phrases();
+    let made: Vec<Result<ManifestRow, Rejection>> = match uploads {
+        Some(uploads) => uploads.install(|| all.into_par_iter().map(make).collect()),
+        None => all.map(make).collect::<Result<_, Error>>(),
     }?;
+    let (mut rows, mut unmade) = (Vec::new(), Vec::new());
+    for phrase in made {
+        match phrase {
+            Ok(row) => rows.push(row),
+            Err(rejection) => unmade.push(rejection),
+        }
+    }
+    let failing = |row: &&ManifestRow| row.flags.contains(&Flag::FailsDocumentChecks);
+    let failing = rows.iter().filter(failing).count();
+    let report = ready.report(unmade, failing);
     let journal = Journal { key, rows, report };
-    journal.write(store)?;
+    // Where nothing can be made of any take, nothing shall be left behind.
+    if !journal.rows.is_empty() {
+        journal.write(output)?;
+    }
     Ok((journal, false))
 }
 
 /// Writes the files of a phrase and gives its row.
-fn write(store: &Store, take: &Take, made: Made) -> Result<ManifestRow, Error> {
+fn write(output: &Output, take: &Take, made: Made) -> Result<ManifestRow, Error> {
     let motion = npy::motion_bytes(&made.motion);
     let audio = npz::features_bytes(&made.audio);
     let row = ManifestRow {
         motion_source: made.motion_source,
-        audio_source: take.audio.as_ref().map(|path| {
-            let name = path.file_name().unwrap_or_default();
-            name.to_string_lossy().into_owned()
-        }),
+        audio_source: take.audio.is_some().then(|| take.plan.audio.clone()),
         first_frame: made.first_frame as i64,
         frames: made.motion.frames() as i64,
         fps: kinegrad_motion::FPS,
@@ -289,8 +286,8 @@ fn write(store: &Store, take: &Take, made: Made) -> Result<ManifestRow, Error> {
         flags: made.flags,
         id: made.id,
     };
-    store.write(&motion_path(&row.id), motion)?;
-    store.write(&features_path(&row.id), audio)?;
+    output.write(&motion_path(&row.id), motion)?;
+    output.write(&features_path(&row.id), audio)?;
     Ok(row)
 }
 

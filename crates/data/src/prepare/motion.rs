@@ -7,6 +7,7 @@ use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use kinegrad_motion::{CHANNELS, Quaternion};
 
 use super::plan::TakePlan;
+use super::report::capture_error;
 use crate::npy::{self, Array, MAX_FRAMES};
 use crate::{FileError, npz};
 
@@ -27,15 +28,23 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Capture, String> {
     let file = path.display().to_string();
     let bytes = bytes(path)?;
     let ending = path.extension().unwrap_or_default().to_string_lossy();
+    let in_file = |error: CaptureError| {
+        let text = capture_error(error);
+        match text.contains(&file) {
+            true => text,
+            false => format!("{file}: {text}"),
+        }
+    };
     let plain = |source: RootTrack| Capture {
         source: Box::new(source),
         gaps: Vec::new(),
     };
     match ending.to_ascii_lowercase().as_str() {
-        "bvh" => bvh(&bytes, &file, take).map(plain).map_err(capture_error),
+        "bvh" => bvh(&bytes, &file, take).map(plain).map_err(in_file),
         "c3d" => {
-            let c3d = C3d::parse(&bytes, &file).map_err(capture_error)?;
-            let root = take.markers.root(&c3d).map_err(capture_error)?;
+            let c3d = C3d::parse(&bytes, &file).map_err(in_file)?;
+            let markers = take.markers.clone().unwrap_or_default();
+            let root = markers.root(&c3d).map_err(in_file)?;
             Ok(Capture {
                 gaps: root.gaps().to_vec(),
                 source: Box::new(root),
@@ -67,25 +76,18 @@ pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
     std::fs::read(path).map_err(|e| named(e.to_string()))
 }
 
-/// An error with its hint, on one line.
-fn capture_error(error: CaptureError) -> String {
-    use miette::Diagnostic;
-    let hint = error.help().map(|hint| format!(" ({hint})"));
-    format!("{error}{}", hint.unwrap_or_default())
-}
-
 fn bvh(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, CaptureError> {
     let bvh = Bvh::parse(bytes, file)?;
-    let (metres, up) = (take.units.metres(), take.up);
+    let metres = take.units.unwrap_or_default().metres();
+    let up = take.up.unwrap_or_default();
     let Some(name) = &take.joint else {
         return bvh.root_track(metres, up);
     };
     let Some(joint) = bvh.joint(name) else {
         let names: Vec<&str> = bvh.joints().iter().map(|j| j.name.as_str()).collect();
-        return Err(CaptureError::MissingMarker {
+        return Err(CaptureError::MissingJoint {
             file: file.to_owned(),
-            key: "joint",
-            marker: name.clone(),
+            joint: name.clone(),
             available: names.join(", "),
         });
     };
@@ -151,7 +153,8 @@ fn track(
     file: &str,
     take: &TakePlan,
 ) -> Result<RootTrack, FileError> {
-    RootTrack::new(positions, orientations, take.fps).map_err(|error| FileError::Read {
+    let fps = take.fps.unwrap_or(kinegrad_motion::FPS);
+    RootTrack::new(positions, orientations, fps).map_err(|error| FileError::Read {
         file: file.to_owned(),
         reason: error.to_string(),
     })

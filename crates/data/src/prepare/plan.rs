@@ -2,10 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_motion::capture::{BeatGrid, Joining, MarkerMap, UpAxis};
+use kinegrad_motion::capture::{BeatGrid, Beats, Joining, MarkerMap, UpAxis};
 use serde::{Deserialize, Serialize};
 
+use super::report::capture_error;
+use super::units::Units;
 use crate::{Error, MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
+
+/// Metres of the smallest unit that makes sense.
+const SMALLEST_UNIT: f64 = 1e-9;
 
 /// A plan, as its TOML file writes it. Paths are relative to that file.
 #[derive(Clone, Debug, Deserialize)]
@@ -93,32 +98,24 @@ pub struct TakePlan {
     /// The beats, if they are known; else they are tracked.
     #[serde(default)]
     pub beats: Option<BeatGrid>,
-    /// Beats in a bar, for tracked beats.
-    #[serde(default = "four")]
-    pub beats_per_bar: u32,
-    /// Metres of one unit of a BVH file, or its name.
+    /// Beats in a bar of tracked beats; four unless stated.
     #[serde(default)]
-    pub units: Units,
-    /// The axis of a BVH file that points up.
+    pub beats_per_bar: Option<u32>,
+    /// Metres of one unit of a BVH file, or its name; centimetres unless stated.
     #[serde(default)]
-    pub up: UpAxis,
+    pub units: Option<Units>,
+    /// The axis of a BVH file that points up; y unless stated.
+    #[serde(default)]
+    pub up: Option<UpAxis>,
     /// The joint of a BVH file that is the root; by default the first.
     #[serde(default)]
     pub joint: Option<String>,
-    /// The markers of a C3D file that carry the root.
+    /// The markers of a C3D file that carry the root; those of Plug-in Gait's waist unless stated.
     #[serde(default)]
-    pub markers: MarkerMap,
-    /// Frames per second of arrays, which do not state it.
-    #[serde(default = "thirty")]
-    pub fps: f64,
-}
-
-fn four() -> u32 {
-    4
-}
-
-fn thirty() -> f64 {
-    kinegrad_motion::FPS
+    pub markers: Option<MarkerMap>,
+    /// Frames per second of arrays, which do not state it; 30 unless stated.
+    #[serde(default)]
+    pub fps: Option<f64>,
 }
 
 /// A piece of a capture file.
@@ -131,52 +128,6 @@ pub struct SegmentPlan {
     pub frames: [f64; 2],
     /// Its length in beats. Segments follow each other from the first beat on.
     pub beats: f64,
-}
-
-/// Length of a unit of a BVH file.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Units {
-    /// A named unit.
-    Named(NamedUnit),
-    /// Metres.
-    Metres(f64),
-}
-
-/// Units with a name.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NamedUnit {
-    /// Metres.
-    M,
-    /// Centimetres, which most BVH files use.
-    Cm,
-    /// Millimetres.
-    Mm,
-    /// Inches.
-    Inch,
-    /// The unit of the CMU motion capture database: 2.54 / 0.45 cm.
-    Cmu,
-}
-
-impl Default for Units {
-    fn default() -> Self {
-        Self::Named(NamedUnit::Cm)
-    }
-}
-
-impl Units {
-    /// Metres of one unit.
-    pub fn metres(self) -> f64 {
-        match self {
-            Self::Metres(metres) => metres,
-            Self::Named(NamedUnit::M) => 1.0,
-            Self::Named(NamedUnit::Cm) => 0.01,
-            Self::Named(NamedUnit::Mm) => 0.001,
-            Self::Named(NamedUnit::Inch) => 0.0254,
-            Self::Named(NamedUnit::Cmu) => 0.0254 / 0.45,
-        }
-    }
 }
 
 /// Dances of the ChoreoNet data: units of capture on the beats of songs.
@@ -240,6 +191,9 @@ impl Plan {
         if self.phrases.hop == 0 {
             return Err("phrases.hop = 0: at least 1 allowed".to_owned());
         }
+        if let Err(error) = self.joining.check() {
+            return Err(format!("joining: {}", capture_error(error)));
+        }
         if self.takes.is_empty() && self.choreonet.is_empty() {
             return Err("no [[take]] and no [[choreonet]]: nothing to prepare".to_owned());
         }
@@ -276,12 +230,14 @@ impl TakePlan {
             check_id(&name.replace("{name}", "x")).map_err(|error| error.to_string())?;
         }
         for (key, value, least) in [
-            ("motion_start_seconds", self.motion_start_seconds, 0.0),
-            ("audio_start_seconds", self.audio_start_seconds, 0.0),
-            ("units", self.units.metres(), f64::MIN_POSITIVE),
+            ("motion_start_seconds", Some(self.motion_start_seconds), 0.0),
+            ("audio_start_seconds", Some(self.audio_start_seconds), 0.0),
+            ("units", self.units.map(Units::metres), SMALLEST_UNIT),
             ("fps", self.fps, 0.1),
         ] {
-            if !(least..=1e5).contains(&value) {
+            if let Some(value) = value
+                && !(least..=1e5).contains(&value)
+            {
                 return Err(format!("{key} = {value}: a number from {least} allowed"));
             }
         }
@@ -298,9 +254,29 @@ impl TakePlan {
                      and -100000 to 100000 allowed"
                 ));
             }
+            if let Err(error) = Beats::Grid(*grid).check() {
+                return Err(format!("beats: {}", capture_error(error)));
+            }
+            if self.beats_per_bar.is_some() {
+                return Err(
+                    "beats_per_bar is for tracked beats; `beats` has one of its own".to_owned(),
+                );
+            }
         }
-        if self.beats_per_bar == 0 {
+        if self.beats_per_bar == Some(0) {
             return Err("beats_per_bar = 0: at least 1 allowed".to_owned());
+        }
+        if !self.segments.is_empty() {
+            let idle = [
+                ("motion_start_seconds", self.motion_start_seconds != 0.0),
+                ("motion_end_seconds", self.motion_end_seconds.is_some()),
+                ("audio_start_seconds", self.audio_start_seconds != 0.0),
+            ];
+            if let Some((key, _)) = idle.iter().find(|(_, given)| *given) {
+                return Err(format!(
+                    "{key} is for whole takes; segments have `frames` and follow `beats`"
+                ));
+            }
         }
         let broken = self.segments.iter().position(|segment| {
             let [from, to] = segment.frames;
@@ -313,5 +289,36 @@ impl TakePlan {
             )),
             None => Ok(()),
         }
+    }
+
+    /// Refuses keys that none of the take's capture files uses.
+    pub(super) fn check_kinds(&self, files: &[&Path]) -> Result<(), String> {
+        let keys = [
+            ("units", self.units.is_some(), &["bvh"][..]),
+            ("up", self.up.is_some(), &["bvh"]),
+            ("joint", self.joint.is_some(), &["bvh"]),
+            ("markers", self.markers.is_some(), &["c3d"]),
+            ("fps", self.fps.is_some(), &["npy", "npz"]),
+        ];
+        let has = |endings: &[&str]| {
+            let mut found = files.iter().filter_map(|file| file.extension());
+            found.any(|found| {
+                endings
+                    .iter()
+                    .any(|ending| found.eq_ignore_ascii_case(ending))
+            })
+        };
+        match keys.iter().find(|(_, given, kinds)| *given && !has(kinds)) {
+            Some((key, _, kinds)) => Err(format!(
+                "`{key}` is for .{} files, and this take has none",
+                kinds.join(" and .")
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Beats in a bar of tracked beats.
+    pub(super) fn beats_per_bar(&self) -> u32 {
+        self.beats_per_bar.unwrap_or(4)
     }
 }

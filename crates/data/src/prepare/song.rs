@@ -13,8 +13,8 @@ pub(super) struct Song {
     pub tempo: f64,
     /// Seconds of the tracked beats.
     pub beats: Vec<f64>,
-    /// Damaged packets that were passed over.
-    pub skipped_packets: usize,
+    /// What of it was lost, in words.
+    pub damage: Option<String>,
 }
 
 /// A song that is read when the first take asks for it.
@@ -51,6 +51,8 @@ fn read(path: &Path) -> Result<Song, String> {
         tempo: features.beats().tempo,
         beats: features.beats().times(),
         features: AudioFeatures::from(&features),
-        skipped_packets: waveform.skipped_packets,
+        damage: waveform
+            .damage()
+            .map(|damage| format!("the song: {damage}")),
     })
 }

@@ -17,8 +17,9 @@ pub enum StoreError {
     #[error("{object}: access denied: {reason}")]
     #[diagnostic(help(
         "credentials come from the environment (GOOGLE_APPLICATION_CREDENTIALS for gs://, \
-         AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY for s3://); data.store.anonymous = true sends \
-         none"
+         AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY for s3://; http sources send none); for a \
+         public bucket or an emulator data.store.anonymous = true, or GOOGLE_SKIP_SIGNATURE=true or \
+         AWS_SKIP_SIGNATURE=true in the environment, sends none"
     ))]
     Denied {
         /// The object.
@@ -29,13 +30,13 @@ pub enum StoreError {
     /// It did not work, however often it was tried.
     #[error("{object}: cannot {action} after {attempts} attempt(s): {reason}")]
     #[diagnostic(help(
-        "check the network, the path and its permissions; data.store.max_retries and \
-         data.store.timeout_seconds say how long kinegrad tries"
+        "check the path, its permissions and the free space, and for an address the network; \
+         data.store.max_retries and data.store.timeout_seconds say how long kinegrad tries"
     ))]
     Failed {
         /// The object.
         object: String,
-        /// What was tried: `read`, `write`, `list`, `open`.
+        /// What was tried: `read`, `write`, `list`, `remove`, `open`.
         action: &'static str,
         /// How often.
         attempts: usize,
@@ -47,8 +48,8 @@ pub enum StoreError {
         "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
     )]
     #[diagnostic(help(
-        "the object was changed or damaged; restore it, or prepare the dataset again and start a \
-         new run"
+        "the object was changed or damaged: restore it, or make it again (`kinegrad data prepare \
+         PLAN.toml --again`) and start a new run"
     ))]
     Changed {
         /// The object.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use object_store::gcp::{GcpCredential, GcpCredentialProvider, GoogleCloudStorageBuilder};
 use object_store::path::Path;
 use object_store::{ObjectStore, PutPayload, StaticCredentialProvider};
-use reqwest::{Client, StatusCode, Url};
+use reqwest::{Client, RequestBuilder, StatusCode, Url};
 
 use super::client::{client_options, no_retries};
 use crate::StoreConfig;
@@ -57,12 +57,13 @@ fn emulator() -> Option<String> {
     })
 }
 
-/// Writes objects by Google's JSON interface: `object_store` uses the older XML one, which
-/// emulators read from and do not write by.
+/// Writes and removes objects by Google's JSON interface: `object_store` uses the older XML one,
+/// which emulators read from and do not write by.
 #[derive(Debug)]
 pub(super) struct GcsUploader {
     client: Client,
-    address: Url,
+    endpoint: Url,
+    bucket: String,
     credentials: GcpCredentialProvider,
 }
 
@@ -79,11 +80,10 @@ impl GcsUploader {
             .read_timeout(patience)
             .build()
             .map_err(failed)?;
-        let mut address = Url::parse(endpoint).map_err(failed)?;
-        address.set_path(&format!("upload/storage/v1/b/{bucket}/o"));
         Ok(Self {
             client,
-            address,
+            endpoint: Url::parse(endpoint).map_err(failed)?,
+            bucket: bucket.to_owned(),
             credentials,
         })
     }
@@ -93,7 +93,8 @@ impl GcsUploader {
     /// # Errors
     /// As [`ObjectStore`]'s own writing.
     pub async fn put(&self, key: &Path, payload: &PutPayload) -> object_store::Result<()> {
-        let mut address = self.address.clone();
+        let mut address = self.endpoint.clone();
+        address.set_path(&format!("upload/storage/v1/b/{}/o", self.bucket));
         address
             .query_pairs_mut()
             .append_pair("uploadType", "media")
@@ -102,11 +103,30 @@ impl GcsUploader {
             .iter()
             .flat_map(|part| part.iter().copied())
             .collect();
+        self.send(key, self.client.post(address).body(body)).await
+    }
+
+    /// Removes the object `key`.
+    ///
+    /// # Errors
+    /// As [`ObjectStore`]'s own removing.
+    pub async fn delete(&self, key: &Path) -> object_store::Result<()> {
+        let mut address = self.endpoint.clone();
+        let parts = ["storage", "v1", "b", &self.bucket, "o", key.as_ref()];
+        address
+            .path_segments_mut()
+            .map_err(|()| failed(std::io::Error::other("the endpoint takes no paths")))?
+            .clear()
+            .extend(parts);
+        self.send(key, self.client.delete(address)).await
+    }
+
+    async fn send(&self, key: &Path, request: RequestBuilder) -> object_store::Result<()> {
         let bearer = self.credentials.get_credential().await?.bearer.clone();
-        let mut request = self.client.post(address).body(body);
-        if !bearer.is_empty() {
-            request = request.bearer_auth(bearer);
-        }
+        let request = match bearer.is_empty() {
+            true => request,
+            false => request.bearer_auth(bearer),
+        };
         let answer = request.send().await.map_err(failed)?;
         let path = key.to_string();
         match answer.status() {
@@ -119,9 +139,12 @@ impl GcsUploader {
             }
             StatusCode::NOT_FOUND => Err(object_store::Error::NotFound {
                 path,
-                source: "no such bucket".into(),
+                source: "no such bucket or object".into(),
             }),
-            status => Err(failed(std::io::Error::other(status.to_string()))),
+            status => {
+                let reason = format!("status code: {status}");
+                Err(failed(std::io::Error::other(reason)))
+            }
         }
     }
 }

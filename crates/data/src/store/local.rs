@@ -27,6 +27,16 @@ impl Folder {
         let full = self.inside(path)?;
         let object = full.display().to_string();
         let mut bytes = Vec::new();
+        // Opening a pipe would wait for somebody to write into it.
+        let is_file = fs::metadata(&full).is_ok_and(|data| data.is_file());
+        if !is_file {
+            return Err(StoreError::Failed {
+                object,
+                action: "read",
+                attempts: 1,
+                reason: "it is no file".to_owned(),
+            });
+        }
         let found = File::open(&full)
             .and_then(|file| {
                 let length = file.metadata()?.len();
@@ -47,8 +57,7 @@ impl Folder {
     }
 
     pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
-        check_path(path)?;
-        let full = self.root.join(path);
+        let full = self.place(path)?;
         atomic::write(&full, |writer| writer.write_all(bytes)).map_err(|error| match error {
             Error::Io { reason, .. } => failed(&full.display().to_string(), "write", &reason),
             other => StoreError::Failed {
@@ -58,6 +67,37 @@ impl Folder {
                 reason: other.to_string(),
             },
         })
+    }
+
+    /// Where a file lies or would lie, if that is within the folder.
+    pub fn place(&self, path: &str) -> Result<PathBuf, StoreError> {
+        check_path(path)?;
+        // Folders that are there may be links; those that are not are made within the last one.
+        let mut folder = Path::new(path);
+        while let Some(parent) = folder.parent().filter(|parent| *parent != Path::new("")) {
+            folder = parent;
+            if fs::symlink_metadata(self.root.join(folder)).is_ok() {
+                self.inside(&folder.to_string_lossy())?;
+                break;
+            }
+        }
+        Ok(self.root.join(path))
+    }
+
+    /// Removes a file, if it is there, and its folder below the root if nothing else is in it.
+    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
+        let full = match self.inside(path) {
+            Ok(full) => full,
+            Err(StoreError::Missing { .. }) => return Ok(()),
+            Err(error) => return Err(error),
+        };
+        fs::remove_file(&full)
+            .map_err(|reason| failed(&full.display().to_string(), "remove", &reason))?;
+        if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
+            // Fails where something else is in it.
+            let _ = fs::remove_dir(folder);
+        }
+        Ok(())
     }
 
     pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
@@ -87,9 +127,19 @@ impl Folder {
         check_path(path)?;
         let full = self.root.join(path);
         let object = full.display().to_string();
-        let real = full
-            .canonicalize()
-            .map_err(|reason| failed(&object, "read", &reason))?;
+        let real = full.canonicalize().map_err(|reason| {
+            // As in a checkout whose large files were not fetched.
+            let dangling = fs::symlink_metadata(&full).is_ok_and(|data| data.is_symlink());
+            match dangling {
+                true => StoreError::Failed {
+                    object: object.clone(),
+                    action: "read",
+                    attempts: 1,
+                    reason: "a symbolic link to nothing".to_owned(),
+                },
+                false => failed(&object, "read", &reason),
+            }
+        })?;
         let root = self
             .root
             .canonicalize()
@@ -193,5 +243,17 @@ mod tests {
             assert!(matches!(error, StoreError::Path { .. }), "{path}: {error}");
             assert!(store.write(path, b"").is_err(), "{path}");
         }
+        for path in ["motion/c/new", "motion/c/deep/new"] {
+            let error = store.write(path, b"").unwrap_err();
+            assert!(
+                matches!(error, StoreError::Outside { .. }),
+                "{path}: {error}"
+            );
+        }
+        assert_eq!(fs::read_dir(outside.path()).unwrap().count(), 1);
+        assert!(store.remove("motion/c/secret").is_err());
+        store.remove("motion/b/x").unwrap();
+        store.remove("motion/b/x").unwrap();
+        assert!(!folder.path().join("motion/a/x").exists());
     }
 }

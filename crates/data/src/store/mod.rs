@@ -14,6 +14,7 @@ mod local;
 mod remote;
 
 use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 pub use error::StoreError;
@@ -148,6 +149,30 @@ impl Store {
             Kind::Local(folder) => folder.write(path, &bytes),
             #[cfg(feature = "cloud")]
             Kind::Remote(remote) => remote.write(path, bytes),
+        }
+    }
+
+    /// Removes the object at `path`, if there is one.
+    ///
+    /// # Errors
+    /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
+    pub(crate) fn remove(&self, path: &str) -> Result<(), StoreError> {
+        match &self.kind {
+            Kind::Local(folder) => folder.remove(path),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.remove(path),
+        }
+    }
+
+    /// Where on this machine the object at `path` lies or would lie; none in buckets and on servers.
+    ///
+    /// # Errors
+    /// [`StoreError::Outside`] where a link leads out of the folder.
+    pub(crate) fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
+        match &self.kind {
+            Kind::Local(folder) => folder.place(path).map(Some),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(_) => Ok(None),
         }
     }
 

@@ -6,7 +6,7 @@
 //! connection cut in the middle of an object is a retry like any other.
 
 use std::sync::{Arc, Once};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use futures_util::TryStreamExt;
 use object_store::aws::AmazonS3Builder;
@@ -27,7 +27,7 @@ use crate::{Counters, Error, StoreConfig};
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
 /// The longest pause.
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 
 /// A bucket with its prefix, or a web server with its path.
 #[derive(Debug)]
@@ -59,14 +59,7 @@ impl Remote {
             // An error means that the program has chosen one already.
             let _ = rustls::crypto::ring::default_provider().install_default();
         });
-        let unusable = |reason: String| {
-            Error::Store(StoreError::Failed {
-                object: uri.clone(),
-                action: "open",
-                attempts: 1,
-                reason,
-            })
-        };
+        let unusable = |reason: String| Error::Store(failed(&uri, "open", 1, reason));
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .thread_name("store")
@@ -159,6 +152,27 @@ impl Remote {
         written.map_err(Stopped::into_store)
     }
 
+    /// Removes the object, if it is there.
+    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
+        if !self.can_list {
+            return Err(StoreError::ReadOnly {
+                uri: self.uri.clone(),
+            });
+        }
+        let (object, key) = self.key(path)?;
+        let removed = self.try_often(&object, "remove", || async {
+            let removed = match &self.uploader {
+                Some(uploader) => uploader.delete(&key).await,
+                None => self.store.delete(&key).await,
+            };
+            match removed {
+                Err(object_store::Error::NotFound { .. }) => Ok(()),
+                removed => removed.map_err(Failure::Request),
+            }
+        });
+        removed.map_err(Stopped::into_store)
+    }
+
     /// The objects below `folder` whose paths `keep` picks.
     pub fn list(
         &self,
@@ -233,7 +247,7 @@ impl Remote {
                 };
                 let reason = match failure {
                     Failure::TooLarge(length) => return Err(Stopped::TooLarge(length)),
-                    Failure::Request(error) => match final_error(&error, object) {
+                    Failure::Request(error) => match final_error(&error, object, action) {
                         Some(error) => return Err(Stopped::Store(error)),
                         None => in_short(&error),
                     },
@@ -242,19 +256,21 @@ impl Remote {
                     }
                 };
                 if attempts > self.max_retries {
-                    return Err(Stopped::Store(StoreError::Failed {
-                        object: object.to_owned(),
-                        action,
-                        attempts,
-                        reason,
-                    }));
+                    let error = failed(object, action, attempts, reason);
+                    return Err(Stopped::Store(error));
                 }
                 self.counters.retry();
-                tokio::time::sleep(pause).await;
+                tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }
         })
     }
+}
+
+/// A factor from 0.75 to 1.25, so that those who failed together do not come back together.
+fn jitter() -> f64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    0.75 + 0.5 * f64::from(now.unwrap_or_default().subsec_nanos() % 1000) / 1000.0
 }
 
 /// What changes when the object does. Listings and answers quote tags differently.
@@ -287,8 +303,42 @@ impl Stopped {
     }
 }
 
+/// What has failed for good. Services that tell a machine who it is fail like any other address:
+/// what is missing then is credentials.
+fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -> StoreError {
+    const SIGNS: [&str; 4] = ["169.254.", "token request", "api/token", "redential"];
+    let object = object.to_owned();
+    match SIGNS.iter().any(|sign| reason.contains(sign)) {
+        true => StoreError::Denied { object, reason },
+        false => StoreError::Failed {
+            object,
+            action,
+            attempts,
+            reason,
+        },
+    }
+}
+
+/// Whether a server has refused the request as such: 4xx, but for those that ask for patience.
+fn is_refused(reason: &str) -> bool {
+    let Some((_, status)) = reason.split_once("status code: ") else {
+        // What comes without a length cannot be checked for being whole.
+        return reason.contains("Content-Length");
+    };
+    let patience = ["408", "425", "429"];
+    status.starts_with('4') && !patience.iter().any(|known| status.starts_with(known))
+}
+
 /// The error that trying again would not change.
-fn final_error(error: &object_store::Error, object: &str) -> Option<StoreError> {
+fn final_error(
+    error: &object_store::Error,
+    object: &str,
+    action: &'static str,
+) -> Option<StoreError> {
+    let reason = in_short(error);
+    if matches!(error, object_store::Error::Generic { .. }) && is_refused(&reason) {
+        return Some(failed(object, action, 1, reason));
+    }
     let object = object.to_owned();
     match error {
         object_store::Error::NotFound { .. } => Some(StoreError::Missing { object }),

@@ -12,7 +12,7 @@ use burn::tensor::Tensor;
 use kinegrad_random::Key;
 
 pub use imputation::{Imputation, Space};
-pub use step::{SteeredInput, steered_step};
+pub use step::{SteeredInput, SteeredOutput, steered_step};
 
 use crate::sampler::{draws_noise, step_noise};
 use crate::{Clip, Denoiser, Error, GaussianDiffusion, SamplerConfig, SamplerKind, timesteps};

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::{Guidance, Networks, Steering};
 use crate::per_sample::per_sample;
-use crate::sampler::{Posterior, StepOutput};
+use crate::sampler::Posterior;
 use crate::{Clip, Denoiser, Error, GaussianDiffusion, PredictionType, guided};
 
 /// Where a steered step begins.
@@ -25,6 +25,18 @@ pub struct SteeredInput {
     pub imputation_noise: Option<Tensor<3>>,
 }
 
+/// Where a steered step leads.
+#[derive(Clone, Debug)]
+pub struct SteeredOutput {
+    /// The less noisy motion: `[batch, channels, time]`.
+    pub prev_sample: Tensor<3>,
+    /// The clean motion predicted on the way, clipped: that of the network where it predicts the
+    /// clean motion, with the known values in it where it predicts noise.
+    pub pred_original_sample: Tensor<3>,
+    /// `s d(-L) / d x_t`, where the step was guided.
+    pub scaled_gradient: Option<Tensor<3>>,
+}
+
 /// One DDPM step under steering (golden README of GMD, sections 2.2 to 2.4):
 ///
 /// ```text
@@ -42,9 +54,6 @@ pub struct SteeredInput {
 ///
 /// Where it predicts noise, they go into the sample, noised to the level it has landed on.
 ///
-/// The prediction that is returned is that of the network for the former, and holds the known
-/// values for the latter.
-///
 /// # Errors
 /// If the clipping bounds do not fit the channels, or the network's output has other sizes than
 /// its input.
@@ -55,7 +64,7 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     cond: &Tensor<3>,
     clip: &Clip,
     steering: &Steering<'_>,
-) -> Result<StepOutput, Error> {
+) -> Result<SteeredOutput, Error> {
     let SteeredInput {
         x_t,
         timestep,
@@ -79,7 +88,7 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         clip.apply(diffusion.pred_original_sample(output, x_t, &timesteps))
     };
 
-    let (x_start, shift) = match steering.guidance {
+    let (x_start, scaled_gradient) = match steering.guidance {
         Some(Guidance { goal, scale }) => {
             let tracked = x_t.clone().autodiff().require_grad();
             let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
@@ -91,41 +100,37 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
                 Some(gradient) => gradient.without_autodiff(),
                 None => x_t.zeros_like(),
             };
-            let factors: Vec<f64> = posterior.variance.iter().map(|v| -scale * v).collect();
-            let shift = gradient * per_sample(&factors, &x_t);
-            (x_start, Some(shift))
+            (x_start, Some(gradient * -scale))
         }
         None => (predict(networks.plain, x_t.clone(), cond)?, None),
     };
 
     let by_mean = diffusion.config.prediction_type == PredictionType::Sample;
-    let guided_mean = |x_start: Tensor<3>, x_t: Tensor<3>, shift: Option<Tensor<3>>| {
-        let mean = posterior.mean(x_start, x_t);
-        match shift {
-            Some(shift) => mean + shift,
-            None => mean,
-        }
-    };
+    let unguided = posterior.mean(x_start.clone(), x_t.clone());
+    let guided_mean = scaled_gradient.as_ref().map(|gradient| {
+        let variance = per_sample(&posterior.variance, &x_t);
+        unguided.clone() + gradient.clone() * variance
+    });
     let mean = match (&steering.imputation, by_mean) {
         (Some(imputation), true) => {
-            let imputed = imputation.put_into(x_start.clone());
-            let imputed = posterior.mean(imputed, x_t.clone());
-            match shift {
+            let imputed = posterior.mean(imputation.put_into(x_start.clone()), x_t);
+            match guided_mean {
+                Some(guided) => imputation.merge(imputed, guided),
                 // Outside the mask both means are the same: the map back and forth only rounds.
                 None => imputed,
-                shift => imputation.merge(imputed, guided_mean(x_start.clone(), x_t, shift)),
             }
         }
-        _ => guided_mean(x_start.clone(), x_t, shift),
+        _ => guided_mean.unwrap_or(unguided),
     };
     let sample = match noise {
         Some(noise) => mean + posterior.scaled(noise),
         None => mean,
     };
     let (Some(imputation), false) = (&steering.imputation, by_mean) else {
-        return Ok(StepOutput {
+        return Ok(SteeredOutput {
             prev_sample: sample,
             pred_original_sample: x_start,
+            scaled_gradient,
         });
     };
     let known = imputation.put_into(x_start);
@@ -137,8 +142,9 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         }
         None => known.clone(),
     };
-    Ok(StepOutput {
+    Ok(SteeredOutput {
         prev_sample: imputation.merge(noised, sample),
         pred_original_sample: known,
+        scaled_gradient,
     })
 }

@@ -54,6 +54,18 @@ pub enum CaptureError {
         available: String,
     },
 
+    /// A BVH file lacks the joint that shall be the root.
+    #[error("`{file}` has no joint `{joint}`")]
+    #[diagnostic(help("its joints are: {available}"))]
+    MissingJoint {
+        /// Name of the file.
+        file: String,
+        /// The joint looked for.
+        joint: String,
+        /// The file's joints.
+        available: String,
+    },
+
     /// A marker name without its prefix fits several labels.
     #[error(
         "`{marker}` in `{key}` of the marker map may mean several markers of `{file}`: {labels}"
@@ -85,6 +97,17 @@ pub enum CaptureError {
     #[error("frame {frame} (counted from 0) of the root track is not finite")]
     #[diagnostic(help("look at this frame in the capture file: a value is far out of range"))]
     NonFinite {
+        /// The first such frame.
+        frame: usize,
+    },
+
+    /// A root track holds a quaternion that tells no rotation.
+    #[error("the quaternion of frame {frame} (counted from 0) of the root track is zero")]
+    #[diagnostic(help(
+        "a frame without a rotation, perhaps one that was not captured: leave it out, or fill it \
+         before"
+    ))]
+    NoRotation {
         /// The first such frame.
         frame: usize,
     },

@@ -35,6 +35,23 @@ impl Default for Joining {
     }
 }
 
+impl Joining {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`CaptureError::InvalidSetting`] if `max_step_seconds` is not positive.
+    pub fn check(&self) -> Result<(), CaptureError> {
+        if self.max_step_seconds.is_nan() || self.max_step_seconds <= 0.0 {
+            return Err(CaptureError::InvalidSetting {
+                key: "max_step_seconds",
+                found: self.max_step_seconds.to_string(),
+                allowed: "a positive number of seconds of capture",
+            });
+        }
+        Ok(())
+    }
+}
+
 /// The track of an assembly without jumps, and the frames that begin after a border. Each stretch
 /// of valid frames is joined within itself; across a gap nothing is known, and the root reappears
 /// where it was captured.
@@ -45,13 +62,7 @@ pub fn join(
     assembly: &Assembly,
     joining: &Joining,
 ) -> Result<(RootTrack, Vec<usize>), CaptureError> {
-    if joining.max_step_seconds.is_nan() || joining.max_step_seconds <= 0.0 {
-        return Err(CaptureError::InvalidSetting {
-            key: "max_step_seconds",
-            found: joining.max_step_seconds.to_string(),
-            allowed: "a positive number of seconds of capture",
-        });
-    }
+    joining.check()?;
     let track = &assembly.track;
     let mut joined: Vec<Option<RootPose>> = vec![None; track.frames()];
     let mut borders = Vec::new();

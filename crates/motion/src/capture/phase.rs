@@ -55,7 +55,11 @@ impl Beats {
         })
     }
 
-    fn check(&self) -> Result<(), CaptureError> {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`CaptureError::InvalidSetting`] if one is out of range.
+    pub fn check(&self) -> Result<(), CaptureError> {
         let fail = |key, found: String, allowed| {
             Err(CaptureError::InvalidSetting {
                 key,
@@ -77,7 +81,7 @@ impl Beats {
                     .beats
                     .is_some_and(|beats| beats.is_nan() || beats < 0.0)
                 {
-                    let found = format!("{:?}", grid.beats);
+                    let found = grid.beats.unwrap_or_default().to_string();
                     return fail("beats", found, "a number of beats, or none for no end");
                 }
                 grid.beats_per_bar

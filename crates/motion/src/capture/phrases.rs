@@ -91,17 +91,17 @@ impl Stretch {
         Ok(motion.slice(0..frames.len()))
     }
 
-    /// Phrases of `length` frames, one every `hop` frames from frame `first` of the stretch on,
-    /// each with its first frame on the track's time line. What is left at the end is dropped.
+    /// Where phrases of `length` frames begin, counted from the first frame of the stretch: one
+    /// every `hop` frames from frame `first` on. What is left at the end is dropped.
     ///
     /// # Errors
     /// [`CaptureError::InvalidSetting`] if `length` or `hop` is 0.
-    pub fn phrases(
+    pub fn starts(
         &self,
         first: usize,
         length: usize,
         hop: usize,
-    ) -> Result<Vec<(usize, Motion)>, CaptureError> {
+    ) -> Result<Vec<usize>, CaptureError> {
         for (key, value) in [("length", length), ("hop", hop)] {
             if value == 0 {
                 return Err(CaptureError::InvalidSetting {
@@ -113,7 +113,22 @@ impl Stretch {
         }
         let starts = (first..self.frames()).step_by(hop);
         let whole = starts.take_while(|start| length <= self.frames() - start);
-        whole
+        Ok(whole.collect())
+    }
+
+    /// The phrases that begin at [`starts`](Self::starts), each with its first frame on the track's
+    /// time line.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn phrases(
+        &self,
+        first: usize,
+        length: usize,
+        hop: usize,
+    ) -> Result<Vec<(usize, Motion)>, CaptureError> {
+        let starts = self.starts(first, length, hop)?.into_iter();
+        starts
             .map(|start| {
                 Ok((
                     self.first_frame + start,

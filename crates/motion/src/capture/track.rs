@@ -10,6 +10,9 @@ use crate::kinematics::make_sign_continuous;
 /// hundred times the length of the original.
 const RATES: RangeInclusive<f64> = 0.1..=100_000.0;
 
+/// Shortest quaternion that still tells a direction; shorter ones are placeholders.
+const SHORTEST: f64 = 1e-6;
+
 /// Place and orientation of a body at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RootPose {
@@ -49,7 +52,8 @@ impl RootTrack {
     /// # Errors
     /// [`crate::Error::LengthMismatch`] for arrays of different length,
     /// [`CaptureError::InvalidSetting`] for no frames or a rate out of 0.1 to 100000,
-    /// [`CaptureError::NonFinite`] for a frame that is not finite.
+    /// [`CaptureError::NonFinite`] for a frame that is not finite,
+    /// [`CaptureError::NoRotation`] for a quaternion of next to no length.
     pub fn new(
         positions: Vec<[f64; 3]>,
         orientations: Vec<Quaternion>,
@@ -93,6 +97,9 @@ impl RootTrack {
             });
             if !finite {
                 return Err(CaptureError::NonFinite { frame });
+            }
+            if pose.is_some_and(|pose| pose.orientation.norm() < SHORTEST) {
+                return Err(CaptureError::NoRotation { frame });
             }
         }
         let valid: Vec<bool> = poses.iter().map(Option::is_some).collect();

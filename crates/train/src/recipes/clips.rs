@@ -13,7 +13,7 @@ use kinegrad_motion::humanml::FeatureStatistics;
 use kinegrad_random::{Key, Purpose};
 
 use super::inputs::noise;
-use super::{Loss, StepKey};
+use super::{Loss, Measured, StepKey};
 use crate::config::Config;
 
 /// A batch on the device.
@@ -70,6 +70,18 @@ impl ClipDraws {
             keep_text: super::diffusion::keep_cond(config.cond_drop_prob, shape[0], key, device),
         }
     }
+}
+
+/// A training batch with its draws.
+pub(super) fn prepare(
+    diffusion: &GaussianDiffusion,
+    batch: &Batch,
+    key: StepKey,
+    device: &Device,
+) -> (ClipInputs, ClipDraws) {
+    let inputs = ClipInputs::new(batch, device);
+    let draws = ClipDraws::new(diffusion, inputs.x_start.dims(), key, device);
+    (inputs, draws)
 }
 
 /// The loss of one batch, `x_start` standing in the network's space:
@@ -182,7 +194,7 @@ impl HeldOutClips {
         num_train_timesteps: usize,
         device: &Device,
         loss: impl Fn(ClipInputs, ClipDraws) -> Loss,
-    ) -> f64 {
+    ) -> Measured {
         let (all, draws) = (self.clips.len(), self.draws);
         let mut sum = 0.0;
         for draw in 0..draws {
@@ -214,6 +226,9 @@ impl HeldOutClips {
                 sum += f64::from(loss) * range.len() as f64;
             }
         }
-        sum / (draws * all) as f64
+        Measured {
+            total: sum / (draws * all) as f64,
+            terms: Vec::new(),
+        }
     }
 }

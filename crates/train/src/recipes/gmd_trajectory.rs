@@ -13,7 +13,7 @@ use kinegrad_data::Batch;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
 
-use super::clips::{ClipDraws, ClipInputs, HeldOutClips, clip_loss};
+use super::clips::{ClipDraws, ClipInputs, HeldOutClips, clip_loss, prepare};
 use super::gmd_motion::TRAJECTORY_CHANNELS;
 use super::{Loss, Measured, Recipe, StepKey};
 
@@ -43,17 +43,13 @@ impl Recipe for GmdTrajectoryRecipe {
     type Model = TextDenoiser;
 
     fn loss(&self, model: &TextDenoiser, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        let inputs = ClipInputs::new(batch, device);
-        let draws = ClipDraws::new(&self.diffusion, inputs.x_start.dims(), key, device);
+        let (inputs, draws) = prepare(&self.diffusion, batch, key, device);
         self.loss_of(model, inputs, draws)
     }
 
     fn validation_loss(&self, model: &TextDenoiser, device: &Device) -> Measured {
         let steps = self.diffusion.config.num_train_timesteps;
         let loss = |inputs, draws| self.loss_of(model, inputs, draws);
-        Measured {
-            total: self.held_out.measure(steps, device, loss),
-            terms: Vec::new(),
-        }
+        self.held_out.measure(steps, device, loss)
     }
 }

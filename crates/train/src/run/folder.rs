@@ -15,6 +15,7 @@ fn may_change(key: &str) -> bool {
         // Where phrases lie and how they are fetched and kept changes no batch: that they are the
         // same is checked by itself.
         || key == "data.source"
+        || key == "data.num_workers"
         || key.starts_with("data.cache.")
         || key.starts_with("data.store.")
 }

@@ -13,7 +13,7 @@ pub(super) fn find_not_finite<M: Module>(model: &M, batch: &Batch, loss: Loss) -
         return "the batch's motion".into();
     }
     if broken(&batch.cond) {
-        return "the batch's audio features".into();
+        return "the batch's condition".into();
     }
     for parameter in parameters::export(model) {
         if broken(&parameter.values) {
