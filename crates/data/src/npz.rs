@@ -6,7 +6,7 @@ use std::path::Path;
 
 use kinegrad_audio::Features;
 use libdeflater::{Crc, Decompressor};
-use npyz::zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::FileOptions};
+use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures, FEATURES};
 use crate::npy::{self, Array, MAX_FRAMES};
@@ -136,7 +136,7 @@ fn archive(
     let frames = features.frames();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     // Without a date of its own an entry has the time of day.
-    let options = FileOptions::default()
+    let options = SimpleFileOptions::default()
         .compression_method(method)
         .last_modified_time(DateTime::default());
     let mut rest = features.as_slice();
@@ -198,18 +198,19 @@ impl<'a> Archive<'a> {
             file: label.clone(),
             reason,
         };
-        let member = format!("{name}.npy");
-        if !self.directory.file_names().any(|found| found == member) {
+        let Some(index) = self.directory.index_for_name(&format!("{name}.npy")) else {
             return Err(self.missing(name));
-        }
-        // With a password, even an empty one, a forged encryption mark is an error and not a panic.
+        };
         let entry = self
             .directory
-            .by_name_decrypt(&member, b"")
-            .map_err(|e| broken(e.to_string()))?
-            .map_err(|_| broken("it is encrypted".to_owned()))?;
-        let packed = usize::try_from(entry.data_start())
-            .ok()
+            .by_index_raw(index)
+            .map_err(|e| broken(e.to_string()))?;
+        if entry.encrypted() {
+            return Err(broken("it is encrypted".to_owned()));
+        }
+        let packed = entry
+            .data_start()
+            .and_then(|start| usize::try_from(start).ok())
             .zip(usize::try_from(entry.compressed_size()).ok())
             .and_then(|(start, length)| self.bytes.get(start..)?.get(..length))
             .ok_or_else(|| broken("it reaches beyond the end of the file".to_owned()))?;
@@ -262,9 +263,9 @@ impl<'a> Archive<'a> {
 
     /// The error about a member that is not there.
     fn missing(&self, member: &'static str) -> FileError {
-        let names = self.directory.file_names();
-        let mut found: Vec<&str> = names
-            .map(|name| name.strip_suffix(".npy").unwrap_or(name))
+        let names = self.directory.file_names().flatten();
+        let mut found: Vec<String> = names
+            .map(|name| name.strip_suffix(".npy").unwrap_or(&name).to_owned())
             .collect();
         found.sort_unstable();
         let count = found.len();
@@ -320,7 +321,7 @@ mod tests {
     /// An archive of six members, each made by `make(name, rows)`; `None` leaves it out.
     fn archive(make: impl Fn(&str, usize) -> Option<Vec<u8>>) -> Vec<u8> {
         let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
-        let options = FileOptions::default().compression_method(CompressionMethod::Stored);
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
         for (name, rows) in FEATURES {
             if let Some(bytes) = make(name, rows) {
                 writer.start_file(format!("{name}.npy"), options).unwrap();

@@ -6,6 +6,8 @@
 #[cfg(not(feature = "manifest"))]
 mod absent;
 #[cfg(feature = "manifest")]
+mod check;
+#[cfg(feature = "manifest")]
 mod filter;
 #[cfg(feature = "manifest")]
 mod parquet;

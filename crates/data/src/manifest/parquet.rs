@@ -10,6 +10,7 @@ use polars::prelude::{
     PolarsError, SerReader,
 };
 
+use super::check::{check_footer, check_pages};
 use super::filter::Filter;
 use super::row::{Flag, ManifestRow};
 use crate::layout::{MANIFEST, check_id};
@@ -63,14 +64,23 @@ impl Manifest {
     /// [`Error::Store`]; [`Error::Manifest`] for a file that is none, a missing column, an id that
     /// is no plain name or occurs twice, a checksum that is none.
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        let Some(selection) = read_columns(store, Some(&COLUMNS))? else {
+        let Some(bytes) = bytes_of(store)? else {
             return Ok(None);
         };
-        let rows = rows(&selection.frame).map_err(|problem| Error::Manifest {
-            object: store.name_of(MANIFEST),
+        Self::from_bytes(bytes, &store.name_of(MANIFEST)).map(Some)
+    }
+
+    /// Reads a Parquet file; `object` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Manifest`], as [`read`](Self::read).
+    pub fn from_bytes(bytes: Vec<u8>, object: &str) -> Result<Self, Error> {
+        let rows = decode(bytes, Some(&COLUMNS)).and_then(|frame| rows(&frame));
+        let rows = rows.map_err(|problem| Error::Manifest {
+            object: object.to_owned(),
             problem,
         })?;
-        Ok(Some(Self { rows }))
+        Ok(Self { rows })
     }
 
     /// Writes the manifest of `rows` into `store`; equal rows make equal bytes.
@@ -100,7 +110,14 @@ impl Selection {
     /// # Errors
     /// [`Error::Store`]; [`Error::Manifest`] for a file that is none.
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        read_columns(store, None)
+        let Some(bytes) = bytes_of(store)? else {
+            return Ok(None);
+        };
+        let frame = decode(bytes, None).map_err(|problem| Error::Manifest {
+            object: store.name_of(MANIFEST),
+            problem,
+        })?;
+        Ok(Some(Self { frame }))
     }
 
     /// The rows that meet `condition`, as `tempo > 100 and split = train`.
@@ -145,42 +162,43 @@ impl Selection {
     }
 }
 
-/// The manifest of `store`, with the `wanted` columns that it has, or with all of them.
-fn read_columns(store: &Store, wanted: Option<&[&str]>) -> Result<Option<Selection>, Error> {
-    let bytes = match store.read(MANIFEST, super::MAX_BYTES) {
-        Ok(bytes) => bytes,
-        Err(StoreError::Missing { .. }) => return Ok(None),
-        Err(error) => return Err(error.into()),
-    };
+/// The file of the manifest of `store`.
+fn bytes_of(store: &Store) -> Result<Option<Vec<u8>>, Error> {
+    match store.read(MANIFEST, super::MAX_BYTES) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(StoreError::Missing { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with it.
+fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
     // polars panics on some damaged files, and on types of columns that it was built without.
-    let read = guarded(|| {
-        let mut reader = ParquetReader::new(Cursor::new(bytes));
+    let decoded = guarded(|| {
+        check_footer(&bytes)?;
+        let mut reader = ParquetReader::new(Cursor::new(bytes.as_slice()));
+        let metadata = reader.get_metadata().map_err(|e| e.to_string())?;
+        check_pages(metadata, &bytes)?;
         if let Some(wanted) = wanted {
-            let schema = reader.schema()?;
+            let schema = reader.schema().map_err(|e| e.to_string())?;
             let known = schema
                 .iter_names()
                 .filter(|name| wanted.contains(&name.as_str()));
             let known = known.map(|name| name.to_string()).collect();
             reader = reader.with_columns(Some(known));
         }
-        reader.finish()
-    });
-    let frame = match read {
-        Some(Ok(frame)) => frame,
-        broken => {
-            let reason = match broken {
-                Some(Err(error)) => error.to_string(),
-                _ => {
-                    "its parts contradict each other, or a column is of an unknown type".to_owned()
-                }
-            };
-            return Err(Error::Manifest {
-                object: store.name_of(MANIFEST),
-                problem: format!("not a readable Parquet file: {reason}"),
-            });
+        let frame = reader.finish().map_err(|e| e.to_string())?;
+        // polars makes tables of columns without comparing their lengths.
+        let height = frame.height();
+        match frame.columns().iter().find(|c| c.len() != height) {
+            Some(column) => Err(format!("column `{}` is cut off", column.name())),
+            None => Ok(frame),
         }
-    };
-    Ok(Some(Selection { frame }))
+    });
+    let contradictory = "its parts contradict each other, or a column is of an unknown type";
+    decoded
+        .unwrap_or_else(|| Err(contradictory.to_owned()))
+        .map_err(|reason| format!("not a readable Parquet file: {reason}"))
 }
 
 fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
@@ -375,6 +393,22 @@ mod tests {
         assert!(reread(b"PAR1").is_err());
     }
 
+    /// Counts are zigzag numbers, whose lowest bit is the sign: a page of -2 values asked for more
+    /// memory than there is.
+    #[test]
+    fn no_flipped_sign_in_the_first_columns_is_fatal() {
+        let whole = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
+        let mut negative = 0;
+        for place in 0..1500 {
+            let mut bytes = whole.clone();
+            bytes[place] ^= 1;
+            if let Err(error) = Manifest::from_bytes(bytes, "flipped") {
+                negative += usize::from(error.to_string().contains("negative size or count"));
+            }
+        }
+        assert!(negative > 0);
+    }
+
     #[test]
     fn a_selection_keeps_columns_that_others_added() {
         let mut frame = table(&[row("a"), row("b")]).unwrap();
@@ -395,9 +429,9 @@ mod tests {
             let mut bytes = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
             let length = bytes.len();
             bytes[place % length] = byte;
-            let _ = reread(&bytes);
+            let _ = Manifest::from_bytes(bytes.clone(), "damaged");
             bytes.truncate((length as f64 * keep) as usize);
-            let _ = reread(&bytes);
+            let _ = Manifest::from_bytes(bytes, "damaged");
         }
     }
 }

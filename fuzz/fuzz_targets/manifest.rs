@@ -1,0 +1,19 @@
+//! Manifests in Parquet: `kinegrad_data::Manifest::from_bytes`.
+
+#![no_main]
+
+use kinegrad_data::manifest::Manifest;
+use kinegrad_fuzz::{MIB, bounded};
+use libfuzzer_sys::fuzz_target;
+
+// A file may unpack to 1 MiB and 256 times its length, and has 8 values a byte, of which each takes
+// 16 bytes and two copies of up to 24. Parsing the footer takes some hundred times its length.
+fuzz_target!(|bytes: &[u8]| {
+    let limit = 4 * MIB + 2048 * bytes.len();
+    let read = bounded(limit, || {
+        Manifest::from_bytes(bytes.to_vec(), "fuzzed.parquet")
+    });
+    if let Ok(manifest) = read {
+        assert!(manifest.rows().len() <= 8 * bytes.len());
+    }
+});
