@@ -75,9 +75,9 @@ fn check_depth(schema: &[SchemaElement]) -> Result<(), String> {
 pub(super) fn check_pages(metadata: &FileMetadata, bytes: &[u8]) -> Result<(), String> {
     let mut values_left = bytes.len() * MAX_VALUES_PER_BYTE;
     let mut unpacked_left = SPARE_BYTES + bytes.len() * MAX_UNPACKING;
-    let mut rows = 0;
+    let mut rows = 0_usize;
     for group in &metadata.row_groups {
-        rows += group.num_rows();
+        rows = group.num_rows().saturating_add(rows);
         for column in group.parquet_columns() {
             let descriptor = column.descriptor();
             let name = descriptor.path_in_schema.join(".");
