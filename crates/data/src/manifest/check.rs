@@ -12,8 +12,8 @@ use polars_parquet_format::{FileMetaData, PageHeader, PageType, SchemaElement};
 /// The longest footer: it grows with columns and groups of rows, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
 
-/// Memory that a parsed footer or page header may take for each of its bytes. A list's element counts for 8 bytes
-/// and takes 1 in the file, at least.
+/// Memory that a parsed footer or page header may take for each of its bytes. An element of a list
+/// counts for 8 bytes, and takes 1 in the file at least.
 const THRIFT_BUDGET: usize = 8;
 
 /// The deepest nesting of columns.
