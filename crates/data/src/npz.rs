@@ -101,7 +101,7 @@ pub(crate) fn parse_arrays(
     Ok(arrays)
 }
 
-/// Writes `features` as compressed float32 members that NumPy can read, whole or not at all.
+/// Writes `features` as float32 members that NumPy can read, whole or not at all.
 ///
 /// # Errors
 /// [`Error::Io`].

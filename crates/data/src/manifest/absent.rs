@@ -11,9 +11,9 @@ pub struct Manifest(());
 #[derive(Clone, Debug)]
 pub struct Selection(());
 
-fn lacking(store: &Store) -> Error {
+fn lacking(what: String) -> Error {
     Error::Feature {
-        what: store.name_of(MANIFEST),
+        what,
         feature: "manifest",
     }
 }
@@ -24,7 +24,7 @@ impl Manifest {
     /// # Errors
     /// Always [`Error::Feature`].
     pub fn write(store: &Store, _rows: Vec<ManifestRow>) -> Result<(), Error> {
-        Err(lacking(store))
+        Err(lacking(store.name_of(MANIFEST)))
     }
 
     /// Reads the manifest of `store`.
@@ -32,7 +32,15 @@ impl Manifest {
     /// # Errors
     /// Always [`Error::Feature`].
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        Err(lacking(store))
+        Err(lacking(store.name_of(MANIFEST)))
+    }
+
+    /// Reads a Parquet file; `object` names it in errors.
+    ///
+    /// # Errors
+    /// Always [`Error::Feature`].
+    pub fn from_bytes(_bytes: Vec<u8>, object: &str) -> Result<Self, Error> {
+        Err(lacking(object.to_owned()))
     }
 
     /// Its rows.
@@ -47,7 +55,7 @@ impl Selection {
     /// # Errors
     /// Always [`Error::Feature`].
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        Err(lacking(store))
+        Err(lacking(store.name_of(MANIFEST)))
     }
 
     /// The rows that meet `condition`.

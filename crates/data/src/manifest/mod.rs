@@ -6,9 +6,11 @@
 #[cfg(not(feature = "manifest"))]
 mod absent;
 #[cfg(feature = "manifest")]
-mod check;
-#[cfg(feature = "manifest")]
 mod filter;
+#[cfg(feature = "manifest")]
+mod footer;
+#[cfg(feature = "manifest")]
+mod pages;
 #[cfg(feature = "manifest")]
 mod parquet;
 mod row;

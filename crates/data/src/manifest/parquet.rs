@@ -10,8 +10,8 @@ use polars::prelude::{
     PolarsError, SerReader,
 };
 
-use super::check::{check_footer, check_pages};
 use super::filter::Filter;
+use super::footer;
 use super::row::{Flag, ManifestRow};
 use crate::layout::{MANIFEST, check_id};
 use crate::{Digest, Error, Side, Store, StoreError};
@@ -48,7 +48,7 @@ pub struct Selection {
 
 impl Manifest {
     /// A manifest of `rows`, sorted by id.
-    fn new(mut rows: Vec<ManifestRow>) -> Self {
+    pub(super) fn new(mut rows: Vec<ManifestRow>) -> Self {
         rows.sort_unstable_by(|a, b| a.id.cmp(&b.id));
         Self { rows }
     }
@@ -97,7 +97,7 @@ impl Manifest {
         Ok(store.write(MANIFEST, bytes)?)
     }
 
-    fn to_bytes(&self) -> Result<Vec<u8>, PolarsError> {
+    pub(super) fn to_bytes(&self) -> Result<Vec<u8>, PolarsError> {
         let mut bytes = Vec::new();
         ParquetWriter::new(&mut bytes).finish(&mut table(&self.rows)?)?;
         Ok(bytes)
@@ -172,33 +172,37 @@ fn bytes_of(store: &Store) -> Result<Option<Vec<u8>>, Error> {
 }
 
 /// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with it.
-fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
-    // polars panics on some damaged files, and on types of columns that it was built without.
+pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
+    let most_text = footer::most_unpacked(bytes.len());
+    // polars panics on some damaged pages.
     let decoded = guarded(|| {
-        check_footer(&bytes)?;
-        let mut reader = ParquetReader::new(Cursor::new(bytes.as_slice()));
-        let metadata = reader.get_metadata().map_err(|e| e.to_string())?;
-        check_pages(metadata, &bytes)?;
-        if let Some(wanted) = wanted {
-            let schema = reader.schema().map_err(|e| e.to_string())?;
-            let known = schema
-                .iter_names()
-                .filter(|name| wanted.contains(&name.as_str()));
-            let known = known.map(|name| name.to_string()).collect();
-            reader = reader.with_columns(Some(known));
-        }
+        let file = footer::rewritten(bytes, wanted)?;
+        let reader = ParquetReader::new(Cursor::new(file));
         let frame = reader.finish().map_err(|e| e.to_string())?;
         // polars makes tables of columns without comparing their lengths.
         let height = frame.height();
-        match frame.columns().iter().find(|c| c.len() != height) {
-            Some(column) => Err(format!("column `{}` is cut off", column.name())),
-            None => Ok(frame),
+        if let Some(column) = frame.columns().iter().find(|c| c.len() != height) {
+            return Err(format!("column `{}` is cut off", column.name()));
         }
+        // Cells share the text of a dictionary, until they are copied into rows.
+        let text: usize = frame.columns().iter().map(text_bytes).sum();
+        if text > most_text {
+            return Err(format!("{text} bytes of text, {most_text} allowed"));
+        }
+        Ok(frame)
     });
-    let contradictory = "its parts contradict each other, or a column is of an unknown type";
     decoded
-        .unwrap_or_else(|| Err(contradictory.to_owned()))
+        .unwrap_or_else(|| Err("its parts contradict each other".to_owned()))
         .map_err(|reason| format!("not a readable Parquet file: {reason}"))
+}
+
+/// The bytes of all cells of a column of text.
+fn text_bytes(column: &Column) -> usize {
+    match (column.str(), column.binary()) {
+        (Ok(texts), _) => texts.iter().flatten().map(str::len).sum(),
+        (_, Ok(bytes)) => bytes.iter().flatten().map(<[u8]>::len).sum(),
+        _ => 0,
+    }
 }
 
 fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
@@ -320,12 +324,12 @@ fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::StoreConfig;
     use proptest::prelude::*;
 
-    pub(crate) fn row(id: &str) -> ManifestRow {
+    pub(in crate::manifest) fn row(id: &str) -> ManifestRow {
         ManifestRow {
             id: id.to_owned(),
             motion_source: "dance.bvh".to_owned(),
@@ -398,15 +402,26 @@ mod tests {
     #[test]
     fn no_flipped_sign_in_the_first_columns_is_fatal() {
         let whole = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
-        let mut negative = 0;
-        for place in 0..1500 {
+        let mut refused = 0;
+        for place in 0..whole.len() / 4 {
             let mut bytes = whole.clone();
             bytes[place] ^= 1;
             if let Err(error) = Manifest::from_bytes(bytes, "flipped") {
-                negative += usize::from(error.to_string().contains("negative size or count"));
+                refused += usize::from(error.to_string().contains("negative size or count"));
             }
         }
-        assert!(negative > 0);
+        assert!(refused > 0);
+    }
+
+    /// 2000 cells share the one text of a dictionary.
+    #[test]
+    fn shared_texts_are_bounded() {
+        let mut frame = df!("id" => vec!["long".repeat(5000); 2000]).unwrap();
+        let mut bytes = Vec::new();
+        ParquetWriter::new(&mut bytes).finish(&mut frame).unwrap();
+        assert!(bytes.len() < 30_000);
+        let message = Manifest::from_bytes(bytes, "long").unwrap_err().to_string();
+        assert!(message.contains("40000000 bytes of text"), "{message}");
     }
 
     #[test]

@@ -1,0 +1,363 @@
+//! The footer that polars is given, in place of the file's own.
+//!
+//! polars (0.55) takes what a Parquet file says of itself at its word: a page of -2 values, a list
+//! of 2^31 columns or an Arrow schema of 2000 nested lists ends the process, as a failed allocation
+//! and a full stack do not unwind. So the footer is parsed here within a budget and written anew
+//! with the flat columns of text and numbers alone, whose pages have been checked (Parquet format,
+//! "Metadata").
+
+use std::collections::HashSet;
+
+use polars_parquet_format::thrift::protocol::{TCompactInputProtocol, TCompactOutputProtocol};
+use polars_parquet_format::{
+    ColumnChunk, ColumnMetaData, ConvertedType, FieldRepetitionType, FileMetaData, IntType,
+    LogicalType, RowGroup, SchemaElement, Type,
+};
+
+use super::pages::Pages;
+
+/// The longest footer: it grows with columns and groups of rows, not with rows.
+const MAX_FOOTER_BYTES: usize = 4 << 20;
+
+/// Memory that a parsed footer may take for each of its bytes. An element of a list counts for 8
+/// bytes, and takes 1 in the file at least.
+const FOOTER_BUDGET: usize = 8;
+
+/// The most values for each byte of the file. Nearly every row has a checksum of its own, whose 32
+/// bytes no compression shortens; so this allows for some 256 columns.
+const MAX_VALUES_PER_BYTE: usize = 8;
+
+/// The most unpacked bytes for each byte of the file, beside [`SPARE_BYTES`]: rows of 8 KiB.
+const MAX_UNPACKING: usize = 256;
+
+/// Unpacked bytes that every file may have.
+const SPARE_BYTES: usize = 1 << 20;
+
+/// How many bytes a file of `length` bytes may unpack to.
+pub(super) fn most_unpacked(length: usize) -> usize {
+    length.saturating_mul(MAX_UNPACKING) + SPARE_BYTES
+}
+
+/// The file with a footer that lists the `wanted` columns, or all of them; nested ones, dates and
+/// times are left out.
+///
+/// # Errors
+/// What is wrong with the footer or a page.
+pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Vec<u8>, String> {
+    let [.., a, b, c, d, b'P', b'A', b'R', b'1'] = *file.as_slice() else {
+        return Err("it does not end with PAR1".to_owned());
+    };
+    let length = u32::from_le_bytes([a, b, c, d]) as usize;
+    let end = file.len() - 8;
+    if length > end.min(MAX_FOOTER_BYTES) {
+        return Err(format!(
+            "a footer of {length} bytes found, {MAX_FOOTER_BYTES} and no more than the file allowed"
+        ));
+    }
+    let start = end - length;
+    let mut protocol = TCompactInputProtocol::new(&file[start..end], FOOTER_BUDGET * length);
+    let footer = FileMetaData::read_from_in_protocol(&mut protocol)
+        .map_err(|error| format!("its footer: {error}"))?;
+    let footer = checked(footer, &file[..start], file.len(), wanted)?;
+    file.truncate(start);
+    let mut protocol = TCompactOutputProtocol::new(&mut file);
+    footer
+        .write_to_out_protocol(&mut protocol)
+        .map_err(|error| format!("its footer: {error}"))?;
+    let length = u32::try_from(file.len() - start).map_err(|_| "its footer is too long")?;
+    file.extend_from_slice(&length.to_le_bytes());
+    file.extend_from_slice(b"PAR1");
+    Ok(file)
+}
+
+/// The footer of the columns that are read, where their pages in `body` agree with it.
+fn checked(
+    footer: FileMetaData,
+    body: &[u8],
+    file_length: usize,
+    wanted: Option<&[&str]>,
+) -> Result<FileMetaData, String> {
+    let leaves = leaves(&footer.schema, wanted)?;
+    let mut schema: Vec<_> = footer.schema.into_iter().take(1).collect();
+    schema.extend(leaves.iter().flatten().cloned());
+    let root = schema.first_mut().ok_or("it has no schema")?;
+    root.num_children = Some(leaves.iter().flatten().count() as i32);
+    let mut rows = 0_usize;
+    let mut values_left = file_length.saturating_mul(MAX_VALUES_PER_BYTE);
+    let mut unpacked_left = most_unpacked(file_length);
+    let mut row_groups = Vec::new();
+    for group in footer.row_groups {
+        if group.columns.len() != leaves.len() {
+            return Err("a group of rows lacks columns".to_owned());
+        }
+        let group_rows = usize::try_from(group.num_rows).map_err(|_| "a negative count of rows")?;
+        rows = rows.saturating_add(group_rows);
+        let mut columns = Vec::new();
+        for (column, leaf) in group.columns.into_iter().zip(&leaves) {
+            let Some(leaf) = leaf else {
+                continue;
+            };
+            let name = &leaf.name;
+            let refused = |problem: &str| format!("column `{name}`: {problem}");
+            values_left = values_left
+                .checked_sub(group_rows)
+                .ok_or_else(|| refused("more values than such a file can hold"))?;
+            let column = chunk(column, leaf, group.num_rows).map_err(refused)?;
+            let pages = range(&column)
+                .and_then(|range| body.get(range))
+                .ok_or_else(|| refused("it lies outside the file"))?;
+            unpacked_left -= Pages::new(pages)
+                .unpacked_bytes(group_rows, unpacked_left)
+                .map_err(|problem| refused(&problem))?;
+            columns.push(ColumnChunk::new(
+                None, 0, column, None, None, None, None, None, None,
+            ));
+        }
+        let total = group.total_byte_size;
+        row_groups.push(RowGroup::new(
+            columns,
+            total,
+            group.num_rows,
+            None,
+            None,
+            None,
+            None,
+        ));
+    }
+    if i64::try_from(rows) != Ok(footer.num_rows) {
+        return Err("its groups of rows do not add up".to_owned());
+    }
+    if rows > file_length.saturating_mul(MAX_VALUES_PER_BYTE) {
+        return Err("more rows than such a file can hold".to_owned());
+    }
+    let (version, rows) = (footer.version, footer.num_rows);
+    Ok(FileMetaData::new(
+        version, schema, rows, row_groups, None, None, None, None, None,
+    ))
+}
+
+/// The leaves of a schema, in order: those that are read, and `None` for each of the others.
+fn leaves(
+    schema: &[SchemaElement],
+    wanted: Option<&[&str]>,
+) -> Result<Vec<Option<SchemaElement>>, String> {
+    let mut leaves = Vec::new();
+    let mut names = HashSet::new();
+    // Elements that are still to come of the nested column under way: columns stand depth first.
+    let mut nested = 0_usize;
+    for element in schema.iter().skip(1) {
+        let flat = nested == 0;
+        nested = nested.saturating_sub(1);
+        if let Some(children) = element.num_children {
+            nested = nested.saturating_add(usize::try_from(children).unwrap_or_default());
+        }
+        if element.type_.is_none() {
+            continue;
+        }
+        let is_wanted = wanted.is_none_or(|wanted| wanted.contains(&element.name.as_str()));
+        let leaf = (flat && is_wanted).then(|| readable(element)).flatten();
+        if let Some(leaf) = &leaf
+            && !names.insert(leaf.name.clone())
+        {
+            return Err(format!("column `{}` occurs twice", leaf.name));
+        }
+        leaves.push(leaf);
+    }
+    Ok(leaves)
+}
+
+/// A column of text, numbers or truth values as this build of polars reads it.
+fn readable(element: &SchemaElement) -> Option<SchemaElement> {
+    let mut leaf = element.clone();
+    if !matches!(
+        element.repetition_type,
+        Some(FieldRepetitionType::REQUIRED | FieldRepetitionType::OPTIONAL)
+    ) || element.num_children.is_some_and(|children| children != 0)
+    {
+        return None;
+    }
+    let plain = element.logical_type.is_none() && element.converted_type.is_none();
+    let is_read = match element.type_? {
+        Type::BOOLEAN | Type::FLOAT | Type::DOUBLE => plain,
+        Type::INT32 | Type::INT64 => match (&element.logical_type, element.converted_type) {
+            (None, None) => true,
+            (Some(LogicalType::INTEGER(IntType { bit_width, .. })), _) => {
+                if *bit_width < 32 {
+                    leaf.logical_type = None;
+                    leaf.converted_type = None;
+                }
+                true
+            }
+            (None, Some(kind)) => [
+                ConvertedType::INT_32,
+                ConvertedType::INT_64,
+                ConvertedType::UINT_32,
+                ConvertedType::UINT_64,
+            ]
+            .contains(&kind),
+            _ => false,
+        },
+        Type::BYTE_ARRAY => match (&element.logical_type, element.converted_type) {
+            (None, None) => true,
+            (Some(kind), _) => matches!(
+                kind,
+                LogicalType::STRING(_) | LogicalType::ENUM(_) | LogicalType::JSON(_)
+            ),
+            (None, Some(kind)) => [
+                ConvertedType::UTF8,
+                ConvertedType::ENUM,
+                ConvertedType::JSON,
+            ]
+            .contains(&kind),
+        },
+        _ => false,
+    };
+    is_read.then_some(leaf)
+}
+
+/// Where a column lies, and how it is packed, without statistics and indexes.
+fn chunk(
+    column: ColumnChunk,
+    leaf: &SchemaElement,
+    rows: i64,
+) -> Result<ColumnMetaData, &'static str> {
+    if column.file_path.is_some() {
+        return Err("it lies in another file");
+    }
+    let column = column
+        .meta_data
+        .filter(|_| column.crypto_metadata.is_none())
+        .ok_or("it is encrypted")?;
+    if Some(column.type_) != leaf.type_ {
+        return Err("another type in the schema");
+    }
+    Ok(ColumnMetaData::new(
+        column.type_,
+        column.encodings,
+        vec![leaf.name.clone()],
+        column.codec,
+        rows,
+        column.total_uncompressed_size,
+        column.total_compressed_size,
+        None,
+        column.data_page_offset,
+        None,
+        // Some writers say 0 where there is no dictionary.
+        column.dictionary_page_offset.filter(|offset| *offset > 0),
+        None,
+        None,
+        None,
+        None,
+        None,
+    ))
+}
+
+/// The bytes of a column's pages, as polars takes them.
+fn range(column: &ColumnMetaData) -> Option<std::ops::Range<usize>> {
+    let start = column.dictionary_page_offset;
+    let start = usize::try_from(start.unwrap_or(column.data_page_offset)).ok()?;
+    let length = usize::try_from(column.total_compressed_size).ok()?;
+    Some(start..start.checked_add(length)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::parquet::tests::row;
+    use crate::manifest::parquet::{Manifest, decode};
+    use polars_parquet_format::{KeyValue, TimeUnit, TimestampType};
+
+    /// A manifest of two phrases with a `change`d footer.
+    fn changed(change: impl FnOnce(&mut FileMetaData)) -> Vec<u8> {
+        let mut file = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
+        let end = file.len() - 8;
+        let length = u32::from_le_bytes(file[end..end + 4].try_into().unwrap()) as usize;
+        let start = end - length;
+        let mut protocol = TCompactInputProtocol::new(&file[start..end], FOOTER_BUDGET * length);
+        let mut footer = FileMetaData::read_from_in_protocol(&mut protocol).unwrap();
+        change(&mut footer);
+        file.truncate(start);
+        footer
+            .write_to_out_protocol(&mut TCompactOutputProtocol::new(&mut file))
+            .unwrap();
+        let length = (file.len() - start) as u32;
+        file.extend(length.to_le_bytes());
+        file.extend(b"PAR1");
+        file
+    }
+
+    #[test]
+    fn columns_that_polars_cannot_read_are_left_out() {
+        let file = changed(|footer| {
+            let frames = footer.schema.iter_mut().find(|c| c.name == "frames");
+            let unit = TimeUnit::MILLIS(Default::default());
+            frames.unwrap().logical_type =
+                Some(LogicalType::TIMESTAMP(TimestampType::new(true, unit)));
+            let fps = footer.schema.iter_mut().find(|c| c.name == "fps");
+            fps.unwrap().repetition_type = Some(FieldRepetitionType::REPEATED);
+            let schema = KeyValue::new("ARROW:schema".to_owned(), "no schema".to_owned());
+            footer.key_value_metadata = Some(vec![schema]);
+        });
+        let frame = decode(file, None).unwrap();
+        assert_eq!((frame.height(), frame.width()), (2, 12));
+        assert!(frame.column("id").is_ok() && frame.column("frames").is_err());
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        type Change = fn(&mut FileMetaData);
+        let cases: [(Change, &str); 8] = [
+            (|footer| footer.num_rows = 1 << 29, "do not add up"),
+            (
+                |footer| {
+                    footer.num_rows = 1 << 40;
+                    footer.row_groups[0].num_rows = 1 << 40;
+                },
+                "more values than such a file can hold",
+            ),
+            (
+                |footer| {
+                    footer.num_rows = 3;
+                    footer.row_groups[0].num_rows = 3;
+                },
+                "a page without a readable header",
+            ),
+            (
+                |footer| footer.row_groups[0].num_rows = -1,
+                "negative count",
+            ),
+            (
+                |footer| drop(footer.row_groups[0].columns.pop()),
+                "lacks columns",
+            ),
+            (
+                |footer| footer.schema[2].name = "id".to_owned(),
+                "`id` occurs twice",
+            ),
+            (
+                |footer| {
+                    let column = footer.row_groups[0].columns[0].meta_data.as_mut();
+                    column.unwrap().total_compressed_size = i64::MAX;
+                },
+                "`id`: it lies outside the file",
+            ),
+            (
+                |footer| footer.schema[6].type_ = Some(Type::FLOAT),
+                "`fps`: another type in the schema",
+            ),
+        ];
+        for (change, expected) in cases {
+            let message = decode(changed(change), None).expect_err(expected);
+            assert!(message.contains(expected), "{message} lacks {expected}");
+        }
+        // Without columns nothing bounds the rows but the file's length.
+        let empty = changed(|footer| {
+            footer.schema.truncate(1);
+            footer.num_rows = 1 << 29;
+            footer.row_groups[0].num_rows = 1 << 29;
+            footer.row_groups[0].columns.clear();
+        });
+        let message = decode(empty, None).unwrap_err();
+        assert!(message.contains("more rows"), "{message}");
+    }
+}
