@@ -6,9 +6,9 @@ use kinegrad_data::manifest::Manifest;
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
-// A file may unpack to 1 MiB and 256 times its length, and has 8 values a byte, of which each takes
-// 16 bytes and two copies of up to 24. Parsing the footer takes some hundred times its length,
-// and the first call makes threads.
+// A file may unpack to 1 MiB and 256 times its length, has as much text in its cells at most, and 8
+// values a byte, of which each takes 16 bytes and two copies of up to 24. Parsing the footer takes
+// some hundred times its length, and the first call makes threads.
 fuzz_target!(|bytes: &[u8]| {
     let limit = 16 * MIB + 2048 * bytes.len();
     let read = bounded(limit, || {
