@@ -14,6 +14,8 @@ mod pages;
 #[cfg(feature = "manifest")]
 mod parquet;
 mod row;
+#[cfg(feature = "manifest")]
+mod table;
 
 #[cfg(not(feature = "manifest"))]
 pub use absent::{Manifest, Selection};

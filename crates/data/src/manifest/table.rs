@@ -1,0 +1,129 @@
+//! Rows of a manifest as a table, and a table as rows.
+
+use std::collections::HashSet;
+
+use polars::df;
+use polars::prelude::{Column, DataFrame, DataType, PolarsError};
+
+use super::row::{Flag, ManifestRow};
+use crate::layout::check_id;
+use crate::{Digest, Side};
+
+/// The columns of `rows`.
+pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
+    let texts = |value: &dyn Fn(&ManifestRow) -> String| rows.iter().map(value).collect::<Vec<_>>();
+    let some_texts =
+        |value: &dyn Fn(&ManifestRow) -> Option<String>| rows.iter().map(value).collect::<Vec<_>>();
+    let integers = |value: &dyn Fn(&ManifestRow) -> i64| rows.iter().map(value).collect::<Vec<_>>();
+    let numbers =
+        |value: &dyn Fn(&ManifestRow) -> Option<f64>| rows.iter().map(value).collect::<Vec<_>>();
+    df!(
+        "id" => texts(&|row| row.id.clone()),
+        "motion_source" => texts(&|row| row.motion_source.clone()),
+        "audio_source" => some_texts(&|row| row.audio_source.clone()),
+        "first_frame" => integers(&|row| row.first_frame),
+        "frames" => integers(&|row| row.frames),
+        "fps" => numbers(&|row| Some(row.fps)),
+        "beats" => numbers(&|row| row.beats),
+        "tempo" => numbers(&|row| row.tempo),
+        "split" => some_texts(&|row| row.split.map(|side| side.as_str().to_owned())),
+        "motion_bytes" => integers(&|row| row.motion_bytes),
+        "motion_sha256" => texts(&|row| row.motion_sha256.to_string()),
+        "audio_bytes" => integers(&|row| row.audio_bytes),
+        "audio_sha256" => texts(&|row| row.audio_sha256.to_string()),
+        "flags" => texts(&|row| {
+            row.flags.iter().map(|flag| flag.as_str()).collect::<Vec<_>>().join(",")
+        }),
+    )
+}
+
+/// The rows of a table; in an error, what is wrong with it. Only ids and checksums must be there:
+/// a manifest written by hand need not know the rest.
+pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
+    let required = |name: &str| {
+        frame
+            .column(name)
+            .map_err(|_| format!("column `{name}` is missing"))
+    };
+    let height = frame.height();
+    let ids = texts(required("id")?)?;
+    let motion_sha256 = texts(required("motion_sha256")?)?;
+    let audio_sha256 = texts(required("audio_sha256")?)?;
+    let optional_texts = |name: &str| match frame.column(name) {
+        Ok(column) => texts(column),
+        Err(_) => Ok(vec![None; height]),
+    };
+    let optional_numbers = |name: &str| match frame.column(name) {
+        Ok(column) => numbers(column),
+        Err(_) => Ok(vec![None; height]),
+    };
+    let motion_source = optional_texts("motion_source")?;
+    let audio_source = optional_texts("audio_source")?;
+    let split = optional_texts("split")?;
+    let flags = optional_texts("flags")?;
+    let first_frame = optional_numbers("first_frame")?;
+    let frames = optional_numbers("frames")?;
+    let fps = optional_numbers("fps")?;
+    let beats = optional_numbers("beats")?;
+    let tempo = optional_numbers("tempo")?;
+    let motion_bytes = optional_numbers("motion_bytes")?;
+    let audio_bytes = optional_numbers("audio_bytes")?;
+    let whole = |number: Option<f64>| number.unwrap_or_default() as i64;
+    let mut seen = HashSet::new();
+    (0..height)
+        .map(|row| {
+            let id = ids[row].clone().ok_or(format!("row {row}: no id"))?;
+            check_id(&id).map_err(|error| format!("row {row}: {error}"))?;
+            if !seen.insert(id.clone()) {
+                return Err(format!("row {row}: id `{id}` occurs twice"));
+            }
+            let digest = |column: &str, text: &Option<String>| {
+                let text = text.as_deref().unwrap_or_default();
+                Digest::parse(text).ok_or_else(|| {
+                    format!("phrase `{id}`: {column} `{text}` found, 64 hexadecimal digits allowed")
+                })
+            };
+            let split = match split[row].as_deref() {
+                None | Some("") => None,
+                Some("train") => Some(Side::Train),
+                Some("validation") => Some(Side::Validation),
+                Some(other) => {
+                    return Err(format!(
+                        "phrase `{id}`: split `{other}` found; train, validation or nothing allowed"
+                    ));
+                }
+            };
+            let flags = flags[row].as_deref().unwrap_or_default().split(',');
+            let flags = flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.as_str() == text));
+            Ok(ManifestRow {
+                motion_source: motion_source[row].clone().unwrap_or_default(),
+                audio_source: audio_source[row].clone(),
+                first_frame: whole(first_frame[row]),
+                frames: whole(frames[row]),
+                fps: fps[row].unwrap_or(kinegrad_motion::FPS),
+                beats: beats[row],
+                tempo: tempo[row],
+                split,
+                motion_bytes: whole(motion_bytes[row]),
+                motion_sha256: digest("motion_sha256", &motion_sha256[row])?,
+                audio_bytes: whole(audio_bytes[row]),
+                audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
+                flags: flags.collect(),
+                id,
+            })
+        })
+        .collect()
+}
+
+fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
+    let broken = |error: PolarsError| format!("column `{}`: {error}", column.name());
+    let texts = column.cast(&DataType::String).map_err(broken)?;
+    let texts = texts.str().map_err(broken)?;
+    Ok(texts.iter().map(|text| text.map(str::to_owned)).collect())
+}
+
+fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
+    let broken = |error: PolarsError| format!("column `{}`: {error}", column.name());
+    let numbers = column.cast(&DataType::Float64).map_err(broken)?;
+    Ok(numbers.f64().map_err(broken)?.iter().collect())
+}
