@@ -1,4 +1,4 @@
-"""Compares features.npz files with librosa 0.11 under the document's definitions.
+"""Compares features.npz files with librosa 0.11 under CC-MotionGen's definitions.
 
 compare.py KINEGRAD SONG...  Runs `KINEGRAD audio features` and librosa in turn, librosa once
 beforehand on noise so that its compilation is not counted. Our time is that of the whole process,
@@ -23,7 +23,7 @@ def min_max(x):
 
 
 def reference(y):
-    """The seven features, tempo and beat times, each computed on its own as the document does."""
+    """The seven features, tempo and beat times, each computed on its own as CC-MotionGen does."""
     frames = dict(sr=SR, hop_length=HOP)
     mel = librosa.feature.melspectrogram(y=y, n_mels=128, fmin=20, fmax=8000, n_fft=N_FFT, **frames)
     chroma = librosa.feature.chroma_cqt(y=y, **frames)

@@ -122,11 +122,11 @@ def table(results: list[Result], rows: list[Row]) -> str:
 
 
 def document_table(results: list[Result]) -> str | None:
-    """Sampling times beside those that the document claims, if they were measured."""
+    """Sampling times beside those that CC-MotionGen claims, if they were measured."""
     measured = [r for r in results if r.document_seconds is not None]
     if not measured:
         return None
-    lines = [["row", "kinegrad s", "PyTorch s", "document, CPU s"], ["---", *["---:"] * 3]]
+    lines = [["row", "kinegrad s", "PyTorch s", "CC-MotionGen, CPU s"], ["---", *["---:"] * 3]]
     for r in measured:
         ours, theirs = r.seconds
         lines.append([f"`{r.row}`", f"{ours:.2f}", f"{theirs:.2f}", f"{r.document_seconds:.1f}"])

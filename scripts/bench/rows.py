@@ -35,7 +35,7 @@ class Row:
     memory_against: str | None = None
     """The row whose PyTorch memory this one's is compared with, if not its own."""
     document_seconds: float | None = None
-    """What the document says a step takes on a CPU."""
+    """What CC-MotionGen says a step takes on a CPU."""
 
     @property
     def trains(self) -> bool:
@@ -106,7 +106,7 @@ def train_gmd() -> dict[str, Any]:
 
 
 def end_to_end(mode: str) -> dict[str, Any]:
-    """A training step through 5 sampling steps, at the document's learning rates."""
+    """A training step through 5 sampling steps, at CC-MotionGen's learning rates."""
     return {
         "kind": "end_to_end",
         "optim": {"weight_decay": 1e-4, "groups": {"unet": 1e-6, "decoder": 5e-5}},

@@ -2,8 +2,9 @@
 
     torch_loader.py FOLDER WORKERS CACHED WARM_UP_EPOCHS
 
-Loads as the CC-MotionGen documentation, section 6.1, does, with the normalisation of motion that
-kinegrad does. Answers are those of kinegrad's side, `crates/data/examples/loader_speed.rs`.
+Loads as CC-MotionGen, section 6.1, does (docs/sources.md, section 1.1), with the normalisation of
+motion that kinegrad does. Answers are those of kinegrad's side,
+`crates/data/examples/loader_speed.rs`.
 """
 
 import json

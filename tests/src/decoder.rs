@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder};
 
-/// A document's decoder with random weights.
+/// CC-MotionGen's decoder with random weights.
 ///
 /// # Panics
 /// Panics if no decoder has these sizes.

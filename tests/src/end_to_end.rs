@@ -83,7 +83,7 @@ impl Case {
         }
     }
 
-    /// The recipe with the document's settings.
+    /// The recipe with CC-MotionGen's settings.
     pub fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
         let statistics = Arc::new(TrainingStatistics::unit());
         let last = self.diffusion.config.num_train_timesteps - 1;

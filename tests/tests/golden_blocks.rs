@@ -123,7 +123,7 @@ fn golden_attention_block() {
     let Some(golden) = open() else { return };
     let device = Device::flex().autodiff();
     for case in cases(&golden, "attn_") {
-        // Two cases have no weights of their own; the README names the one they share.
+        // Two cases have no weights of their own; they share those of `attn_cross_len`.
         let own = !golden.names_under(&format!("model.{case}.")).is_empty();
         let owner = if own { case.as_str() } else { "attn_cross_len" };
         // The case without context has no input of its own either.

@@ -7,11 +7,11 @@ use kinegrad_diffusion::{
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 
-/// Golden README, file 02: everything but the predicted motion, which the division by sqrt(abar)
-/// amplifies.
+/// docs/sources.md, section 1.3: everything but the predicted motion, which the division by
+/// sqrt(abar) amplifies.
 const TOLERANCE: f64 = 2e-6;
 const TOLERANCE_PRED_ORIGINAL_SAMPLE: f64 = 1e-4;
-/// Golden README, file 08: single steps.
+/// docs/sources.md, section 1.9: single steps.
 const TOLERANCE_DDIM_STEP: f64 = 3e-5;
 
 fn process(schedule: &str, prediction: &str, total: usize) -> GaussianDiffusion {

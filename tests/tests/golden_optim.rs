@@ -53,7 +53,7 @@ fn golden_adamw_with_clipping() {
         return;
     };
     let parameters = golden.names_under("in.param.");
-    // The settings of the cases, as the golden README gives them.
+    // The settings of the cases (docs/sources.md, section 1.10).
     for (case, learning_rate, weight_decay, max_norm) in [
         ("spec", 1e-4, 1e-4, 1.0),
         ("strong", 1e-2, 0.1, 1.0),

@@ -1,5 +1,5 @@
-//! Post-processor and document checks against golden file 10 (CC-MotionGen documentation,
-//! sections 9.1, 9.2 and 10.1).
+//! Post-processor and document checks against golden file 10 (docs/sources.md, sections 1.12 and
+//! 1.13).
 
 use kinegrad_motion::{Hemisphere, Motion, PostProcessConfig, Profile, Value, check, process};
 use kinegrad_tests::golden::Golden;

@@ -5,7 +5,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_tests::golden::Golden;
 
-/// Relative, for tables computed in f64 (golden README, file 01).
+/// Relative, for tables computed in f64 (docs/sources.md, section 1.2).
 const TOLERANCE: f64 = 1e-12;
 
 /// The number after a one-letter prefix: `T1000` is 1000.

@@ -33,7 +33,7 @@ fn golden_temporal_losses() {
             .iter()
             .map(|(n, _)| *n)
             .collect();
-        assert_eq!(names.len(), 5, "the document's terms");
+        assert_eq!(names.len(), 5, "CC-MotionGen's terms");
         for name in names {
             let motion = motion();
             let (_, term) = terms(&motion, &document)
@@ -71,7 +71,7 @@ fn golden_temporal_losses() {
             .assert_close(case, &[value(&phase.expect("a phase term").1)], 2e-6);
     }
 
-    // Equal accelerations in a row, where the document's form has NaN.
+    // Equal accelerations in a row, where CC-MotionGen's form has NaN.
     let motion = golden
         .tensor::<3>("in.const_accel.motion", &device)
         .require_grad();
@@ -89,7 +89,7 @@ fn golden_temporal_losses() {
         .assert_close_tensor("d const_accel", gradient, 2e-6);
 }
 
-/// Every term, those that are not the document's included.
+/// Every term, those that are not CC-MotionGen's included.
 fn all_terms() -> TemporalLossConfig {
     TemporalLossConfig {
         quat_norm_weight: 1.0,

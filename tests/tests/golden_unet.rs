@@ -93,7 +93,7 @@ fn golden_unet() {
     compare(&golden, &model, &device, 2e-4);
 }
 
-/// Parameter number `position`, generated as the golden README defines it.
+/// Parameter number `position`, generated as docs/sources.md defines it, section 1.5.
 fn hashed(info: &ParameterInfo, position: u32, seed: u32) -> HostParameter {
     let fan_in: usize = info.shape.iter().skip(1).product();
     let is_norm = info.shape.len() == 1 && info.name.ends_with("weight");

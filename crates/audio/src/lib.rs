@@ -2,8 +2,8 @@
 //!
 //! [`decode()`] reads a file to mono samples at [`SAMPLE_RATE`]; [`extract`] computes the features,
 //! [`FPS`] frames a second, `T = 1 + floor(n / `[`HOP`]`)`. [`Analysis`] holds every tensor on the
-//! way, and [`beats::track`] works on a stored onset envelope. The definitions are librosa's
-//! (0.11) with the document's settings. Source: CC-MotionGen documentation, section 4.
+//! way, and [`beats::track`] works on a stored onset envelope. The definitions are librosa's (0.11)
+//! with CC-MotionGen's settings. Source: CC-MotionGen, section 4 (docs/sources.md, section 2).
 //!
 //! ```
 //! use kinegrad_audio::{CHANNELS, SAMPLE_RATE, extract};

@@ -268,7 +268,7 @@ pub struct MergeArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum ProfileName {
-    /// The source document's five checks, on means over all frames
+    /// CC-MotionGen's five checks, on means over all frames
     Document,
     /// Checks on every frame, with bounds from the training phrases
     Strict,

@@ -1,9 +1,9 @@
 //! Phrases of motion and music: reading, checking, splitting, batching, making up.
 //!
 //! A dataset is a folder, a bucket or a web server's path with `motion/ID/trajectory.npy` (`[frames, 25]`) and
-//! `audio_features/ID/features.npz` (six arrays, stacked to `[163, frames]`), the layout of the
-//! CC-MotionGen documentation, section 1.3. Clips of features and captions in the layout of
-//! HumanML3D are in [`humanml`]. This crate knows no tensors: batches are host arrays.
+//! `audio_features/ID/features.npz` (six arrays, stacked to `[163, frames]`), the layout of
+//! CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips of features and captions in the
+//! layout of HumanML3D are in [`humanml`]. This crate knows no tensors: batches are host arrays.
 //!
 //! ```
 //! use std::sync::Arc;

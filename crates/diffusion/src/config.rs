@@ -49,7 +49,8 @@ pub enum LossType {
     Huber,
 }
 
-/// The table `diffusion` of a config (CC-MotionGen documentation, section 3.2.1).
+/// The table `diffusion` of a config (CC-MotionGen, section 3.2.1; docs/sources.md, sections 1.2 to
+/// 1.4).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DiffusionConfig {

@@ -21,8 +21,8 @@ pub trait Denoiser {
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
 }
 
-/// The prediction under classifier-free guidance (CC-MotionGen documentation, section 8.3; Ho and
-/// Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
+/// The prediction under classifier-free guidance (CC-MotionGen, section 8.3; docs/sources.md,
+/// section 1.9; Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
 /// `uncond + guidance_scale (cond - uncond)`.
 ///
 /// A scale of 1 is the conditional and a scale of 0 the unconditional prediction; both call the

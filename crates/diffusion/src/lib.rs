@@ -13,8 +13,8 @@
 //! [`kinegrad_random::Key`].
 //!
 //! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy. The source
-//! (CC-MotionGen documentation, section 5.3) writes 1 to T in its formulas and 0 to T-1 in its
-//! code; the code's reading is meant throughout.
+//! (CC-MotionGen, section 5.3; docs/sources.md, section 1.2) writes 1 to T in its formulas and 0 to
+//! T-1 in its code; the code's reading is meant throughout.
 //!
 //! Symbols of the papers and their names here:
 //!

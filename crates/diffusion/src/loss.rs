@@ -7,8 +7,8 @@
 //! huber  d^2 / 2 where |d| <= 1, else |d| - 1/2
 //! ```
 //!
-//! Source: CC-MotionGen documentation, sections 3.2.1 and 5.3, which name the three; the huber
-//! threshold of 1 is the reading of the golden README.
+//! Source: CC-MotionGen, sections 3.2.1 and 5.3, which name the three; the huber threshold of 1 is
+//! a reading (docs/sources.md, section 1.4).
 
 use burn::tensor::Tensor;
 

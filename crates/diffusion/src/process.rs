@@ -5,8 +5,8 @@ use burn::tensor::Tensor;
 use crate::per_sample::per_sample;
 use crate::{DiffusionConfig, Error, NoiseSchedule, PredictionType};
 
-/// Gaussian diffusion (CC-MotionGen documentation, sections 3.2 and 5; Ho et al. 2020,
-/// <https://arxiv.org/abs/2006.11239>).
+/// Gaussian diffusion (CC-MotionGen, sections 3.2 and 5; docs/sources.md, section 1.3; Ho et al.
+/// 2020, <https://arxiv.org/abs/2006.11239>).
 ///
 /// Motions, noises and model outputs are `[batch, channels, time]`; `timesteps` holds one host
 /// integer per sample. With `a = sqrt(abar_t)` and `s = sqrt(1 - abar_t)`:

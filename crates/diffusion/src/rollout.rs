@@ -1,5 +1,5 @@
 //! A sampler that gradients pass through, from the motion back to the start noise and the network
-//! (CC-MotionGen documentation, section 7.3).
+//! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
 //! A rollout is deterministic DDIM over K timesteps, run in training. Its memory is what
 //! [`RolloutMode`] chooses between: one graph over all steps; no graph, with each step recomputed

@@ -6,7 +6,8 @@ use crate::{BetaSchedule, DiffusionConfig, Error};
 
 /// Tables over the timesteps 0..T, in f64 on the host; built by [`NoiseSchedule::new`].
 ///
-/// With `abar` for `alphas_cumprod` (CC-MotionGen documentation, sections 3.2.2, 5.1 and 5.2):
+/// With `abar` for `alphas_cumprod` (CC-MotionGen, sections 3.2.2, 5.1 and 5.2; docs/sources.md,
+/// section 1.2):
 ///
 /// ```text
 /// linear   beta_t = T equidistant values from beta_start to beta_end

@@ -9,7 +9,7 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 /// Self-attention with a residual, then cross-attention to the context with a residual
-/// (CC-MotionGen documentation, section 3.1.4).
+/// (CC-MotionGen, section 3.1.4; docs/sources.md, section 1.5).
 ///
 /// The context keeps its own length: attention is over all its frames, whatever the level's
 /// length. There is no positional encoding and no mask.

@@ -47,10 +47,10 @@ pub enum ModelSize {
     /// Base 64, factors 1, 2, 4, 8: 16,342,361 parameters, the size of the reference run.
     #[default]
     Small,
-    /// Base 256, factors 1, 2, 4, 8: 225,084,185 parameters, the document's literal defaults.
+    /// Base 256, factors 1, 2, 4, 8: 225,084,185 parameters, CC-MotionGen's literal defaults.
     Base,
-    /// Base 256, factors 1, 2, 4, 4: 104,436,505 parameters, the nearest coherent reading of the
-    /// document's claim of 116 M.
+    /// Base 256, factors 1, 2, 4, 4: 104,436,505 parameters, the nearest coherent reading of
+    /// CC-MotionGen's claim of 116 M (docs/sources.md, section 1.15).
     Cc116m,
     /// Of `gmd_unet`: 512 wide, factors 2, 2, 2, 2: 233,507,079 parameters (Guided Motion
     /// Diffusion, table D.1).

@@ -1,10 +1,11 @@
 //! The networks: what predicts, knowing nothing of diffusion schedules, datasets or files' places.
 //!
-//! [`UNet1d`] is the audio-conditioned denoiser of the CC-MotionGen documentation. Its parts are
-//! in [`layers`], with PyTorch's names and weight layouts, so that the path of a parameter in the
-//! module tree *is* its state-dict name; [`parameters`] reads and writes them by that name. [`lora`] puts
-//! low-rank adapters on them. [`gmd`] holds the networks of Guided Motion Diffusion, [`transformer`]
-//! the encoder that they are compared with, and [`TextDenoiser`] either of them under a text.
+//! [`UNet1d`] is the audio-conditioned denoiser of CC-MotionGen (docs/sources.md, section 1.5). Its
+//! parts are in [`layers`], with PyTorch's names and weight layouts, so that the path of a
+//! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
+//! that name. [`lora`] puts low-rank adapters on them. [`gmd`] holds the networks of Guided Motion
+//! Diffusion, [`transformer`] the encoder that they are compared with, and [`TextDenoiser`] either
+//! of them under a text.
 
 pub mod attention;
 pub mod config;

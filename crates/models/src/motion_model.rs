@@ -5,7 +5,7 @@ use burn::module::Module;
 use crate::{MotionDecoder, UNet1d};
 
 /// The denoiser, whose samples are latents, and the decoder that makes motion of them: parameters
-/// `unet.*` and `decoder.*` (CC-MotionGen documentation, section 7.1).
+/// `unet.*` and `decoder.*` (CC-MotionGen, section 7.1; docs/sources.md, section 1.8).
 #[derive(Module, Debug)]
 pub struct MotionModel {
     /// Draws latents.

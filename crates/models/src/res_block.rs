@@ -27,7 +27,7 @@ struct TimeMlp {
     at_1: Linear,
 }
 
-/// Two convolutions with a shortcut (CC-MotionGen documentation, section 3.1.3):
+/// Two convolutions with a shortcut (CC-MotionGen, section 3.1.3; docs/sources.md, section 1.5):
 ///
 /// ```text
 /// h   = conv1(silu(norm1(x)))

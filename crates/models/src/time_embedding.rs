@@ -33,8 +33,8 @@ pub fn sinusoidal(timesteps: &[usize], dim: usize, device: &Device) -> Tensor<2>
     Tensor::from_data(TensorData::new(values, [timesteps.len(), 2 * half]), device)
 }
 
-/// Sinusoidal embedding, linear, SiLU, linear: the input of every residual block
-/// (CC-MotionGen documentation, section 3.1.2).
+/// Sinusoidal embedding, linear, SiLU, linear: the input of every residual block (CC-MotionGen,
+/// section 3.1.2; docs/sources.md, section 1.5).
 #[derive(Module, Debug)]
 pub struct TimeEmbedding {
     at_0: Linear,

@@ -1,4 +1,4 @@
-//! The audio-conditioned UNet over time (CC-MotionGen documentation, section 3.1).
+//! The audio-conditioned UNet over time (CC-MotionGen, section 3.1; docs/sources.md, section 1.5).
 
 mod adapters;
 
@@ -75,7 +75,7 @@ impl UNet1dConfig {
                 "num_res_blocks",
                 "0".into(),
                 "1 or more",
-                "the document has 2",
+                "CC-MotionGen has 2",
             );
         }
         for channels in self.channels() {
@@ -113,7 +113,7 @@ impl UNet1dConfig {
                     "num_heads",
                     self.num_heads.to_string(),
                     &format!("a divisor of level {level}'s {channels} channels"),
-                    "the document has 8",
+                    "CC-MotionGen has 8",
                 );
             }
         }
@@ -131,7 +131,7 @@ impl UNet1dConfig {
                 "context_dim",
                 "0".into(),
                 "1 or more",
-                "the document has 256",
+                "CC-MotionGen has 256",
             );
         }
         if !(0.0..1.0).contains(&self.dropout) {
@@ -139,7 +139,7 @@ impl UNet1dConfig {
                 "dropout",
                 self.dropout.to_string(),
                 "0 to below 1",
-                "the document has 0.1",
+                "CC-MotionGen has 0.1",
             );
         }
         Ok(())
@@ -186,9 +186,9 @@ struct DecoderLevel {
 
 /// The denoiser. Should be created with [`UNet1dConfig::init`].
 ///
-/// Decoder level `i` of the module tree is level `i` of the document's drawing, so the forward
-/// pass runs them backwards. As drawn, an inner decoder level has one residual block and
-/// attention; the coarsest and the finest have two residual blocks and none.
+/// Decoder level `i` of the module tree is level `i` of CC-MotionGen's drawing, so the forward pass
+/// runs them backwards. As drawn, an inner decoder level has one residual block and attention; the
+/// coarsest and the finest have two residual blocks and none.
 #[derive(Module, Debug)]
 pub struct UNet1d {
     time_embed: TimeEmbedding,

@@ -1,7 +1,7 @@
 //! Derivatives of a phrase and how far its explicit channels agree with them.
 //!
 //! Everything is a forward difference: the value of frame t is taken from frames t and t + 1, and
-//! the last frame repeats the one before (CC-MotionGen documentation, section 2.3).
+//! the last frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
 use crate::rotation::length;

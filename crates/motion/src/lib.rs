@@ -4,8 +4,8 @@
 //! their own.
 //!
 //! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
-//! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen
-//! documentation, sections 2, 9 and 10.
+//! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen,
+//! sections 2, 9 and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!
 //! ```
 //! use kinegrad_motion::{Motion, PostProcessConfig, Profile, check, process};

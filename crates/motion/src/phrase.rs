@@ -1,6 +1,6 @@
 //! The phrase: a row-major array `[frames, 25]` of single-precision values.
 //!
-//! Source: CC-MotionGen documentation, section 2.1.
+//! Source: CC-MotionGen, section 2.1 (docs/sources.md, section 1.1).
 
 use std::ops::Range;
 

@@ -1,7 +1,7 @@
 //! Rotations as Hamilton quaternions in double precision.
 //!
-//! Convention (CC-MotionGen documentation, section 2.2): (w, x, y, z), right-handed, +y up;
-//! `a.product(b)` turns by `b` first, then by `a`.
+//! Convention (CC-MotionGen, section 2.2; docs/sources.md, section 1.1): (w, x, y, z),
+//! right-handed, +y up; `a.product(b)` turns by `b` first, then by `a`.
 
 use std::ops::Mul;
 

@@ -1,9 +1,9 @@
 //! What a run remembers of its training phrases: how to normalise, and what real motion is like.
 //!
-//! The source trains on raw values and clips predicted data to +-1 while positions range over
-//! +-100 (golden README, hazard 6). Here each channel is brought to zero mean and unit deviation,
-//! except where a channel has a natural scale: the quaternion stays as it is (its norm would no
-//! longer be 1), and the phase is centred from [0, 1] to [-1, 1].
+//! The source trains on raw values and clips predicted data to +-1 while positions range over +-100
+//! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit
+//! deviation, except where a channel has a natural scale: the quaternion stays as it is (its norm
+//! would no longer be 1), and the phase is centred from [0, 1] to [-1, 1].
 
 use std::ops::Range;
 

@@ -1,8 +1,7 @@
 //! The eight style channels of recorded motion, measured from the motion itself.
 //!
-//! The source's style is a learned representation in four pairs (CC-MotionGen documentation,
-//! section 2.5); recorded motion has none. These measures fill the same pairs with what each is
-//! about:
+//! The source's style is a learned representation in four pairs (CC-MotionGen, section 2.5);
+//! recorded motion has none. These measures fill the same pairs with what each is about:
 //!
 //! | channels | pair of the source | measures |
 //! |---|---|---|

@@ -1,5 +1,5 @@
 """The motion decoder: from a latent motion to a physically shaped one, frame by frame
-(CC-MotionGen documentation, section 3.3)."""
+(CC-MotionGen, section 3.3; docs/sources.md, section 1.6)."""
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +19,7 @@ class FeedForward(nn.Module):
             nn.LayerNorm(hidden),
             nn.Linear(hidden, 4 * hidden),
             nn.GELU(),
-            nn.Identity(),  # where the document has its dropout; keeps the state-dict names
+            nn.Identity(),  # where CC-MotionGen has its dropout; keeps the state-dict names
             nn.Linear(4 * hidden, hidden),
         )
 

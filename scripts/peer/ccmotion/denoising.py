@@ -1,5 +1,5 @@
-"""One step of training a denoiser on noised motion (CC-MotionGen documentation, sections 5.3 and
-6.2)."""
+"""One step of training a denoiser on noised motion (CC-MotionGen, sections 5.3 and 6.2;
+docs/sources.md, section 1.4)."""
 
 from dataclasses import dataclass, field
 

@@ -1,5 +1,5 @@
-"""Noise schedule, DDIM step and the differentiable rollout of a sampler (CC-MotionGen
-documentation, sections 3.2, 5.2 and 7.3).
+"""Noise schedule, DDIM step and the differentiable rollout of a sampler (CC-MotionGen,
+sections 3.2, 5.2 and 7.3; docs/sources.md, sections 1.2, 1.3 and 1.8).
 
 With `abar` for `alphas_cumprod`, and with eta = 0 and no clipping:
 

@@ -1,5 +1,5 @@
 """One step of end-to-end training: denoiser and decoder together, through the sampler
-(CC-MotionGen documentation, sections 7.1 to 7.4)."""
+(CC-MotionGen, sections 7.1 to 7.4; docs/sources.md, section 1.8)."""
 
 import copy
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Temporal losses on decoded motion `[B, T, 25]` (CC-MotionGen documentation, section 7.2)."""
+"""Temporal losses on decoded motion `[B, T, 25]` (docs/sources.md, section 1.7)."""
 
 from dataclasses import dataclass
 

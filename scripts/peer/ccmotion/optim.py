@@ -1,4 +1,4 @@
-"""The update of a training step (CC-MotionGen documentation, section 6.3)."""
+"""The update of a training step (docs/sources.md, section 1.10)."""
 
 import torch
 from torch import nn

@@ -1,7 +1,7 @@
 """The denoiser: a UNet over time, conditioned on the timestep and on audio features.
 
-Follows the diagrams of the CC-MotionGen documentation, sections 3.1.1 to 3.1.4, and uses its
-state-dict names. There is no dropout: the peer is compared with dropout off.
+Follows the diagrams of CC-MotionGen, sections 3.1.1 to 3.1.4 (docs/sources.md, section 1.5), and
+uses its state-dict names. There is no dropout: the peer is compared with dropout off.
 """
 
 import math

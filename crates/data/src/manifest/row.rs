@@ -50,7 +50,7 @@ pub enum Flag {
     JoinedUnits,
     /// Markers were missing over short gaps and were interpolated.
     FilledGaps,
-    /// It fails the document's sanity checks.
+    /// It fails CC-MotionGen's sanity checks.
     FailsDocumentChecks,
     /// A part of its song was damaged or is missing: what follows may be early.
     DamagedAudio,

@@ -198,7 +198,7 @@ impl Ready<'_> {
     }
 
     /// The report of the take, with the phrases that could not be made, and how many of the others
-    /// fail the document's checks.
+    /// fail CC-MotionGen's checks.
     pub fn report(&self, unmade: Vec<Rejection>, failing_checks: usize) -> TakeReport {
         let all = self.places.iter();
         let first_frame = |&(stretch, start): &(usize, usize)| -> usize {
@@ -213,7 +213,7 @@ impl Ready<'_> {
         notes.extend(self.song.and_then(|song| song.damage.clone()));
         if failing_checks > 0 {
             notes.push(format!(
-                "{failing_checks} of its phrases fail the document's sanity checks (flag \
+                "{failing_checks} of its phrases fail CC-MotionGen's sanity checks (flag \
                  fails_document_checks)"
             ));
         }

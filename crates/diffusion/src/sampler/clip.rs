@@ -6,9 +6,9 @@ use crate::Error;
 
 /// Bounds of the predicted clean motion, in the units the network works in (normalised motion).
 ///
-/// The source clips to [-1, 1] (CC-MotionGen documentation, sections 3.2.4 and 8.1). Normalised
-/// real motion leaves that range by far in single channels; bounds per channel, taken from the
-/// training data, keep the purpose without cutting motion.
+/// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
+/// and 1.9). Normalised real motion leaves that range by far in single channels; bounds per
+/// channel, taken from the training data, keep the purpose without cutting motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clip {
     /// No bounds.

@@ -22,8 +22,8 @@ pub enum SamplerKind {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TimestepSpacing {
-    /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen documentation, section 8.1). It
-    /// begins at T-1 and ends above 0; where N does not divide T the low end is left out.
+    /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen, section 8.1; docs/sources.md, section
+    /// 1.9). It begins at T-1 and ends above 0; where N does not divide T the low end is left out.
     Document,
     /// `(N-1-i) floor(T/N)`: ends at 0, does not reach T-1.
     Leading,
@@ -45,7 +45,7 @@ pub enum FinalAlpha {
     One,
 }
 
-/// A sampler (CC-MotionGen documentation, sections 3.2.1 and 8.1).
+/// A sampler (CC-MotionGen, sections 3.2.1 and 8.1; docs/sources.md, section 1.9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplerConfig {

@@ -5,8 +5,9 @@ use crate::{Error, GaussianDiffusion, PredictionType};
 
 use super::{Clip, SamplerConfig, StepInput, StepOutput};
 
-/// One step of denoising diffusion implicit models (CC-MotionGen documentation, sections 5.4 and
-/// 8.1; Song et al. 2021, <https://arxiv.org/abs/2010.02502>, equations 12 and 16).
+/// One step of denoising diffusion implicit models (CC-MotionGen, sections 5.4 and 8.1;
+/// docs/sources.md, section 1.9; Song et al. 2021, <https://arxiv.org/abs/2010.02502>, equations 12
+/// and 16).
 ///
 /// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
 /// is [`super::ddpm_step`].

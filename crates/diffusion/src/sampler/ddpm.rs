@@ -5,8 +5,8 @@ use crate::{Error, GaussianDiffusion};
 use super::{Clip, StepInput, StepOutput};
 
 /// One step of denoising diffusion probabilistic models: a draw from the posterior
-/// `q(x_{t-1} | x_t, x_0)` with the predicted x_0 (CC-MotionGen documentation, section 3.2.4; Ho et
-/// al. 2020, <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
+/// `q(x_{t-1} | x_t, x_0)` with the predicted x_0 (CC-MotionGen, section 3.2.4; docs/sources.md,
+/// section 1.3; Ho et al. 2020, <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
 /// <https://arxiv.org/abs/2102.09672>, equation 19): its beta is `1 - abar / abar'`, from the kept

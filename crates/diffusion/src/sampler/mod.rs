@@ -24,8 +24,8 @@ pub use step::{StepInput, StepOutput};
 
 use crate::{Denoiser, Error, GaussianDiffusion, guided};
 
-/// Draws one motion per sample of the start noise (CC-MotionGen documentation, sections 3.2.4, 8.1
-/// and 8.3).
+/// Draws one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
+/// docs/sources.md, sections 1.3 and 1.9).
 ///
 /// Run it on a plain device with a network of plain weights (Burn: `Module::valid`): on a device
 /// with autodiff every step keeps its graph, and memory grows from call to call.

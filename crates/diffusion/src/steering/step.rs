@@ -37,7 +37,7 @@ pub struct SteeredOutput {
     pub scaled_gradient: Option<Tensor<3>>,
 }
 
-/// One DDPM step under steering (golden README of GMD, sections 2.2 to 2.4):
+/// One DDPM step under steering (docs/sources.md, sections 4.6 to 4.8):
 ///
 /// ```text
 /// x_0    = clip(prediction at x_t)

@@ -20,8 +20,8 @@ pub enum OutputActivation {
     Normalize,
 }
 
-/// One activation a component. The document's configuration and its code disagree
-/// (CC-MotionGen documentation, sections 3.3.1 and 3.3.2); these are the code's.
+/// One activation a component. CC-MotionGen's configuration and its code disagree (its sections
+/// 3.3.1 and 3.3.2; docs/sources.md, section 1.6); these are the code's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputActivations {
@@ -88,7 +88,7 @@ impl Default for OutputRanges {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Coherence {
-    /// As the heads say: only the losses pull them together (the document's decoder).
+    /// As the heads say: only the losses pull them together (CC-MotionGen's decoder).
     #[default]
     None,
     /// The heads' position, velocity and acceleration are replaced by those of the nearest
@@ -166,21 +166,21 @@ impl DecoderConfig {
                 "hidden_dim".to_string(),
                 self.hidden_dim.to_string(),
                 format!("{least} or more"),
-                "the document has 256; `decoder.init = \"random\"` allows fewer than 25",
+                "CC-MotionGen has 256; `decoder.init = \"random\"` allows fewer than 25",
             )
         } else if !(0.0..1.0).contains(&self.dropout) {
             (
                 "dropout".to_string(),
                 self.dropout.to_string(),
                 "0 to below 1".to_string(),
-                "the document has 0.1",
+                "CC-MotionGen has 0.1",
             )
         } else if let Some((component, range)) = bad_range {
             (
                 format!("output_ranges.{component}"),
                 range.to_string(),
                 "more than 0".to_string(),
-                "a velocity of 20 m/s is the document's",
+                "a velocity of 20 m/s is CC-MotionGen's",
             )
         } else {
             return Ok(());

@@ -1,4 +1,5 @@
-//! From a sampler's latent to motion in physical units (CC-MotionGen documentation, section 3.3).
+//! From a sampler's latent to motion in physical units (CC-MotionGen, section 3.3; docs/sources.md,
+//! section 1.6).
 
 mod config;
 mod identity;

@@ -4,7 +4,8 @@ use kinegrad_kernels as kernels;
 
 use crate::Initializer;
 
-/// Groups of every normalisation of the audio-conditioned UNet (CC-MotionGen documentation, section 3.1.3).
+/// Groups of every normalisation of the audio-conditioned UNet (CC-MotionGen, section 3.1.3;
+/// docs/sources.md, section 1.5).
 pub const GROUPS: usize = 32;
 
 /// Added to the variance.

@@ -11,7 +11,7 @@ const FORWARD: [f64; 3] = [0.0, 0.0, 1.0];
 /// A joint: name, raw direction, offset in the reference pose in metres.
 type Joint = (&'static str, [f64; 3], [f64; 3]);
 
-/// Joints, directions: golden README of HumanML3D, section 1; offsets: section 5.
+/// Joints and directions: docs/sources.md, section 3.1. The offsets are this framework's own.
 const HUMANML3D: [Joint; 22] = [
     ("pelvis", [0.0; 3], [0.0; 3]),
     ("left_hip", LEFT, [0.085, -0.075, 0.0]),

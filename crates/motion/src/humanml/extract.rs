@@ -1,6 +1,6 @@
 //! From joints to features.
 //!
-//! Source: golden README of HumanML3D, section 3.
+//! Source: HumanML3D (docs/sources.md, section 3.3).
 
 use serde::{Deserialize, Serialize};
 

@@ -2,8 +2,8 @@
 //!
 //! The rotation of joint b turns the bone that *ends* at b. In the published data the rotations of
 //! every chain begin at the root quaternion, those of the arms too, and the root quaternion turns
-//! the world to the body while the bones' rotations turn the other way: the first of a chain
-//! holds the heading twice. Source: golden README of HumanML3D, section 2.
+//! the world to the body while the bones' rotations turn the other way: the first of a chain holds
+//! the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

@@ -1,6 +1,6 @@
 //! Which channel of a frame says what, for any number of joints.
 //!
-//! Source: the golden README of HumanML3D, section 1.
+//! Source: HumanML3D (docs/sources.md, section 3.1).
 
 use std::ops::Range;
 
@@ -109,7 +109,7 @@ impl FeatureLayout {
     }
 
     /// The seven groups that share one deviation in normalisation: root rotation, ground, height,
-    /// positions, rotations, velocities, contacts (golden README, section 5).
+    /// positions, rotations, velocities, contacts (docs/sources.md, section 3.5).
     pub fn groups(self) -> [Range<usize>; 7] {
         [
             Self::ROOT_ROTATION..Self::ROOT_ROTATION + 1,

@@ -5,7 +5,7 @@
 //! the world to the facing frame and enter the features by half their angle ([`Root`]). Features
 //! are stored in single precision; everything is computed in double precision. Source: C. Guo et
 //! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), and GMD, appendix B,
-//! both in the reading of the golden README.
+//! both as docs/sources.md reads them, sections 3 and 4.1.
 //!
 //! ```
 //! use kinegrad_motion::humanml::{Extraction, FeatureStatistics, Joints, Skeleton};

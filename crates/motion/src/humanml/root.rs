@@ -2,8 +2,8 @@
 //!
 //! Channels 0 to 3 of a frame are (rotation, x, z, height). The root quaternion is (cos a, 0,
 //! sin a, 0) and turns the world to the facing frame: `a` is half of an angle, and a body with yaw
-//! psi (from +z towards +x) has a = -psi / 2. Source: GMD, appendix B; golden README of GMD,
-//! section 4.
+//! psi (from +z towards +x) has a = -psi / 2. Source: GMD, appendix B; docs/sources.md, section
+//! 4.1.
 
 use std::fmt;
 

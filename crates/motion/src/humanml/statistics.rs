@@ -1,7 +1,7 @@
 //! How features are normalised: mean and deviation of each channel over a dataset.
 //!
 //! Deviations are shared within the seven groups of the layout, so that the parts of a position
-//! keep their proportions (golden README of HumanML3D, section 5).
+//! keep their proportions (docs/sources.md, section 3.5).
 
 use serde::{Deserialize, Serialize};
 

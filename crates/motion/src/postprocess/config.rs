@@ -11,8 +11,8 @@ pub enum Hemisphere {
     /// The one nearer to the frame before, so that no sign jumps in time. The sound rule.
     #[default]
     Continuous,
-    /// The one with w >= 0, frame by frame, as the document has it. A turn through w = 0 then
-    /// jumps from `q` to `-q` between two frames; most real dances have such turns.
+    /// The one with w >= 0, frame by frame, as CC-MotionGen has it. A turn through w = 0 then jumps
+    /// from `q` to `-q` between two frames; most real dances have such turns.
     PositiveW,
 }
 
@@ -23,11 +23,13 @@ pub enum Differences {
     /// `x[t+1] - x[t]`, as the losses and the checks take them: blending halves what they measure.
     #[default]
     Forward,
-    /// `x[t] - x[t-1]`, as the document has it, which may make it worse (golden README, hazard 9).
+    /// `x[t] - x[t-1]`, as CC-MotionGen has it, which may make it worse (docs/sources.md, section
+    /// 1.14, hazard 9).
     Backward,
 }
 
-/// Largest absolute value of each component (CC-MotionGen documentation, section 9.1).
+/// Largest absolute value of each component (CC-MotionGen, section 9.1; docs/sources.md, section
+/// 1.12).
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClampLimits {
@@ -52,7 +54,8 @@ impl Default for ClampLimits {
     }
 }
 
-/// What [`process`](super::process) does (CC-MotionGen documentation, section 9.1).
+/// What [`process`](super::process) does (CC-MotionGen, section 9.1; docs/sources.md, section
+/// 1.12).
 ///
 /// [`default`](Self::default) is the sound reading, [`document`](Self::document) the literal one,
 /// and [`none`](Self::none) does nothing; the steps stand in the order in which they run.
@@ -63,8 +66,8 @@ pub struct PostProcessConfig {
     pub clamp_values: bool,
     /// Bounds of the clamps.
     pub limits: ClampLimits,
-    /// Widen each channel's bounds to the range of the training phrases, where their statistics
-    /// are at hand: real dances turn faster than the document's 10 rad/s.
+    /// Widen each channel's bounds to the range of the training phrases, where their statistics are
+    /// at hand: real dances turn faster than CC-MotionGen's 10 rad/s.
     pub widen_limits: bool,
     /// Step 2: bring quaternions to unit norm and to one `hemisphere`.
     pub normalize_quaternions: bool,
@@ -106,7 +109,7 @@ impl Default for PostProcessConfig {
 }
 
 impl PostProcessConfig {
-    /// The document's defaults: w >= 0 in every frame, its clamps as they stand, backward
+    /// CC-MotionGen's defaults: w >= 0 in every frame, its clamps as they stand, backward
     /// differences.
     pub fn document() -> Self {
         Self {

@@ -1,7 +1,7 @@
 //! Repairs of a generated phrase before it is written.
 //!
-//! Steps, in this order (CC-MotionGen documentation, section 9.2; steps 3, 5 (acceleration) and 6
-//! and the monotonic phase are only named there, and defined in the golden README, file 10):
+//! Steps, in this order (CC-MotionGen, section 9.2; steps 3, 5 (acceleration) and 6 and the
+//! monotonic phase are only named there, and defined in docs/sources.md, section 1.12):
 //!
 //! 1. values clamped
 //! 2. quaternions brought to unit norm and to one hemisphere

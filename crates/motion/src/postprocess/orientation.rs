@@ -46,8 +46,8 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
     for quaternion in quaternions.iter_mut() {
         let norm = quaternion.norm();
         *quaternion = match hemisphere {
-            // The document's division leaves a vanishing quaternion short; here the unit norm is
-            // a promise, so the orientation before it is held.
+            // CC-MotionGen's division leaves a vanishing quaternion short; here the unit norm is a
+            // promise, so the orientation before it is held.
             Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
             _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
         };

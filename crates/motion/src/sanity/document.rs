@@ -1,4 +1,4 @@
-//! The document's five checks, as they stand.
+//! CC-MotionGen's five checks, as they stand.
 
 use super::{Check, Report, Threshold, Value, finite, range};
 use crate::Motion;
@@ -7,8 +7,8 @@ use crate::kinematics::{
 };
 use crate::phrase::PHASE;
 
-/// Thresholds of [`Profile::Document`](super::Profile::Document) (CC-MotionGen documentation,
-/// section 10.1).
+/// Thresholds of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section 10.1;
+/// docs/sources.md, section 1.13).
 #[derive(Clone, Debug, PartialEq)]
 pub struct SanityThresholds {
     /// Smallest mean quaternion norm.

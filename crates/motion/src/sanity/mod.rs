@@ -1,7 +1,7 @@
 //! Is a phrase plausible motion?
 //!
-//! Two profiles: [`Profile::Document`] makes the five checks of the CC-MotionGen documentation,
-//! section 10.1, as they stand. Most of them cannot fail where it matters (golden README,
+//! Two profiles: [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1, as they
+//! stand (docs/sources.md, section 1.13). Most of them cannot fail where it matters (section 1.14,
 //! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
 //! through. [`Profile::Strict`] looks at every frame and compares with the training phrases.
 
@@ -22,8 +22,8 @@ use crate::{CHANNELS, Error, Motion, TrainingStatistics, channel_name};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// The document's five checks, with its thresholds. A phrase that is not finite fails them
-    /// too, by a sixth line `finite` that appears only then.
+    /// CC-MotionGen's five checks, with its thresholds. A phrase that is not finite fails them too,
+    /// by a sixth line `finite` that appears only then.
     #[default]
     Document,
     /// Every frame, against the training phrases' own speed, acceleration and jerk.
@@ -53,7 +53,7 @@ impl FromStr for Profile {
     }
 }
 
-/// Checks a phrase. The document's profile uses [`SanityThresholds::default`] and needs no
+/// Checks a phrase. The profile `document` uses [`SanityThresholds::default`] and needs no
 /// `statistics`.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Published PyTorch checkpoints as runs (golden README of GMD, section 1.4).
+//! Published PyTorch checkpoints as runs (docs/sources.md, section 4.4).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@ use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
 
 /// The affine map between normalised, perhaps projected features and features in metres and
-/// radians: `network = ((motion - mean) / std) P` (golden README of GMD, section 2.4).
+/// radians: `network = ((motion - mean) / std) P` (docs/sources.md, section 4.8).
 #[derive(Clone, Debug)]
 pub struct FeatureSpace {
     mean: Tensor<3>,

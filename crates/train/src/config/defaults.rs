@@ -2,8 +2,8 @@
 
 use toml::{Table, Value};
 
-/// Of both models (Guided Motion Diffusion, table D.1 and appendix E and F; golden README, sections
-/// 1.1 and 2.1).
+/// Of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
+/// sections 4.3, 4.5 and 4.11).
 const GMD: &str = r#"
 [data]
 kind = "humanml3d"

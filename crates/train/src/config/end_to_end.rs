@@ -68,7 +68,7 @@ pub enum RolloutStart {
     /// something with its ground truth, so that reconstruction has a meaning.
     #[default]
     Motion,
-    /// Pure noise at the last timestep (the document): reconstruction, where it counts, then pulls
+    /// Pure noise at the last timestep (CC-MotionGen): reconstruction, where it counts, then pulls
     /// towards the mean motion.
     Noise,
 }
@@ -133,11 +133,11 @@ pub enum ReconstructionWeighting {
     /// By `abar` of its start timestep: the share of the ground truth in the start state.
     #[default]
     Signal,
-    /// All alike (the document).
+    /// All alike (CC-MotionGen).
     Uniform,
 }
 
-/// The table `loss` (CC-MotionGen documentation, sections 7.1 and 7.4).
+/// The table `loss` (CC-MotionGen, sections 7.1 and 7.4; docs/sources.md, section 1.8).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
@@ -147,7 +147,7 @@ pub struct LossConfig {
     pub w_dec: f64,
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
-    /// Weight of the reconstruction of all components, in units of their deviations. The document
+    /// Weight of the reconstruction of all components, in units of their deviations. CC-MotionGen
     /// has none: a phase that stands still, or a constant orientation, then costs next to nothing
     /// and is what the temporal terms like best.
     pub w_components: f64,
@@ -164,7 +164,7 @@ pub struct LossConfig {
 }
 
 impl LossConfig {
-    /// The document's loss, literally.
+    /// CC-MotionGen's loss, literally.
     pub fn document() -> Self {
         Self {
             w_components: 0.0,

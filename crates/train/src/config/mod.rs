@@ -1,8 +1,8 @@
 //! The config of a run: plain data with a schema.
 //!
-//! Every key has a default, and the defaults are the source document's values where those are
-//! sound. [`load()`] reads a file with overrides, [`Config::validate`] refuses what cannot work
-//! before any work starts, and the resolved config is saved beside the run.
+//! Every key has a default, and the defaults are CC-MotionGen's values where those are sound.
+//! [`load()`] reads a file with overrides, [`Config::validate`] refuses what cannot work before any
+//! work starts, and the resolved config is saved beside the run.
 
 mod clips;
 mod defaults;

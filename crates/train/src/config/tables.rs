@@ -43,7 +43,7 @@ pub enum LrSchedule {
     Constant,
 }
 
-/// The table `optim`: AdamW (CC-MotionGen documentation, section 6.3).
+/// The table `optim`: AdamW (CC-MotionGen, section 6.3; docs/sources.md, section 1.10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimConfig {
@@ -181,7 +181,7 @@ pub struct EmaConfig {
 
 impl Default for EmaConfig {
     fn default() -> Self {
-        // The document's 0.9999 every 10 steps keeps 85 % of the first weights after its whole
+        // CC-MotionGen's 0.9999 every 10 steps keeps 85 % of the first weights after its whole
         // training of 16400 steps, hence the warm-up.
         Self {
             decay: 0.9999,
@@ -241,8 +241,8 @@ pub enum Clip {
     /// Each channel to the range it has in the training phrases.
     #[default]
     TrainingRange,
-    /// The document's -1 to 1, in normalised units. Real motion reaches 21 standard deviations
-    /// in single channels, so this flattens it.
+    /// CC-MotionGen's -1 to 1, in normalised units. Real motion reaches 21 standard deviations in
+    /// single channels, so this flattens it.
     Unit,
     /// -6 to 6 in normalised units, as the published trajectory model is clipped.
     Six,

@@ -33,7 +33,7 @@ pub struct Measures {
     pub mean_jerk: Option<f64>,
     /// The losses of end-to-end fine-tuning.
     pub losses: Vec<LossTerm>,
-    /// The source document's checks.
+    /// CC-MotionGen's checks.
     pub document: ProfileRates,
     /// The strict checks.
     pub strict: ProfileRates,
@@ -69,8 +69,8 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // The document's line `finite` stands only where it fails: a report without a line
-            // passed it, with a value of 0.
+            // The line `finite` of the profile `document` stands only where it fails: a report
+            // without a line passed it, with a value of 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
             checks.push(CheckRate {
@@ -310,7 +310,7 @@ mod tests {
             panic!("{:?}", phase.value)
         };
         assert!((high - expected).abs() < 1e-12);
-        // In the document's profile the line stands in one report of four.
+        // In the profile `document` the line stands in one report of four.
         for profile in [&measures.document, &measures.strict] {
             let finite = profile.check("finite").unwrap();
             assert_eq!(finite.pass_rate, 0.75);

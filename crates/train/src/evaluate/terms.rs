@@ -1,5 +1,5 @@
-//! The losses of end-to-end fine-tuning, as measures of motion: the rows of the source document's
-//! table 7.5.
+//! The losses of end-to-end fine-tuning, as measures of motion: the rows of CC-MotionGen's table
+//! 7.5.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ pub struct LossTerm {
     pub value: f64,
 }
 
-/// The document's temporal terms, with its weights and normalisers, and the mean squared error of
+/// CC-MotionGen's temporal terms, with its weights and normalisers, and the mean squared error of
 /// position (m^2) and quaternion (up to sign) against the held-out phrase; means over `motions`, a
 /// list for each of `held_out`.
 ///

@@ -1,5 +1,5 @@
-//! How far decoded motion is from the ground truth (CC-MotionGen documentation, sections 7.1 and
-//! 7.5: "decoder position" and "decoder quaternion").
+//! How far decoded motion is from the ground truth (CC-MotionGen, sections 7.1 and 7.5;
+//! docs/sources.md, section 1.8: "decoder position" and "decoder quaternion").
 
 use burn::tensor::{Tensor, s};
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
@@ -14,7 +14,7 @@ pub enum SignMatching {
     /// The nearer one of q and -q counts.
     #[default]
     Nearer,
-    /// As stored (the document), so that q and -q differ.
+    /// As stored (CC-MotionGen), so that q and -q differ.
     Document,
 }
 

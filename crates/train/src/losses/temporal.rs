@@ -1,5 +1,5 @@
 //! Temporal coherence: explicit derivatives agree with the differences of what they derive from,
-//! and nothing jumps (CC-MotionGen documentation, section 7.2).
+//! and nothing jumps (CC-MotionGen, section 7.2; docs/sources.md, section 1.7).
 //!
 //! With `d x[t] = x[t+1] - x[t]` and fps = 30, each term a mean over frames (and components), times
 //! its weight:
@@ -15,7 +15,7 @@
 //! position_smoothness  |fps^3 d d d p|^2 / target_jerk^2
 //! ```
 //!
-//! The last three are not the document's. The document takes the root of the squared jerk and
+//! The last three are not CC-MotionGen's. CC-MotionGen takes the root of the squared jerk and
 //! squares it again, whose gradient is NaN where two accelerations are equal; here the squares are
 //! summed directly, which is the same value.
 
@@ -41,7 +41,7 @@ pub enum PhaseLoss {
     /// Steps backwards: `max(0, -d)` where `d >= -0.5`. Larger drops are wraps, which are legal.
     #[default]
     BackwardSteps,
-    /// The document's `max(0, -d - 0.5)`, which punishes the wraps and forgives steps backwards.
+    /// CC-MotionGen's `max(0, -d - 0.5)`, which punishes the wraps and forgives steps backwards.
     Document,
 }
 
@@ -103,7 +103,7 @@ impl Default for TemporalLossConfig {
 }
 
 impl TemporalLossConfig {
-    /// The document's five terms as it has them.
+    /// CC-MotionGen's five terms as it has them.
     pub fn document() -> Self {
         Self {
             phase_monotonic_weight: 1.0,

@@ -11,8 +11,8 @@ pub struct Moments {
     pub exp_avg_sq: Vec<f32>,
 }
 
-/// Adam with decoupled weight decay (CC-MotionGen documentation, section 6.3), over parameters in
-/// the module's order:
+/// Adam with decoupled weight decay (CC-MotionGen, section 6.3; docs/sources.md, section 1.10),
+/// over parameters in the module's order:
 ///
 /// ```text
 /// p -= lr decay p
@@ -21,8 +21,8 @@ pub struct Moments {
 /// p -= lr mhat / (sqrt(vhat) + eps)    with  mhat = m / (1 - b1^t),  vhat = v / (1 - b2^t)
 /// ```
 ///
-/// With the document's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single
-/// precision, so that decay does nothing; larger values of either work.
+/// With CC-MotionGen's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single precision,
+/// so that decay does nothing; larger values of either work.
 #[derive(Clone, Debug)]
 pub struct AdamW {
     config: OptimConfig,

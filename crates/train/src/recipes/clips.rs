@@ -91,7 +91,7 @@ pub(super) fn prepare(
 ///                             / real frames                       with the w_c adding up to 1
 /// ```
 ///
-/// Source: golden README of GMD, section 5 (the published program).
+/// Source: GMD's published program (docs/sources.md, section 4.10).
 pub fn clip_loss(
     diffusion: &GaussianDiffusion,
     model: &TextDenoiser,

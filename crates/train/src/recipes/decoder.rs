@@ -1,4 +1,5 @@
-//! A motion decoder on the latents of a frozen denoiser (CC-MotionGen documentation, section 3.3).
+//! A motion decoder on the latents of a frozen denoiser (CC-MotionGen, section 3.3;
+//! docs/sources.md, section 1.6).
 //!
 //! ```text
 //! L = w_dec |decoder(latent) - motion|^2 / std^2

@@ -1,4 +1,4 @@
-//! A denoiser on noised motion (CC-MotionGen documentation, sections 5.3 and 6.2):
+//! A denoiser on noised motion (CC-MotionGen, sections 5.3 and 6.2; docs/sources.md, section 1.4):
 //!
 //! ```text
 //! L = w(t) E |target - f(x_t, t, cond)|     x_t = sqrt(abar_t) x_start + sqrt(1 - abar_t) noise

@@ -1,4 +1,5 @@
-//! Denoiser and decoder together, through the sampler (CC-MotionGen documentation, section 7):
+//! Denoiser and decoder together, through the sampler (CC-MotionGen, section 7; docs/sources.md,
+//! section 1.8):
 //!
 //! ```text
 //! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp + w_components L_all
@@ -7,7 +8,7 @@
 //! decoded  decoder(DDIM of K steps), with gradients to every call of the network
 //! L_pos, L_quat   squared error of the decoded position and quaternion
 //! L_temp   temporal coherence of the decoded motion
-//! L_all    squared error of all components in units of their deviations (not the document's)
+//! L_all    squared error of all components in units of their deviations (not CC-MotionGen's)
 //! ```
 //!
 //! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
