@@ -185,13 +185,24 @@ fn png(
     size: (u32, u32),
     out: &Path,
 ) -> Result<(), Box<dyn Error>> {
+    let (width, height) = size;
+    let mut pixels = vec![0; 3 * width as usize * height as usize];
     draw_all(
         panels,
         grid,
-        &BitMapBackend::new(out, size).into_drawing_area(),
+        &BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area(),
         // Wider strokes of a bitmap have spikes where a curve turns back.
         1,
-    )
+    )?;
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(&pixels)?;
+    writer.finish()?;
+    std::fs::write(out, bytes)?;
+    Ok(())
 }
 
 fn draw_all<B>(

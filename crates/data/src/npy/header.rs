@@ -1,0 +1,218 @@
+//! The header of a `.npy` file: a Python dictionary of dtype, order and shape behind a magic
+//! string (NumPy's `numpy.lib.format`, versions 1 to 3).
+
+use crate::FileError;
+
+/// NumPy refuses longer headers too.
+pub(super) const MAX_HEADER_BYTES: usize = 10_000;
+
+/// Written headers end at a multiple of this, as NumPy's do, so that the data can be mapped.
+const ALIGNMENT: usize = 64;
+
+/// What a header says.
+#[derive(Debug, PartialEq)]
+pub(super) struct Header {
+    /// Double precision, otherwise single.
+    pub(super) double: bool,
+    /// The first axis is the fastest, otherwise the last.
+    pub(super) fortran_order: bool,
+    pub(super) shape: Vec<usize>,
+    /// The product of the axes.
+    pub(super) length: u64,
+    /// Where the data begin.
+    pub(super) data_start: usize,
+}
+
+/// The bytes before the data of a little-endian float32 array of this shape, in C order.
+pub(super) fn write(shape: &[usize]) -> Vec<u8> {
+    let axes: String = shape.iter().map(|axis| format!("{axis}, ")).collect();
+    let axes = match shape {
+        [_] => axes.trim_end(),
+        _ => axes.trim_end_matches(", "),
+    };
+    let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({axes}), }}");
+    // Magic string, version, length of the text, and the line feed at its end.
+    let around = 10 + 1;
+    let padded = (text.len() + around).next_multiple_of(ALIGNMENT) - around;
+    text.extend(std::iter::repeat_n(' ', padded - text.len()));
+    text.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes
+}
+
+/// Reads the header of a file's `bytes`; `file` names it in errors.
+pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
+    let not_npy = |reason: String| FileError::NotNpy {
+        file: file.to_owned(),
+        reason,
+    };
+    let (text, data_start) = text(bytes).map_err(not_npy)?;
+    let Entries {
+        descr,
+        fortran_order,
+        shape,
+    } = Entries::of(text).map_err(not_npy)?;
+    let double = match descr.trim_matches(['\'', '"']) {
+        "<f4" => false,
+        "<f8" => true,
+        _ => {
+            return Err(FileError::Dtype {
+                file: file.to_owned(),
+                found: descr.to_owned(),
+            });
+        }
+    };
+    let fortran_order = match fortran_order {
+        "True" => true,
+        "False" => false,
+        found => {
+            return Err(not_npy(format!(
+                "fortran_order {found} found, True or False allowed"
+            )));
+        }
+    };
+    let shape = axes(shape).map_err(not_npy)?;
+    // A zero elsewhere can hide an axis longer than the file.
+    let length = shape
+        .iter()
+        .try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
+        .ok_or_else(|| not_npy(TOO_LARGE.to_owned()))?;
+    Ok(Header {
+        double,
+        fortran_order,
+        shape,
+        length,
+        data_start,
+    })
+}
+
+const TOO_LARGE: &str = "its header declares an array too large to exist";
+
+/// The header's text and where the data begin.
+fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
+    if bytes.len() < 10 || &bytes[..6] != b"\x93NUMPY" {
+        return Err("it does not begin as one".to_owned());
+    }
+    let (start, length) = match bytes[6] {
+        1 => (10, usize::from(u16::from_le_bytes([bytes[8], bytes[9]]))),
+        2 | 3 if bytes.len() >= 12 => {
+            let length = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]);
+            (12, length as usize)
+        }
+        2 | 3 => return Err("its header is cut off".to_owned()),
+        version => return Err(format!("format version {version} found, 1 to 3 allowed")),
+    };
+    if length > MAX_HEADER_BYTES {
+        return Err(format!(
+            "header of {length} bytes found, {MAX_HEADER_BYTES} allowed"
+        ));
+    }
+    let text = bytes
+        .get(start..start + length)
+        .ok_or_else(|| "its header is cut off".to_owned())?;
+    let text = str::from_utf8(text).map_err(|_| "its header is no text".to_owned())?;
+    Ok((text, start + length))
+}
+
+/// The three entries of the dictionary, as they are spelt.
+struct Entries<'a> {
+    descr: &'a str,
+    fortran_order: &'a str,
+    shape: &'a str,
+}
+
+impl<'a> Entries<'a> {
+    fn of(text: &'a str) -> Result<Self, String> {
+        let no_dictionary = || "its header is no dictionary".to_owned();
+        let mut rest = text
+            .trim_ascii()
+            .strip_prefix('{')
+            .and_then(|text| text.strip_suffix('}'))
+            .ok_or_else(no_dictionary)?
+            .trim_ascii();
+        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
+        while !rest.is_empty() {
+            let (entry, behind) = rest.split_at(end_of_entry(rest)?);
+            rest = behind.strip_prefix(',').unwrap_or(behind).trim_ascii();
+            let (key, value) = entry.split_once(':').ok_or_else(no_dictionary)?;
+            let place = match key.trim_ascii() {
+                "'descr'" | "\"descr\"" => &mut descr,
+                "'fortran_order'" | "\"fortran_order\"" => &mut fortran_order,
+                "'shape'" | "\"shape\"" => &mut shape,
+                other => return Err(format!("its header has the unknown entry {other}")),
+            };
+            if place.replace(value.trim_ascii()).is_some() {
+                return Err(format!("its header has {} twice", key.trim_ascii()));
+            }
+        }
+        let entry = |value: Option<&'a str>, key: &str| {
+            value.ok_or_else(|| format!("its header has no entry '{key}'"))
+        };
+        Ok(Self {
+            descr: entry(descr, "descr")?,
+            fortran_order: entry(fortran_order, "fortran_order")?,
+            shape: entry(shape, "shape")?,
+        })
+    }
+}
+
+/// Where the first entry of `text` ends: at a comma outside of brackets and quotes, or at its end.
+fn end_of_entry(text: &str) -> Result<usize, String> {
+    let (mut depth, mut quote) = (0usize, None);
+    for (place, byte) in text.bytes().enumerate() {
+        match (quote, byte) {
+            (None, b'\'' | b'"') => quote = Some(byte),
+            (None, b'(' | b'[' | b'{') => depth += 1,
+            (None, b')' | b']' | b'}') => {
+                depth = depth
+                    .checked_sub(1)
+                    .ok_or("its header closes a bracket that is not open")?;
+            }
+            (None, b',') if depth == 0 => return Ok(place),
+            (Some(open), close) if open == close => quote = None,
+            _ => {}
+        }
+    }
+    if depth > 0 || quote.is_some() {
+        return Err("its header leaves a bracket or quote open".to_owned());
+    }
+    Ok(text.len())
+}
+
+/// The axes of a tuple such as `(3, 25)`, `(3,)` or `()`; Python 2 wrote `(3L, 25L)`.
+fn axes(tuple: &str) -> Result<Vec<usize>, String> {
+    let wrong = || format!("shape {tuple} found, a tuple of axes allowed");
+    let inside = tuple
+        .strip_prefix('(')
+        .and_then(|text| text.strip_suffix(')'))
+        .ok_or_else(wrong)?
+        .trim_ascii();
+    if inside.is_empty() {
+        return Ok(Vec::new());
+    }
+    let closed = inside.strip_suffix(',');
+    let axes = closed.unwrap_or(inside).split(',');
+    let axes: Vec<usize> = axes
+        .map(|axis| self::axis(axis.trim_ascii()))
+        .collect::<Result<_, _>>()?;
+    // One number in brackets is no tuple without its comma.
+    if axes.len() == 1 && closed.is_none() {
+        return Err(wrong());
+    }
+    Ok(axes)
+}
+
+fn axis(text: &str) -> Result<usize, String> {
+    let digits = text.strip_suffix('L').unwrap_or(text);
+    if text.starts_with('-') {
+        return Err(format!("its header has the negative axis {text}"));
+    }
+    if digits.is_empty() || !digits.bytes().all(|digit| digit.is_ascii_digit()) {
+        return Err(format!(
+            "its header has the axis {text:?}, which is no whole number"
+        ));
+    }
+    digits.parse().map_err(|_| TOO_LARGE.to_owned())
+}
