@@ -41,6 +41,8 @@ class Setting:
     threads: int
     folder: Path
     """For files."""
+    against: Path | None = None
+    """Another build of kinegrad's side, which then stands in PyTorch's place."""
 
     def environment(self) -> dict[str, str]:
         """Of every process. How OpenMP's threads wait is left as it is: told not to spin, PyTorch
@@ -57,6 +59,8 @@ class Setting:
     def contenders(self) -> dict[str, list[str]]:
         """The commands of all sides, kinegrad's first."""
         kinegrad = [str(self.worker), "{folder}", self.device]
+        if self.against:
+            return {"kinegrad": kinegrad, "other build": [str(self.against), *kinegrad[1:]]}
         pytorch = [self.python, str(HERE / "torch_worker.py"), "{folder}", self.device]
         sides = {"kinegrad": kinegrad, "PyTorch": pytorch}
         if self.device != "cpu":

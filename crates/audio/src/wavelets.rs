@@ -6,8 +6,8 @@
 use std::f64::consts::{PI, TAU};
 
 use rayon::prelude::*;
-use realfft::RealFftPlanner;
-use realfft::num_complex::{Complex32, Complex64};
+use rustfft::FftPlannerScalar;
+use rustfft::num_complex::{Complex32, Complex64};
 
 use crate::SAMPLE_RATE;
 use crate::cqt::{BINS, BINS_PER_OCTAVE, OCTAVES, bin_frequency};
@@ -41,26 +41,19 @@ pub(crate) fn stride(octave: usize) -> usize {
 
 /// The filters of all [`BINS`], lowest first, `tuning` bins above concert pitch.
 pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
-    let transform = RealFftPlanner::<f64>::new().plan_fft_forward(FRAME);
-    let spectrum = |samples: &mut [f64]| {
-        let mut bins = transform.make_output_vec();
-        transform
-            .process(samples, &mut bins)
-            .expect("the buffers were made for this transform");
-        bins
-    };
+    // Without its vector forms: they would be built a second time for the few transforms that need
+    // double precision.
+    let transform = FftPlannerScalar::<f64>::new().plan_fft_forward(FRAME);
     (0..BINS)
         .into_par_iter()
         .with_min_len(BINS_PER_OCTAVE)
         .map(|bin| {
             let kernel = Kernel::new(bin, tuning);
-            let [mut re, mut im] = kernel.samples();
-            let (re, im) = (spectrum(&mut re), spectrum(&mut im));
-            let whole = re
-                .iter()
-                .zip(&im)
-                .map(|(re, im)| (re + Complex64::i() * im) * kernel.gain);
-            sparsify(&whole.collect::<Vec<_>>(), kernel.tail() * kernel.gain)
+            let mut spectrum = kernel.samples();
+            transform.process(&mut spectrum);
+            spectrum.truncate(FRAME / 2 + 1);
+            spectrum.iter_mut().for_each(|weight| *weight *= kernel.gain);
+            sparsify(&spectrum, kernel.tail() * kernel.gain)
         })
         .collect()
 }
@@ -121,21 +114,20 @@ impl Kernel {
         (near.powi(-2) - far.powi(-2)) / (PI * PI * bin_width) / self.stride
     }
 
-    /// Real and imaginary part of the frame.
-    fn samples(&self) -> [Vec<f64>; 2] {
-        let (mut re, mut im) = (vec![0.0; FRAME], vec![0.0; FRAME]);
+    /// The frame.
+    fn samples(&self) -> Vec<Complex64> {
+        let mut samples = vec![Complex64::default(); FRAME];
         let length = self.end - self.start;
-        for (m, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
+        for (m, sample) in samples.iter_mut().enumerate() {
             let n = (m as f64 - FRAME as f64 / 2.0) * self.stride;
             if n < self.start || n >= self.end {
                 continue;
             }
             // sin^2(pi i / M) is the Hann window, and its sum is M / 2.
             let window = (PI * (n - self.start) / length).sin().powi(2) / (length / 2.0);
-            let (sin, cos) = (TAU * self.frequency * n).sin_cos();
-            (*re, *im) = (window * cos, window * sin);
+            *sample = Complex64::from_polar(window, TAU * self.frequency * n);
         }
-        [re, im]
+        samples
     }
 }
 
