@@ -6,6 +6,8 @@ use kinegrad_diffusion::{
     StepInput, ddim_step, ddpm_step,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
+use kinegrad_tests::trials;
+use kinegrad_tests::trials::GoldenTest;
 
 /// Golden README, file 02: everything but the predicted motion, which the division by sqrt(abar)
 /// amplifies.
@@ -13,6 +15,18 @@ const TOLERANCE: f64 = 2e-6;
 const TOLERANCE_PRED_ORIGINAL_SAMPLE: f64 = 1e-4;
 /// Golden README, file 08: single steps.
 const TOLERANCE_DDIM_STEP: f64 = 3e-5;
+
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![
+        golden_q_sample("ccmotion/02_diffusion_steps.safetensors"),
+        golden_pred_original_sample("ccmotion/02_diffusion_steps.safetensors"),
+        golden_posterior_mean("ccmotion/02_diffusion_steps.safetensors"),
+        golden_ddpm_step("ccmotion/02_diffusion_steps.safetensors"),
+        golden_ddpm_step_by_ddim("ccmotion/02_diffusion_steps.safetensors"),
+        golden_ddim_step("ccmotion/08_ddim.safetensors"),
+    ]
+}
 
 fn process(schedule: &str, prediction: &str, total: usize) -> GaussianDiffusion {
     let config = DiffusionConfig {
@@ -42,14 +56,13 @@ struct Steps {
 }
 
 impl Steps {
-    fn open() -> Option<Self> {
-        let golden = Golden::open("ccmotion", "02_diffusion_steps.safetensors")?;
+    fn of(golden: Golden) -> Self {
         let total = golden.metadata("T").parse().expect("a number");
-        Some(Self {
+        Self {
             golden,
             device: Device::flex(),
             total,
-        })
+        }
     }
 
     fn tensor(&self, name: &str) -> Tensor<3> {
@@ -68,10 +81,7 @@ impl Steps {
         tolerance: f64,
         actual: impl Fn(&GaussianDiffusion, &Clip, Tensor<3>, Tensor<3>, &[usize]) -> Tensor<3>,
     ) {
-        let cases = self.golden.names_under(&format!("out.{kind}."));
-        assert!(!cases.is_empty());
-        let mut worst = 0.0f64;
-        for case in cases {
+        for case in self.golden.names_under(&format!("out.{kind}.")) {
             // The clip's bound may hold a point: take the parts from both ends.
             let (schedule, rest) = case.split_once('.').expect("schedule");
             let (prediction, rest) = rest.split_once('.').expect("prediction type");
@@ -87,10 +97,8 @@ impl Steps {
                 &self.timesteps(at),
             );
             let reference = self.golden.reference(&format!("out.{kind}.{case}"));
-            let what = format!("{kind}.{case}");
-            worst = worst.max(reference.assert_close_tensor(&what, found, tolerance));
+            reference.assert_close_tensor(&format!("{kind}.{case}"), found, tolerance);
         }
-        println!("{kind}: largest error {worst:.2e}");
     }
 }
 
@@ -99,26 +107,20 @@ fn one_down(timesteps: &[usize]) -> Vec<Option<usize>> {
     timesteps.iter().map(|t| t.checked_sub(1)).collect()
 }
 
-#[test]
-fn golden_q_sample() {
-    let Some(steps) = Steps::open() else { return };
+fn golden_q_sample(golden: Golden) {
+    let steps = Steps::of(golden);
     let (x_start, noise) = (steps.tensor("in.x0"), steps.tensor("in.noise"));
-    let mut worst = 0.0f64;
-    let cases = steps.golden.names_under("out.q_sample.");
-    assert!(!cases.is_empty());
-    for case in cases {
+    for case in steps.golden.names_under("out.q_sample.") {
         let (schedule, at) = case.split_once('.').expect("schedule and timesteps");
         let diffusion = process(schedule, "epsilon", steps.total);
         let found = diffusion.add_noise(x_start.clone(), noise.clone(), &steps.timesteps(at));
         let reference = steps.golden.reference(&format!("out.q_sample.{case}"));
-        worst = worst.max(reference.assert_close_tensor(&case, found, TOLERANCE));
+        reference.assert_close_tensor(&case, found, TOLERANCE);
     }
-    println!("q_sample: largest error {worst:.2e}");
 }
 
-#[test]
-fn golden_pred_original_sample() {
-    let Some(steps) = Steps::open() else { return };
+fn golden_pred_original_sample(golden: Golden) {
+    let steps = Steps::of(golden);
     let tolerance = TOLERANCE_PRED_ORIGINAL_SAMPLE;
     steps.compare(
         "p_x0",
@@ -131,9 +133,8 @@ fn golden_pred_original_sample() {
 }
 
 /// The posterior mean from the tables of the full process.
-#[test]
-fn golden_posterior_mean() {
-    let Some(steps) = Steps::open() else { return };
+fn golden_posterior_mean(golden: Golden) {
+    let steps = Steps::of(golden);
     steps.compare(
         "p_mean",
         TOLERANCE,
@@ -145,9 +146,8 @@ fn golden_posterior_mean() {
     );
 }
 
-#[test]
-fn golden_ddpm_step() {
-    let Some(steps) = Steps::open() else { return };
+fn golden_ddpm_step(golden: Golden) {
+    let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
     let step = |diffusion: &GaussianDiffusion, clip: &Clip, model_output, x_t, at: &[usize], z| {
         let input = StepInput {
@@ -193,9 +193,8 @@ fn golden_ddpm_step() {
 }
 
 /// DDIM with eta 1 and one timestep per jump draws from the same posterior.
-#[test]
-fn golden_ddpm_step_by_ddim() {
-    let Some(steps) = Steps::open() else { return };
+fn golden_ddpm_step_by_ddim(golden: Golden) {
+    let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
     // Its epsilon must belong to the clipped motion, as it does in the posterior.
     let config = SamplerConfig {
@@ -222,18 +221,11 @@ fn golden_ddpm_step_by_ddim() {
 }
 
 /// `out.step.eta{eta}.t{from}_{to}.{clip}` of file 08: the cosine schedule of 1000 timesteps.
-#[test]
-fn golden_ddim_step() {
-    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else {
-        return;
-    };
+fn golden_ddim_step(golden: Golden) {
     let device = Device::flex();
     let input = |name: &str| golden.tensor::<3>(&format!("in.step.{name}"), &device);
     let diffusion = process("cosine", "epsilon", 1000);
-    let mut worst = 0.0f64;
-    let cases = golden.names_under("out.step.eta");
-    assert!(!cases.is_empty());
-    for case in cases {
+    for case in golden.names_under("out.step.eta") {
         let (rest, clip) = case.rsplit_once('.').expect("clip");
         let (eta, jump) = rest.rsplit_once(".t").expect("eta and timesteps");
         let (from, to) = jump.split_once('_').expect("two timesteps");
@@ -260,7 +252,6 @@ fn golden_ddim_step() {
         .expect("sizes that fit")
         .prev_sample;
         let reference = golden.reference(&format!("out.step.eta{case}"));
-        worst = worst.max(reference.assert_close_tensor(&case, found, TOLERANCE_DDIM_STEP));
+        reference.assert_close_tensor(&case, found, TOLERANCE_DDIM_STEP);
     }
-    println!("ddim step: largest error {worst:.2e}");
 }

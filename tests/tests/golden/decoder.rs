@@ -4,13 +4,15 @@
 use burn::tensor::Device;
 use kinegrad_models::parameters;
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
-use kinegrad_tests::{decoder, weights};
+use kinegrad_tests::trials::GoldenTest;
+use kinegrad_tests::{decoder, trials, weights};
 
-#[test]
-fn golden_decoder() {
-    let Some(golden) = Golden::open("ccmotion", "04_decoder.safetensors") else {
-        return;
-    };
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![golden_decoder("ccmotion/04_decoder.safetensors"),]
+}
+
+fn golden_decoder(golden: Golden) {
     let device = Device::flex().autodiff();
     let size = |key: &str| golden.metadata(key).parse::<usize>().expect("a size");
     let decoder = decoder::of_size(size("hidden"), size("layers"), &device);
@@ -38,13 +40,20 @@ fn golden_decoder() {
         let gradient = x.grad_remove(&mut tracked).expect("a gradient");
         golden
             .reference(&format!("grad.{case}.in.x"))
-            .assert_close_tensor("dx", gradient, tolerance);
+            .assert_close_tensor("dx", gradient.clone(), tolerance);
+        let norm = f64::from(gradient.square().sum().sqrt().into_scalar::<f32>());
+        golden.get(&format!("gradnorm64.{case}.in.x")).assert_close(
+            &format!("{case} |dx|"),
+            &[norm],
+            tolerance,
+        );
         let gradients = parameters::gradients(&decoder, &mut tracked);
         let stored = golden.names_under(&format!("grad.{case}.model."));
-        assert!(!stored.is_empty());
+        let mut compared = 0;
         for (info, gradient) in infos.iter().zip(&gradients) {
             let name = &info.name;
             if stored.contains(name) {
+                compared += 1;
                 golden
                     .reference(&format!("grad.{case}.model.{name}"))
                     .assert_close_f32(&format!("{case} d{name}"), gradient, tolerance);
@@ -54,5 +63,6 @@ fn golden_decoder() {
                 .get(&format!("gradnorm64.{case}.model.{name}"))
                 .assert_close(&format!("{case} |d{name}|"), &[norm.sqrt()], tolerance);
         }
+        assert_eq!(compared, stored.len(), "every stored gradient");
     }
 }

@@ -4,25 +4,28 @@ use kinegrad_diffusion::{
     BetaSchedule, DiffusionConfig, NoiseSchedule, SamplerConfig, TimestepSpacing, timesteps,
 };
 use kinegrad_tests::golden::Golden;
+use kinegrad_tests::trials;
+use kinegrad_tests::trials::GoldenTest;
 
 /// Relative, for tables computed in f64 (golden README, file 01).
 const TOLERANCE: f64 = 1e-12;
+
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![
+        golden_schedules_match_in_double_precision("ccmotion/01_schedules.safetensors"),
+        golden_timesteps_match_exactly("ccmotion/08_ddim.safetensors"),
+    ]
+}
 
 /// The number after a one-letter prefix: `T1000` is 1000.
 fn number(part: &str) -> usize {
     part[1..].parse().expect("a number after the letter")
 }
 
-#[test]
-fn golden_schedules_match_in_double_precision() {
-    let Some(golden) = Golden::open("ccmotion", "01_schedules.safetensors") else {
-        return;
-    };
+fn golden_schedules_match_in_double_precision(golden: Golden) {
     let beta = |key| golden.metadata(key).parse::<f64>().expect("a number");
-    let mut worst = 0.0f64;
-    let names = golden.names_under("out.");
-    assert!(!names.is_empty());
-    for name in names {
+    for name in golden.names_under("out.") {
         let [schedule, total, table] = name
             .split('.')
             .collect::<Vec<_>>()
@@ -52,39 +55,27 @@ fn golden_schedules_match_in_double_precision() {
             other => panic!("a table of another name: {other}"),
         };
         let reference = golden.get(&format!("out.{name}"));
-        let error = reference.assert_close(&name, actual, TOLERANCE);
-        println!("{name}: {error:.2e}");
-        worst = worst.max(error);
+        reference.assert_close(&name, actual, TOLERANCE);
     }
-    println!("schedules: largest error {worst:.2e}");
 }
 
 /// `out.timesteps_8_1` is the spacing `document`, `out.timesteps_7_3` is `linspace`.
-#[test]
-fn golden_timesteps_match_exactly() {
-    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else {
-        return;
-    };
+fn golden_timesteps_match_exactly(golden: Golden) {
     for (section, timestep_spacing) in [
         ("8_1", TimestepSpacing::Document),
         ("7_3", TimestepSpacing::Linspace),
     ] {
         let prefix = format!("out.timesteps_{section}.");
-        let cases = golden.names_under(&prefix);
-        assert!(!cases.is_empty());
-        for case in cases {
+        for case in golden.names_under(&prefix) {
             let (total, steps) = case.split_once('.').expect("T and N");
             let config = SamplerConfig {
                 num_inference_steps: number(steps),
                 timestep_spacing,
                 ..Default::default()
             };
-            let expected = golden.get(&format!("{prefix}{case}")).indices();
-            assert_eq!(
-                timesteps(&config, number(total)),
-                expected,
-                "{section} {case}"
-            );
+            let found = timesteps(&config, number(total));
+            let found: Vec<f64> = found.into_iter().map(|t| t as f64).collect();
+            golden.compare_exactly(&format!("{prefix}{case}"), &found);
         }
     }
 }

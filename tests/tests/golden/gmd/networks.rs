@@ -6,7 +6,9 @@ use kinegrad_diffusion::guided;
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
-use kinegrad_tests::{gmd, weights};
+use kinegrad_tests::stages::Noted;
+use kinegrad_tests::trials::GoldenTest;
+use kinegrad_tests::{gmd, trials, weights};
 
 const OUTPUT: f64 = 2e-5;
 const WHOLE: f64 = 5e-5;
@@ -16,26 +18,37 @@ const GRADIENT: f64 = 1e-4;
 /// Below this a gradient is zero in exact arithmetic.
 const ZERO: f64 = 1e-6;
 
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![
+        golden_gmd_motion_unet("gmd/unet_motion_tiny.safetensors") => compare_unet,
+        golden_gmd_trajectory_unet("gmd/unet_traj_tiny.safetensors") => compare_unet,
+        golden_gmd_unet_without_adagn("gmd/unet_traj_xxs_plain_tiny.safetensors") => compare_unet,
+        golden_gmd_whole_model("gmd/mdm_unet_tiny.safetensors"),
+    ]
+}
+
 /// Compares the stored gradients of `module`'s parameters.
 fn compare_gradients<M: Module>(golden: &Golden, module: &M, gradients: &[Vec<f32>]) {
     let infos = parameters::infos(module);
+    let stored = golden.names_under("grad.model.");
     let mut compared = 0;
     for (info, gradient) in infos.iter().zip(gradients) {
-        let name = format!("grad.model.{}", info.name);
-        if !golden.has(&name) {
+        if !stored.contains(&info.name) {
             continue;
         }
         compared += 1;
+        let name = format!("grad.model.{}", info.name);
         let reference = golden.get(&name);
         let largest = reference.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         if largest < ZERO {
-            let found = gradient.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-            assert!(f64::from(found) < ZERO, "{name} is {found}, not 0");
-            continue;
+            // Rounding noise in both.
+            reference.assert_within_f32(&name, gradient, ZERO, 0.0);
+        } else {
+            reference.assert_close_f32(&name, gradient, GRADIENT);
         }
-        reference.assert_close_f32(&name, gradient, GRADIENT);
     }
-    assert!(compared > 0, "a stored gradient");
+    assert_eq!(compared, stored.len(), "every stored gradient");
 }
 
 /// `[time, batch, channels]` of a file as `[batch, channels, time]`.
@@ -43,10 +56,18 @@ fn sequence_first(x: Tensor<3>) -> Tensor<3> {
     x.permute([1, 2, 0])
 }
 
-fn compare_unet(file: &str) {
-    let Some(golden) = Golden::open("gmd", file) else {
-        return;
-    };
+/// Compares what every stage gave.
+fn compare_stages(golden: &Golden, stages: &Noted) {
+    let names = golden.names_under("out.");
+    let whole = ["y", "loss"];
+    for name in names.iter().filter(|name| !whole.contains(&name.as_str())) {
+        let reference = golden.get(&format!("out.{name}"));
+        assert_eq!(stages.shape(name), reference.shape, "{name}: shape");
+        reference.assert_within_f32(name, stages.values(name), OUTPUT, 0.0);
+    }
+}
+
+fn compare_unet(golden: Golden) {
     let device = Device::flex().autodiff();
     let config = gmd::unet(&golden, "model.");
     let network = config
@@ -55,11 +76,14 @@ fn compare_unet(file: &str) {
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let x = golden.tensor::<3>("in.x", &device).require_grad();
     let cond = golden.tensor::<2>("in.cond", &device).require_grad();
-    let y = network.forward(sequence_first(x.clone()), cond.clone());
+    let mut stages = Noted::default();
+    let input = sequence_first(x.clone());
+    let y = network.forward_stages(input, cond.clone(), &mut stages);
+    compare_stages(&golden, &stages);
     let y = y.permute([2, 0, 1]);
     golden
         .get("out.y")
-        .assert_within(file, y.clone(), OUTPUT, 0.0);
+        .assert_within("y", y.clone(), OUTPUT, 0.0);
 
     let loss = (y.clone() * y).mean();
     golden
@@ -79,28 +103,9 @@ fn compare_unet(file: &str) {
     compare_gradients(&golden, &network, &computed);
 }
 
-#[test]
-fn golden_gmd_motion_unet() {
-    compare_unet("unet_motion_tiny.safetensors");
-}
-
-#[test]
-fn golden_gmd_trajectory_unet() {
-    compare_unet("unet_traj_tiny.safetensors");
-}
-
-#[test]
-fn golden_gmd_unet_without_adagn() {
-    compare_unet("unet_traj_xxs_plain_tiny.safetensors");
-}
-
-#[test]
-fn golden_gmd_whole_model() {
-    let Some(golden) = Golden::open("gmd", "mdm_unet_tiny.safetensors") else {
-        return;
-    };
+fn golden_gmd_whole_model(golden: Golden) {
     let device = Device::flex().autodiff();
-    let padded_frames = 224;
+    let padded_frames = golden.metadata("padded_frames").parse().expect("a number");
     let backbone = Backbone::Unet(gmd::unet(&golden, "model.unet."), padded_frames);
     let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
@@ -135,7 +140,9 @@ fn golden_gmd_whole_model() {
         .get("out.emb_uncond")
         .assert_within("uncond", uncond, WHOLE, 0.0);
 
-    let y = network.forward(x.clone(), &timesteps, text.clone());
+    let mut stages = Noted::default();
+    let y = network.forward_stages(x.clone(), &timesteps, text.clone(), &mut stages);
+    compare_padding(&golden, &stages);
     golden
         .get("out.y")
         .assert_within("y", y.clone(), WHOLE, 0.0);
@@ -163,4 +170,26 @@ fn golden_gmd_whole_model() {
         .assert_close_tensor("dx", dx, GRADIENT);
     let computed = parameters::gradients(&network, &mut gradients);
     compare_gradients(&golden, &network, &computed);
+}
+
+/// Compares what the UNet is given and what it answers about the frames behind the clip's end, of
+/// which the file has the first.
+fn compare_padding(golden: &Golden, stages: &Noted) {
+    let frames: usize = golden.metadata("nframes").parse().expect("a number");
+    for (name, stage, start) in [
+        ("out.unet_in_padded", "unet_in_padded", 0),
+        ("out.unet_out_padded_tail", "unet_out_padded", frames),
+    ] {
+        let (values, shape) = (stages.values(stage), stages.shape(stage));
+        let [batch, channels, time] = shape[..] else {
+            panic!("{stage}: {shape:?}");
+        };
+        // The file has [time, batch, channels].
+        let reference = golden.get(name);
+        assert_eq!(reference.shape[1..], [batch, channels], "{name}: shape");
+        let of_frame = |frame: usize| (0..batch * channels).map(move |row| row * time + frame);
+        let found = (start..start + reference.shape[0]).flat_map(of_frame);
+        let found: Vec<f32> = found.map(|place| values[place]).collect();
+        reference.assert_within_f32(name, &found, WHOLE, 0.0);
+    }
 }

@@ -9,13 +9,15 @@ use kinegrad_diffusion::{
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
-use kinegrad_tests::{unet, weights};
+use kinegrad_tests::trials::GoldenTest;
+use kinegrad_tests::{trials, unet, weights};
 
-#[test]
-fn golden_ddim_sampling() {
-    let Some(golden) = Golden::open("ccmotion", "08_ddim.safetensors") else {
-        return;
-    };
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![golden_ddim_sampling("ccmotion/08_ddim.safetensors"),]
+}
+
+fn golden_ddim_sampling(golden: Golden) {
     let device = Device::flex();
     let config = unet::config(golden.metadata("unet"));
     let model = config
@@ -30,13 +32,9 @@ fn golden_ddim_sampling() {
     let start = golden.tensor::<3>("in.x_T", &device);
     let cond = golden.tensor::<3>("in.cond", &device);
 
-    let finals: Vec<String> = golden
-        .names_under("out.")
-        .into_iter()
-        .filter(|name| name.ends_with(".x_final") && !name.contains("alt."))
-        .collect();
-    assert!(!finals.is_empty());
-    for name in &finals {
+    let names = golden.names_under("out.");
+    let finals = names.iter().filter(|name| name.ends_with(".x_final"));
+    for name in finals {
         // For example `cosine1000.clip.cfg3.x_final`.
         let parts: Vec<&str> = name.split('.').collect();
         let split = parts[0]
@@ -68,20 +66,37 @@ fn golden_ddim_sampling() {
             final_alpha: FinalAlpha::First,
             recompute_epsilon: false,
         };
+        let to_clean_motion = SamplerConfig {
+            final_alpha: FinalAlpha::One,
+            ..sampler.clone()
+        };
         let case = format!("out.{}.{}.{}", parts[0], parts[1], parts[2]);
         let mut states: Vec<Tensor<3>> = Vec::new();
         let key = Key::new(0, Purpose::Sampling);
-        let drawn = sample(
-            &diffusion,
-            &model,
-            start.clone(),
-            &cond,
-            &sampler,
-            &clip,
-            key,
-            &mut |_, _, x| states.push(x.clone()),
-        )
-        .expect("a sample");
+        let mut draw = |sampler: &SamplerConfig| {
+            states.clear();
+            sample(
+                &diffusion,
+                &model,
+                start.clone(),
+                &cond,
+                sampler,
+                &clip,
+                key,
+                &mut |_, _, x| states.push(x.clone()),
+            )
+            .expect("a sample")
+        };
+        golden
+            .reference(&format!("{case}.alt.x_final_alpha_next_1"))
+            .assert_close_tensor(
+                &format!("{case} to the clean motion"),
+                draw(&to_clean_motion),
+                tolerance,
+            );
+        golden
+            .reference(&format!("{case}.x_final"))
+            .assert_close_tensor(&case, draw(&sampler), tolerance);
         assert_eq!(states.len(), steps);
         for after in golden.names_under(&format!("{case}.x_after.")) {
             let index: usize = after.parse().expect("a step");
@@ -93,8 +108,5 @@ fn golden_ddim_sampling() {
                     tolerance,
                 );
         }
-        golden
-            .reference(&format!("{case}.x_final"))
-            .assert_close_tensor(&case, drawn, tolerance);
     }
 }
