@@ -8,7 +8,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
+use kinegrad_tests::golden::{Folder, Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, unet, weights};
 
@@ -32,6 +32,7 @@ fn golden_ddim_sampling(golden: Golden) {
     let start = golden.tensor::<3>("in.x_T", &device);
     let cond = golden.tensor::<3>("in.cond", &device);
 
+    let complete = Folder::in_use().must_be_complete();
     let names = golden.names_under("out.");
     let finals = names.iter().filter(|name| name.ends_with(".x_final"));
     for name in finals {
@@ -87,13 +88,13 @@ fn golden_ddim_sampling(golden: Golden) {
             )
             .expect("a sample")
         };
-        golden
-            .reference(&format!("{case}.alt.x_final_alpha_next_1"))
-            .assert_close_tensor(
-                &format!("{case} to the clean motion"),
-                draw(&to_clean_motion),
-                tolerance,
-            );
+        let alternative = format!("{case}.alt.x_final_alpha_next_1");
+        // The small file leaves the other reading of the last step out.
+        if complete || golden.has(&alternative) {
+            let drawn = draw(&to_clean_motion);
+            let reference = golden.reference(&alternative);
+            reference.assert_close_tensor(&alternative, drawn, tolerance);
+        }
         golden
             .reference(&format!("{case}.x_final"))
             .assert_close_tensor(&case, draw(&sampler), tolerance);

@@ -63,15 +63,15 @@ fn golden_gmd_imputation_of_motion(golden: Golden) {
     }
 }
 
-/// The stages of the step at timestep 500: the prediction with the target in it, in metres and in
-/// the network's space, and the mean that it leads to.
+/// The stages of the step at timestep 500: the prediction in metres, in the network's space with the
+/// target in it, and the mean that this leads to.
 fn stages(bench: &Bench<'_>, variant: &str, x_t: Tensor<3>, known: &Imputation<'_>) {
     let none = Steering::default();
     let step = bench.step(x_t.clone(), 500, None, None, &none);
     let free = known.mask.clone() * -1.0 + 1.0;
-    let motion = known.space.to_motion(step.pred_original_sample) * free;
-    let motion = motion + known.target.clone() * known.mask.clone();
-    let x_start = known.space.to_network(motion.clone());
+    let motion = known.space.to_motion(step.pred_original_sample);
+    let imputed = motion.clone() * free + known.target.clone() * known.mask.clone();
+    let x_start = known.space.to_network(imputed);
     let at = vec![500; x_t.dims()[0]];
     let (mean, _) = bench.diffusion.posterior(x_start.clone(), x_t, &at);
     for (stage, found) in [
