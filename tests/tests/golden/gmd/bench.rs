@@ -6,7 +6,7 @@ use kinegrad_diffusion::{
     SteeredInput, SteeredOutput, Steering, steered_step,
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
-use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors};
+use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
 use kinegrad_train::clips::FeatureSpace;
 
 /// The process of the published models, for networks that predict this.
@@ -127,7 +127,10 @@ pub fn space(golden: &Golden, channels: usize, projected: bool, device: &Device)
     let numbers = |name: &str| golden.get(name).values[..channels].to_vec();
     let projection = projected.then(|| {
         let matrix = golden.get("in.P").f32s();
-        EmphasisProjection::from_matrix(&matrix, channels, 10.0, &[0, 1, 2]).expect("a projection")
+        let projection = EmphasisProjection::from_matrix(&matrix, channels, 10.0, &[0, 1, 2])
+            .expect("a projection");
+        golden.compare_relative("in.P_inv", &wide(projection.inverse()), 1e-3);
+        projection
     });
     let (mean, std) = (numbers("in.mean"), numbers("in.std"));
     FeatureSpace::new(&mean, &std, projection.as_ref(), device)
