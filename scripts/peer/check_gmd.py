@@ -15,14 +15,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ccmotion.diffusion import PredictionType
-from gmd.conditioning import guided, sinusoid_rows
 from gmd.denoiser import UNetDenoiser
+from gmd.reference import denoiser_values, unet_values
+from gmd.reference import gradients as model_gradients
 from gmd.training import cosine_schedule, weighted_loss
 from gmd.transformer import TransformerConfig, TransformerDenoiser
-from gmd.unet import UNet, UNetConfig
+from gmd.unet import UNetConfig
 from golden import Golden, Report
 
 FIXTURES = Path(__file__).resolve().parents[2] / "data_fixtures" / "gmd"
@@ -50,89 +51,39 @@ def absolute(report: Report, group: str, tolerance: float, name: str, a: Tensor,
 
 def gradients(report: Report, group: str, golden: Golden, found: dict[str, Tensor]) -> None:
     """Compares all gradients that the file holds."""
-    for name, reference in golden.under("grad.").items():
+    for key in golden.keys("grad."):
+        reference, name = golden[key], key.removeprefix("grad.")
         if reference.abs().max() < ZERO_GRADIENT:
-            absolute(report, f"{group} zero gradients", 1e-6, name, found[name], reference)
+            absolute(report, f"{group} zero gradients", 1e-6, name, found[key], reference)
         else:
-            report.compare(f"{group} gradients", 1e-4, name, found[name], reference)
+            report.compare(f"{group} gradients", 1e-4, name, found[key], reference)
 
 
-def model_gradients(model: nn.Module) -> dict[str, Tensor]:
-    """By the names of a file."""
-    return {f"model.{name}": p.grad for name, p in model.named_parameters()}
-
-
-def multipliers(golden: Golden) -> tuple[float, ...]:
-    """Of a file's metadata."""
-    return tuple(float(value) for value in golden.metadata["dim_mults"].split(","))
-
-
-def check_unet(report: Report, folder: Path, name: str) -> None:
+def check_unet(
+    report: Report, folder: Path, name: str, dtype: torch.dtype = torch.float32
+) -> None:
     """A bare network: intermediate values, output, loss and gradients."""
     golden = Golden(folder, name)
-    meta = golden.metadata
-    config = UNetConfig(
-        motion_channels=int(meta["input_dim"]),
-        width=int(meta["dim"]),
-        multipliers=multipliers(golden),
-        cond_dim=int(meta["cond_dim"]),
-        adagn=meta["adagn"] == "true",
-        zero_init=meta["zero"] == "true",
-    )
-    unet = UNet(config)
-    unet.load_state_dict(golden.under("model."))
-    places: dict[str, nn.Module] = {"c": unet.time_mlp, "final0": unet.final_conv[0]}
-    places |= {"mid1": unet.mid_block1, "mid2": unet.mid_block2}
-    for kind, levels in {"down": unet.downs, "up": unet.ups}.items():
-        for i, blocks in enumerate(levels):
-            places |= {f"{kind}{i}.res0": blocks[0], f"{kind}{i}.res1": blocks[1]}
-            places[f"{kind}{i}.{kind}"] = blocks[3]
-    taps: dict[str, Tensor] = {}
-    for place, module in places.items():
-        module.register_forward_hook(lambda _m, _i, out, place=place: taps.update({place: out}))
-    x = golden["in.x"].clone().requires_grad_()
-    cond = golden["in.cond"].clone().requires_grad_()
-    y = unet(x.permute(1, 2, 0), cond).permute(2, 0, 1)
-    loss = y.square().mean()
-    loss.backward()
-    values = taps | {"y": y, "loss": loss[None]}
-    for key, reference in golden.under("out.").items():
-        absolute(report, f"{name} outputs", 2e-5, key, values[key], reference)
-    inputs = {"in.x": x.grad, "in.cond": cond.grad}
-    gradients(report, name, golden, inputs | model_gradients(unet))
+    values = unet_values(golden, dtype)
+    for key in golden.keys("out."):
+        absolute(report, f"{name} outputs", 2e-5, key, values[key], golden[key])
+    gradients(report, name, golden, values)
 
 
-def check_denoiser(report: Report, folder: Path, name: str) -> None:
+def check_denoiser(
+    report: Report, folder: Path, name: str, dtype: torch.dtype = torch.float32
+) -> None:
     """The whole model: conditioning, padding, outputs, guidance and gradients."""
     golden = Golden(folder, name)
-    meta = golden.metadata
-    width = int(meta["latent_dim"])
-    config = UNetConfig(int(meta["njoints"]), width, multipliers(golden), width)
-    model = UNetDenoiser(config, int(meta["padded_frames"]))
-    model.load_state_dict(golden.under("model."))
-    calls: list[tuple[Tensor, Tensor, Tensor]] = []
-    model.unet.register_forward_hook(lambda _m, args, out: calls.append((*args, out)))
-    x = golden["in.x"].clone().requires_grad_()
-    t, text = golden["in.t"], golden["in.text_features"]
-    frames = x.shape[3]
-    y = model(x[:, :, 0], t, text)
-    loss = y.square().mean()
-    loss.backward()
-    padded, emb, out = calls[0]
-    values = {"emb": emb, "time_emb": model.embed_timestep(t), "y": y[:, :, None]}
-    values["unet_in_padded"] = padded.permute(2, 0, 1)[: golden["out.unet_in_padded"].shape[0]]
-    tail = golden["out.unet_out_padded_tail"].shape[0]
-    values["unet_out_padded_tail"] = out.permute(2, 0, 1)[frames : frames + tail]
-    values["y_uncond"] = model(x[:, :, 0], t, torch.zeros_like(text))[:, :, None]
-    values["emb_uncond"] = calls[-1][1]
-    for key, found in values.items():
-        absolute(report, f"{name} outputs", 5e-5, key, found, golden[f"out.{key}"])
-    report.compare(f"{name} loss", 1e-5, "", loss[None], golden["out.loss"])
-    rows = sinusoid_rows(t, width)[:, None]
-    absolute(report, f"{name} sinusoid rows", 1e-5, "", rows, golden["out.pe_rows"])
-    mixed = guided(model, x[:, :, 0], t, text, golden["in.cfg_scale"])[:, :, None]
-    absolute(report, f"{name} guidance", 2e-4, "", mixed, golden["out.y_cfg"])
-    gradients(report, name, golden, {"in.x": x.grad} | model_gradients(model))
+    values = denoiser_values(golden, dtype)
+    bounds = {"out.y_cfg": ("guidance", 2e-4), "out.pe_rows": ("sinusoid rows", 1e-5)}
+    for key in golden.keys("out."):
+        if key == "out.loss":
+            report.compare(f"{name} loss", 1e-5, "", values[key], golden[key])
+        else:
+            group, tolerance = bounds.get(key, ("outputs", 5e-5))
+            absolute(report, f"{name} {group}", tolerance, key, values[key], golden[key])
+    gradients(report, name, golden, values)
 
 
 def check_schedule(report: Report, folder: Path) -> None:
@@ -212,7 +163,7 @@ def check_transformer(report: Report, folder: Path, name: str) -> None:
     values["loss"] = loss[None]
     for key, reference in golden.under("out.").items():
         absolute(report, f"{name} outputs", 2e-5, key, values[key], reference)
-    gradients(report, name, golden, {"in.x": x.grad} | model_gradients(model))
+    gradients(report, name, golden, {"grad.in.x": x.grad} | model_gradients(model))
 
 
 def main() -> int:

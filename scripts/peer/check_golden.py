@@ -3,9 +3,9 @@
 
     python3 scripts/peer/check_golden.py GOLDEN_DIR
 
-GOLDEN_DIR holds `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `06_temporal_loss` and
-`07_e2e`, each `.safetensors`. Errors are `max|a - ref| / max|ref|` over a tensor, against the
-float64 reference. Exits with 1 where one is above its tolerance.
+GOLDEN_DIR holds `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
+`06_temporal_loss`, `07_e2e` and `08_ddim`, each `.safetensors`. Errors are `max|a - ref| / max|ref|`
+over a tensor, against the float64 reference. Exits with 1 where one is above its tolerance.
 """
 
 import argparse
@@ -28,50 +28,66 @@ from ccmotion.diffusion import (
 )
 from ccmotion.e2e import Batch, EndToEndConfig, EndToEndModel, Trainer, backward
 from ccmotion.losses import TemporalLosses, temporal_losses
-from ccmotion.unet1d import UNet1d, UNetConfig
-from golden import Golden, Report, hashed_weights
+from ccmotion.reference import config, ddim_values, loss_values, unet_values
+from ccmotion.unet1d import UNet1d
+from golden import Golden, Report
 
 
 def check_unet(
-    report: Report, golden: Golden, group: str, cases: list[str], grad_tolerance: float
+    report: Report,
+    golden: Golden,
+    group: str,
+    grad_tolerance: float,
+    dtype: torch.dtype = torch.float32,
 ) -> None:
     """The network of 03_unet*: intermediate values, output, loss and gradients."""
-    unet = UNet1d(unet_config(golden.json("config")))
-    stored = golden.under("model.")
-    unet.load_state_dict(stored if stored else hashed_weights(golden, unet))
-    taps: dict[str, Tensor] = {}
-    # A tap of a decoder level is its output, one of an encoder level its skip.
-    places = {"input_conv": unet.input_conv, "mid": unet.mid, "time_emb": unet.time_embed}
-    places |= {f"enc.{i}": level for i, level in enumerate(unet.enc)}
-    places |= {f"dec.{i}": level for i, level in enumerate(unet.dec)}
-    for name, module in places.items():
-        module.register_forward_hook(lambda _m, _i, out, name=name: taps.update({name: out}))
-    for case in cases:
-        unet.zero_grad()
-        x = golden[f"in.{case}.x"].clone().requires_grad_()
-        cond = golden[f"in.{case}.cond"].clone().requires_grad_()
-        y = unet(x, golden[f"in.{case}.t"], cond)
-        loss = F.mse_loss(y, golden[f"in.{case}.eps"])
-        loss.backward()
-        report.compare(f"{group} y", 2e-5, case, y, golden[f"out64.{case}.y"])
-        report.compare(f"{group} loss", 1e-5, case, loss, golden[f"out64.{case}.loss"])
-        for name, reference in golden.under(f"out64.{case}.tap.").items():
-            if name in taps:
-                report.compare(f"{group} intermediate", 5e-5, name, taps[name], reference)
-        gradients = {"in.x": x.grad, "in.cond": cond.grad}
-        gradients |= {f"model.{name}": p.grad for name, p in unet.named_parameters()}
-        zero = {f"model.{name}" for name in golden.json("structurally_zero_gradients")}
-        for name, reference in golden.under(f"grad64.{case}.").items():
-            if name not in zero:
-                label = f"{case} {name}"
-                report.compare(
-                    f"{group} gradients", grad_tolerance, label, gradients[name], reference
-                )
+    values = unet_values(golden, dtype)
+    zero = golden.json("structurally_zero_gradients")
+    for key in [*golden.keys("out."), *golden.keys("grad.")]:
+        if key.split(".model.")[-1] not in zero:
+            kind, tolerance = network_bound(key, grad_tolerance)
+            report.compare(f"{group} {kind}", tolerance, key, values[key], golden.reference(key))
+    for key in golden.keys("gradnorm64."):
+        case, name = key.removeprefix("gradnorm64.").split(".", 1)
+        found, expected = values[f"gradnorm.{case}.{name}"], golden[key]
+        if name in zero:
+            report.enter(f"{group} norms of zero gradients", 1e-5, key, found.item())
+        else:
+            report.compare(f"{group} gradient norms", grad_tolerance, key, found, expected)
 
 
-def unet_config(config: dict) -> UNetConfig:
-    """Our sizes from those in a file's metadata."""
-    return UNetConfig(config["base"], tuple(config["mult"]), config["time_dim"], config["ctx_dim"])
+def network_bound(key: str, grad_tolerance: float) -> tuple[str, float]:
+    """What a key of a network's file stands for, and its tolerance."""
+    if key.startswith("grad."):
+        return "gradients", grad_tolerance
+    if ".tap." in key:
+        return "intermediate", 5e-5
+    return ("loss", 1e-5) if "loss" in key else ("y", 2e-5)
+
+
+def check_loss(report: Report, golden: Golden, dtype: torch.dtype = torch.float32) -> None:
+    """05_diffusion_loss: noised motion, output, losses and gradients."""
+    values = loss_values(golden, dtype)
+    for key in [*golden.keys("out."), *golden.keys("grad.")]:
+        kind, tolerance = network_bound(key, 1e-4)
+        report.compare(f"diffusion loss {kind}", tolerance, key, values[key], golden.reference(key))
+
+
+def check_ddim(report: Report, golden: Golden, dtype: torch.dtype = torch.float32) -> None:
+    """08_ddim: timesteps, single steps and samples."""
+    values = ddim_values(golden, dtype)
+    for key in golden.keys("out."):
+        kind, tolerance = ddim_bound(key)
+        report.compare(f"ddim {kind}", tolerance, key, values[key], golden.reference(key))
+
+
+def ddim_bound(key: str) -> tuple[str, float]:
+    """What a key of 08_ddim stands for, and its tolerance."""
+    if ".timesteps_" in key:
+        return "timesteps", 0.0
+    if ".step." in key:
+        return "steps", 3e-5
+    return ("samples without clipping", 2e-5) if ".noclip." in key else ("samples", 2e-4)
 
 
 def check_decoder(report: Report, golden: Golden) -> None:
@@ -138,7 +154,7 @@ class EndToEnd:
     def model(self) -> EndToEndModel:
         """Both networks with the reference's weights."""
         sizes = self.golden.json("decoder")
-        unet = UNet1d(unet_config(self.golden.json("unet")))
+        unet = UNet1d(config(self.golden.json("unet")))
         model = EndToEndModel(unet, MotionDecoder(sizes["hidden"], sizes["layers"]))
         model.load_state_dict(self.weights)
         return model
@@ -314,8 +330,10 @@ def main() -> int:
     folder = parser.parse_args().golden_dir
     torch.set_num_threads(2)
     report = Report()
-    check_unet(report, Golden(folder, "03_unet"), "unet", ["t32", "t30"], 2e-4)
-    check_unet(report, Golden(folder, "03_unet_mult1248_hashed"), "unet hashed", ["t32"], 1e-4)
+    check_unet(report, Golden(folder, "03_unet"), "unet", 2e-4)
+    check_unet(report, Golden(folder, "03_unet_mult1248_hashed"), "unet hashed", 1e-4)
+    check_loss(report, Golden(folder, "05_diffusion_loss"))
+    check_ddim(report, Golden(folder, "08_ddim"))
     check_decoder(report, Golden(folder, "04_decoder"))
     check_temporal(report, Golden(folder, "06_temporal_loss"))
     check_prediction_types(report)

@@ -27,11 +27,11 @@ pub struct Case {
 }
 
 impl Case {
-    /// The case `name`; none where the file is not there and need not be.
+    /// The case `name` of the file.
     ///
     /// # Panics
     /// Panics at a name that is no case.
-    pub fn open(name: &'static str) -> Option<Self> {
+    pub fn of(golden: Golden, name: &'static str) -> Self {
         let (schedule, timesteps) = match name {
             "linear50" => (BetaSchedule::Linear, 50),
             "linear1000" => (BetaSchedule::Linear, 1000),
@@ -44,12 +44,12 @@ impl Case {
             prediction_type: PredictionType::Epsilon,
             ..DiffusionConfig::default()
         };
-        Some(Self {
-            golden: Golden::open("ccmotion", "07_e2e.safetensors")?,
+        Self {
+            golden,
             name,
             device: Device::flex().autodiff(),
             diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
-        })
+        }
     }
 
     /// Both networks, with the file's weights.

@@ -4,18 +4,20 @@
 use kinegrad_models::gmd::GmdUnetConfig;
 
 use crate::golden::Golden;
+use crate::weights::shape;
 
 /// The UNet whose weights stand under `prefix`.
 ///
 /// # Panics
 /// Panics if they are not those of one.
 pub fn unet(golden: &Golden, prefix: &str) -> GmdUnetConfig {
-    let size = |name: &str, axis: usize| golden.get(&format!("{prefix}{name}")).shape[axis];
-    let adagn = golden.has(&format!("{prefix}downs.0.0.blocks.0.block1.0.weight"));
+    let shape = |name: &str| shape(golden, &format!("{prefix}{name}"));
+    let size = |name: &str, axis: usize| shape(name).expect("a weight of this name")[axis];
+    let adagn = shape("downs.0.0.blocks.0.block1.0.weight").is_some();
     let half = if adagn { "block1" } else { "block" };
     let first = |level: usize| format!("downs.{level}.0.blocks.0.{half}.0.weight");
     let latent_dim = size("time_mlp.2.weight", 0);
-    let levels = (0..).take_while(|&level| golden.has(&format!("{prefix}{}", first(level))));
+    let levels = (0..).take_while(|&level| shape(&first(level)).is_some());
     GmdUnetConfig {
         in_channels: size(&first(0), 1),
         cond_dim: size("time_mlp.0.weight", 1),

@@ -1,7 +1,7 @@
 //! Reference tensors on a device.
 
 use burn::tensor::{Device, Tensor, TensorData};
-pub use kinegrad_golden::{Golden, Reference, workspace};
+pub use kinegrad_golden::{Folder, Golden, Reference, compared, differences, wide, workspace};
 
 /// Tensors of a file.
 pub trait GoldenTensors {
@@ -66,6 +66,10 @@ impl ReferenceTensors for Reference {
     }
 }
 
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+/// The values of a float32 tensor on the host.
+///
+/// # Panics
+/// Panics at another type.
+pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.try_into_vec_as::<f32>().expect("a float32 tensor")
 }

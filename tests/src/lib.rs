@@ -8,23 +8,9 @@ pub mod golden;
 pub mod parity;
 pub mod sandbox;
 pub mod servers;
+pub mod stages;
+pub mod trials;
 pub mod unet;
+pub mod weights;
 
-use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-
-/// The weights under `prefix` of a golden file, by state-dict name.
-pub fn weights(golden: &golden::Golden, prefix: &str) -> Vec<HostParameter> {
-    let names = golden.names_under(prefix);
-    let load = |name: String| {
-        let tensor = golden.get(&format!("{prefix}{name}"));
-        let values = tensor.f32s();
-        HostParameter {
-            info: ParameterInfo {
-                name,
-                shape: tensor.shape,
-            },
-            values,
-        }
-    };
-    names.into_iter().map(load).collect()
-}
+pub use weights::weights;

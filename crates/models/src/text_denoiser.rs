@@ -6,7 +6,7 @@ use kinegrad_diffusion::Denoiser;
 
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
 use crate::transformer::{Encoder, EncoderConfig};
-use crate::{Error, Initializer};
+use crate::{Error, Initializer, Stages};
 
 /// Which network stands behind the conditioner, and its sizes.
 #[derive(Clone, Debug, PartialEq)]
@@ -107,9 +107,24 @@ impl TextDenoiser {
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
     pub fn forward(&self, x_t: Tensor<3>, timesteps: &[usize], text: Tensor<3>) -> Tensor<3> {
+        self.forward_stages(x_t, timesteps, text, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage of a UNet gives: `unet_in_padded` and
+    /// `unet_out_padded`, of the padded length, and those of [`GmdUnet::forward_stages`].
+    ///
+    /// # Panics
+    /// As [`forward`](Self::forward).
+    pub fn forward_stages(
+        &self,
+        x_t: Tensor<3>,
+        timesteps: &[usize],
+        text: Tensor<3>,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
         let cond = self.flat_conditioner.forward(timesteps, text);
         match &self.flat_network {
-            Network::Unet(network) => network.forward(x_t, cond),
+            Network::Unet(network) => network.forward(x_t, cond, stages),
             Network::Transformer(encoder) => encoder.forward(x_t, cond),
         }
     }
@@ -118,7 +133,7 @@ impl TextDenoiser {
 impl UnetDenoiser {
     /// Pads with zeros of the noisy space on the right, as the published models do: the network
     /// sees no mask.
-    fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>, cond: Tensor<2>, stages: &mut impl Stages) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         assert!(
             time <= self.padded_frames,
@@ -126,12 +141,20 @@ impl UnetDenoiser {
             self.padded_frames
         );
         let padding = self.padded_frames - time;
-        if padding == 0 {
-            return self.unet.forward(x, cond);
+        let x = match padding {
+            0 => x,
+            _ => {
+                let zeros = Tensor::zeros([batch, channels, padding], &x.device());
+                Tensor::cat(vec![x, zeros], 2)
+            }
+        };
+        stages.stage(format_args!("unet_in_padded"), || x.clone());
+        let y = self.unet.forward_stages(x, cond, stages);
+        stages.stage(format_args!("unet_out_padded"), || y.clone());
+        match padding {
+            0 => y,
+            _ => y.narrow(2, 0, time),
         }
-        let zeros = Tensor::zeros([batch, channels, padding], &x.device());
-        let padded = Tensor::cat(vec![x, zeros], 2);
-        self.unet.forward(padded, cond).narrow(2, 0, time)
     }
 }
 

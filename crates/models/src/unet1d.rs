@@ -11,7 +11,7 @@ use crate::attention::AttentionBlock;
 use crate::layers::{Conv1d, GROUPS, Linear};
 use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
-use crate::{DropoutKey, Error, Initializer};
+use crate::{DropoutKey, Error, Initializer, Stages};
 
 /// Every size of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs
 /// at the input's length divided by `2^i`, rounded up.
@@ -323,20 +323,38 @@ impl UNet1d {
         cond: Tensor<3>,
         dropout: DropoutKey,
     ) -> Tensor<3> {
+        self.forward_stages(x_t, timesteps, cond, dropout, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`,
+    /// `audio_ctx`, `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and `dec.i`
+    /// after its length is doubled, from the coarsest level to the finest.
+    pub fn forward_stages(
+        &self,
+        x_t: Tensor<3>,
+        timesteps: &[usize],
+        cond: Tensor<3>,
+        dropout: DropoutKey,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
         let time_emb = self.time_embed.forward(timesteps, &x_t.device());
+        stages.stage(format_args!("time_emb"), || time_emb.clone());
         let context = self.audio_proj.forward_frames(cond);
+        stages.stage(format_args!("audio_ctx"), || context.clone());
         let attend = |block: &Option<AttentionBlock>, h: Tensor<3>| match block {
             Some(block) => block.forward(h, Some(context.clone())),
             None => h,
         };
 
         let mut h = self.input_conv.forward(x_t);
+        stages.stage(format_args!("input_conv"), || h.clone());
         let mut skips = Vec::with_capacity(self.enc.len());
-        for level in &self.enc {
+        for (index, level) in self.enc.iter().enumerate() {
             for block in &level.res {
                 h = block.forward(h, time_emb.clone(), dropout);
             }
             h = attend(&level.attn, h);
+            stages.stage(format_args!("enc.{index}"), || h.clone());
             skips.push(h.clone());
             if let Some(down) = &level.down {
                 h = down.forward(h);
@@ -346,8 +364,9 @@ impl UNet1d {
         h = self.mid.res1.forward(h, time_emb.clone(), dropout);
         h = self.mid.attn.forward(h, Some(context.clone()));
         h = self.mid.res2.forward(h, time_emb.clone(), dropout);
+        stages.stage(format_args!("mid"), || h.clone());
 
-        for level in self.dec.iter().rev() {
+        for (index, level) in self.dec.iter().enumerate().rev() {
             let skip = skips.pop().expect("one skip a level");
             h = concat_channels(h, skip);
             for block in &level.res {
@@ -357,6 +376,7 @@ impl UNet1d {
             if let (Some(up), Some(finer)) = (&level.up, skips.last()) {
                 h = up.operation().upsample(finer.dims()[2]).forward(h);
             }
+            stages.stage(format_args!("dec.{index}"), || h.clone());
         }
         self.output_conv.forward(h)
     }

@@ -1,14 +1,23 @@
 //! Reference tensors computed elsewhere.
 //!
 //! A golden test reads all numbers and sizes from its file, so that the same test passes on files
-//! made with another seed. The folder is `KINEGRAD_GOLDEN` when that is set, and then a missing
-//! file fails; otherwise it is `data_fixtures/golden`, which holds the small files only, and a
-//! test whose file is not there has nothing to compare and returns.
+//! made with another seed. Whatever compares here notes how much it compared, so that a test that
+//! compared nothing can be told from one that passed: see [`counting`].
+
+mod folder;
+mod record;
+mod reference;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
+
+pub use folder::Folder;
+pub use record::{compared, counting};
+pub use reference::{Reference, bound, differences, wide};
+
+use reference::keep;
 
 /// One file of reference tensors, held in memory.
 pub struct Golden {
@@ -17,51 +26,7 @@ pub struct Golden {
     metadata: HashMap<String, String>,
 }
 
-/// One reference tensor: its shape and its values, widened to f64.
-#[derive(Clone, Debug)]
-pub struct Reference {
-    /// Sizes, outermost first; empty for a scalar.
-    pub shape: Vec<usize>,
-    /// Values in row-major order.
-    pub values: Vec<f64>,
-}
-
 impl Golden {
-    /// Opens `{family}/{file}`, or returns `None` when the small set does not hold it.
-    ///
-    /// # Panics
-    /// Panics if `KINEGRAD_GOLDEN` is set and the file is missing, or if it cannot be parsed.
-    pub fn open(family: &str, file: &str) -> Option<Self> {
-        Self::locate(family, file).map(|path| Self::read(&path))
-    }
-
-    /// The path of `{family}/{file}`, or `None` when the small set does not hold it.
-    ///
-    /// # Panics
-    /// Panics if `KINEGRAD_GOLDEN` is set and the file is missing.
-    pub fn locate(family: &str, file: &str) -> Option<PathBuf> {
-        let set = std::env::var_os("KINEGRAD_GOLDEN").filter(|folder| !folder.is_empty());
-        let root = match &set {
-            // Tests run in their package's folder; a relative folder is meant from the root.
-            Some(folder) => workspace().join(folder),
-            None => workspace().join("data_fixtures/golden"),
-        };
-        let path = root.join(family).join(file);
-        if !path.exists() {
-            assert!(
-                set.is_none(),
-                "KINEGRAD_GOLDEN is set and {} is missing",
-                path.display()
-            );
-            eprintln!(
-                "{} is not among the small fixtures: nothing compared",
-                path.display()
-            );
-            return None;
-        }
-        Some(path)
-    }
-
     /// The file at `path`.
     ///
     /// # Panics
@@ -81,14 +46,13 @@ impl Golden {
     /// # Panics
     /// Panics if there is none of that name.
     pub fn metadata(&self, key: &str) -> &str {
-        self.metadata
-            .get(key)
+        self.find_metadata(key)
             .unwrap_or_else(|| panic!("{} has no metadata `{key}`", self.path.display()))
     }
 
-    /// The whole metadata.
-    pub fn all_metadata(&self) -> &HashMap<String, String> {
-        &self.metadata
+    /// A string of the file's metadata, or `None` if the file leaves it out.
+    pub fn find_metadata(&self, key: &str) -> Option<&str> {
+        self.metadata.get(key).map(String::as_str)
     }
 
     fn parsed(&self) -> SafeTensors<'_> {
@@ -108,11 +72,17 @@ impl Golden {
     }
 
     /// Names that begin with `prefix`, sorted, with the prefix taken off.
+    ///
+    /// # Panics
+    /// Panics if there are none: a loop over them would compare nothing.
+    #[track_caller]
     pub fn names_under(&self, prefix: &str) -> Vec<String> {
-        self.names()
-            .iter()
-            .filter_map(|name| name.strip_prefix(prefix).map(str::to_string))
-            .collect()
+        let names = self.names();
+        let under = names.iter().filter_map(|name| name.strip_prefix(prefix));
+        let under: Vec<String> = under.map(str::to_string).collect();
+        let file = self.path.display();
+        assert!(!under.is_empty(), "{file} has no tensor `{prefix}*`");
+        under
     }
 
     /// Whether the file holds a tensor of that name.
@@ -169,20 +139,45 @@ impl Golden {
     /// As [`Reference::largest_difference`], and if the bound is exceeded.
     #[track_caller]
     pub fn compare(&self, name: &str, actual: &[f64], tolerance: f64) {
-        let error = self.get(name).largest_difference(name, actual);
-        self.bound(name, error, tolerance);
+        self.compare_lists(name, actual, &self.get(name).values, tolerance);
+    }
+
+    /// Asserts `max|actual - reference| <= tolerance` over two lists.
+    ///
+    /// # Panics
+    /// As [`differences`], and if the bound is exceeded.
+    #[track_caller]
+    pub fn compare_lists(&self, what: &str, actual: &[f64], reference: &[f64], tolerance: f64) {
+        let error = differences(what, actual, reference).fold(0.0, f64::max);
+        keep(&self.titled(what), error, tolerance);
+    }
+
+    /// Asserts that `actual` is the tensor `name`, to the last bit.
+    ///
+    /// # Panics
+    /// Panics if it is not.
+    #[track_caller]
+    pub fn compare_exactly(&self, name: &str, actual: &[f64]) {
+        let reference = self.get(name).values;
+        compared(reference.len());
+        assert_eq!(actual, reference, "{}", self.titled(name));
     }
 
     /// [`compare`](Self::compare), relative to the largest magnitude of the reference.
     #[track_caller]
     pub fn compare_relative(&self, name: &str, actual: &[f64], tolerance: f64) {
-        self.bound(name, self.get(name).relative_error(name, actual), tolerance);
+        let error = self.get(name).relative_error(name, actual);
+        keep(&self.titled(name), error, tolerance);
     }
 
     /// [`bound`], under the file's name.
     #[track_caller]
     pub fn bound(&self, what: &str, error: f64, tolerance: f64) {
-        bound(&format!("{} {what}", self.name()), error, tolerance);
+        bound(&self.titled(what), error, tolerance);
+    }
+
+    fn titled(&self, what: &str) -> String {
+        format!("{} {what}", self.name())
     }
 
     /// The file's name without its extension.
@@ -190,166 +185,6 @@ impl Golden {
         let stem = self.path.file_stem().unwrap_or_default();
         stem.to_string_lossy().into_owned()
     }
-}
-
-impl Reference {
-    /// The values in single precision.
-    pub fn f32s(&self) -> Vec<f32> {
-        self.values.iter().map(|&v| v as f32).collect()
-    }
-
-    /// The values as non-negative integers.
-    pub fn indices(&self) -> Vec<usize> {
-        self.values.iter().map(|&v| v as usize).collect()
-    }
-
-    /// The only value.
-    ///
-    /// # Panics
-    /// Panics if there are several.
-    pub fn scalar(&self) -> f64 {
-        assert_eq!(self.values.len(), 1, "not a scalar: shape {:?}", self.shape);
-        self.values[0]
-    }
-
-    /// The values as vectors of N.
-    ///
-    /// # Panics
-    /// Panics if some are left over.
-    pub fn vectors<const N: usize>(&self) -> Vec<[f64; N]> {
-        let (vectors, rest) = self.values.as_chunks::<N>();
-        assert!(rest.is_empty(), "{:?} in vectors of {N}", self.shape);
-        vectors.to_vec()
-    }
-
-    /// `max|actual - reference|` over the whole tensor.
-    ///
-    /// # Panics
-    /// Panics if the sizes differ or a value is not finite.
-    #[track_caller]
-    pub fn largest_difference(&self, what: &str, actual: &[f64]) -> f64 {
-        differences(what, actual, &self.values).fold(0.0, f64::max)
-    }
-
-    /// `max|actual - reference| / max|reference|`; where the reference is 0 everywhere, the
-    /// difference itself.
-    ///
-    /// # Panics
-    /// As [`largest_difference`](Self::largest_difference).
-    #[track_caller]
-    pub fn relative_error(&self, what: &str, actual: &[f64]) -> f64 {
-        let scale = self.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let worst = self.largest_difference(what, actual);
-        if scale == 0.0 { worst } else { worst / scale }
-    }
-
-    /// Asserts `max|actual - reference| <= tolerance * max|reference|` over the whole tensor and
-    /// returns the measured ratio.
-    ///
-    /// # Panics
-    /// Panics if the sizes differ, a value is not finite, or the bound is exceeded.
-    #[track_caller]
-    pub fn assert_close(&self, what: &str, actual: &[f64], tolerance: f64) -> f64 {
-        let error = self.relative_error(what, actual);
-        bound(what, error, tolerance);
-        error
-    }
-
-    /// Asserts `|actual - reference| <= absolute + relative |reference|` of every value and
-    /// returns the largest absolute difference.
-    ///
-    /// # Panics
-    /// Panics if the sizes differ, a value is not finite, or the bound is exceeded.
-    #[track_caller]
-    pub fn assert_within_f32(
-        &self,
-        what: &str,
-        actual: &[f32],
-        absolute: f64,
-        relative: f64,
-    ) -> f64 {
-        let mut worst = 0.0f64;
-        let actual = wide(actual);
-        let errors = differences(what, &actual, &self.values).zip(&self.values);
-        for (index, (error, r)) in errors.enumerate() {
-            let bound = absolute + relative * r.abs();
-            assert!(
-                error <= bound,
-                "{what}[{index}]: off {r} by {error:.3e} of {bound:.1e}"
-            );
-            worst = worst.max(error);
-        }
-        println!("{what}: error {worst:.1e} of {absolute:.0e}");
-        worst
-    }
-
-    /// The part `index` of the first axis.
-    ///
-    /// # Panics
-    /// Panics if there are not so many.
-    pub fn part(&self, index: usize) -> Self {
-        let (&parts, shape) = self.shape.split_first().expect("an axis");
-        let size = self.values.len() / parts;
-        Self {
-            shape: shape.to_vec(),
-            values: self.values[index * size..(index + 1) * size].to_vec(),
-        }
-    }
-
-    /// The same without axes of one element between the second and the last: `[batch, channels, 1,
-    /// time]` as `[batch, channels, time]`.
-    #[must_use]
-    pub fn flat(&self) -> Self {
-        let last = self.shape.len() - 1;
-        let kept = self.shape.iter().enumerate();
-        let kept = kept.filter(|&(axis, &size)| size != 1 || axis < 2 || axis == last);
-        Self {
-            shape: kept.map(|(_, &size)| size).collect(),
-            values: self.values.clone(),
-        }
-    }
-
-    /// [`assert_close`](Self::assert_close) for single-precision values.
-    #[track_caller]
-    pub fn assert_close_f32(&self, what: &str, actual: &[f32], tolerance: f64) -> f64 {
-        self.assert_close(what, &wide(actual), tolerance)
-    }
-}
-
-/// The differences of two lists, place by place.
-///
-/// # Panics
-/// Panics if the sizes differ, and later where a value of `actual` is not finite.
-#[track_caller]
-pub fn differences<'a>(
-    what: &'a str,
-    actual: &'a [f64],
-    reference: &'a [f64],
-) -> impl Iterator<Item = f64> + 'a {
-    assert_eq!(actual.len(), reference.len(), "{what}: number of values");
-    let pairs = actual.iter().zip(reference).enumerate();
-    pairs.map(move |(index, (a, r))| {
-        assert!(a.is_finite(), "{what}[{index}] is {a}");
-        (a - r).abs()
-    })
-}
-
-/// Single-precision values, widened.
-pub fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&value| f64::from(value)).collect()
-}
-
-/// Prints an error beside its bound, and asserts that it keeps it.
-///
-/// # Panics
-/// Panics if it does not, or if it is not a number.
-#[track_caller]
-pub fn bound(what: &str, error: f64, tolerance: f64) {
-    println!("{what}: error {error:.1e} of {tolerance:.0e}");
-    assert!(
-        error <= tolerance,
-        "{what}: error {error:.3e} exceeds {tolerance:.1e}"
-    );
 }
 
 fn each<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f64) -> Vec<f64> {

@@ -7,7 +7,7 @@ use kinegrad_kernels::concat_channels;
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
 use crate::layers::{Conv1d, ConvTranspose1d, Linear};
-use crate::{Error, Initializer};
+use crate::{Error, Initializer, Stages};
 
 /// Every size of a [`GmdUnet`].
 #[derive(Clone, Debug, PartialEq)]
@@ -205,28 +205,54 @@ impl GmdUnet {
     ///   [`GmdUnetConfig::length_multiple`]
     /// - cond: `[batch, cond_dim]`
     pub fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
+        self.forward_stages(x, cond, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage gives: `c [batch, latent_dim]`, `downI.res0`,
+    /// `downI.res1` (the skip), `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`, `upI.up`, and
+    /// `final0`, the last activation.
+    pub fn forward_stages(
+        &self,
+        x: Tensor<3>,
+        cond: Tensor<2>,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
         let c = self.time_mlp.at_0.forward(cond);
-        let c = mish(self.time_mlp.at_2.forward(mish(c)));
+        let c = self.time_mlp.at_2.forward(mish(c));
+        stages.stage(format_args!("c"), || c.clone());
+        let c = mish(c);
         let mut x = x;
         let mut skips = Vec::with_capacity(self.downs.len());
-        for level in &self.downs {
+        for (index, level) in self.downs.iter().enumerate() {
             x = level.at_0.forward(x, c.clone());
+            stages.stage(format_args!("down{index}.res0"), || x.clone());
             x = level.at_1.forward(x, c.clone());
+            stages.stage(format_args!("down{index}.res1"), || x.clone());
             skips.push(x.clone());
             if let Some(halving) = &level.at_3 {
                 x = halving.conv.forward(x);
             }
+            stages.stage(format_args!("down{index}.down"), || x.clone());
         }
         x = self.mid_block1.forward(x, c.clone());
+        stages.stage(format_args!("mid1"), || x.clone());
         x = self.mid_block2.forward(x, c.clone());
-        for level in &self.ups {
+        stages.stage(format_args!("mid2"), || x.clone());
+        for (index, level) in self.ups.iter().enumerate() {
             let skip = skips.pop().expect("one skip a level up");
             x = level.at_0.forward(concat_channels(x, skip), c.clone());
+            stages.stage(format_args!("up{index}.res0"), || x.clone());
             x = level.at_1.forward(x, c.clone());
+            stages.stage(format_args!("up{index}.res1"), || x.clone());
             x = level.at_3.conv.forward(x);
+            stages.stage(format_args!("up{index}.up"), || x.clone());
         }
         let FinalConv { at_0, at_1 } = &self.final_conv;
         let h = at_0.block.convolution().forward(x);
+        // The last convolution normalises its input itself: nothing holds this otherwise.
+        stages.stage(format_args!("final0"), || {
+            at_0.block.norm().forward(h.clone())
+        });
         at_1.operation().norm(at_0.block.norm()).forward(h)
     }
 }

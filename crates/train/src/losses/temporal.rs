@@ -28,6 +28,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{hemisphere, mean_frames, sum_frames};
 
+#[cfg(test)]
+mod tests;
+
 /// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
 const WRAP: f64 = 0.5;
 

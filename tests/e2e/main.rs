@@ -1,0 +1,13 @@
+//! The binary, from the command line to what it leaves on disk. Each test has a folder of its own;
+//! none changes the environment or the current directory of this process.
+
+mod bad_input;
+mod checkpoints;
+mod commands;
+mod eval;
+mod fine_tuning;
+mod goals;
+mod plans;
+mod preparation;
+mod resume;
+mod train;

@@ -1,0 +1,321 @@
+//! The end-to-end loss against golden file 07_e2e, in all memory modes of the rollout: states,
+//! losses, gradients of every step, and one optimiser step with two learning rates.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, rollout_timesteps};
+use kinegrad_models::{UNet1d, parameters};
+use kinegrad_tests::end_to_end::Case;
+use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, differences, wide};
+use kinegrad_tests::trials::GoldenTest;
+use kinegrad_tests::{trials, weights};
+use kinegrad_train::config::{LossConfig, OptimConfig, RolloutMode};
+use kinegrad_train::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_train::optim::{AdamW, global_norm};
+use kinegrad_train::recipes::Recipe;
+
+/// The tests of this file.
+pub fn tests() -> Vec<GoldenTest> {
+    trials![
+        golden_e2e_linear50("ccmotion/07_e2e.safetensors") => |golden| check(golden, "linear50"),
+        golden_e2e_linear1000("ccmotion/07_e2e.safetensors") => |golden| check(golden, "linear1000"),
+        golden_e2e_cosine1000("ccmotion/07_e2e.safetensors") => |golden| check(golden, "cosine1000"),
+    ]
+}
+
+fn check(golden: Golden, name: &'static str) {
+    let case = Case::of(golden, name);
+    let full = losses_and_gradients(&case, RolloutMode::Full);
+    let checkpointed = losses_and_gradients(&case, RolloutMode::Checkpointed);
+    for (name, gradient) in &full {
+        assert_close(name, &checkpointed[name], gradient, 1e-6);
+    }
+    truncated(&case);
+    states_and_their_gradients(&case);
+    gradients_of_each_step(&case);
+    if name != "linear1000" {
+        optimizer_step(&case, &full);
+    }
+}
+
+/// Asserts that two of our own results agree, relative to the largest.
+fn assert_close(what: &str, actual: &[f32], reference: &[f32], tolerance: f64) {
+    let (actual, reference) = (wide(actual), wide(reference));
+    let scale = reference.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    for error in differences(what, &actual, &reference) {
+        assert!(error <= tolerance * scale, "{what}: {error:e}");
+    }
+}
+
+/// The recipe's loss, term by term, and its gradients, as far as the golden file has them.
+fn losses_and_gradients(case: &Case, mode: RolloutMode) -> HashMap<String, Vec<f32>> {
+    let (model, recipe, weights) = (case.model(), case.recipe(mode), LossConfig::document());
+    let loss = recipe.loss_of(&model, case.inputs(), case.draws());
+    let value = |term: &Tensor<1>| f64::from(term.clone().into_scalar::<f32>());
+    case.out("total")
+        .assert_close("total", &[value(&loss.total)], 1e-5);
+    for (name, term) in &loss.terms {
+        let (name, weight) = match *name {
+            "diffusion" => ("L_diff".to_string(), weights.w_diff),
+            "position" => ("L_pos".to_string(), weights.w_dec),
+            "quaternion" => ("L_quat".to_string(), weights.w_dec),
+            temporal => (format!("temp.{temporal}"), weights.w_temp),
+        };
+        case.out(&name)
+            .assert_close(&name, &[value(term) / weight], 1e-5);
+    }
+    assert_eq!(loss.terms.len(), 8);
+    let temporal = loss.terms.iter().skip(3);
+    let temporal: f64 = temporal.map(|(_, term)| value(term) / weights.w_temp).sum();
+    case.out("L_temp").assert_close("L_temp", &[temporal], 1e-5);
+
+    let gradients = recipe.backward(&model, loss);
+    let norm = global_norm(&gradients);
+    let tolerance = case.decoder_tolerance();
+    case.out("global_grad_norm")
+        .assert_close("norm", &[norm], tolerance);
+    let zero: Vec<String> =
+        serde_json::from_str(case.golden.metadata("structurally_zero_gradients")).expect("a list");
+    let stored = case
+        .golden
+        .names_under(&format!("grad.{}.model.", case.name));
+    let mut found = HashMap::new();
+    for (info, gradient) in parameters::infos(&model).into_iter().zip(gradients) {
+        let name = info.name;
+        // Rounding noise is left where a gradient is zero.
+        if zero.iter().any(|zero| name.ends_with(zero.as_str())) {
+            continue;
+        }
+        let tolerance = case.tolerance(&name);
+        let squares = gradient.iter().map(|g| f64::from(*g).powi(2));
+        let norm = squares.sum::<f64>().sqrt();
+        case.golden
+            .get(&format!("gradnorm64.{}.{name}", case.name))
+            .assert_close(&format!("|d {name}|"), &[norm], tolerance);
+        if stored.contains(&name) {
+            let reference = format!("grad.{}.model.{name}", case.name);
+            let reference = case.golden.reference(&reference);
+            reference.assert_close_f32(&format!("d {name}"), &gradient, tolerance);
+        }
+        found.insert(name, gradient);
+    }
+    for name in stored {
+        let is_zero = zero.iter().any(|zero| name.ends_with(zero.as_str()));
+        assert!(is_zero || found.contains_key(&name), "no parameter {name}");
+    }
+    found
+}
+
+/// One step with a graph gives the truncated gradient.
+fn truncated(case: &Case) {
+    let (model, recipe) = (case.model(), case.recipe(RolloutMode::LastK));
+    let loss = recipe.loss_of(&model, case.inputs(), case.draws());
+    let gradients = recipe.backward(&model, loss);
+    let infos = parameters::infos(&model);
+    let stored = case
+        .golden
+        .names_under(&format!("truncgrad64.{}.", case.name));
+    for name in stored {
+        let index = infos.iter().position(|info| info.name == name);
+        let gradient = &gradients[index.expect("a parameter")];
+        // No tolerance is given for these: that of the decoder, through which they come.
+        case.golden
+            .get(&format!("truncgrad64.{}.{name}", case.name))
+            .assert_close_f32(
+                &format!("truncated d {name}"),
+                gradient,
+                case.decoder_tolerance(),
+            );
+    }
+}
+
+/// Notes every call of a network, and makes its output a place whose gradient can be read.
+struct Noting<'a> {
+    unet: &'a UNet1d,
+    calls: RefCell<Vec<Call>>,
+}
+
+struct Call {
+    x: Tensor<3>,
+    output: Tensor<3>,
+    place: Tensor<3>,
+}
+
+impl Denoiser for Noting<'_> {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+        let place = x_t.clone().without_autodiff().zeros_like();
+        let place = place.autodiff().require_grad();
+        let output = self.unet.predict(x_t.clone(), timesteps, cond) + place.clone();
+        self.calls.borrow_mut().push(Call {
+            x: x_t,
+            output: output.clone(),
+            place,
+        });
+        output
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        self.unet.null_cond(cond)
+    }
+}
+
+fn rollout(case: &Case) -> Rollout {
+    Rollout {
+        diffusion: case.diffusion.clone(),
+        clip: Clip::None,
+        guidance_scale: 1.0,
+        gradient_decay: 1.0,
+    }
+}
+
+/// The part of the loss that comes through the rollout.
+fn decoded_loss(case: &Case, decoded: &Tensor<3>) -> Tensor<1> {
+    let (inputs, config) = (case.inputs(), LossConfig::document());
+    let batch = decoded.dims()[0];
+    let weights = Tensor::ones([batch, 1, 1], &case.device);
+    let ReconstructionLoss {
+        position,
+        quaternion,
+    } = ReconstructionLoss::new(
+        decoded,
+        &inputs.x_start,
+        &inputs.mask,
+        weights,
+        config.quaternion_sign,
+    );
+    let temporal = temporal_losses(decoded, &inputs.mask, &config.temporal);
+    let temporal = temporal.into_iter().map(|(_, term)| term);
+    let temporal = temporal.reduce(|a, b| a + b).expect("five terms");
+    (position + quaternion) * config.w_dec + temporal * config.w_temp
+}
+
+/// The network's prediction and the state after each step, the decoded motion, and the gradients
+/// of the start noise and of each prediction.
+fn states_and_their_gradients(case: &Case) {
+    let model = case.model();
+    let noting = Noting {
+        unet: &model.unet,
+        calls: RefCell::default(),
+    };
+    let timesteps = rollout_timesteps(&case.starts(), case.steps());
+    let first: Vec<f64> = timesteps.iter().map(|t| t[0] as f64).collect();
+    case.golden
+        .compare_exactly(&format!("out.{}.timesteps", case.name), &first);
+    let start = case.tensor("in.x_T");
+    let cond = case.tensor("in.cond");
+    let output = rollout(case)
+        .run(&noting, &noting, start, &cond, &timesteps, Graph::Full)
+        .expect("it fits");
+    let calls = noting.calls.into_inner();
+    let latent = output.x.clone();
+    let after: Vec<Tensor<3>> = calls.iter().skip(1).map(|call| call.x.clone()).collect();
+    for (index, x) in after.into_iter().chain([latent]).enumerate() {
+        case.out(&format!("x_after.{index}"))
+            .assert_close_tensor("state", x, 5e-5);
+    }
+    for (index, call) in calls.iter().enumerate() {
+        case.out(&format!("eps.{index}"))
+            .assert_close_tensor("eps", call.output.clone(), 5e-5);
+    }
+    let decoded = model.decoder.forward(output.x, None);
+    case.out("decoded")
+        .assert_close_tensor("decoded", decoded.clone().swap_dims(1, 2), 5e-5);
+
+    let gradients = decoded_loss(case, &decoded).backward();
+    let reference = |name: &str| case.golden.reference(&format!("grad.{}.{name}", case.name));
+    let gradient = output.entry.grad(&gradients).expect("a gradient");
+    reference("in.x_T").assert_close_tensor("d x_T", gradient, 5e-5);
+    for (index, call) in calls.iter().enumerate() {
+        let gradient = call.place.grad(&gradients).expect("a gradient");
+        reference(&format!("eps.{index}")).assert_close_tensor("d eps", gradient, 5e-4);
+    }
+}
+
+/// What each step's call of the network contributes, as the checkpointed backward pass finds it.
+fn gradients_of_each_step(case: &Case) {
+    let model = case.model();
+    let timesteps = rollout_timesteps(&case.starts(), case.steps());
+    let (start, cond, rollout) = (case.tensor("in.x_T"), case.tensor("in.cond"), rollout(case));
+    let (unet, plain) = (&model.unet, &model.unet.valid());
+    let output = rollout
+        .run(unet, plain, start, &cond, &timesteps, Graph::Checkpointed)
+        .expect("it fits");
+    let decoded = model.decoder.forward(output.x, None);
+    let mut gradients = decoded_loss(case, &decoded).backward();
+    let names: Vec<String> = parameters::infos(unet)
+        .into_iter()
+        .map(|i| i.name)
+        .collect();
+    let mut in_steps = 0;
+    let trace = output.trace.expect("a checkpointed rollout has one");
+    let of_start = trace
+        .backward(
+            &rollout,
+            unet,
+            &cond,
+            &mut gradients,
+            &mut |index, mut local| {
+                let of_step = parameters::gradients(unet, &mut local);
+                let prefix = format!("stepgrad64.{}.{index}.unet.", case.name);
+                for name in case.golden.names_under(&prefix) {
+                    let place = names.iter().position(|n| *n == name).expect("a parameter");
+                    case.golden
+                        .get(&format!("{prefix}{name}"))
+                        .assert_close_f32(&format!("step {index} d {name}"), &of_step[place], 5e-3);
+                    in_steps += 1;
+                }
+                let norms = case.golden.get(&format!("stepgradnorm64.{}", case.name));
+                let error = global_norm(&of_step) / norms.values[index] - 1.0;
+                let what = format!("step {index} norm");
+                case.golden.bound(&what, error.abs(), 5e-3);
+            },
+        )
+        .expect("it fits");
+    assert_eq!(in_steps, 3 * case.steps());
+    case.golden
+        .reference(&format!("grad.{}.in.x_T", case.name))
+        .assert_close_tensor("d x_T", of_start, 5e-5);
+}
+
+/// AdamW with a rate for each network.
+fn optimizer_step(case: &Case, gradients: &HashMap<String, Vec<f32>>) {
+    let number = |key: &str| -> f64 { case.golden.metadata(key).parse().expect("a number") };
+    let config = OptimConfig {
+        weight_decay: number("weight_decay"),
+        ..OptimConfig::default()
+    };
+    let before = weights(&case.golden, "model.");
+    let name = |of: &str, name: &str| format!("{of}.{}.model.{name}", case.name);
+    for parameter in case.golden.names_under(&name("after", "")) {
+        let rate = match parameter.starts_with("decoder.") {
+            true => number("lr_decoder"),
+            false => number("lr_unet"),
+        };
+        let before = before.iter().find(|each| each.info.name == parameter);
+        let before = &before.expect("a parameter").values;
+        let mut after = before.clone();
+        let mut optimizer = AdamW::new(&config, [before.len()]);
+        optimizer.begin_step();
+        optimizer.update(0, &mut after, &gradients[&parameter], 1.0, rate, None);
+        let mask = case.golden.get(&name("aftermask", &parameter)).values;
+        let delta = case.golden.get(&name("delta64", &parameter)).values;
+        for (index, mask) in mask.iter().enumerate() {
+            if *mask == 0.0 {
+                continue;
+            }
+            let found = f64::from(after[index]) - f64::from(before[index]);
+            let ulp = f64::from(before[index].abs() * f32::EPSILON);
+            let error = (found - delta[index]).abs();
+            assert!(
+                error <= ulp + 5e-3 * rate,
+                "{parameter}[{index}]: {error:e}"
+            );
+            compared(1);
+        }
+    }
+}

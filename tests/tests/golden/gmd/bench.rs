@@ -1,0 +1,137 @@
+//! The reference's toy denoiser, and what steps of the process are tried with it on.
+
+use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::{
+    BetaSchedule, Clip, Denoiser, DiffusionConfig, GaussianDiffusion, Networks, PredictionType,
+    SteeredInput, SteeredOutput, Steering, steered_step,
+};
+use kinegrad_motion::emphasis::EmphasisProjection;
+use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
+use kinegrad_train::clips::FeatureSpace;
+
+/// The process of the published models, for networks that predict this.
+pub fn process(prediction_type: PredictionType) -> GaussianDiffusion {
+    GaussianDiffusion::new(&DiffusionConfig {
+        beta_schedule: BetaSchedule::Cosine,
+        beta_min: 0.0,
+        beta_max: 0.999,
+        prediction_type,
+        ..DiffusionConfig::default()
+    })
+    .expect("a valid process")
+}
+
+/// `s tanh(W x + v t / 1000)` of every frame.
+pub struct Toy {
+    w: Tensor<3>,
+    v: Tensor<3>,
+    s: f64,
+}
+
+impl Toy {
+    fn read(golden: &Golden, prefix: &str, device: &Device) -> Self {
+        let w = golden.tensor::<2>(&format!("{prefix}W"), device);
+        let v = golden.tensor::<1>(&format!("{prefix}v"), device);
+        Self {
+            w: w.unsqueeze(),
+            v: v.unsqueeze::<2>().unsqueeze_dim(2),
+            s: golden.get(&format!("{prefix}s")).scalar(),
+        }
+    }
+}
+
+impl Denoiser for Toy {
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], _: &Tensor<3>) -> Tensor<3> {
+        let t = timesteps[0] as f64 / 1000.0;
+        (self.w.clone().matmul(x_t) + self.v.clone() * t).tanh() * self.s
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.clone()
+    }
+}
+
+/// A toy denoiser on both devices and what it works on.
+pub struct Bench<'a> {
+    pub golden: &'a Golden,
+    pub device: Device,
+    pub diffusion: GaussianDiffusion,
+    tracked: Toy,
+    plain: Toy,
+    clip: Clip,
+}
+
+impl<'a> Bench<'a> {
+    /// The denoiser under `prefix`; one of noise has its predicted motion clamped.
+    pub fn new(golden: &'a Golden, prefix: &str, prediction_type: PredictionType) -> Self {
+        let device = Device::flex();
+        Self {
+            tracked: Toy::read(golden, prefix, &device.clone().autodiff()),
+            plain: Toy::read(golden, prefix, &device),
+            diffusion: process(prediction_type),
+            clip: match prediction_type {
+                PredictionType::Sample => Clip::None,
+                _ => Clip::Symmetric(6.0),
+            },
+            golden,
+            device,
+        }
+    }
+
+    /// A tensor of the file.
+    pub fn input(&self, name: &str) -> Tensor<3> {
+        self.golden.get(name).flat().tensor(&self.device)
+    }
+
+    /// The timesteps that the leading axis of the outputs follows.
+    pub fn timesteps(&self) -> Vec<usize> {
+        self.golden.get("in.timesteps").indices()
+    }
+
+    /// Part `index` of the leading axis.
+    pub fn part(&self, name: &str, index: usize) -> Reference {
+        self.golden.get(name).part(index).flat()
+    }
+
+    /// One step down.
+    pub fn step(
+        &self,
+        x_t: Tensor<3>,
+        timestep: usize,
+        noise: Option<Tensor<3>>,
+        imputation_noise: Option<Tensor<3>>,
+        steering: &Steering<'_>,
+    ) -> SteeredOutput {
+        let input = SteeredInput {
+            prev_timestep: timestep.checked_sub(1),
+            guidance_scale: 1.0,
+            // No noise is added at timestep 0.
+            noise: noise.filter(|_| timestep > 0),
+            imputation_noise,
+            timestep,
+            x_t: x_t.clone(),
+        };
+        let networks = Networks {
+            tracked: &self.tracked,
+            plain: &self.plain,
+        };
+        steered_step(&self.diffusion, networks, input, &x_t, &self.clip, steering)
+            .expect("sizes fit")
+    }
+}
+
+/// The first `channels` statistics of a file, and its projection where the network has one.
+pub fn space(golden: &Golden, channels: usize, projected: bool, device: &Device) -> FeatureSpace {
+    let numbers = |name: &str| golden.get(name).values[..channels].to_vec();
+    let projection = projected.then(|| {
+        let matrix = golden.get("in.P").f32s();
+        let projection = EmphasisProjection::from_matrix(&matrix, channels, 10.0, &[0, 1, 2])
+            .expect("a projection");
+        golden.compare_relative("in.P_inv", &wide(projection.inverse()), 1e-3);
+        projection
+    });
+    let (mean, std) = (numbers("in.mean"), numbers("in.std"));
+    FeatureSpace::new(&mean, &std, projection.as_ref(), device)
+}
