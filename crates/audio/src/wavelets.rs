@@ -52,7 +52,9 @@ pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
             let mut spectrum = kernel.samples();
             transform.process(&mut spectrum);
             spectrum.truncate(FRAME / 2 + 1);
-            spectrum.iter_mut().for_each(|weight| *weight *= kernel.gain);
+            spectrum
+                .iter_mut()
+                .for_each(|weight| *weight *= kernel.gain);
             sparsify(&spectrum, kernel.tail() * kernel.gain)
         })
         .collect()

@@ -4,7 +4,8 @@
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use toml::{Table, Value};
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
 
 use super::defaults::{self, lay_over};
 use super::{Config, ConfigError};
@@ -12,7 +13,7 @@ use super::{Config, ConfigError};
 /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
 ///
 /// # Errors
-/// Names file and line, or the override, of the first thing wrong.
+/// Names file and line, or the override, of a thing that is wrong.
 pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
     parse(&read(path)?, &path.display().to_string(), overrides)
 }
@@ -49,26 +50,25 @@ fn read(path: &Path) -> Result<String, ConfigError> {
 /// # Errors
 /// As [`load()`].
 pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, ConfigError> {
-    let deserializer = toml::Deserializer::parse(text).map_err(|error| ConfigError::Syntax {
-        place: place(text, origin, error.span()),
-        message: error.message().to_string(),
-    })?;
-    let config: Config = serde_path_to_error::deserialize(deserializer).map_err(|error| {
-        let inner = error.inner();
-        explain(
-            place(text, origin, inner.span()),
-            &error.path().to_string(),
-            inner.message(),
-        )
+    let spans = DeTable::parse(text).map_err(|error| {
+        let line = error.span().map(|span| line_of(text, span.start));
+        ConfigError::Syntax {
+            place: place(origin, line),
+            message: error.message().to_string(),
+        }
     })?;
     let mut table: Table = text.parse().expect("text that was just parsed");
+    let config: Config = from_table(&table, |key| {
+        let start = start_of(spans.get_ref(), key);
+        place(origin, start.map(|start| line_of(text, start)))
+    })?;
     if overrides.is_empty() && defaults::of_recipe(&table).is_none() {
         return Ok(config);
     }
     for argument in overrides {
         apply(&mut table, argument)?;
         // Deserialised after each one, so that an error belongs to it.
-        from_table::<Config>(&table, &format!("--set {argument}"))?;
+        from_table::<Config>(&table, |_| format!("--set {argument}"))?;
     }
     over_defaults(table, origin)
 }
@@ -78,9 +78,9 @@ fn over_defaults(table: Table, origin: &str) -> Result<Config, ConfigError> {
     match defaults::of_recipe(&table) {
         Some(mut whole) => {
             lay_over(&mut whole, table);
-            from_table(&whole, origin)
+            from_table(&whole, |_| origin.to_string())
         }
-        None => from_table(&table, origin),
+        None => from_table(&table, |_| origin.to_string()),
     }
 }
 
@@ -89,14 +89,14 @@ pub fn to_toml(config: &Config) -> String {
     toml::to_string(config).expect("a config is a table of plain values")
 }
 
-fn from_table<T: DeserializeOwned>(table: &Table, origin: &str) -> Result<T, ConfigError> {
-    serde_path_to_error::deserialize(Value::Table(table.clone())).map_err(|error| {
-        explain(
-            origin.to_string(),
-            &error.path().to_string(),
-            error.inner().message(),
-        )
-    })
+/// Deserialises `table`; `place` says where a dotted key stands. Every config comes through here
+/// and no other deserialiser: the code of one is a large part of this crate.
+fn from_table<T: DeserializeOwned>(
+    table: &Table,
+    place: impl Fn(&str) -> String,
+) -> Result<T, ConfigError> {
+    serde_path_to_error::deserialize(Value::Table(table.clone()))
+        .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
 }
 
 /// Sets one dotted key; a value that is not TOML is taken as text, so that `run.device=cpu` needs
@@ -134,19 +134,35 @@ fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// Line of the error, counted from 1.
-fn place(text: &str, origin: &str, span: Option<std::ops::Range<usize>>) -> String {
-    match span {
-        Some(span) => {
-            let line = text[..span.start.min(text.len())].matches('\n').count() + 1;
-            format!("{origin}:{line}")
-        }
+fn place(origin: &str, line: Option<usize>) -> String {
+    match line {
+        Some(line) => format!("{origin}:{line}"),
         None => origin.to_string(),
     }
 }
 
+/// The line of a byte, counted from 1.
+fn line_of(text: &str, byte: usize) -> usize {
+    text[..byte.min(text.len())].matches('\n').count() + 1
+}
+
+/// Where the dotted `key` stands in the text that `table` was parsed from.
+fn start_of(table: &DeTable<'_>, key: &str) -> Option<usize> {
+    let (first, rest) = match key.split_once('.') {
+        Some((first, rest)) => (first, Some(rest)),
+        None => (key, None),
+    };
+    // An element of a list is `name[0]`.
+    let first = first.split_once('[').map_or(first, |(name, _)| name);
+    let (name, value): (&Spanned<_>, _) = table.get_key_value(first)?;
+    match (rest, value.get_ref()) {
+        (Some(rest), DeValue::Table(inner)) => start_of(inner, rest),
+        _ => Some(name.span().start),
+    }
+}
+
 /// Turns serde's words for an unknown key into an error with the nearest valid one.
-fn explain(place: String, path: &str, message: &str) -> ConfigError {
+fn explain(place: impl Fn(&str) -> String, path: &str, message: &str) -> ConfigError {
     let message = message.trim().lines().next().unwrap_or_default();
     let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_string);
     if message.starts_with("unknown field") {
@@ -167,9 +183,10 @@ fn explain(place: String, path: &str, message: &str) -> ConfigError {
             Some(near) => format!("did you mean `{}`?", join(near)),
             None => "`kinegrad config show CONFIG` prints every key with its value".into(),
         };
+        let key = join(&found);
         return ConfigError::UnknownKey {
-            place,
-            key: join(&found),
+            place: place(&key),
+            key,
             allowed: allowed.join(", "),
             hint,
         };
@@ -185,7 +202,7 @@ fn explain(place: String, path: &str, message: &str) -> ConfigError {
         "`kinegrad config show CONFIG` prints every key with its value".into()
     };
     ConfigError::Value {
-        place,
+        place: place(path),
         key: path.to_string(),
         message: message.to_string(),
         hint,
