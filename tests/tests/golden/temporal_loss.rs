@@ -88,7 +88,7 @@ fn golden_temporal_losses(golden: Golden) {
         golden
             .reference(&format!("out.{case}.alt.phase_backward_steps"))
             .assert_close(case, &[value(&phase.expect("a phase term").1)], 2e-6);
-        // The document's form, whose gradient is not a number everywhere, has the same value.
+        // CC-MotionGen's form, whose gradient is not a number everywhere, has the same value.
         let jerk = jerk(&motion);
         golden
             .reference(&format!("out.{case}.jerk_literal_sqrt"))

@@ -13,7 +13,7 @@ fn value(term: &Tensor<1>) -> f64 {
     f64::from(term.clone().into_scalar::<f32>())
 }
 
-/// Every term, those that are not the document's included.
+/// Every term, those that are not CC-MotionGen's included.
 fn all_terms() -> TemporalLossConfig {
     TemporalLossConfig {
         quat_norm_weight: 1.0,
