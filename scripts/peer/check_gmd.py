@@ -59,9 +59,7 @@ def gradients(report: Report, group: str, golden: Golden, found: dict[str, Tenso
             report.compare(f"{group} gradients", 1e-4, name, found[key], reference)
 
 
-def check_unet(
-    report: Report, folder: Path, name: str, dtype: torch.dtype = torch.float32
-) -> None:
+def check_unet(report: Report, folder: Path, name: str, dtype: torch.dtype = torch.float32) -> None:
     """A bare network: intermediate values, output, loss and gradients."""
     golden = Golden(folder, name)
     values = unet_values(golden, dtype)

@@ -4,8 +4,9 @@
     python3 scripts/peer/check_golden.py GOLDEN_DIR
 
 GOLDEN_DIR holds `03_unet`, `03_unet_mult1248_hashed`, `04_decoder`, `05_diffusion_loss`,
-`06_temporal_loss`, `07_e2e` and `08_ddim`, each `.safetensors`. Errors are `max|a - ref| / max|ref|`
-over a tensor, against the float64 reference. Exits with 1 where one is above its tolerance.
+`06_temporal_loss`, `07_e2e` and `08_ddim`, each `.safetensors`: the full set or the reduced one.
+Errors are `max|a - ref| / max|ref|` over a tensor, against the float64 reference. Exits with 1 where
+one is above its tolerance.
 """
 
 import argparse

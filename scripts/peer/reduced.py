@@ -13,7 +13,7 @@ First the peer, in float64, must agree with the full references of the networks.
   a float32 run; all other results are rounded to float32.
 
 At last a float32 run of the peer must agree with what was written. Recordings are packed, their
-tensors thinned out (`reduced_audio`), and some small files copied. Another SEED makes other inputs
+tensors thinned out (`reduced_audio`), and all other files copied. Another SEED makes other inputs
 and weights of networks; the rest does not depend on it.
 """
 
@@ -36,11 +36,6 @@ from ccmotion.unet1d import UNet1d
 from gmd import reference as gmd
 from golden import Golden, Report, checksums, hashed, write
 
-COPIED = [
-    "gmd/projection_d263.safetensors",
-    "humanml/walk_straight.safetensors",
-    "humanml/walk_turn.safetensors",
-]
 NETWORKS: dict[str, tuple[Callable[[Golden, torch.dtype], dict[str, Tensor]], Callable | None]] = {
     "ccmotion/03_unet": (
         ccmotion.unet_values,
@@ -55,8 +50,9 @@ NETWORKS: dict[str, tuple[Callable[[Golden, torch.dtype], dict[str, Tensor]], Ca
 """How a file's results are computed, and the network whose weights it describes."""
 
 
-def check(report: Report, folder: Path, dtype: torch.dtype) -> None:
-    """Compares the peer with the networks' files of a folder."""
+def check(folder: Path, dtype: torch.dtype) -> None:
+    """Compares the peer with the networks' files of a folder; exits where they disagree."""
+    report = Report()
     part = folder / "ccmotion"
     check_golden.check_unet(report, Golden(part, "03_unet"), "unet", 2e-4, dtype)
     check_golden.check_loss(report, Golden(part, "05_diffusion_loss"), dtype)
@@ -65,6 +61,9 @@ def check(report: Report, folder: Path, dtype: torch.dtype) -> None:
     check_gmd.check_denoiser(report, part, "mdm_unet_tiny", dtype)
     check_gmd.check_unet(report, part, "unet_motion_tiny", dtype)
     check_gmd.check_unet(report, part, "unet_traj_xxs_plain_tiny", dtype)
+    print(f"\nThe peer in {dtype} against {folder}:\n")
+    if not report.print():
+        sys.exit(1)
 
 
 def seed_of(seed: int, name: str) -> int:
@@ -142,22 +141,19 @@ def reduce_network(source: Path, folder: Path, name: str, seed: int) -> None:
 
 def networks(source: Path, folder: Path, seed: int) -> None:
     """All files of networks, between the two checks."""
-    for where, dtype in [(source, torch.float64), (folder, torch.float32)]:
-        if where == folder:
-            for name in NETWORKS:
-                reduce_network(source, folder, name, seed)
-        report = Report()
-        check(report, where, dtype)
-        print(f"\nThe peer in {dtype} against {'written' if where == folder else 'full'} files\n")
-        if not report.print():
-            sys.exit(1)
+    check(source, torch.float64)
+    for name in NETWORKS:
+        reduce_network(source, folder, name, seed)
+    check(folder, torch.float32)
 
 
 def copied(source: Path, folder: Path) -> None:
     """The files that stay whole."""
-    for name in COPIED:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source / name, folder / name)
+    for family in ("ccmotion", "gmd", "humanml"):
+        (folder / family).mkdir(parents=True, exist_ok=True)
+        for path in sorted((source / family).iterdir()):
+            if path.suffix != ".md" and f"{family}/{path.stem}" not in NETWORKS:
+                shutil.copyfile(path, folder / family / path.name)
 
 
 def audio(source: Path, folder: Path) -> None:

@@ -10,6 +10,9 @@ from .conditioning import guided, sinusoid_rows
 from .denoiser import UNetDenoiser
 from .unet import UNet, UNetConfig
 
+TAIL = 4
+"""Frames beyond the motion's end that a file shows of the padded input and output."""
+
 
 def multipliers(golden: Golden) -> tuple[float, ...]:
     """Of a file's metadata."""
@@ -80,10 +83,11 @@ def denoiser_values(golden: Golden, dtype: torch.dtype) -> dict[str, Tensor]:
     y = model(x[:, :, 0], t, text)
     loss = y.square().mean()
     loss.backward()
-    padded, emb, out = (value.permute(2, 0, 1) if value.dim() == 3 else value for value in calls[0])
+    padded, emb, out = calls[0]
+    padded, out = padded.permute(2, 0, 1), out.permute(2, 0, 1)
     values = {"emb": emb, "time_emb": model.embed_timestep(t), "y": y[:, :, None]}
-    values |= {"unet_in_padded": padded[: frames + 4], "loss": loss[None]}
-    values["unet_out_padded_tail"] = out[frames : frames + 4]
+    values |= {"unet_in_padded": padded[: frames + TAIL], "loss": loss[None]}
+    values["unet_out_padded_tail"] = out[frames : frames + TAIL]
     values["y_uncond"] = model(x[:, :, 0], t, torch.zeros_like(text))[:, :, None]
     values["emb_uncond"] = calls[-1][1]
     values["pe_rows"] = sinusoid_rows(t, model.unet.config.cond_dim)[:, None].to(dtype)
