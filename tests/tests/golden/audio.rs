@@ -11,7 +11,6 @@ use kinegrad_audio::{
     Analysis, CHANNELS, Features, FrameMatrix, HOP, beats, chroma, decode, mel, num_frames, tempo,
     tuning,
 };
-
 use kinegrad_tests::golden::{Folder, Golden, compared, differences, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::{GoldenTest, Opened};
@@ -39,7 +38,7 @@ pub fn tests() -> Vec<GoldenTest> {
 fn left_out(clip: &str) -> &'static [&'static str] {
     match clip {
         "chords" | "edge_short" | "edge_single_frame" => &[],
-        // Nothing but what ends in the stacked tensor.
+        // Every stage but onsets, RMS, centroid and beats.
         "edge_dc" => &[
             "chroma_unnorm",
             "cqt_mag",
