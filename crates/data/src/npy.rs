@@ -379,6 +379,14 @@ pub(crate) mod tests {
                 "no whole number",
             ),
             (
+                "{'descr': '<f4', 'fortran_order': False, 'shape': (03,)}",
+                "no whole number",
+            ),
+            (
+                "{'descr': <f4, 'fortran_order': False, 'shape': (3,)}",
+                "dtype <f4 found",
+            ),
+            (
                 "{'descr': '<f4', 'fortran_order': False, 'shape': (+3,)}",
                 "no whole number",
             ),

@@ -49,6 +49,8 @@ fn left_out(clip: &str) -> &'static [&'static str] {
             "stft_mag_frames",
             "stft_mag_frames_idx",
         ],
+        "edge_quiet" | "edge_silence" => &["cqt_mag", "mel_power"],
+        "sweep" => &["mel_db", "mel_power"],
         _ => &["cqt_mag", "mel_db", "mel_power"],
     }
 }

@@ -54,9 +54,9 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         fortran_order,
         shape,
     } = Entries::of(text).map_err(not_npy)?;
-    let double = match descr.trim_matches(['\'', '"']) {
-        "<f4" => false,
-        "<f8" => true,
+    let double = match descr {
+        "'<f4'" | "\"<f4\"" => false,
+        "'<f8'" | "\"<f8\"" => true,
         _ => {
             return Err(FileError::Dtype {
                 file: file.to_owned(),
@@ -209,7 +209,9 @@ fn axis(text: &str) -> Result<usize, String> {
     if text.starts_with('-') {
         return Err(format!("its header has the negative axis {text}"));
     }
-    if digits.is_empty() || !digits.bytes().all(|digit| digit.is_ascii_digit()) {
+    let leading_zero = digits.len() > 1 && digits.starts_with('0');
+    let plain = digits.bytes().all(|digit| digit.is_ascii_digit());
+    if digits.is_empty() || leading_zero || !plain {
         return Err(format!(
             "its header has the axis {text:?}, which is no whole number"
         ));

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
-use toml::{Spanned, Table, Value};
+use toml::{Table, Value};
 
 use super::defaults::{self, lay_over};
 use super::{Config, ConfigError};
@@ -50,14 +50,16 @@ fn read(path: &Path) -> Result<String, ConfigError> {
 /// # Errors
 /// As [`load()`].
 pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, ConfigError> {
-    let spans = DeTable::parse(text).map_err(|error| {
+    let no_toml = |error: toml::de::Error| {
         let line = error.span().map(|span| line_of(text, span.start));
         ConfigError::Syntax {
             place: place(origin, line),
             message: error.message().to_string(),
         }
-    })?;
-    let mut table: Table = text.parse().expect("text that was just parsed");
+    };
+    let spans = DeTable::parse(text).map_err(no_toml)?;
+    // Numbers are read only here, and may be too large.
+    let mut table: Table = text.parse().map_err(no_toml)?;
     let config: Config = from_table(&table, |key| {
         let start = start_of(spans.get_ref(), key);
         place(origin, start.map(|start| line_of(text, start)))
@@ -146,19 +148,30 @@ fn line_of(text: &str, byte: usize) -> usize {
     text[..byte.min(text.len())].matches('\n').count() + 1
 }
 
-/// Where the dotted `key` stands in the text that `table` was parsed from.
-fn start_of(table: &DeTable<'_>, key: &str) -> Option<usize> {
-    let (first, rest) = match key.split_once('.') {
-        Some((first, rest)) => (first, Some(rest)),
-        None => (key, None),
+/// Where `path`, such as `model.channel_mult[2]`, stands in the text that `table` was parsed from, or
+/// the nearest key above it.
+fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
+    let beginnings = table.iter().filter_map(|(name, value)| {
+        let rest = path.strip_prefix(name.get_ref().as_ref())?;
+        let ends = rest.is_empty() || rest.starts_with(['.', '[']);
+        ends.then_some((name, value, rest))
+    });
+    // A key in quotes may hold a dot: the longest is meant.
+    let (name, value, rest) = beginnings.min_by_key(|(_, _, rest)| rest.len())?;
+    let inner = match value.get_ref() {
+        DeValue::Table(inner) => rest
+            .strip_prefix('.')
+            .and_then(|rest| start_of(inner, rest)),
+        DeValue::Array(elements) => {
+            let index = rest
+                .strip_prefix('[')
+                .and_then(|rest| rest.split(']').next());
+            let element = index.and_then(|index| elements.get(index.parse::<usize>().ok()?));
+            element.map(|element| element.span().start)
+        }
+        _ => None,
     };
-    // An element of a list is `name[0]`.
-    let first = first.split_once('[').map_or(first, |(name, _)| name);
-    let (name, value): (&Spanned<_>, _) = table.get_key_value(first)?;
-    match (rest, value.get_ref()) {
-        (Some(rest), DeValue::Table(inner)) => start_of(inner, rest),
-        _ => Some(name.span().start),
-    }
+    inner.or(Some(name.span().start))
 }
 
 /// Turns serde's words for an unknown key into an error with the nearest valid one.
@@ -260,6 +273,33 @@ mod tests {
         );
         let text = error("[train]\nmax_steps = -5\n", &[]);
         assert!(text.contains("c.toml:2: `train.max_steps`"), "{text}");
+    }
+
+    #[test]
+    fn numbers_that_no_type_holds_name_their_line() {
+        for number in ["99999999999999999999", "18446744073709551615"] {
+            let text = error(&format!("[run]\nname = \"x\"\nseed = {number}\n"), &[]);
+            assert!(text.starts_with("c.toml:3"), "{text}");
+        }
+    }
+
+    #[test]
+    fn keys_with_dots_and_elements_of_lists_name_their_line() {
+        for (text, place) in [
+            (
+                "[optim.groups]\nunet = 1e-4\n\"unet.dec\" = \"x\"\n",
+                "c.toml:3: ",
+            ),
+            ("[model]\nchannel_mult = [\n1,\n\"x\"]\n", "c.toml:4: "),
+            (
+                "model.size = \"tiny\"\nmodel.dropout = \"x\"\n",
+                "c.toml:2: ",
+            ),
+            ("[model]\nsize = \"tiny\"\n\"a.b\" = 1\n", "c.toml:3: "),
+        ] {
+            let error = error(text, &[]);
+            assert!(error.starts_with(place), "{text}: {error}");
+        }
     }
 
     #[test]
