@@ -32,7 +32,7 @@ impl Opened for PathBuf {
 }
 
 /// A golden test: a name, the files it reads, and what it does with them. Made by
-/// [`trials!`](crate::trials).
+/// [`trials!`](crate::trials!).
 pub struct GoldenTest {
     name: String,
     files: &'static [&'static str],
