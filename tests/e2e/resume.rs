@@ -79,13 +79,13 @@ fn train_with_kills(sandbox: &Sandbox, arguments: &str, runs: &str, uninterrupte
         let runs = format!("{runs}-{attempt}");
         let mut kills = 0;
         while kills < KILLS {
-            // The first kill may come before the folder exists; then the run starts afresh.
-            let resume = if sandbox.path(&runs).join("smallest").exists() {
-                "--resume"
-            } else {
-                ""
-            };
+            let run = sandbox.path(&runs).join("smallest");
+            let resume = if run.exists() { "--resume" } else { "" };
             let mut child = sandbox.start(&format!("{arguments} --runs-dir {runs} {resume}"));
+            // A process killed before its run's folder exists leaves nothing to resume.
+            while !run.exists() && child.try_wait().expect("a status").is_none() {
+                sleep(Duration::from_millis(1));
+            }
             sleep(longest.mul_f64(chance()));
             if child.try_wait().expect("a status").is_some() {
                 break;
