@@ -6,10 +6,11 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
 use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::TrainingStatistics;
-use kinegrad_train::config::{
-    Clip, LossConfig, RolloutConfig, RolloutMode, RolloutStart, ValidationConfig,
+use kinegrad_train::config::{Clip, ValidationConfig};
+use kinegrad_train::systems::cc_motion::recipes::{
+    DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler,
 };
-use kinegrad_train::recipes::{DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler};
+use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 
 use crate::golden::{Golden, GoldenTensors, Reference};
 use crate::{decoder, unet, weights};

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_motion::Value;
-use kinegrad_train::evaluate::{Evaluation, Measures, ProfileRates};
+use kinegrad_train::systems::cc_motion::evaluate::{Evaluation, Measures, ProfileRates};
 use serde_json::json;
 
 use crate::output::table;

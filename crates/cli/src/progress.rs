@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use kinegrad_train::clips::Stage;
+use kinegrad_train::systems::gmd::Stage;
 use kinegrad_train::{Observer, RunSummary, StepReport};
 
 use crate::output::grouped;

@@ -36,6 +36,15 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
+    /// A run whose recipe no system has.
+    #[error("no system has the recipe `{recipe}` of this run")]
+    #[diagnostic(help("the recipes here are {known}; a newer kinegrad may know more"))]
+    UnknownSystem {
+        /// The recipe.
+        recipe: String,
+        /// The recipes of all systems.
+        known: String,
+    },
     /// A run on clips where one on phrases is needed.
     #[error("the run's recipe trains on clips of joint features, not on phrases")]
     #[diagnostic(help("give a run of recipe `diffusion`, `decoder` or `e2e`"))]
@@ -176,8 +185,8 @@ pub enum Error {
     /// A resumed run whose config was changed.
     #[error("`{key}` is {given}, but the run was started with {saved}")]
     #[diagnostic(help(
-        "a resumed run continues as it was; only train.max_steps, run.device, checkpoint.*, \
-         validation.*, data.source, data.cache.* and data.store.* may differ. For other settings start a new run"
+        "a resumed run continues as it was; only {free} may differ. For other settings start a \
+         new run"
     ))]
     ResumeDiffers {
         /// Dotted key.
@@ -186,6 +195,8 @@ pub enum Error {
         saved: String,
         /// Value now.
         given: String,
+        /// Keys that may differ.
+        free: String,
     },
     /// A resumed run whose phrases were changed.
     #[error("the dataset is not the one trained on so far: sha256 {found}, before {saved}")]
@@ -231,7 +242,7 @@ pub enum Error {
     ))]
     NoStart {
         /// The recipe.
-        recipe: &'static str,
+        recipe: String,
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]

@@ -18,7 +18,7 @@ use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
-use crate::recipes::{Loss, Measured, Recipe, StepKey};
+use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use not_finite::find_not_finite;
 use restore::order_of;
@@ -40,6 +40,8 @@ pub struct Trainer<R: Recipe> {
     /// `None` only while an update holds it.
     model: Option<R::Model>,
     infos: Vec<ParameterInfo>,
+    /// Names of the optimiser groups.
+    group_names: &'static [&'static str],
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
     optimizer: AdamW,
@@ -61,6 +63,8 @@ pub struct Trainer<R: Recipe> {
 pub struct TrainerParts<R: Recipe> {
     /// The kind of training.
     pub recipe: R,
+    /// Names of its optimiser groups.
+    pub groups: &'static [&'static str],
     /// Networks on the autodiff device, with the weights to start from.
     pub model: R::Model,
     /// The resolved config.
@@ -85,6 +89,7 @@ impl<R: Recipe> Trainer<R> {
     pub fn new(parts: TrainerParts<R>, checkpoint: Option<Checkpoint>) -> Result<Self, Error> {
         let TrainerParts {
             recipe,
+            groups,
             model,
             config,
             statistics,
@@ -139,6 +144,7 @@ impl<R: Recipe> Trainer<R> {
         let last_saved = (step > 0).then(|| checkpoints.step_path(step));
         Ok(Self {
             model: Some(model),
+            group_names: groups,
             groups: infos
                 .iter()
                 .map(|info| recipe.group_of(&info.name))
@@ -271,7 +277,7 @@ impl<R: Recipe> Trainer<R> {
                 total: computed.total.div_scalar(micro_batches as f64),
                 terms: Vec::new(),
                 probes: Vec::new(),
-                rollout: computed.rollout,
+                pending: computed.pending,
             };
             drop((computed.terms, computed.probes));
             accumulate(&mut gradients, self.recipe.backward(model, share));
@@ -285,7 +291,7 @@ impl<R: Recipe> Trainer<R> {
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(format!("the gradient of `{name}`")));
         }
-        let names = train.recipe.groups();
+        let names = self.group_names;
         let rates: Vec<f64> = names
             .iter()
             .map(|name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps))

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-use kinegrad_train::recipes::{ClipDraws, ClipInputs, DenoisingDraws, Inputs};
+use kinegrad_train::systems::cc_motion::recipes::{DenoisingDraws, Inputs};
+use kinegrad_train::systems::gmd::recipes::{ClipDraws, ClipInputs};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::Result;

@@ -26,7 +26,7 @@ use std::time::Instant;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use kinegrad_data::AUDIO_CHANNELS;
+use kinegrad_data::{AUDIO_CHANNELS, DataConfig};
 use kinegrad_diffusion::{
     Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
@@ -39,14 +39,15 @@ use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::humanml::{FeatureStatistics, Root};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::Config;
-use kinegrad_train::config::{EmaConfig, LossConfig, OptimConfig, RolloutConfig, ValidationConfig};
+use kinegrad_train::config::{EmaConfig, OptimConfig, ValidationConfig};
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
-use kinegrad_train::recipes::{
-    DiffusionRecipe, E2eDraws, E2eRecipe, GmdMotionRecipe, HeldOut, HeldOutClips, Loss, Recipe,
-    Sampler,
+use kinegrad_train::systems::cc_motion::recipes::{
+    DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Sampler,
 };
+use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
+use kinegrad_train::systems::gmd::recipes::{GmdMotionRecipe, HeldOutClips};
+use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
 use serde_json::json;
 
@@ -142,7 +143,7 @@ struct Done {
     sample: Option<Tensor<3>>,
 }
 
-type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss>;
+type LossOf<R> = Box<dyn Fn(&R, &<R as Recipe>::Model) -> Loss<<R as Recipe>::Pending>>;
 
 /// The updates of [`kinegrad_train::Trainer`], of a batch that stays the same.
 struct Training<R: Recipe> {
@@ -165,7 +166,7 @@ impl<R: Recipe> Training<R> {
         model: R::Model,
         optim: &OptimConfig,
         max_grad_norm: f64,
-        loss: impl Fn(&R, &R::Model) -> Loss + 'static,
+        loss: impl Fn(&R, &R::Model) -> Loss<R::Pending> + 'static,
     ) -> Self {
         let infos = parameters::infos(&model);
         let rate = |info: &ParameterInfo| {
@@ -353,7 +354,13 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let channels = network.motion_channels;
             let unit = FeatureStatistics::new(vec![0.0; 263], vec![1.0; 263], Root::Absolute)?;
             let held_out =
-                HeldOutClips::new(Vec::new(), Arc::new(unit), 0..channels, &Config::default());
+                HeldOutClips::new(
+                    Vec::new(),
+                    Arc::new(unit),
+                    0..channels,
+                    &DataConfig::default(),
+                    &ValidationConfig::default(),
+                );
             let recipe = GmdMotionRecipe::new(diffusion, channels, trajectory_scale, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.clip_draws()?);
             let loss = move |recipe: &GmdMotionRecipe, model: &TextDenoiser| {

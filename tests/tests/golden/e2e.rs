@@ -12,10 +12,11 @@ use kinegrad_tests::end_to_end::Case;
 use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, wide};
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, weights};
-use kinegrad_train::config::{LossConfig, OptimConfig, RolloutMode};
-use kinegrad_train::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_train::Recipe;
+use kinegrad_train::config::OptimConfig;
+use kinegrad_train::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
+use kinegrad_train::systems::cc_motion::{LossConfig, RolloutMode};
 use kinegrad_train::optim::{AdamW, global_norm};
-use kinegrad_train::recipes::Recipe;
 
 /// The tests of this file.
 pub fn tests() -> Vec<GoldenTest> {

@@ -9,7 +9,7 @@ use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
 use kinegrad_tests::weights;
 use kinegrad_train::checkpoint::Weights;
-use kinegrad_train::clips::{Architecture, ImportRequest, TrainedClips, import};
+use kinegrad_train::systems::gmd::{Architecture, ImportRequest, TrainedClips, import};
 
 const OUTPUT: f64 = 2e-5;
 const GRADIENT: f64 = 1e-4;

@@ -7,7 +7,7 @@ use kinegrad_data::{DataConfig, Dataset, read_motion};
 use kinegrad_motion::sanity::{Profile, Report, check};
 use kinegrad_motion::{Motion, TrainingStatistics};
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::generate::resolve_checkpoint;
+use kinegrad_train::checkpoint::resolve_checkpoint;
 use serde_json::json;
 
 use crate::args::{CheckArguments, ProfileName};

@@ -9,10 +9,10 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use kinegrad_train::checkpoint::{State, Weights};
-use kinegrad_train::clips::{ClipGenerator, ClipRequest, ClipSample, read_goal};
-use kinegrad_train::config::{Config, Recipe, SteeringConfig};
+use kinegrad_train::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, read_goal};
+use kinegrad_train::config::{Config, SteeringConfig};
 use kinegrad_train::device;
-use kinegrad_train::generate::resolve_checkpoint;
+use kinegrad_train::checkpoint::resolve_checkpoint;
 
 use super::sample::sampler;
 use crate::args::SampleArguments;
@@ -30,9 +30,7 @@ pub fn sample(
 ) -> Result<ExitCode, Failure> {
     refuse_phrases(arguments)?;
     let sampler = sampler(arguments, config);
-    sampler
-        .validate(config.diffusion.num_train_timesteps)
-        .map_err(kinegrad_train::Error::from)?;
+    super::eval::must_work(config, &sampler)?;
     if arguments.frames == Some(0) {
         return Err(UsageError::new("`--frames` is 0", "ask for at least one frame").into());
     }
@@ -123,11 +121,10 @@ pub fn steering(
 pub fn trajectory_checkpoint(run: &Path) -> Result<PathBuf, Failure> {
     let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
     let recipe = State::read(&checkpoint)?.config.train.recipe;
-    if recipe != Recipe::GmdTrajectory {
+    if recipe != "gmd_trajectory" {
         let message = format!(
-            "`--trajectory-run` is {}, a run of recipe `{}`",
-            run.display(),
-            recipe.name()
+            "`--trajectory-run` is {}, a run of recipe `{recipe}`",
+            run.display()
         );
         return Err(UsageError::new(message, "give a run of recipe `gmd_trajectory`").into());
     }

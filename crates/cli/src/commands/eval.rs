@@ -5,10 +5,14 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use kinegrad_data::{DataKind, Dataset, Phrase};
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_train::Config;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::device;
-use kinegrad_train::evaluate::{CondSource, Evaluation, EvaluationSettings, evaluate};
-use kinegrad_train::generate::{Generator, resolve_checkpoint};
+use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::cc_motion::evaluate::{CondSource, Evaluation, EvaluationSettings, evaluate};
+use kinegrad_train::checkpoint::resolve_checkpoint;
+use kinegrad_train::systems::cc_motion::generate::Generator;
 
 use super::sample::clip;
 use crate::args::{CondName, EvalArguments};
@@ -96,9 +100,7 @@ impl Subject {
         let mut sampler = config.sampling.sampler.clone();
         sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
         sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
-        sampler
-            .validate(config.diffusion.num_train_timesteps)
-            .map_err(kinegrad_train::Error::from)?;
+        must_work(config, &sampler)?;
         let device = arguments.device.as_deref().unwrap_or(&config.run.device);
         device::open(device)?;
         let mut data = config.data.clone();
@@ -168,6 +170,15 @@ impl Subject {
         bar.finish_and_clear();
         Ok(evaluation)
     }
+}
+
+/// Refuses a sampler that the run's model cannot be drawn from with.
+pub fn must_work(config: &Config, sampler: &SamplerConfig) -> Result<(), Failure> {
+    let mut config = config.clone();
+    config.sampling.sampler = sampler.clone();
+    let (system, _) = BUILT_IN.of(&config)?;
+    system.validate(&config)?;
+    Ok(())
 }
 
 /// The run that a checkpoint belongs to; a checkpoint that was moved away stands for itself.

@@ -7,15 +7,16 @@ use kinegrad_data::humanml::ClipDataset;
 use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::clips::ClipGenerator;
+use kinegrad_train::systems::gmd::ClipGenerator;
 use kinegrad_train::device;
-use kinegrad_train::evaluate::{
+use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::gmd::evaluate::{
     EvaluatorFiles, GoalEvaluation, GoalSettings, GoalTask, TextMotion, evaluate_goals,
 };
-use kinegrad_train::generate::resolve_checkpoint;
+use kinegrad_train::checkpoint::resolve_checkpoint;
 
 use super::clips::{steering, trajectory_checkpoint, weights};
-use super::eval::{make_folder, run_folder};
+use super::eval::{make_folder, must_work, run_folder};
 use crate::args::EvalArguments;
 use crate::failure::{Failure, UsageError};
 use crate::output::table;
@@ -29,8 +30,8 @@ pub fn are_of_clips(runs: &[PathBuf]) -> Result<bool, Failure> {
     let mut kinds = Vec::with_capacity(runs.len());
     for run in runs {
         let checkpoint = resolve_checkpoint(run, |_| {})?;
-        let recipe = State::read(&checkpoint)?.config.train.recipe;
-        kinds.push(recipe.reads_clips());
+        let config = State::read(&checkpoint)?.config;
+        kinds.push(BUILT_IN.of(&config)?.0.name() == "gmd");
     }
     let clips = kinds.first() == Some(&true);
     if kinds.iter().any(|&kind| kind != clips) {
@@ -118,9 +119,7 @@ fn evaluate(
     let mut sampler = config.sampling.sampler.clone();
     sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
     sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
-    sampler
-        .validate(config.diffusion.num_train_timesteps)
-        .map_err(kinegrad_train::Error::from)?;
+    must_work(&config, &sampler)?;
     let mut data = config.data.clone();
     if let Some(source) = &arguments.source {
         data.kind = DataKind::Humanml3d;

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::clips::{Architecture, ImportRequest, import};
+use kinegrad_train::systems::gmd::{Architecture, ImportRequest, import};
 
 use crate::args::{ArchitectureName, ImportArguments};
 use crate::failure::{Failure, UsageError};

@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::generate::resolve_checkpoint;
-use kinegrad_train::merge::merge;
+use kinegrad_train::checkpoint::resolve_checkpoint;
+use kinegrad_train::systems::cc_motion::merge;
 
 use crate::args::MergeArguments;
 use crate::failure::Failure;

@@ -8,8 +8,10 @@ use kinegrad_diffusion::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::config::{Clip, Config};
 use kinegrad_train::device;
-use kinegrad_train::evaluate::phrase_seed;
-use kinegrad_train::generate::{Generator, Sample, resolve_checkpoint};
+use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::cc_motion::evaluate::phrase_seed;
+use kinegrad_train::checkpoint::resolve_checkpoint;
+use kinegrad_train::systems::cc_motion::generate::{Generator, Sample};
 
 use crate::args::{ClipName, FinalAlphaName, SampleArguments, SamplerName, SpacingName};
 use crate::failure::{Failure, UsageError};
@@ -22,14 +24,12 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     }
     let path = resolve_checkpoint(&arguments.run, |damaged| tell!("warning: {damaged}"))?;
     let config = State::read(&path)?.config;
-    if config.train.recipe.reads_clips() {
+    if BUILT_IN.of(&config)?.0.name() == "gmd" {
         return super::clips::sample(&arguments, &path, &config);
     }
     refuse_goals(&arguments)?;
     let sampler = sampler(&arguments, &config);
-    sampler
-        .validate(config.diffusion.num_train_timesteps)
-        .map_err(kinegrad_train::Error::from)?;
+    super::eval::must_work(&config, &sampler)?;
     let conditions = conditions(&arguments, &config)?;
     let weights = if arguments.no_ema {
         Weights::Model

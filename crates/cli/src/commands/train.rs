@@ -7,8 +7,10 @@ use std::time::Instant;
 use kinegrad_data::{Dataset, write_motion};
 use kinegrad_train::Ending;
 use kinegrad_train::checkpoint::Weights;
-use kinegrad_train::generate::{Generator, resolve_checkpoint};
+use kinegrad_train::checkpoint::resolve_checkpoint;
+use kinegrad_train::systems::cc_motion::generate::Generator;
 use kinegrad_train::run::{self, Outcome, TrainRequest};
+use kinegrad_train::systems::BUILT_IN;
 
 use super::check::sanity_table;
 use crate::args::TrainArguments;
@@ -36,7 +38,7 @@ pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
     };
     let started = Instant::now();
     let mut progress = TrainProgress::new();
-    let outcome = run::train(&request, &mut progress);
+    let outcome = run::train(BUILT_IN, &request, &mut progress);
     progress.finish();
     let outcome = outcome?;
     summarise(&outcome, started);

@@ -3,15 +3,20 @@
 //! A checkpoint is written under a temporary name, flushed and renamed, so a crash at any instant
 //! leaves the earlier ones usable; what reads one verifies its checksums first.
 
+mod alone;
 mod folder;
+mod resolve;
 mod state;
 mod statistics;
 mod tensors;
 
 pub use folder::{Best, Checkpoints};
+pub use resolve::resolve_checkpoint;
 pub use state::{FORMAT, Progress, State};
 pub use statistics::Statistics;
 pub use tensors::{Weights, read_optimizer, read_weights};
+
+pub(crate) use alone::{must_be_free, write_weights};
 
 use std::path::Path;
 

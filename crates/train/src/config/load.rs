@@ -7,15 +7,20 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::defaults::{self, lay_over};
-use super::{Config, ConfigError};
+use super::{COMMON, Config, ConfigError, TrainConfig, split};
+use crate::systems::Systems;
 
 /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
 ///
 /// # Errors
 /// Names file and line, or the override, of a thing that is wrong.
-pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
-    parse(&read(path)?, &path.display().to_string(), overrides)
+pub fn load(
+    systems: Systems<'_>,
+    path: &Path,
+    overrides: &[String],
+) -> Result<Config, ConfigError> {
+    let origin = path.display().to_string();
+    parse(systems, &read(path)?, &origin, overrides)
 }
 
 /// [`load()`] where `beneath` says what the file and the overrides leave out.
@@ -23,19 +28,20 @@ pub fn load(path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
 /// # Errors
 /// As [`load()`].
 pub fn load_over(
+    systems: Systems<'_>,
     path: &Path,
     overrides: &[String],
     beneath: &Table,
 ) -> Result<Config, ConfigError> {
     // Errors of the file by itself name its lines.
-    load(path, overrides)?;
+    load(systems, path, overrides)?;
     let text = read(path)?;
     let mut table = beneath.clone();
     lay_over(&mut table, text.parse().expect("text that was just parsed"));
     for argument in overrides {
         apply(&mut table, argument)?;
     }
-    over_defaults(table, &path.display().to_string())
+    whole(systems, &table, &|_| path.display().to_string())
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
@@ -49,7 +55,12 @@ fn read(path: &Path) -> Result<String, ConfigError> {
 ///
 /// # Errors
 /// As [`load()`].
-pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, ConfigError> {
+pub fn parse(
+    systems: Systems<'_>,
+    text: &str,
+    origin: &str,
+    overrides: &[String],
+) -> Result<Config, ConfigError> {
     let no_toml = |error: toml::de::Error| {
         let line = error.span().map(|span| line_of(text, span.start));
         ConfigError::Syntax {
@@ -60,29 +71,62 @@ pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Config, C
     let spans = DeTable::parse(text).map_err(no_toml)?;
     // Numbers are read only here, and may be too large.
     let mut table: Table = text.parse().map_err(no_toml)?;
-    let config: Config = from_table(&table, |key| {
+    let mut config = whole(systems, &table, &|key| {
         let start = start_of(spans.get_ref(), key);
         place(origin, start.map(|start| line_of(text, start)))
     })?;
-    if overrides.is_empty() && defaults::of_recipe(&table).is_none() {
-        return Ok(config);
-    }
     for argument in overrides {
         apply(&mut table, argument)?;
-        // Deserialised after each one, so that an error belongs to it.
-        from_table::<Config>(&table, |_| format!("--set {argument}"))?;
+        // Read after each one, so that an error belongs to it.
+        config = whole(systems, &table, &|_| format!("--set {argument}"))?;
     }
-    over_defaults(table, origin)
+    Ok(config)
 }
 
-/// The config of `table`, where what it leaves out is as its recipe has it.
-fn over_defaults(table: Table, origin: &str) -> Result<Config, ConfigError> {
-    match defaults::of_recipe(&table) {
-        Some(mut whole) => {
-            lay_over(&mut whole, table);
-            from_table(&whole, |_| origin.to_string())
+/// The config of `given`, where what it leaves out is as its recipe has it.
+fn whole(
+    systems: Systems<'_>,
+    given: &Table,
+    place: &dyn Fn(&str) -> String,
+) -> Result<Config, ConfigError> {
+    let named = given.get("train").and_then(|train| train.get("recipe"));
+    let default = TrainConfig::default().recipe;
+    // What is no text is refused below.
+    let name = named.and_then(Value::as_str).unwrap_or(&default);
+    let (system, recipe) = systems
+        .of_recipe(name)
+        .ok_or_else(|| unknown_recipe(systems, name, place("train.recipe")))?;
+    let mut table = system.defaults(recipe, given);
+    lay_over(&mut table, given.clone());
+    let (common, own) = split(table);
+    Ok(Config::of(
+        from_table(&common, place)?,
+        system.complete(&own, place)?,
+    ))
+}
+
+fn unknown_recipe(systems: Systems<'_>, found: &str, place: String) -> ConfigError {
+    let names: Vec<String> = systems.recipes().map(|recipe| recipe.name.into()).collect();
+    ConfigError::Value {
+        place,
+        key: "train.recipe".into(),
+        message: format!("\"{found}\" is not a recipe: {}", names.join(", ")),
+        hint: match nearest(found, &names) {
+            Some(near) => format!("did you mean \"{near}\"?"),
+            None => format!("choose one of: {}", names.join(", ")),
+        },
+    }
+}
+
+/// Puts the values of `above` into `table`, table by table.
+pub(crate) fn lay_over(table: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (_, value) => {
+                table.insert(key, value);
+            }
         }
-        None => from_table(&table, |_| origin.to_string()),
     }
 }
 
@@ -93,9 +137,9 @@ pub fn to_toml(config: &Config) -> String {
 
 /// Deserialises `table`; `place` says where a dotted key stands. Every config comes through here
 /// and no other deserialiser: the code of one is a large part of this crate.
-fn from_table<T: DeserializeOwned>(
+pub(super) fn from_table<T: DeserializeOwned>(
     table: &Table,
-    place: impl Fn(&str) -> String,
+    place: &dyn Fn(&str) -> String,
 ) -> Result<T, ConfigError> {
     serde_path_to_error::deserialize(Value::Table(table.clone()))
         .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
@@ -175,12 +219,12 @@ fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
 }
 
 /// Turns serde's words for an unknown key into an error with the nearest valid one.
-fn explain(place: impl Fn(&str) -> String, path: &str, message: &str) -> ConfigError {
+fn explain(place: &dyn Fn(&str) -> String, path: &str, message: &str) -> ConfigError {
     let message = message.trim().lines().next().unwrap_or_default();
     let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_string);
     if message.starts_with("unknown field") {
         let found = quoted.next().unwrap_or_default();
-        let allowed: Vec<String> = quoted.collect();
+        let mut allowed: Vec<String> = quoted.collect();
         let parent = match path {
             "." => "",
             path => path
@@ -192,6 +236,9 @@ fn explain(place: impl Fn(&str) -> String, path: &str, message: &str) -> ConfigE
             "" => key.to_string(),
             parent => format!("{parent}.{key}"),
         };
+        if parent.is_empty() {
+            allowed.splice(0..0, COMMON.map(String::from));
+        }
         let hint = match nearest(&found, &allowed) {
             Some(near) => format!("did you mean `{}`?", join(near)),
             None => "`kinegrad config show CONFIG` prints every key with its value".into(),
@@ -234,10 +281,11 @@ fn nearest<'a>(found: &str, allowed: &'a [String]) -> Option<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::systems::BUILT_IN;
 
     fn error(text: &str, overrides: &[&str]) -> String {
         let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
-        let error = parse(text, "c.toml", &overrides).expect_err("a bad config");
+        let error = parse(BUILT_IN, text, "c.toml", &overrides).expect_err("a bad config");
         let help = miette::Diagnostic::help(&error)
             .map(|h| h.to_string())
             .unwrap_or_default();
@@ -321,15 +369,27 @@ mod tests {
     #[test]
     fn overrides_win_in_order_and_text_needs_no_quotes() {
         let overrides = ["run.seed=3", "run.device=cpu", "run.seed=4"].map(String::from);
-        let config = parse("[run]\nseed = 1\n", "c.toml", &overrides).expect("a good config");
+        let config = parse(BUILT_IN, "[run]\nseed = 1\n", "c.toml", &overrides);
+        let config = config.expect("a good config");
         assert_eq!((config.run.seed, config.run.device.as_str()), (4, "cpu"));
     }
 
     #[test]
     fn the_written_config_reads_back_equal() {
-        let config = Config::default().resolved();
-        let again = parse(&to_toml(&config), "c.toml", &[]).expect("own output");
-        assert_eq!(again, config);
-        assert_eq!(again.resolved(), config);
+        for recipe in BUILT_IN.recipes() {
+            let text = format!("[train]\nrecipe = \"{}\"", recipe.name);
+            let config = parse(BUILT_IN, &text, "c.toml", &[]).expect("defaults");
+            let again = parse(BUILT_IN, &to_toml(&config), "c.toml", &[]).expect("own output");
+            assert_eq!(again, config);
+            let json = serde_json::to_string(&config).expect("plain data");
+            assert_eq!(serde_json::from_str::<Config>(&json).expect("own output"), config);
+        }
+    }
+
+    #[test]
+    fn an_unknown_recipe_names_the_known_ones() {
+        let text = error("[train]\n\nrecipe = \"gmd_movement\"\n", &[]);
+        assert!(text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not"), "{text}");
+        assert!(text.contains("diffusion, decoder, e2e") && text.contains("\"gmd_motion\"?"), "{text}");
     }
 }

@@ -1,65 +1,48 @@
 //! The config of a run: plain data with a schema.
 //!
-//! Every key has a default, and the defaults are CC-MotionGen's values where those are sound.
-//! [`load()`] reads a file with overrides, [`Config::validate`] refuses what cannot work before any
-//! work starts, and the resolved config is saved beside the run.
+//! A config has the tables that every run has ([`Config`]) and those of the run's
+//! [system](crate::systems). Every key has a default. [`load()`] reads a file with overrides,
+//! [`validate`] refuses what cannot work before any work starts, and the resolved config is saved
+//! beside the run.
 
-mod clips;
-mod defaults;
 mod difference;
-mod end_to_end;
 mod error;
 mod load;
+mod resume;
 mod steering;
+mod system_tables;
 mod tables;
 
 pub use difference::{Difference, difference};
-pub use end_to_end::{
-    InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode,
-    RolloutStart,
-};
 pub use error::ConfigError;
 pub use load::{load, load_over, parse, to_toml};
+pub(crate) use load::lay_over;
+pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;
+pub use system_tables::SystemTables;
 pub use tables::{
-    CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, Recipe, RunConfig, SamplingConfig,
+    CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
     TrainConfig, ValidationConfig,
 };
 
 use kinegrad_data::DataConfig;
-use kinegrad_diffusion::DiffusionConfig;
-use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
-use kinegrad_motion::emphasis::EmphasisConfig;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use toml::{Table, Value};
 
 use crate::Error;
+use crate::systems::Systems;
 
 /// Everything a run is made from.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// Name, seed, device.
     pub run: RunConfig,
-    /// Where the phrases come from and how batches are made of them.
+    /// Where the motion comes from and how batches are made of it.
     pub data: DataConfig,
-    /// What a fine-tuning starts from.
-    pub init: InitConfig,
-    /// The denoiser.
-    pub model: ModelConfig,
-    /// The motion decoder, in recipes that have one.
-    pub decoder: DecoderConfig,
-    /// Low-rank adapters on the denoiser, in recipe `e2e`; without this table all its weights are
-    /// fine-tuned.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lora: Option<LoraConfig>,
-    /// The space that a motion model of recipe `gmd_motion` works in.
-    pub emphasis: EmphasisConfig,
-    /// The diffusion process.
-    pub diffusion: DiffusionConfig,
-    /// The sampler that gradients pass through, in recipes that have one.
-    pub rollout: RolloutConfig,
-    /// The losses on decoded motion, in recipes that have one.
-    pub loss: LossConfig,
+    /// The tables of the run's system, every key written out: a [`SystemTables`] reads them.
+    pub system: Table,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,
     /// Which training, how long.
@@ -68,62 +51,136 @@ pub struct Config {
     pub ema: EmaConfig,
     /// When to save and what to keep.
     pub checkpoint: CheckpointConfig,
-    /// When and how to measure on held-out phrases.
+    /// When and how to measure on held-out motion.
     pub validation: ValidationConfig,
     /// How to draw samples from the trained model.
     pub sampling: SamplingConfig,
 }
 
-impl Config {
-    /// The config with every key that a named size implies written out.
-    #[must_use]
-    pub fn resolved(&self) -> Self {
-        Self {
-            model: self.model.resolved(),
-            ..self.clone()
-        }
-    }
+/// The tables that every run has.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct CommonTables {
+    run: RunConfig,
+    data: DataConfig,
+    optim: OptimConfig,
+    train: TrainConfig,
+    ema: EmaConfig,
+    checkpoint: CheckpointConfig,
+    validation: ValidationConfig,
+    sampling: SamplingConfig,
+}
 
-    /// Refuses values that cannot work and returns what is doubtful.
-    ///
-    /// # Errors
-    /// Names the first key with a bad value, what it is, what is allowed and how to mend it.
-    pub fn validate(&self) -> Result<Vec<String>, Error> {
-        self.data.validate()?;
-        self.diffusion.validate()?;
-        if self.train.recipe.reads_clips() {
-            clips::validate(self)?;
-        } else {
-            clips::refuse_clips(self)?;
-            self.model.unet1d(
-                kinegrad_motion::phrase::CHANNELS,
-                kinegrad_data::AUDIO_CHANNELS,
-            )?;
+/// Names of [`CommonTables`].
+const COMMON: [&str; 8] = [
+    "run",
+    "data",
+    "optim",
+    "train",
+    "ema",
+    "checkpoint",
+    "validation",
+    "sampling",
+];
+
+/// The tables of `whole` that every run has, and the others.
+fn split(whole: Table) -> (Table, Table) {
+    let common = |(name, _): &(String, Value)| COMMON.contains(&name.as_str());
+    whole.into_iter().partition(common)
+}
+
+impl Config {
+    fn of(common: CommonTables, system: Table) -> Self {
+        let CommonTables {
+            run,
+            data,
+            optim,
+            train,
+            ema,
+            checkpoint,
+            validation,
+            sampling,
+        } = common;
+        Self {
+            run,
+            data,
+            system,
+            optim,
+            train,
+            ema,
+            checkpoint,
+            validation,
+            sampling,
         }
-        self.sampling
-            .sampler
-            .validate(self.diffusion.num_train_timesteps)?;
-        tables::validate(self)?;
-        if self.train.recipe.rolls_out() {
-            self.decoder.validate()?;
-            end_to_end::validate(self)?;
-        }
-        if let Some(lora) = &self.lora {
-            lora.validate()?;
-            if self.train.recipe != Recipe::E2e {
-                let found = format!("set, for recipe `{}`", self.train.recipe.name());
-                return Err(ConfigError::range("lora", found, "recipe `e2e` alone").into());
-            }
-        }
-        let mut warnings = Vec::new();
-        if self.optim.warmup_steps > self.train.max_steps {
-            warnings.push(format!(
-                "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning \
-                 rate never reaches `optim.learning_rate`",
-                self.optim.warmup_steps, self.train.max_steps
-            ));
-        }
-        warnings.extend(clips::warnings(self));
-        Ok(warnings)
     }
+}
+
+impl Serialize for Config {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("run", &self.run)?;
+        map.serialize_entry("data", &self.data)?;
+        for (name, table) in &self.system {
+            map.serialize_entry(name, table)?;
+        }
+        map.serialize_entry("optim", &self.optim)?;
+        map.serialize_entry("train", &self.train)?;
+        map.serialize_entry("ema", &self.ema)?;
+        map.serialize_entry("checkpoint", &self.checkpoint)?;
+        map.serialize_entry("validation", &self.validation)?;
+        map.serialize_entry("sampling", &self.sampling)?;
+        map.end()
+    }
+}
+
+/// Takes the system's tables as they stand: only the system can read them.
+impl<'de> Deserialize<'de> for Config {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let json = serde_json::Map::deserialize(deserializer)?;
+        let (common, system) = split(toml_table(json));
+        let common = load::from_table(&common, |_| "its config".into());
+        Ok(Self::of(common.map_err(D::Error::custom)?, system))
+    }
+}
+
+/// JSON as TOML, which says that there is no value by leaving its key out.
+fn toml_table(json: serde_json::Map<String, serde_json::Value>) -> Table {
+    let entries = json.into_iter();
+    let entries = entries.filter_map(|(key, value)| Some((key, toml_value(value)?)));
+    entries.collect()
+}
+
+fn toml_value(json: serde_json::Value) -> Option<Value> {
+    Some(match json {
+        serde_json::Value::Null => return None,
+        serde_json::Value::Bool(value) => Value::Boolean(value),
+        serde_json::Value::Number(number) => match number.as_i64() {
+            Some(integer) => Value::Integer(integer),
+            None => Value::Float(number.as_f64()?),
+        },
+        serde_json::Value::String(text) => Value::String(text),
+        serde_json::Value::Array(values) => {
+            Value::Array(values.into_iter().filter_map(toml_value).collect())
+        }
+        serde_json::Value::Object(map) => Value::Table(toml_table(map)),
+    })
+}
+
+/// Refuses values that cannot work and returns what is doubtful.
+///
+/// # Errors
+/// Names the first key with a bad value, what it is, what is allowed and how to mend it.
+pub fn validate(systems: Systems<'_>, config: &Config) -> Result<Vec<String>, Error> {
+    let (system, recipe) = systems.of(config)?;
+    config.data.validate()?;
+    tables::validate(config, recipe)?;
+    let mut warnings = system.validate(config)?;
+    if config.optim.warmup_steps > config.train.max_steps {
+        warnings.push(format!(
+            "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning rate \
+             never reaches `optim.learning_rate`",
+            config.optim.warmup_steps, config.train.max_steps
+        ));
+    }
+    Ok(warnings)
 }

@@ -7,6 +7,7 @@ use kinegrad_motion::TrainingStatistics;
 use serde::{Deserialize, Serialize};
 
 use super::{Config, ConfigError, SteeringConfig};
+use crate::systems::RecipeInfo;
 
 /// The table `run`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,61 +85,12 @@ impl Default for OptimConfig {
     }
 }
 
-/// Kinds of training.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Recipe {
-    /// A denoiser on noised motion: [`crate::recipes::diffusion`].
-    #[default]
-    Diffusion,
-    /// A motion decoder on latents of a frozen denoiser: [`crate::recipes::decoder`].
-    Decoder,
-    /// Denoiser and decoder together, through the sampler: [`crate::recipes::e2e`].
-    E2e,
-    /// The motion model of Guided Motion Diffusion: [`crate::recipes::gmd_motion`].
-    GmdMotion,
-    /// The trajectory model of Guided Motion Diffusion: [`crate::recipes::gmd_trajectory`].
-    GmdTrajectory,
-}
-
-impl Recipe {
-    /// The groups of parameters it trains, each with a learning rate of its own.
-    pub fn groups(self) -> &'static [&'static str] {
-        match self {
-            Self::Diffusion | Self::GmdMotion | Self::GmdTrajectory => &["unet"],
-            Self::Decoder => &["decoder"],
-            Self::E2e => &["unet", "decoder"],
-        }
-    }
-
-    /// Its name in a config.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Diffusion => "diffusion",
-            Self::Decoder => "decoder",
-            Self::E2e => "e2e",
-            Self::GmdMotion => "gmd_motion",
-            Self::GmdTrajectory => "gmd_trajectory",
-        }
-    }
-
-    /// Whether it trains on clips of joint features and not on phrases.
-    pub fn reads_clips(self) -> bool {
-        matches!(self, Self::GmdMotion | Self::GmdTrajectory)
-    }
-
-    /// Whether it runs the sampler in training, so that `rollout` and `loss` matter.
-    pub fn rolls_out(self) -> bool {
-        matches!(self, Self::Decoder | Self::E2e)
-    }
-}
-
 /// The table `train`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Kind of training.
-    pub recipe: Recipe,
+    /// Kind of training, which belongs to one system.
+    pub recipe: String,
     /// Optimiser steps in all.
     pub max_steps: u64,
     /// Batches whose gradients are averaged into one step.
@@ -154,7 +106,7 @@ pub struct TrainConfig {
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {
-            recipe: Recipe::Diffusion,
+            recipe: "diffusion".into(),
             max_steps: 16_400,
             gradient_accumulation_steps: 1,
             max_grad_norm: 1.0,
@@ -287,7 +239,7 @@ pub struct SamplingConfig {
 }
 
 /// Refuses bad values in the tables above.
-pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
+pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), ConfigError> {
     let optim = &config.optim;
     let train = &config.train;
     let at_least_one = [
@@ -365,7 +317,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             return Err(ConfigError::range(key, value, range));
         }
     }
-    let groups = train.recipe.groups();
+    let groups = recipe.groups;
     for (name, &rate) in &optim.groups {
         let key = format!("optim.groups.{name}");
         if !groups.contains(&name.as_str()) {

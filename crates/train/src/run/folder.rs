@@ -5,39 +5,11 @@ use std::path::Path;
 
 use crate::config::{self, Config};
 use crate::error::Error;
-
-/// Keys that may differ when a run is resumed.
-fn may_change(key: &str) -> bool {
-    key == "train.max_steps"
-        || key == "run.device"
-        || key.starts_with("checkpoint.")
-        || key.starts_with("validation.")
-        // Where phrases lie and how they are fetched and kept changes no batch: that they are the
-        // same is checked by itself.
-        || key == "data.source"
-        || key == "data.num_workers"
-        || key.starts_with("data.cache.")
-        || key.starts_with("data.store.")
-}
-
-/// Refuses a config that would not continue the saved one.
-pub(super) fn may_resume(saved: &Config, given: &Config) -> Result<(), Error> {
-    match config::difference(saved, given)
-        .into_iter()
-        .find(|d| !may_change(&d.key))
-    {
-        Some(d) => Err(Error::ResumeDiffers {
-            key: d.key,
-            saved: d.left,
-            given: d.right,
-        }),
-        None => Ok(()),
-    }
-}
+use crate::systems::Systems;
 
 /// The config the run was started with.
-pub(super) fn saved_config(folder: &Path) -> Result<Config, Error> {
-    Ok(config::load(&folder.join("config.toml"), &[])?)
+pub(super) fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Config, Error> {
+    Ok(config::load(systems, &folder.join("config.toml"), &[])?)
 }
 
 /// Replaces the run's `config.toml` in one step.

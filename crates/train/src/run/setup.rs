@@ -13,39 +13,83 @@ use crate::checkpoint::{Checkpoint, Checkpoints, Statistics};
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
-use crate::recipes;
+use crate::recipe::Recipe;
+use crate::systems::RecipeInfo;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Trainer, TrainerParts};
 
 /// A run whose request has been checked.
-pub(super) struct Setup {
+pub struct Setup {
+    /// The resolved config.
     pub config: Config,
+    /// Its kind of training.
+    pub recipe: &'static RecipeInfo,
+    /// The run's folder.
     pub folder: PathBuf,
-    /// Taken already where the run existed before.
-    pub lock: Option<File>,
     /// Where a resumed run goes on.
     pub checkpoint: Option<Checkpoint>,
+    /// The device, with gradients after [`with_gradients`](Self::with_gradients).
     pub device: Device,
-    pub device_name: String,
+    pub(super) device_name: String,
+    /// Taken already where the run existed before.
+    pub(super) lock: Option<File>,
 }
 
 /// What a run is trained on.
-pub(super) struct Material {
+pub struct Material {
+    /// Items to train on.
     pub train: usize,
+    /// Items held out.
     pub validation: usize,
+    /// Id and reason of each item that was left out as unusable.
     pub skipped: Vec<(String, String)>,
+    /// What the dataset holds.
     pub digest: Digest,
+    /// What the checkpoints keep of it.
     pub statistics: Statistics,
     /// The stream of batches from a number on.
     pub loader: Box<MakeLoader>,
 }
 
 /// Makes the stream of batches of a config from a number on.
-pub(super) type MakeLoader = dyn FnOnce(&Config, u64) -> Loader;
+pub type MakeLoader = dyn FnOnce(&Config, u64) -> Loader;
 
 impl Setup {
-    /// Trains to the end, or until stopped; nothing but the record of the best step is written before.
-    pub fn train<R: recipes::Recipe>(
+    /// The same on the device with gradients; `activation_checkpointing` recomputes cheap
+    /// activations in the backward pass instead of keeping them.
+    #[must_use]
+    pub fn with_gradients(self, activation_checkpointing: bool) -> Self {
+        let device = self.device.autodiff();
+        Self {
+            device: match activation_checkpointing {
+                true => device.gradient_checkpointing(),
+                false => device,
+            },
+            ..self
+        }
+    }
+
+    /// Refuses to continue on another dataset than the one trained on so far.
+    ///
+    /// # Errors
+    /// [`Error::DatasetDiffers`].
+    pub fn same_dataset(&self, digest: Digest) -> Result<(), Error> {
+        let found = digest.to_string();
+        let saved = self.checkpoint.as_ref();
+        match saved.and_then(|checkpoint| checkpoint.state.dataset_sha256.as_ref()) {
+            Some(saved) if *saved != found => Err(Error::DatasetDiffers {
+                saved: saved.clone(),
+                found,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Trains `model`, which is on the device with gradients, to the end, or until stopped. Nothing but the record of the best step is written before.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit the model, or the run fails.
+    pub fn train<R: Recipe>(
         self,
         material: Material,
         recipe: R,
@@ -59,6 +103,7 @@ impl Setup {
         }
         let Self {
             mut config,
+            recipe: info,
             folder,
             lock,
             checkpoint,
@@ -114,13 +159,14 @@ impl Setup {
         observer.started(&summary);
 
         if config.validation.every_steps > 0 && material.validation == 0 {
-            observer.warning("no phrase is held out: there is no validation and no best step");
+            observer.warning("nothing is held out: there is no validation and no best step");
             config.validation.every_steps = 0;
         }
         let first_batch = step * config.train.gradient_accumulation_steps;
         let loader = (material.loader)(&config, first_batch);
         let parts = TrainerParts {
             recipe,
+            groups: info.groups,
             model,
             config: config.clone(),
             statistics: material.statistics,

@@ -7,7 +7,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
-use kinegrad_train::clips::FeatureSpace;
+use kinegrad_train::systems::gmd::FeatureSpace;
 
 /// The process of the published models, for networks that predict this.
 pub fn process(prediction_type: PredictionType) -> GaussianDiffusion {

@@ -8,7 +8,7 @@ use kinegrad_motion::goal::{
 use kinegrad_tests::golden::{Golden, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::clips::GroundGoal;
+use kinegrad_train::systems::gmd::GroundGoal;
 
 use super::bench::{Bench, space};
 

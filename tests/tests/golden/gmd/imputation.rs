@@ -6,7 +6,7 @@ use kinegrad_motion::goal::{Goal as RootGoal, GuidanceConfig, GuidanceLoss, Keyf
 use kinegrad_tests::golden::{Golden, Reference, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::clips::{FeatureSpace, GroundGoal};
+use kinegrad_train::systems::gmd::{FeatureSpace, GroundGoal};
 
 use super::bench::{Bench, space};
 

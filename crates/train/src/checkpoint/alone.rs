@@ -1,0 +1,43 @@
+//! Weights without an optimiser as a run of their own.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_models::parameters::ParameterInfo;
+
+use super::{CheckpointRef, Checkpoints, State};
+use crate::Error;
+use crate::optim::Moments;
+
+/// Refuses a folder that holds something.
+pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
+    let taken = out
+        .read_dir()
+        .is_ok_and(|mut entries| entries.next().is_some());
+    match taken || out.is_file() {
+        true => Err(Error::OutputTaken {
+            path: out.to_path_buf(),
+        }),
+        false => Ok(()),
+    }
+}
+
+/// Writes weights without an optimiser as the only checkpoint of the run in `out`.
+pub(crate) fn write_weights(
+    out: &Path,
+    state: &State,
+    infos: &[ParameterInfo],
+    model: &[Vec<f32>],
+    ema: &[Vec<f32>],
+) -> Result<PathBuf, Error> {
+    let none = Moments {
+        exp_avg: Vec::new(),
+        exp_avg_sq: Vec::new(),
+    };
+    Checkpoints::of(out).save(CheckpointRef {
+        state,
+        infos,
+        model,
+        ema,
+        moments: &vec![none; infos.len()],
+    })
+}

@@ -1,0 +1,32 @@
+use std::path::{Path, PathBuf};
+
+use super::{Checkpoints, State, Weights, read_weights};
+use crate::Error;
+
+/// The checkpoint meant by a path: itself, or the best one of a run (the newest good one where no
+/// best is recorded). `skipped` is told of each damaged one.
+///
+/// # Errors
+/// If there is neither at the path.
+pub fn resolve_checkpoint(path: &Path, mut skipped: impl FnMut(&Error)) -> Result<PathBuf, Error> {
+    if path.join("state.json").exists() {
+        return Ok(path.to_path_buf());
+    }
+    let checkpoints = Checkpoints::of(path);
+    if let Some(best) = checkpoints.best() {
+        let path = checkpoints.step_path(best.step);
+        let readable = State::read(&path)
+            .and_then(|state| read_weights(&path, &state, Weights::Ema).map(|_| ()));
+        match readable {
+            Ok(()) => return Ok(path),
+            Err(error) => skipped(&error),
+        }
+    }
+    match checkpoints.newest_good(skipped)? {
+        Some(checkpoint) => Ok(checkpoints.step_path(checkpoint.state.step)),
+        None => Err(Error::RunMissing {
+            path: path.to_path_buf(),
+            hint: "give a run's folder, such as runs/quickstart, or one of its checkpoints".into(),
+        }),
+    }
+}

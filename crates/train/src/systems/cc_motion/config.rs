@@ -1,0 +1,357 @@
+//! The tables of a config that are this system's own, and what must hold of them.
+
+use std::path::PathBuf;
+
+use kinegrad_data::{AUDIO_CHANNELS, DataKind};
+use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph};
+use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
+use kinegrad_motion::phrase::CHANNELS;
+use serde::{Deserialize, Serialize};
+
+use super::losses::{SignMatching, TemporalLossConfig};
+use super::{E2E, rolls_out};
+use crate::config::{Clip, Config, ConfigError, SystemTables};
+use crate::error::Error;
+
+/// The tables of this system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CcMotionConfig {
+    /// What a fine-tuning starts from.
+    pub init: InitConfig,
+    /// The denoiser.
+    pub model: ModelConfig,
+    /// The motion decoder, in recipes `decoder` and `e2e`.
+    pub decoder: DecoderConfig,
+    /// Low-rank adapters on the denoiser, in recipe `e2e`; without this table all its weights are
+    /// fine-tuned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lora: Option<LoraConfig>,
+    /// The diffusion process.
+    pub diffusion: DiffusionConfig,
+    /// The sampler that gradients pass through, in recipes `decoder` and `e2e`.
+    pub rollout: RolloutConfig,
+    /// The losses on decoded motion, in recipes `decoder` and `e2e`.
+    pub loss: LossConfig,
+}
+
+impl SystemTables for CcMotionConfig {
+    const NAMES: &'static [&'static str] = &[
+        "init",
+        "model",
+        "decoder",
+        "lora",
+        "diffusion",
+        "rollout",
+        "loss",
+    ];
+
+    const PASSED_OVER: &'static str = include_str!("passed_over.toml");
+
+    fn resolved(self) -> Self {
+        Self {
+            model: self.model.resolved(),
+            ..self
+        }
+    }
+}
+
+/// The table `init`: what a fine-tuning starts from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InitConfig {
+    /// Run or checkpoint of the diffusion model; its averaged weights are taken, and its network,
+    /// process and statistics. Empty in recipe `e2e`: one is trained first.
+    pub diffusion: PathBuf,
+    /// Run or checkpoint that holds a decoder made on that base. Empty: a fresh one.
+    pub decoder: PathBuf,
+    /// The training of what is missing.
+    pub pretrain: PretrainConfig,
+}
+
+/// The table `init.pretrain`: how recipe `e2e` trains a base model and a decoder of its own where
+/// `init.diffusion` is empty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PretrainConfig {
+    /// Steps of recipe `diffusion`.
+    pub diffusion_steps: u64,
+    /// Their learning rate.
+    pub diffusion_learning_rate: f64,
+    /// Steps of recipe `decoder`; 0 leaves the decoder fresh.
+    pub decoder_steps: u64,
+    /// Their learning rate.
+    pub decoder_learning_rate: f64,
+}
+
+impl Default for PretrainConfig {
+    fn default() -> Self {
+        Self {
+            diffusion_steps: 1000,
+            diffusion_learning_rate: 1e-3,
+            decoder_steps: 200,
+            decoder_learning_rate: 5e-4,
+        }
+    }
+}
+
+/// What a rollout keeps for its backward pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RolloutMode {
+    /// One graph over all steps: memory grows with them.
+    Full,
+    /// The states alone; each step is recomputed in the backward pass. Same gradients.
+    #[default]
+    Checkpointed,
+    /// A graph over the last `rollout.last_k` steps: a truncated gradient.
+    LastK,
+}
+
+/// What a rollout starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RolloutStart {
+    /// The batch's motion, noised to the start timestep. Below the last timesteps it shares
+    /// something with its ground truth, so that reconstruction has a meaning.
+    #[default]
+    Motion,
+    /// Pure noise at the last timestep (CC-MotionGen): reconstruction, where it counts, then pulls
+    /// towards the mean motion.
+    Noise,
+}
+
+/// The table `rollout`: the sampler that gradients pass through.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RolloutConfig {
+    /// DDIM steps K.
+    pub steps: usize,
+    /// What is kept for the backward pass.
+    pub mode: RolloutMode,
+    /// Steps with a graph in mode `last_k`.
+    pub last_k: usize,
+    /// What a rollout starts from.
+    pub start: RolloutStart,
+    /// Lowest and highest start timestep of `start = "motion"`; each sample's is drawn between
+    /// them. Values beyond the
+    /// last timestep mean the last.
+    pub start_timesteps: [usize; 2],
+    /// What the predicted clean motion is clipped to.
+    pub clip: Clip,
+    /// Whether gradients pass a clip as if it were not there.
+    pub straight_through: bool,
+    /// Factor on the gradient that a step hands to the one before it.
+    pub gradient_decay: f64,
+    /// Weight of the condition, 1 as trained.
+    pub guidance_scale: f64,
+}
+
+impl Default for RolloutConfig {
+    fn default() -> Self {
+        Self {
+            steps: 5,
+            mode: RolloutMode::Checkpointed,
+            last_k: 1,
+            start: RolloutStart::Motion,
+            start_timesteps: [200, 999],
+            clip: Clip::TrainingRange,
+            straight_through: true,
+            gradient_decay: 1.0,
+            guidance_scale: 1.0,
+        }
+    }
+}
+
+impl RolloutConfig {
+    /// The mode with its number of steps.
+    pub fn graph(&self) -> Graph {
+        match self.mode {
+            RolloutMode::Full => Graph::Full,
+            RolloutMode::Checkpointed => Graph::Checkpointed,
+            RolloutMode::LastK => Graph::LastK(self.last_k),
+        }
+    }
+}
+
+/// How much each sample's reconstruction counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReconstructionWeighting {
+    /// By `abar` of its start timestep: the share of the ground truth in the start state.
+    #[default]
+    Signal,
+    /// All alike (CC-MotionGen).
+    Uniform,
+}
+
+/// The table `loss` (CC-MotionGen, sections 7.1 and 7.4; docs/sources.md, section 1.8).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossConfig {
+    /// Weight of the diffusion loss, on normalised motion.
+    pub w_diff: f64,
+    /// Weight of the reconstruction, in physical units.
+    pub w_dec: f64,
+    /// Weight of the temporal terms, in physical units.
+    pub w_temp: f64,
+    /// Weight of the reconstruction of all components, in units of their deviations. CC-MotionGen
+    /// has none: a phase that stands still, or a constant orientation, then costs next to nothing
+    /// and is what the temporal terms like best.
+    pub w_components: f64,
+    /// How much each sample's reconstruction counts.
+    pub reconstruction_weighting: ReconstructionWeighting,
+    /// How the two quaternions of one rotation compare in the quaternion's reconstruction; that of
+    /// all components always takes the nearer one.
+    pub quaternion_sign: SignMatching,
+    /// The temporal terms.
+    pub temporal: TemporalLossConfig,
+}
+
+impl LossConfig {
+    /// CC-MotionGen's loss, literally.
+    pub fn document() -> Self {
+        Self {
+            w_components: 0.0,
+            reconstruction_weighting: ReconstructionWeighting::Uniform,
+            quaternion_sign: SignMatching::Document,
+            temporal: TemporalLossConfig::document(),
+            ..Self::default()
+        }
+    }
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            w_diff: 0.1,
+            w_dec: 1.0,
+            w_temp: 10.0,
+            w_components: 1.0,
+            reconstruction_weighting: ReconstructionWeighting::default(),
+            quaternion_sign: SignMatching::default(),
+            temporal: TemporalLossConfig::default(),
+        }
+    }
+}
+
+/// Refuses what this system cannot work with.
+///
+/// # Errors
+/// Names the first key with a bad value.
+pub(super) fn validate(config: &Config) -> Result<(), Error> {
+    let own = CcMotionConfig::of(config)?;
+    own.diffusion.validate()?;
+    if !matches!(config.data.kind, DataKind::Phrases | DataKind::Synthetic) {
+        let recipe = &config.train.recipe;
+        let allowed = format!("\"phrases\" or \"synthetic\" for recipe `{recipe}`");
+        return Err(ConfigError::range("data.kind", "a kind of clips", allowed).into());
+    }
+    own.model
+        .unet1d(CHANNELS, AUDIO_CHANNELS)?;
+    let timesteps = own.diffusion.num_train_timesteps;
+    config.sampling.sampler.validate(timesteps)?;
+    if rolls_out(config) {
+        own.decoder.validate()?;
+        own.validate_fine_tuning(config)?;
+    }
+    if let Some(lora) = &own.lora {
+        lora.validate()?;
+        if config.train.recipe != E2E {
+            let found = format!("set, for recipe `{}`", config.train.recipe);
+            return Err(ConfigError::range("lora", found, "recipe `e2e` alone").into());
+        }
+    }
+    Ok(())
+}
+
+impl CcMotionConfig {
+/// Refuses bad values in `init`, `rollout` and `loss`.
+fn validate_fine_tuning(&self, config: &Config) -> Result<(), ConfigError> {
+    let init = &self.init;
+    if init.diffusion.as_os_str().is_empty() {
+        if !init.decoder.as_os_str().is_empty() {
+            let found = format!("{} without `init.diffusion`", init.decoder.display());
+            let allowed = "a decoder together with the base it was made on";
+            return Err(ConfigError::range("init.decoder", found, allowed));
+        }
+        if config.train.recipe == E2E && init.pretrain.diffusion_steps == 0 {
+            let key = "init.pretrain.diffusion_steps";
+            return Err(ConfigError::range(
+                key,
+                0,
+                "1 or more, or an `init.diffusion`",
+            ));
+        }
+    }
+    let timesteps = self.diffusion.num_train_timesteps;
+    let rollout = &self.rollout;
+    if !(1..=timesteps).contains(&rollout.steps) {
+        let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
+        return Err(ConfigError::range("rollout.steps", rollout.steps, allowed));
+    }
+    if !(1..=rollout.steps).contains(&rollout.last_k) {
+        let allowed = format!("1 to rollout.steps ({})", rollout.steps);
+        return Err(ConfigError::range(
+            "rollout.last_k",
+            rollout.last_k,
+            allowed,
+        ));
+    }
+    let [lowest, highest] = rollout.start_timesteps;
+    if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
+        let found = format!("[{lowest}, {highest}]");
+        let allowed = format!(
+            "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
+            rollout.steps - 1
+        );
+        return Err(ConfigError::range(
+            "rollout.start_timesteps",
+            found,
+            allowed,
+        ));
+    }
+    let at_least_zero = |key: String, value: f64| {
+        if value >= 0.0 && value.is_finite() {
+            Ok(())
+        } else {
+            Err(ConfigError::range(key, value, "0 or more"))
+        }
+    };
+    let loss = &self.loss;
+    let named = [
+        ("loss.w_diff", loss.w_diff),
+        ("loss.w_dec", loss.w_dec),
+        ("loss.w_temp", loss.w_temp),
+        ("loss.w_components", loss.w_components),
+        ("rollout.guidance_scale", rollout.guidance_scale),
+        (
+            "init.pretrain.diffusion_learning_rate",
+            init.pretrain.diffusion_learning_rate,
+        ),
+        (
+            "init.pretrain.decoder_learning_rate",
+            init.pretrain.decoder_learning_rate,
+        ),
+    ];
+    for (key, value) in named {
+        at_least_zero(key.to_string(), value)?;
+    }
+    for (key, value) in loss.temporal.numbers() {
+        let key = format!("loss.temporal.{key}");
+        if key.contains(".target_") && !(value > 0.0 && value.is_finite()) {
+            return Err(ConfigError::range(key, value, "more than 0"));
+        }
+        at_least_zero(key, value)?;
+    }
+    if !(0.0..=1.0).contains(&rollout.gradient_decay) {
+        let found = rollout.gradient_decay;
+        return Err(ConfigError::range(
+            "rollout.gradient_decay",
+            found,
+            "0 to 1",
+        ));
+    }
+    Ok(())
+}
+}

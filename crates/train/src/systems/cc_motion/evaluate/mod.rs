@@ -1,0 +1,172 @@
+//! From a trained model to the numbers that describe its samples, beside those of real phrases.
+
+mod measures;
+mod terms;
+
+use std::sync::Arc;
+
+use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::Motion;
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+
+pub use measures::{CheckRate, Measures, ProfileRates};
+pub use terms::LossTerm;
+
+use super::generate::Generator;
+use crate::config::Clip;
+use crate::error::Error;
+use measures::Reference;
+
+/// What the model hears while it draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CondSource {
+    /// The audio features of the held-out phrases.
+    #[default]
+    Phrases,
+    /// Standard normal noise in their place, another one for each phrase: what the model does
+    /// when the condition tells it nothing.
+    Noise,
+}
+
+/// How an evaluation draws its samples.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EvaluationSettings {
+    /// Samples for each phrase.
+    pub seeds: usize,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// What the model hears.
+    pub cond: CondSource,
+    /// The sampler.
+    pub sampler: SamplerConfig,
+    /// What the predicted clean motion is clipped to.
+    pub clip: Clip,
+}
+
+/// What an evaluation found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Name of the run.
+    pub run: String,
+    /// Step of its checkpoint.
+    pub step: u64,
+    /// Held-out phrases drawn for.
+    pub phrases: usize,
+    /// How the samples were drawn.
+    #[serde(flatten)]
+    pub settings: EvaluationSettings,
+    /// The samples after post-processing.
+    pub processed: Measures,
+    /// The samples as the model drew them.
+    pub raw: Measures,
+    /// The real held-out phrases, by the same measures.
+    pub real: Measures,
+}
+
+/// The seed of the samples for the phrase `id`. Samples of one call differ in noise by their
+/// index alone, so phrases drawn for in calls of their own would share it under one seed.
+pub fn phrase_seed(seed: u64, id: &str) -> u64 {
+    Key::new(seed, Purpose::PhraseSeed).named(id).seed()
+}
+
+/// Draws `settings.seeds` samples for each of the `held_out` phrases and measures them against
+/// the held-out and the `training` phrases. Sample k of a phrase depends on the seed, the
+/// phrase's id and k alone: the same as `kinegrad sample` draws. `on_step` is told the
+/// denoising steps done and in all.
+///
+/// # Errors
+/// If the sampler's settings cannot work.
+pub fn evaluate(
+    generator: &Generator,
+    held_out: &[Arc<Phrase>],
+    training: &[Arc<Phrase>],
+    settings: &EvaluationSettings,
+    on_step: &mut dyn FnMut(usize, usize),
+) -> Result<Evaluation, Error> {
+    let mut raw = Vec::with_capacity(held_out.len());
+    let mut processed = Vec::with_capacity(held_out.len());
+    for (index, phrase) in held_out.iter().enumerate() {
+        let conditions = vec![condition(phrase, settings); settings.seeds];
+        let samples = generator.sample(
+            &conditions,
+            &settings.sampler,
+            settings.clip,
+            phrase_seed(settings.seed, &phrase.id),
+            &mut |step, total| on_step(index * total + step, held_out.len() * total),
+        )?;
+        let (drawn, repaired): (Vec<Motion>, Vec<Motion>) = samples
+            .into_iter()
+            .map(|sample| (sample.raw, sample.motion))
+            .unzip();
+        raw.push(drawn);
+        processed.push(repaired);
+    }
+    let real: Vec<Vec<Motion>> = held_out
+        .iter()
+        .map(|phrase| vec![phrase.motion.clone()])
+        .collect();
+    let reference = Reference::new(held_out, training, generator.statistics());
+    Ok(Evaluation {
+        run: generator.config().run.name.clone(),
+        step: generator.step(),
+        phrases: held_out.len(),
+        settings: settings.clone(),
+        processed: reference.measure(&processed),
+        raw: reference.measure(&raw),
+        real: reference.measure(&real),
+    })
+}
+
+/// What the model hears for `phrase`, the same for all of its samples.
+fn condition(phrase: &Phrase, settings: &EvaluationSettings) -> AudioFeatures {
+    match settings.cond {
+        CondSource::Phrases => phrase.audio.clone(),
+        CondSource::Noise => {
+            let key = Key::new(settings.seed, Purpose::NoiseCondition).named(&phrase.id);
+            let noise = key.normals(AUDIO_CHANNELS * phrase.frames());
+            AudioFeatures::new(phrase.frames(), noise).expect("163 values a frame")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::synthetic;
+
+    use super::*;
+
+    fn settings(cond: CondSource, seed: u64) -> EvaluationSettings {
+        EvaluationSettings {
+            seeds: 1,
+            seed,
+            cond,
+            sampler: SamplerConfig::default(),
+            clip: Clip::default(),
+        }
+    }
+
+    #[test]
+    fn noise_conditions_differ_by_phrase_and_seed_and_have_the_phrase_s_length() {
+        let phrases = [synthetic::phrase(0, 20, 1), synthetic::phrase(1, 30, 1)];
+        let noise = |phrase: &Phrase, seed| condition(phrase, &settings(CondSource::Noise, seed));
+        let [first, second] = phrases.each_ref().map(|phrase| noise(phrase, 0));
+        assert_eq!((first.frames(), second.frames()), (20, 30));
+        assert_eq!(first, noise(&phrases[0], 0));
+        assert_ne!(first, noise(&phrases[0], 1));
+        assert_ne!(first, second.slice(0..20));
+        let heard = condition(&phrases[0], &settings(CondSource::Phrases, 0));
+        assert_eq!(heard, phrases[0].audio);
+    }
+
+    #[test]
+    fn phrases_and_seeds_have_their_own_noise() {
+        let seeds =
+            [(0, "a"), (0, "b"), (1, "a"), (1, "b")].map(|(seed, id)| phrase_seed(seed, id));
+        for (index, seed) in seeds.iter().enumerate() {
+            assert!(!seeds[index + 1..].contains(seed));
+        }
+    }
+}

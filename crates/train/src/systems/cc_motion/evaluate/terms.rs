@@ -1,0 +1,63 @@
+//! The losses of end-to-end fine-tuning, as measures of motion: the rows of CC-MotionGen's table
+//! 7.5.
+
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::Phrase;
+use kinegrad_motion::Motion;
+use kinegrad_motion::phrase::CHANNELS;
+use serde::Serialize;
+
+use super::super::losses::{ReconstructionLoss, SignMatching, TemporalLossConfig, temporal_losses};
+
+/// The mean of one loss over motions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LossTerm {
+    /// Name of the loss.
+    pub name: &'static str,
+    /// Its mean over the motions.
+    pub value: f64,
+}
+
+/// CC-MotionGen's temporal terms, with its weights and normalisers, and the mean squared error of
+/// position (m^2) and quaternion (up to sign) against the held-out phrase; means over `motions`, a
+/// list for each of `held_out`.
+///
+/// A sample drawn from noise knows its phrase by the music alone: its squared error is about twice
+/// the variance of real motion, and half of that for the mean motion.
+pub(super) fn loss_terms(motions: &[Vec<Motion>], held_out: &[Arc<Phrase>]) -> Vec<LossTerm> {
+    let config = TemporalLossConfig::document();
+    let count = motions.iter().map(Vec::len).sum::<usize>() as f64;
+    let mut means: Vec<LossTerm> = Vec::new();
+    for (samples, phrase) in motions.iter().zip(held_out) {
+        for motion in samples {
+            let frames = motion.frames();
+            let (decoded, target) = (tensor(motion), tensor(&phrase.motion));
+            let mask = Tensor::ones([1, frames], &decoded.device());
+            let weights = Tensor::ones([1, 1, 1], &decoded.device());
+            let error =
+                ReconstructionLoss::new(&decoded, &target, &mask, weights, SignMatching::Nearer);
+            let mut terms = temporal_losses(&decoded, &mask, &config);
+            terms.push(("position", error.position));
+            terms.push(("quaternion", error.quaternion));
+            for (name, term) in terms {
+                let value = f64::from(term.into_scalar::<f32>()) / count;
+                match means.iter_mut().find(|mean| mean.name == name) {
+                    Some(mean) => mean.value += value,
+                    None => means.push(LossTerm { name, value }),
+                }
+            }
+        }
+    }
+    means
+}
+
+/// `[1, 25, frames]` on the CPU.
+fn tensor(motion: &Motion) -> Tensor<3> {
+    let shape = [1, CHANNELS, motion.frames()];
+    Tensor::from_data(
+        TensorData::new(motion.channel_major(), shape),
+        &Device::flex(),
+    )
+}

@@ -1,0 +1,129 @@
+//! From a checkpoint to motion.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_diffusion::{GaussianDiffusion, SamplerConfig, sample};
+use kinegrad_models::{MotionDecoder, UNet1d};
+use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_motion::postprocess::{PostProcessConfig, process};
+use kinegrad_motion::{Motion, TrainingStatistics};
+use kinegrad_random::{Key, Purpose};
+
+use super::{CcMotionConfig, Trained};
+use crate::checkpoint::{State, Weights};
+use crate::config::{Clip, Config, SystemTables};
+use crate::error::Error;
+
+/// One sample, in physical units.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// As the model drew it, decoded or de-normalised.
+    pub raw: Motion,
+    /// Post-processed.
+    pub motion: Motion,
+}
+
+/// A trained model, ready to draw samples.
+pub struct Generator {
+    unet: UNet1d,
+    decoder: Option<MotionDecoder>,
+    diffusion: GaussianDiffusion,
+    statistics: TrainingStatistics,
+    state: State,
+    device: Device,
+}
+
+impl Generator {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let Trained {
+            unet,
+            decoder,
+            state,
+        } = Trained::load(path, weights, device)?;
+        let statistics = state.statistics.phrases()?.clone();
+        let diffusion = GaussianDiffusion::new(&CcMotionConfig::of(&state.config)?.diffusion)?;
+        Ok(Self {
+            unet: unet.valid(),
+            decoder: decoder.map(|decoder| decoder.valid()),
+            diffusion,
+            statistics,
+            state,
+            device: device.clone(),
+        })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// The statistics of its training phrases.
+    pub fn statistics(&self) -> &TrainingStatistics {
+        &self.statistics
+    }
+
+    /// Steps it was trained for.
+    pub fn step(&self) -> u64 {
+        self.state.step
+    }
+
+    /// Draws one sample for each condition; all conditions have the same number of frames.
+    /// Sample i depends on `seed` and i alone, not on how many are drawn. `on_step` is told the
+    /// sampler's steps done and in all.
+    ///
+    /// # Errors
+    /// If the sampler's settings cannot work.
+    pub fn sample(
+        &self,
+        conditions: &[AudioFeatures],
+        sampler: &SamplerConfig,
+        clip: Clip,
+        seed: u64,
+        on_step: &mut dyn FnMut(usize, usize),
+    ) -> Result<Vec<Sample>, Error> {
+        let Some(frames) = conditions.first().map(AudioFeatures::frames) else {
+            return Ok(Vec::new());
+        };
+        let key = Key::new(seed, Purpose::Sampling);
+        let mut samples = Vec::with_capacity(conditions.len());
+        for (index, condition) in conditions.iter().enumerate() {
+            let key = key.at(index as u64);
+            let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
+                let data = TensorData::new(values, [1, channels, frames]);
+                Tensor::from_data(data, &self.device)
+            };
+            let start = on_device(key.at(0).normals(CHANNELS * frames), CHANNELS);
+            let cond = on_device(condition.as_slice().to_vec(), AUDIO_CHANNELS);
+            let (done, all) = (index, conditions.len());
+            let x = sample(
+                &self.diffusion,
+                &self.unet,
+                start,
+                &cond,
+                sampler,
+                &clip.range(self.statistics()),
+                key.at(1),
+                &mut |step, total, _| on_step(done * total + step, all * total),
+            )?;
+            let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("samples are float32");
+            let raw = match &self.decoder {
+                Some(decoder) => {
+                    Motion::from_channel_major(&host(decoder.forward(x, None)), frames)?
+                }
+                None => self
+                    .statistics()
+                    .denormalize_channel_major(&host(x), frames),
+            };
+            let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
+            samples.push(Sample { raw, motion });
+        }
+        Ok(samples)
+    }
+}

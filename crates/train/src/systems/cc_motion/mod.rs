@@ -1,0 +1,127 @@
+//! CC-MotionGen: phrases of dance under audio features (docs/sources.md, section 1).
+//!
+//! Recipe `diffusion` trains the denoiser, `decoder` a motion decoder on its latents, `e2e` both
+//! together through the sampler.
+
+mod config;
+pub mod evaluate;
+pub mod generate;
+pub mod losses;
+mod merge;
+mod networks;
+mod pretrain;
+pub mod recipes;
+mod start;
+mod train;
+
+use std::path::Path;
+
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::{DecoderConfig, Initializer};
+use kinegrad_motion::phrase::CHANNELS;
+use toml::Table;
+
+pub use config::{
+    CcMotionConfig, InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig,
+    RolloutMode, RolloutStart,
+};
+pub use merge::merge;
+pub use networks::Trained;
+
+use super::{RecipeInfo, System};
+use crate::config::{Config, ConfigError, SystemTables};
+use crate::error::Error;
+use crate::observer::Observer;
+use crate::run::{Outcome, Setup};
+use start::Starts;
+
+/// The system.
+pub struct CcMotion;
+
+/// Names of the recipes.
+const DIFFUSION: &str = "diffusion";
+const DECODER: &str = "decoder";
+const E2E: &str = "e2e";
+
+/// Whether the config's recipe runs the sampler in training, so that `rollout` and `loss` matter.
+fn rolls_out(config: &Config) -> bool {
+    config.train.recipe != DIFFUSION
+}
+
+impl System for CcMotion {
+    fn name(&self) -> &'static str {
+        "cc_motion"
+    }
+
+    fn recipes(&self) -> &'static [RecipeInfo] {
+        &[
+            RecipeInfo {
+                name: DIFFUSION,
+                groups: &["unet"],
+            },
+            RecipeInfo {
+                name: DECODER,
+                groups: &["decoder"],
+            },
+            RecipeInfo {
+                name: E2E,
+                groups: &["unet", "decoder"],
+            },
+        ]
+    }
+
+    fn complete(
+        &self,
+        tables: &Table,
+        place: &dyn Fn(&str) -> String,
+    ) -> Result<Table, ConfigError> {
+        Ok(CcMotionConfig::read(tables, place)?.to_table())
+    }
+
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
+        config::validate(config)?;
+        Ok(Vec::new())
+    }
+
+    fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
+        if !rolls_out(config) {
+            return Ok(None);
+        }
+        match saved {
+            // A resumed run does not need its start any more.
+            Some(saved) => start::inherited(saved, Some(saved)).map(Some),
+            None => Starts::named(config)?
+                .map(|starts| starts.tables())
+                .transpose(),
+        }
+    }
+
+    fn has_begun(&self, folder: &Path) -> bool {
+        pretrain::has_begun(folder)
+    }
+
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
+        // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
+        let device = burn::tensor::Device::flex();
+        let count = |infos: Vec<ParameterInfo>| infos.iter().map(ParameterInfo::len).sum::<usize>();
+        let unet = count(parameters::infos(&networks::denoiser(config, &device)?));
+        if !rolls_out(config) {
+            return Ok(unet);
+        }
+        let random = DecoderConfig {
+            init: DecoderInit::Random,
+            ..CcMotionConfig::of(config)?.decoder
+        };
+        let unit = Normalization {
+            mean: vec![0.0; CHANNELS],
+            std: vec![1.0; CHANNELS],
+        };
+        let decoder = random.init(unit, &Initializer::new(0, &device))?;
+        Ok(unet + count(parameters::infos(&decoder)))
+    }
+
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(setup, observer)
+    }
+}

@@ -1,0 +1,113 @@
+//! The networks of a checkpoint, whatever recipe wrote it.
+
+use std::path::Path;
+
+use burn::tensor::Device;
+use kinegrad_data::AUDIO_CHANNELS;
+use kinegrad_models::decoder::Normalization;
+use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
+use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::phrase::CHANNELS;
+
+use super::{CcMotionConfig, rolls_out};
+use crate::checkpoint::{State, Weights, read_weights};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+
+/// Trained networks, adapters merged, and what is known of their training.
+pub struct Trained {
+    /// The denoiser.
+    pub unet: UNet1d,
+    /// The decoder, of a recipe that has one.
+    pub decoder: Option<MotionDecoder>,
+    /// Config, step, statistics.
+    pub state: State,
+}
+
+impl Trained {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        let values = read_weights(path, &state, weights)?;
+        let config = &state.config;
+        let (unet, decoder) = match rolls_out(config) {
+            false => (parameters::load(denoiser(config, device)?, values)?, None),
+            true => {
+                let fresh = networks(config, state.statistics.phrases()?, device)?;
+                let MotionModel { unet, decoder } = parameters::load(fresh, values)?;
+                (unet.merge_adapters(), Some(decoder))
+            }
+        };
+        Ok(Self {
+            unet,
+            decoder,
+            state,
+        })
+    }
+}
+
+/// The denoiser of a config, with fresh weights.
+///
+/// # Errors
+/// If it cannot be built.
+pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
+    let model = CcMotionConfig::of(config)?.model;
+    let unet = model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
+    Ok(unet.init(&Initializer::new(config.run.seed, device))?)
+}
+
+/// The decoder of a config, with fresh weights.
+///
+/// # Errors
+/// If it cannot be built.
+pub(crate) fn decoder(
+    config: &Config,
+    statistics: &TrainingStatistics,
+    device: &Device,
+) -> Result<MotionDecoder, Error> {
+    let normalization = Normalization {
+        mean: statistics.mean.clone(),
+        std: statistics.std.clone(),
+    };
+    let init = Initializer::new(config.run.seed, device).at("decoder");
+    let decoder = CcMotionConfig::of(config)?.decoder;
+    Ok(decoder.init(normalization, &init)?)
+}
+
+/// Denoiser (with adapters, if the config has them) and decoder, with fresh weights.
+///
+/// # Errors
+/// If one cannot be built.
+pub(crate) fn networks(
+    config: &Config,
+    statistics: &TrainingStatistics,
+    device: &Device,
+) -> Result<MotionModel, Error> {
+    let model = MotionModel {
+        unet: denoiser(config, device)?,
+        decoder: decoder(config, statistics, device)?,
+    };
+    with_adapters(model, config, device)
+}
+
+/// Puts the config's adapters, if it has any, on a denoiser that has its weights.
+///
+/// # Errors
+/// If they cannot be built.
+pub(crate) fn with_adapters(
+    model: MotionModel,
+    config: &Config,
+    device: &Device,
+) -> Result<MotionModel, Error> {
+    let Some(lora) = CcMotionConfig::of(config)?.lora else {
+        return Ok(model);
+    };
+    let init = Initializer::new(config.run.seed, device).at("unet");
+    Ok(MotionModel {
+        unet: model.unet.with_adapters(&lora, &init)?,
+        decoder: model.decoder,
+    })
+}

@@ -1,0 +1,233 @@
+//! Denoiser and decoder together, through the sampler (CC-MotionGen, section 7; docs/sources.md,
+//! section 1.8):
+//!
+//! ```text
+//! L = w_diff L_diff + w_dec (L_pos + L_quat) + w_temp sum L_temp + w_components L_all
+//!
+//! L_diff   the diffusion loss, on normalised motion
+//! decoded  decoder(DDIM of K steps), with gradients to every call of the network
+//! L_pos, L_quat   squared error of the decoded position and quaternion
+//! L_temp   temporal coherence of the decoded motion
+//! L_all    squared error of all components in units of their deviations (not CC-MotionGen's)
+//! ```
+//!
+//! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
+//! (`rollout.start`), and its reconstruction counts by how much of the motion the start still
+//! holds: pulled towards a ground truth they know nothing of, samples would all become the mean
+//! motion.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::Batch;
+use kinegrad_diffusion::{Trace, rollout_timesteps};
+use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
+use kinegrad_random::Purpose;
+
+use super::diffusion::{DenoisingDraws, denoising_loss, denoising_validation_loss};
+use super::sampler::channels;
+use super::{HeldOut, Inputs, Sampler};
+use crate::draws::noise;
+use crate::recipe::{Loss, Measured, Recipe, StepKey};
+use crate::systems::cc_motion::LossConfig;
+use crate::systems::cc_motion::losses::reconstruction::normalized_error;
+use crate::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
+
+/// Draw of the held-out phrases' noise that their rollouts start from, whatever `validation.draws`.
+const ROLLOUT_DRAW: u64 = 1;
+
+/// Fine-tunes a [`MotionModel`].
+pub struct E2eRecipe {
+    sampler: Sampler,
+    loss: LossConfig,
+    held_out: HeldOut,
+}
+
+/// What the backward pass of a checkpointed rollout goes on with.
+#[derive(Debug)]
+pub struct PendingRollout {
+    trace: Trace,
+    cond: Tensor<3>,
+}
+
+/// What is random in the loss of one batch.
+#[derive(Clone, Debug)]
+pub struct E2eDraws {
+    /// Of the diffusion loss.
+    pub denoising: DenoisingDraws,
+    /// Start timestep of each sample's rollout.
+    pub starts: Vec<usize>,
+    /// Start noise of the rollout, standard normal: `[batch, 25, time]`.
+    pub start_noise: Tensor<3>,
+    /// The decoder's dropout.
+    pub decoder_dropout: DropoutKey,
+}
+
+impl E2eRecipe {
+    /// A recipe whose rollouts `sampler` makes, validated on `held_out`.
+    pub fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+        Self {
+            sampler,
+            loss: loss.clone(),
+            held_out,
+        }
+    }
+
+    /// The loss of a batch and what was drawn for it.
+    pub fn loss_of(
+        &self,
+        model: &MotionModel,
+        inputs: Inputs,
+        draws: E2eDraws,
+    ) -> Loss<Option<PendingRollout>> {
+        let E2eDraws {
+            denoising,
+            starts,
+            start_noise,
+            decoder_dropout,
+        } = draws;
+        // 1. The diffusion loss.
+        let diffusion = &self.sampler.rollout.diffusion;
+        let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising);
+        let mut total = denoising.total * self.loss.w_diff;
+        let mut terms = vec![("diffusion", total.clone())];
+
+        // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        let output = self
+            .sampler
+            .rollout
+            .run(
+                &model.unet,
+                &model.unet.valid(),
+                self.sampler.start(&inputs.x_start, start_noise, &starts),
+                &inputs.cond,
+                &rollout_timesteps(&starts, self.sampler.config.steps),
+                self.sampler.config.graph(),
+            )
+            .expect("bounds of 25 channels");
+        let pending = output.trace.map(|trace| PendingRollout {
+            trace,
+            cond: inputs.cond.clone(),
+        });
+
+        // 3. Its latent decoded, compared with the ground truth, and with itself.
+        let decoded = model.decoder.forward(output.x.clone(), decoder_dropout);
+        for (name, term) in self.decoded_terms(&decoded, &inputs, &starts) {
+            total = total + term.clone();
+            terms.push((name, term));
+        }
+        let mut probes = denoising.probes;
+        probes.extend([("latent", output.x), ("decoded", decoded)]);
+        Loss {
+            total,
+            terms,
+            probes,
+            pending,
+        }
+    }
+
+    /// The weighted terms of decoded motion, by name.
+    fn decoded_terms(
+        &self,
+        decoded: &Tensor<3>,
+        inputs: &Inputs,
+        starts: &[usize],
+    ) -> Vec<(&'static str, Tensor<1>)> {
+        let target = self.sampler.physical(&inputs.x_start);
+        let weighting = self.loss.reconstruction_weighting;
+        let weights = self.sampler.weights(starts, weighting, &decoded.device());
+        let sign = self.loss.quaternion_sign;
+        let ReconstructionLoss {
+            position,
+            quaternion,
+        } = ReconstructionLoss::new(decoded, &target, &inputs.mask, weights.clone(), sign);
+        let mut terms = vec![
+            ("position", position * self.loss.w_dec),
+            ("quaternion", quaternion * self.loss.w_dec),
+        ];
+        if self.loss.w_components > 0.0 {
+            let std = channels(&self.sampler.statistics.std, &decoded.device());
+            let error = normalized_error(decoded, &target, &inputs.mask, weights, &std);
+            terms.push(("components", error * self.loss.w_components));
+        }
+        let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);
+        terms.extend(
+            temporal
+                .into_iter()
+                .map(|(name, term)| (name, term * self.loss.w_temp)),
+        );
+        terms
+    }
+}
+
+impl Recipe for E2eRecipe {
+    type Model = MotionModel;
+    type Pending = Option<PendingRollout>;
+
+    fn group_of(&self, parameter: &str) -> usize {
+        usize::from(parameter.starts_with("decoder."))
+    }
+
+    fn measures_first(&self) -> bool {
+        true
+    }
+
+    fn loss(
+        &self,
+        model: &MotionModel,
+        batch: &Batch,
+        key: StepKey,
+        device: &Device,
+    ) -> Loss<Self::Pending> {
+        let inputs = Inputs::new(batch, device);
+        let shape = inputs.x_start.dims();
+        let diffusion = &self.sampler.rollout.diffusion;
+        let draws = E2eDraws {
+            denoising: DenoisingDraws::new(diffusion, shape, key, device),
+            starts: self
+                .sampler
+                .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
+            start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
+            decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
+        };
+        self.loss_of(model, inputs, draws)
+    }
+
+    fn backward(&self, model: &MotionModel, loss: Loss<Self::Pending>) -> Vec<Vec<f32>> {
+        let mut sum = GradientSum::default();
+        let mut gradients = loss.total.backward();
+        if let Some(PendingRollout { trace, cond }) = loss.pending {
+            let (rollout, unet) = (&self.sampler.rollout, &model.unet);
+            trace
+                .backward(rollout, unet, &cond, &mut gradients, &mut |_, mut local| {
+                    sum.add(model, &mut local);
+                })
+                .expect("it ran forwards");
+        }
+        sum.add(model, &mut gradients);
+        sum.into_host(model)
+    }
+
+    /// The same loss without dropout, the start timesteps of the phrases covering their range
+    /// evenly.
+    fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
+        let diffusion = &self.sampler.rollout.diffusion;
+        let phrases = self.held_out.phrases.len();
+        let denoising = denoising_validation_loss(diffusion, &model.unet, &self.held_out, device);
+        let mut measured = Measured::default();
+        measured.add("diffusion", denoising * self.loss.w_diff);
+        let starts = self.sampler.starts(phrases, |_| 0.5);
+        for (range, inputs) in self.held_out.batches(device) {
+            let starts = &starts[range.clone()];
+            let noise = self
+                .held_out
+                .noise(range.clone(), ROLLOUT_DRAW, &inputs.x_start);
+            let latent = self.sampler.sample(&model.unet, &inputs, noise, starts);
+            let decoded = model.decoder.forward(latent, None);
+            let share = range.len() as f64 / phrases as f64;
+            for (name, term) in self.decoded_terms(&decoded, &inputs, starts) {
+                measured.add(name, f64::from(term.into_scalar::<f32>()) * share);
+            }
+        }
+        measured
+    }
+}

@@ -1,0 +1,134 @@
+//! The sampler in training: from a batch to decoded motion.
+
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
+use kinegrad_models::UNet1d;
+use kinegrad_motion::TrainingStatistics;
+use kinegrad_random::Key;
+
+use super::Inputs;
+use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
+
+/// Rollouts as the table `rollout` says.
+pub struct Sampler {
+    pub(super) rollout: Rollout,
+    pub(super) config: RolloutConfig,
+    pub(super) statistics: Arc<TrainingStatistics>,
+}
+
+impl Sampler {
+    /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
+    pub fn new(
+        diffusion: GaussianDiffusion,
+        config: &RolloutConfig,
+        statistics: Arc<TrainingStatistics>,
+    ) -> Self {
+        let clip = config.clip.range(&statistics);
+        let clip = match config.straight_through {
+            true => kinegrad_diffusion::Clip::StraightThrough(Box::new(clip)),
+            false => clip,
+        };
+        Self {
+            rollout: Rollout {
+                diffusion,
+                clip,
+                guidance_scale: config.guidance_scale,
+                gradient_decay: config.gradient_decay,
+            },
+            config: config.clone(),
+            statistics,
+        }
+    }
+
+    /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
+    /// `batch` equal parts of the configured range, `place(i)` in [0, 1) saying where in part i.
+    pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
+        let last = self.rollout.diffusion.config.num_train_timesteps - 1;
+        if self.config.start == RolloutStart::Noise {
+            return vec![last; batch];
+        }
+        let [lowest, highest] = self.config.start_timesteps.map(|t| t.min(last));
+        let width = (highest - lowest + 1) as f64;
+        (0..batch)
+            .map(|i| {
+                let part = (i as f64 + place(i)) / batch as f64;
+                lowest + ((part * width) as usize).min(highest - lowest)
+            })
+            .collect()
+    }
+
+    /// As [`starts`](Self::starts), at places drawn from `key`.
+    pub(super) fn draw_starts(&self, batch: usize, key: Key) -> Vec<usize> {
+        let places = key.uniforms(batch);
+        self.starts(batch, |i| f64::from(places[i]))
+    }
+
+    /// The state a rollout starts from.
+    pub(super) fn start(
+        &self,
+        x_start: &Tensor<3>,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        match self.config.start {
+            RolloutStart::Noise => noise,
+            RolloutStart::Motion => {
+                let diffusion = &self.rollout.diffusion;
+                diffusion.add_noise(x_start.clone(), noise, starts)
+            }
+        }
+    }
+
+    /// Latents drawn from the batch by plain weights, without gradients: `[batch, 25, time]`.
+    pub(super) fn sample(
+        &self,
+        unet: &UNet1d,
+        inputs: &Inputs,
+        noise: Tensor<3>,
+        starts: &[usize],
+    ) -> Tensor<3> {
+        let output = self.rollout.run(
+            unet,
+            unet,
+            self.start(&inputs.x_start, noise, starts),
+            &inputs.cond,
+            &rollout_timesteps(starts, self.config.steps),
+            RolloutMode::LastK(0),
+        );
+        output.expect("bounds of 25 channels").x.without_autodiff()
+    }
+
+    /// How much the reconstruction of each sample counts: `[batch, 1, 1]`.
+    pub(super) fn weights(
+        &self,
+        starts: &[usize],
+        weighting: ReconstructionWeighting,
+        device: &Device,
+    ) -> Tensor<3> {
+        let abar = &self.rollout.diffusion.schedule.alphas_cumprod;
+        let weights: Vec<f32> = starts
+            .iter()
+            .map(|&t| match weighting {
+                ReconstructionWeighting::Uniform => 1.0,
+                ReconstructionWeighting::Signal => abar[t] as f32,
+            })
+            .collect();
+        Tensor::from_data(TensorData::new(weights, [starts.len(), 1, 1]), device)
+    }
+
+    /// Normalised motion in physical units.
+    pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
+        let device = x.device();
+        x.clone() * channels(&self.statistics.std, &device)
+            + channels(&self.statistics.mean, &device)
+    }
+}
+
+/// One value a channel: `[1, 25, 1]`.
+pub(super) fn channels(values: &[f64], device: &Device) -> Tensor<3> {
+    let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
+    let shape = [1, values.len(), 1];
+    Tensor::from_data(TensorData::new(values, shape), device)
+}

@@ -1,0 +1,81 @@
+//! What a recipe's paper says, beneath what a config says.
+
+use toml::{Table, Value};
+
+use crate::config::lay_over;
+
+/// Of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
+/// sections 4.3, 4.5 and 4.11).
+const GMD: &str = r#"
+[data]
+kind = "humanml3d"
+target_frames = 196
+[model]
+kind = "gmd_unet"
+[diffusion]
+beta_schedule = "cosine"
+beta_min = 0.0
+beta_max = 0.999
+loss_type = "mse"
+cond_drop_prob = 0.1
+[optim]
+learning_rate = 1e-4
+weight_decay = 1e-2
+warmup_steps = 0
+lr_schedule = "constant"
+[ema]
+decay = 0.9999
+update_every = 1
+inv_gamma = 0.0
+[sampling.sampler]
+kind = "ddpm"
+num_inference_steps = 1000
+guidance_scale = 2.5
+"#;
+
+const GMD_MOTION: &str = r#"
+[data]
+batch_size = 64
+[model]
+size = "gmd_motion"
+[diffusion]
+prediction_type = "sample"
+[emphasis]
+kind = "gaussian"
+[train]
+max_steps = 500000
+[sampling]
+clip = "none"
+"#;
+
+const GMD_TRAJECTORY: &str = r#"
+[data]
+batch_size = 512
+[model]
+size = "gmd_trajectory"
+[diffusion]
+prediction_type = "epsilon"
+[emphasis]
+kind = "none"
+[train]
+max_steps = 62500
+[sampling]
+clip = "six"
+"#;
+
+/// The defaults of a recipe where they are not those of the tables.
+pub(super) fn of_recipe(recipe: &str, given: &Table) -> Table {
+    let own = match recipe {
+        super::TRAJECTORY => GMD_TRAJECTORY,
+        _ => GMD_MOTION,
+    };
+    let parse = |text: &str| text.parse::<Table>().expect("text of this file");
+    let mut table = parse(GMD);
+    lay_over(&mut table, parse(own));
+    // A named network brings its own sizes.
+    let kind = given.get("model").and_then(|model| model.get("kind"));
+    if kind.and_then(Value::as_str) == Some("mdm_transformer") {
+        lay_over(&mut table, parse("[model]\nsize = \"mdm\""));
+    }
+    table
+}

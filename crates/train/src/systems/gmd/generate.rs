@@ -1,0 +1,373 @@
+//! From checkpoints to clips, led to goals or free.
+//!
+//! In two stages (Guided Motion Diffusion, appendix F): a trajectory model draws the ground path
+//! that the goal asks for; the motion model draws motion on that path, which is put in and guided
+//! to in every frame, rotation and height being free.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{
+    GaussianDiffusion, Guidance, Imputation, Networks, SamplerConfig, Steering, sample,
+    steered_sample,
+};
+use kinegrad_models::TextDenoiser;
+use kinegrad_models::gmd::TEXT_CHANNELS;
+use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
+use kinegrad_motion::humanml::{Features, Root};
+use kinegrad_random::{Key, Purpose};
+
+use super::networks::{TrainedClips, channels_of};
+use super::space::{FeatureSpace, GroundGoal};
+use super::{GmdConfig, MOTION, TRAJECTORY};
+use crate::checkpoint::Weights;
+use crate::config::{Config, SteeringConfig, SystemTables};
+use crate::error::Error;
+
+/// Which of the two stages is drawing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// The ground path.
+    Trajectory,
+    /// The motion.
+    Motion,
+}
+
+/// One clip to draw.
+#[derive(Clone, Debug)]
+pub struct ClipRequest {
+    /// What its root shall do.
+    pub goal: Option<Goal>,
+    /// Pooled text feature, 512 numbers; none draws without a text.
+    pub text: Option<Vec<f32>>,
+}
+
+/// One clip.
+#[derive(Clone, Debug)]
+pub struct ClipSample {
+    /// Its features, absolute or relative as the run's are; none of a trajectory model.
+    pub features: Option<Features>,
+    /// Where its root stands in each frame, x and z in metres.
+    pub ground: Vec<[f64; 2]>,
+    /// The ground path that the first stage drew.
+    pub path: Option<Vec<[f64; 2]>>,
+}
+
+/// A trained denoiser of clips, ready to draw.
+pub struct ClipGenerator {
+    plain: TextDenoiser,
+    tracked: TextDenoiser,
+    diffusion: GaussianDiffusion,
+    space: FeatureSpace,
+    trained: TrainedParts,
+    device: Device,
+}
+
+struct TrainedParts {
+    config: Config,
+    step: u64,
+    channels: usize,
+    /// Frames that the network draws at most.
+    longest: Option<usize>,
+}
+
+impl ClipGenerator {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, is not of a recipe on clips, or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let TrainedClips {
+            model,
+            projection,
+            statistics,
+            state,
+        } = TrainedClips::load(path, weights, &device.clone().autodiff())?;
+        let channels = channels_of(&state.config);
+        let own = GmdConfig::of(&state.config)?;
+        Ok(Self {
+            plain: model.valid(),
+            tracked: model.no_grad(),
+            diffusion: GaussianDiffusion::new(&own.diffusion)?,
+            space: FeatureSpace::new(
+                &statistics.mean()[..channels],
+                &statistics.std()[..channels],
+                projection.as_ref(),
+                device,
+            ),
+            trained: TrainedParts {
+                step: state.step,
+                config: state.config,
+                longest: own.model.resolved().padded_frames,
+                channels,
+            },
+            device: device.clone(),
+        })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.trained.config
+    }
+
+    /// Steps it was trained for.
+    pub fn step(&self) -> u64 {
+        self.trained.step
+    }
+
+    /// Draws the clips of `requests` as one batch of `frames` frames; `trajectory`, where there is
+    /// one, draws their ground paths first. Clip i depends on `seed`, i and its request, and, by
+    /// the published guidance's divisor, on how many key frames the whole batch has. `on_step` is
+    /// told the stage and its steps done and in all.
+    ///
+    /// # Errors
+    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
+    /// of the models cannot follow goals.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "each is another thing, named at the call"
+    )]
+    pub fn sample(
+        &self,
+        trajectory: Option<&Self>,
+        requests: &[ClipRequest],
+        frames: usize,
+        sampler: &SamplerConfig,
+        steering: &SteeringConfig,
+        seed: u64,
+        on_step: &mut dyn FnMut(Stage, usize, usize),
+    ) -> Result<Vec<ClipSample>, Error> {
+        let key = Key::new(seed, Purpose::Sampling);
+        let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
+        let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
+        let mut paths = None;
+        let mut goals = goals.unwrap_or_default();
+        if let (Some(model), false) = (trajectory, goals.is_empty()) {
+            self.must_match(model)?;
+            let mut told = |done, all| on_step(Stage::Trajectory, done, all);
+            let key = key.named("trajectory");
+            let x = model.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
+            let drawn = model.paths(x);
+            for (goal, path) in goals.iter_mut().zip(&drawn) {
+                *goal = on_path(goal, path);
+            }
+            paths = Some(drawn);
+        }
+        let mut told = |done, all| on_step(Stage::Motion, done, all);
+        let x = self.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
+        let mut paths = paths.map(Vec::into_iter);
+        let mut next_path = || paths.as_mut().and_then(Iterator::next);
+        if self.trained.config.train.recipe == TRAJECTORY {
+            let drawn = self.paths(x).into_iter();
+            return Ok(drawn
+                .map(|ground| ClipSample {
+                    features: None,
+                    ground,
+                    path: next_path(),
+                })
+                .collect());
+        }
+        Ok(self
+            .features(x)?
+            .into_iter()
+            .map(|features| ClipSample {
+                ground: ground_of(&features),
+                features: Some(features),
+                path: next_path(),
+            })
+            .collect())
+    }
+
+    /// Refuses a trajectory model of other clips, or before another trajectory model.
+    fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
+        let (own, other) = (self.config(), trajectory.config());
+        let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
+            == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
+        match own.train.recipe == MOTION && same {
+            true => Ok(()),
+            false => Err(Error::OtherStage {
+                motion: own.run.name.clone(),
+                trajectory: other.run.name.clone(),
+            }),
+        }
+    }
+
+    /// Motion in the network's space, led to `goals` where there are any.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "each is another thing, named at the call"
+    )]
+    fn draw(
+        &self,
+        texts: &[Option<&[f32]>],
+        goals: &[Goal],
+        frames: usize,
+        sampler: &SamplerConfig,
+        steering: &SteeringConfig,
+        key: Key,
+        on_step: &mut dyn FnMut(usize, usize),
+    ) -> Result<Tensor<3>, Error> {
+        let most = self.trained.longest;
+        if let Some(most) = most.filter(|&most| frames > most) {
+            return Err(Error::TooLong { frames, most });
+        }
+        let (batch, channels) = (texts.len(), self.trained.channels);
+        let values: Vec<f32> = (0..batch as u64)
+            .flat_map(|index| key.named("start").at(index).normals(channels * frames))
+            .collect();
+        let data = TensorData::new(values, [batch, channels, frames]);
+        let start = Tensor::from_data(data, &self.device);
+        let text = texts.iter().flat_map(|text| match text {
+            Some(text) => text.to_vec(),
+            None => vec![0.0; TEXT_CHANNELS],
+        });
+        let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, TEXT_CHANNELS, 1]);
+        let cond = Tensor::from_data(data, &self.device);
+        let sampler = SamplerConfig {
+            // Without any text both passes of the guidance are the same one.
+            guidance_scale: match texts.iter().any(Option::is_some) {
+                true => sampler.guidance_scale,
+                false => 0.0,
+            },
+            ..sampler.clone()
+        };
+        let clip = self.trained.config.sampling.clip.fixed_range();
+        let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
+        if goals.is_empty() {
+            let plain = &self.plain;
+            let x = sample(
+                &self.diffusion,
+                plain,
+                start,
+                &cond,
+                &sampler,
+                &clip,
+                key,
+                &mut told,
+            )?;
+            return Ok(x);
+        }
+        if self.trained.config.data.humanml3d.root == Root::Relative {
+            return Err(Error::RelativeRoot);
+        }
+        let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
+        let goal = GroundGoal {
+            space: &self.space,
+            loss: &loss,
+        };
+        let dense = self.known(goals, Phase::Dense, frames);
+        let points = self.known(goals, Phase::Points, frames);
+        let at = |timestep: usize| {
+            let known = match steering.schedule.phase(timestep) {
+                Phase::Dense => &dense,
+                Phase::Points => &points,
+                Phase::Off => return Steering::default(),
+            };
+            Steering {
+                guidance: (steering.scale > 0.0).then_some(Guidance {
+                    goal: &goal,
+                    scale: steering.scale,
+                }),
+                imputation: steering.imputation.then(|| known.clone()),
+            }
+        };
+        let networks = Networks {
+            tracked: &self.tracked,
+            plain: &self.plain,
+        };
+        let x = steered_sample(
+            &self.diffusion,
+            networks,
+            start,
+            &cond,
+            &sampler,
+            &clip,
+            &at,
+            key,
+            &mut told,
+        )?;
+        Ok(x)
+    }
+
+    /// The ground positions that `goals` know in a phase.
+    fn known(&self, goals: &[Goal], phase: Phase, frames: usize) -> Imputation<'_> {
+        let channels = self.trained.channels;
+        let mut target = vec![0.0f32; goals.len() * channels * frames];
+        let mut mask = target.clone();
+        for (index, goal) in goals.iter().enumerate() {
+            let targets = goal.targets(phase);
+            let masked = targets.iter().flat_map(|targets| targets.masked());
+            for (frame, position) in masked {
+                for (axis, value) in position.into_iter().enumerate() {
+                    let place = (index * channels + GROUND_X + axis) * frames + frame;
+                    target[place] = value as f32;
+                    mask[place] = 1.0;
+                }
+            }
+        }
+        let tensor = |values: Vec<f32>| {
+            let data = TensorData::new(values, [goals.len(), channels, frames]);
+            Tensor::from_data(data, &self.device)
+        };
+        Imputation {
+            space: &self.space,
+            target: tensor(target),
+            mask: tensor(mask),
+        }
+    }
+
+    fn paths(&self, x: Tensor<3>) -> Vec<Vec<[f64; 2]>> {
+        let [_, _, frames] = x.dims();
+        let positions = self.space.ground(x).swap_dims(1, 2);
+        let values = positions.try_into_vec_as::<f32>();
+        let values = values.expect("samples are float32");
+        let path = |path: &[f32]| path.chunks(2).map(|p| [p[0].into(), p[1].into()]).collect();
+        values.chunks(2 * frames).map(path).collect()
+    }
+
+    fn features(&self, x: Tensor<3>) -> Result<Vec<Features>, Error> {
+        use kinegrad_diffusion::Space as _;
+        let [_, channels, frames] = x.dims();
+        let rows = self.space.to_motion(x).swap_dims(1, 2);
+        let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
+        let humanml3d = &self.trained.config.data.humanml3d;
+        let (layout, root) = (humanml3d.skeleton.skeleton().layout(), humanml3d.root);
+        let clips = values.chunks(channels * frames);
+        let features = clips.map(|clip| Features::new(clip.to_vec(), layout, root));
+        Ok(features.collect::<Result<_, _>>()?)
+    }
+}
+
+/// Reads a goal.
+///
+/// # Errors
+/// Names the file, the key, what was found and what is allowed.
+pub fn read_goal(path: &Path) -> Result<Goal, Error> {
+    let refused = |reason: String| Error::GoalFile {
+        path: path.to_path_buf(),
+        reason,
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+    let goal: Goal = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
+    goal.validate()
+        .map_err(|error| refused(error.to_string()))?;
+    Ok(goal)
+}
+
+/// Where the root stands in each frame.
+fn ground_of(features: &Features) -> Vec<[f64; 2]> {
+    let positions = features.root_positions().into_iter();
+    positions.map(|[x, _, z]| [x, z]).collect()
+}
+
+/// The goal of a second stage: the whole path of the first.
+fn on_path(goal: &Goal, path: &[[f64; 2]]) -> Goal {
+    let mut whole = Goal::new(path.len());
+    whole.weights = goal.weights.clone();
+    whole.trajectory = Some(Trajectory {
+        first_frame: 0,
+        points: path.to_vec(),
+    });
+    whole
+}

@@ -1,0 +1,322 @@
+//! Published PyTorch checkpoints as runs (docs/sources.md, section 4.4).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use kinegrad_data::humanml::SkeletonName;
+use kinegrad_data::read_array;
+use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
+use kinegrad_models::{ModelSize, TextDenoiser};
+use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
+use kinegrad_motion::humanml::{FeatureStatistics, Root};
+use pytorch_reader::Tensor;
+
+use super::networks::{MATRIX, channels_of, in_space_of, text_denoiser};
+use super::{Gmd, GmdConfig};
+use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
+use crate::config::{self, Config, SystemTables};
+use crate::error::Error;
+use crate::published::{part_of, read_tensors, values_of, vector};
+use crate::systems::Systems;
+
+/// What a file of weights is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Architecture {
+    /// The motion model of Guided Motion Diffusion.
+    GmdMotion,
+    /// Its trajectory model.
+    GmdTrajectory,
+}
+
+impl Architecture {
+    /// The recipe that trains it.
+    pub fn recipe(self) -> &'static str {
+        match self {
+            Self::GmdMotion => "gmd_motion",
+            Self::GmdTrajectory => "gmd_trajectory",
+        }
+    }
+}
+
+/// What `kinegrad import` is asked to do.
+#[derive(Clone, Debug)]
+pub struct ImportRequest {
+    /// The file that `torch.save` wrote.
+    pub weights: PathBuf,
+    /// What it is of.
+    pub architecture: Architecture,
+    /// `.npy` files of the training data's mean and deviation, one number a feature.
+    pub mean: PathBuf,
+    /// See `mean`.
+    pub std: PathBuf,
+    /// `.npy` file of the projection's matrix, for a model that works in a projected space.
+    pub projection: Option<PathBuf>,
+    /// Frames that the network pads every clip to; 224 in the published models.
+    pub padded_frames: usize,
+    /// Take the weights of the last step and not their moving average.
+    pub last: bool,
+    /// Folder of the new run.
+    pub out: PathBuf,
+}
+
+/// What was imported.
+#[derive(Clone, Debug)]
+pub struct Imported {
+    /// The checkpoint.
+    pub path: PathBuf,
+    /// Number of parameters.
+    pub parameters: usize,
+    /// The part of the file that was read: `model_avg`, `model`, or none for a bare state dict.
+    pub part: Option<&'static str>,
+    /// Names that are known and not needed.
+    pub skipped: usize,
+    /// The resolved config.
+    pub config: Config,
+}
+
+/// Names of the published programs that are no weights of the network: the text encoder and the
+/// tables of positions.
+fn is_known_stranger(name: &str) -> bool {
+    name.starts_with("clip_model.")
+        || name == "sequence_pos_encoder.pe"
+        || name == "embed_timestep.sequence_pos_encoder.pe"
+}
+
+/// Reads published weights and writes them as the only checkpoint of a run, from which samples are
+/// drawn and trainings start; it has no optimiser to resume with.
+///
+/// # Errors
+/// If a file cannot be read, a parameter is missing, superfluous, of another shape or not finite
+/// (all of them are listed), or statistics or matrix do not fit. Nothing is written then.
+pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
+    must_be_free(&request.out)?;
+    let (part, tensors) = read_weights(&request.weights, request.last)?;
+    let all = tensors.len();
+    let tensors: BTreeMap<String, Tensor> = tensors
+        .into_iter()
+        .filter(|(name, _)| !is_known_stranger(name))
+        .collect();
+    let skipped = all - tensors.len();
+    let sizes = Sizes::infer(&request.weights, &tensors)?;
+    let (config, statistics) = settings(request, &sizes)?;
+    let device = Device::flex();
+    let model = text_denoiser(&config, sizes.channels, &device)?;
+    let mut weights = fitting(&request.weights, &model, &tensors)?;
+    let mut model = model;
+    if let Some(path) = &request.projection {
+        let matrix = square(path, sizes.channels)?;
+        let emphasis = GmdConfig::of(&config)?.emphasis;
+        // Refuses what cannot be undone.
+        EmphasisProjection::from_matrix(
+            &matrix,
+            sizes.channels,
+            emphasis.scale,
+            &emphasis.channels,
+        )?;
+        model = in_space_of(model, matrix.clone(), &device);
+        weights.push(HostParameter {
+            info: ParameterInfo {
+                name: MATRIX.into(),
+                shape: vec![sizes.channels; 2],
+            },
+            values: matrix,
+        });
+    }
+    let parameters = weights.iter().map(|p| p.info.len()).sum();
+    let model = parameters::export(&parameters::load(model, weights)?);
+    let (infos, values): (Vec<_>, Vec<_>) = model.into_iter().map(|p| (p.info, p.values)).unzip();
+    let state = State {
+        format: FORMAT,
+        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
+        step: 0,
+        config: config.clone(),
+        statistics: statistics.into(),
+        dataset_sha256: None,
+        progress: Progress::default(),
+        checksums: BTreeMap::new(),
+    };
+    Ok(Imported {
+        path: write_weights(&request.out, &state, &infos, &values, &values)?,
+        parameters,
+        part,
+        skipped,
+        config,
+    })
+}
+
+/// The tensors of the file's averaged weights, of its last ones, or of a bare state dict, by name.
+fn read_weights(
+    path: &Path,
+    last: bool,
+) -> Result<(Option<&'static str>, BTreeMap<String, Tensor>), Error> {
+    let all = read_tensors(path)?;
+    let parts: [&'static str; 2] = match last {
+        true => ["model", "model_avg"],
+        false => ["model_avg", "model"],
+    };
+    let inside = |part: &'static str| {
+        let inside = part_of(&all, part);
+        (!inside.is_empty()).then_some((Some(part), inside))
+    };
+    match parts.into_iter().find_map(inside) {
+        Some(found) => Ok(found),
+        None => Ok((None, all)),
+    }
+}
+
+/// What the shapes of the weights say of the network.
+struct Sizes {
+    channels: usize,
+    width: usize,
+    levels: Vec<usize>,
+    adagn: bool,
+}
+
+impl Sizes {
+    fn infer(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
+        let size = |name: &str, axis: usize| {
+            let shape = tensors.get(name).map(Tensor::shape);
+            shape.and_then(|shape| shape.get(axis).copied())
+        };
+        let lacking = |name: &str| Error::Foreign {
+            path: path.to_path_buf(),
+            reason: format!(
+                "it has no `{name}`: these are not the weights of a UNet of Guided Motion Diffusion"
+            ),
+        };
+        let adagn_name = "unet.downs.0.0.blocks.0.block1.0.weight";
+        let plain_name = "unet.downs.0.0.blocks.0.block.0.weight";
+        let (output, inner) = ("unet.final_conv.1.weight", "unet.time_mlp.2.weight");
+        let adagn = tensors.contains_key(adagn_name);
+        let levels = (0..).map_while(|level| {
+            let half = if adagn { "block1" } else { "block" };
+            size(&format!("unet.downs.{level}.0.blocks.0.{half}.0.weight"), 0)
+        });
+        let sizes = Self {
+            channels: size(output, 0).ok_or_else(|| lacking(output))?,
+            width: size(inner, 0).ok_or_else(|| lacking(inner))?,
+            levels: levels.collect(),
+            adagn,
+        };
+        match sizes.levels.is_empty() || sizes.width == 0 {
+            true => Err(lacking(plain_name)),
+            false => Ok(sizes),
+        }
+    }
+}
+
+/// The config that describes the weights, and the statistics of their data.
+fn settings(request: &ImportRequest, sizes: &Sizes) -> Result<(Config, FeatureStatistics), Error> {
+    let recipe = request.architecture.recipe();
+    let text = format!("[train]\nrecipe = \"{recipe}\"\n");
+    let mut config = config::parse(Systems(&[&Gmd]), &text, "the recipe's defaults", &[])?;
+    let (mean, std) = (vector(&request.mean)?, vector(&request.std)?);
+    let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
+        path: request.mean.clone(),
+        found: format!("{} numbers", mean.len()),
+        allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
+    })?;
+    config.data.humanml3d.skeleton = skeleton;
+    let channels = channels_of(&config);
+    if channels != sizes.channels {
+        return Err(Error::Foreign {
+            path: request.weights.clone(),
+            reason: format!(
+                "it is a network of {} channels, `{recipe}` with these statistics has {channels}",
+                sizes.channels
+            ),
+        });
+    }
+    config.run.name = request
+        .out
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    let mut own = GmdConfig::of(&config)?;
+    let model = &mut own.model;
+    let published = model.resolved();
+    let mults: Vec<f64> = sizes
+        .levels
+        .iter()
+        .map(|&channels| channels as f64 / sizes.width as f64)
+        .collect();
+    if published.latent_dim != Some(sizes.width) || published.dim_mults.as_ref() != Some(&mults) {
+        model.size = ModelSize::GmdMotion;
+        model.latent_dim = Some(sizes.width);
+        model.dim_mults = Some(mults);
+    }
+    model.adagn = Some(sizes.adagn);
+    model.padded_frames = Some(request.padded_frames);
+    let most = config.data.target_frames.min(request.padded_frames);
+    config.data.target_frames = most;
+    if request.projection.is_none() {
+        own.emphasis.kind = EmphasisKind::None;
+    }
+    let statistics = FeatureStatistics::new(mean, std, Root::Absolute)?;
+    config.system = own.to_table();
+    Ok((config, statistics))
+}
+
+/// The weights that `model` needs, by its own names.
+///
+/// # Errors
+/// Lists everything that is missing, superfluous, of another shape or not finite.
+fn fitting(
+    path: &Path,
+    model: &TextDenoiser,
+    tensors: &BTreeMap<String, Tensor>,
+) -> Result<Vec<HostParameter>, Error> {
+    let infos = parameters::infos(model);
+    let mut wrong = Vec::new();
+    let mut weights = Vec::with_capacity(infos.len());
+    for info in &infos {
+        let Some(tensor) = tensors.get(&info.name) else {
+            wrong.push(format!("missing: `{}` {:?}", info.name, info.shape));
+            continue;
+        };
+        if tensor.shape() != info.shape {
+            wrong.push(format!(
+                "`{}` is {:?}, {:?} needed",
+                info.name,
+                tensor.shape(),
+                info.shape
+            ));
+            continue;
+        }
+        match values_of(tensor) {
+            Ok(values) if values.iter().all(|value| value.is_finite()) => {
+                weights.push(HostParameter {
+                    info: info.clone(),
+                    values,
+                });
+            }
+            Ok(_) => wrong.push(format!("`{}` holds numbers that are not finite", info.name)),
+            Err(reason) => wrong.push(format!("`{}`: {reason}", info.name)),
+        }
+    }
+    let known: BTreeSet<&str> = infos.iter().map(|info| info.name.as_str()).collect();
+    let strangers = tensors.keys().filter(|name| !known.contains(name.as_str()));
+    wrong.extend(strangers.map(|name| format!("not known: `{name}`")));
+    match wrong.is_empty() {
+        true => Ok(weights),
+        false => Err(Error::ForeignWeights {
+            path: path.to_path_buf(),
+            count: wrong.len(),
+            list: wrong.join("\n  "),
+        }),
+    }
+}
+
+fn square(path: &Path, channels: usize) -> Result<Vec<f32>, Error> {
+    let array = read_array(path)?;
+    match array.shape == [channels, channels] {
+        true => Ok(array.values),
+        false => Err(Error::Array {
+            path: path.to_path_buf(),
+            found: format!("shape {:?}", array.shape),
+            allowed: format!("[{channels}, {channels}], the network's channels"),
+        }),
+    }
+}

@@ -1,0 +1,97 @@
+//! Guided Motion Diffusion: clips of joint features under texts, led to goals (docs/sources.md,
+//! section 4).
+//!
+//! Recipe `gmd_motion` trains the motion model, `gmd_trajectory` the model of the root's path that
+//! is drawn first.
+
+mod config;
+mod defaults;
+pub mod evaluate;
+mod generate;
+mod import;
+mod networks;
+pub mod recipes;
+mod space;
+mod train;
+
+use burn::tensor::Device;
+use kinegrad_models::parameters::{self, ParameterInfo};
+use toml::Table;
+
+pub use config::{GmdConfig, GmdInitConfig, GmdLossConfig};
+pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
+pub use import::{Architecture, ImportRequest, Imported, import};
+pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
+pub use space::{FeatureSpace, GroundGoal};
+
+use super::{RecipeInfo, System};
+use crate::config::{Config, ConfigError, SystemTables};
+use crate::error::Error;
+use crate::observer::Observer;
+use crate::run::{Outcome, Setup};
+use networks::ClipStart;
+
+/// The system.
+pub struct Gmd;
+
+/// Names of the recipes.
+const MOTION: &str = "gmd_motion";
+const TRAJECTORY: &str = "gmd_trajectory";
+
+impl System for Gmd {
+    fn name(&self) -> &'static str {
+        "gmd"
+    }
+
+    fn recipes(&self) -> &'static [RecipeInfo] {
+        &[
+            RecipeInfo {
+                name: MOTION,
+                groups: &["unet"],
+            },
+            RecipeInfo {
+                name: TRAJECTORY,
+                groups: &["unet"],
+            },
+        ]
+    }
+
+    fn defaults(&self, recipe: &RecipeInfo, given: &Table) -> Table {
+        defaults::of_recipe(recipe.name, given)
+    }
+
+    fn complete(
+        &self,
+        tables: &Table,
+        place: &dyn Fn(&str) -> String,
+    ) -> Result<Table, ConfigError> {
+        Ok(GmdConfig::read(tables, place)?.to_table())
+    }
+
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
+        config::validate(config)?;
+        Ok(config::warnings(config).into_iter().collect())
+    }
+
+    fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
+        match saved {
+            // A resumed run does not need its start any more.
+            Some(saved) => networks::inherited(saved).map(Some),
+            None => {
+                let start = ClipStart::named(config)?;
+                start.map(|start| start.tables()).transpose()
+            }
+        }
+    }
+
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
+        // Parameters are lazy: no weight is drawn and no memory taken.
+        let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
+        let infos = parameters::infos(&denoiser);
+        Ok(infos.iter().map(ParameterInfo::len).sum())
+    }
+
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(setup, observer)
+    }
+}

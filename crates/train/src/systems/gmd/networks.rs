@@ -1,0 +1,188 @@
+//! The networks of runs on clips: built from a config, read from a checkpoint, started from one.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use kinegrad_models::{Initializer, TextDenoiser, parameters};
+use kinegrad_motion::emphasis::EmphasisProjection;
+use kinegrad_motion::humanml::FeatureStatistics;
+use toml::Table;
+
+use super::recipes::motion::TRAJECTORY_CHANNELS;
+use super::{GmdConfig, MOTION, TRAJECTORY};
+use crate::checkpoint::{State, Weights, read_weights};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+use crate::start::{must_agree, named, refused, tables_of, values};
+
+/// Parameter of the matrix of a projected space.
+pub(super) const MATRIX: &str = "projection.matrix";
+
+/// Channels that the networks of a run of `config` take and give.
+pub fn channels_of(config: &Config) -> usize {
+    match config.train.recipe.as_str() {
+        TRAJECTORY => TRAJECTORY_CHANNELS,
+        _ => config
+            .data
+            .humanml3d
+            .skeleton
+            .skeleton()
+            .layout()
+            .channels(),
+    }
+}
+
+/// The denoiser of a config with fresh weights, in the space of normalised motion.
+///
+/// # Errors
+/// If it cannot be built.
+pub fn text_denoiser(
+    config: &Config,
+    channels: usize,
+    device: &Device,
+) -> Result<TextDenoiser, Error> {
+    let backbone = GmdConfig::of(config)?.model.backbone(channels)?;
+    let init = Initializer::new(config.run.seed, device);
+    Ok(TextDenoiser::new(&backbone, &init)?)
+}
+
+/// [`text_denoiser`] in the space that `emphasis` of the config makes.
+///
+/// # Errors
+/// If it cannot be built.
+pub fn model_in_space(config: &Config, device: &Device) -> Result<TextDenoiser, Error> {
+    let channels = channels_of(config);
+    let model = text_denoiser(config, channels, device)?;
+    let projection = match config.train.recipe == TRAJECTORY {
+        true => None,
+        false => GmdConfig::of(config)?.emphasis.projection(channels)?,
+    };
+    Ok(match projection {
+        Some(projection) => in_space_of(model, projection.matrix().to_vec(), device),
+        None => model,
+    })
+}
+
+pub(super) fn in_space_of(model: TextDenoiser, matrix: Vec<f32>, device: &Device) -> TextDenoiser {
+    let channels = matrix.len().isqrt();
+    let init = Initializer::new(0, device);
+    model.in_space_of(matrix, channels, &init)
+}
+
+/// A trained denoiser of clips.
+pub struct TrainedClips {
+    /// The network.
+    pub model: TextDenoiser,
+    /// The space it works in, where that is a projected one.
+    pub projection: Option<EmphasisProjection>,
+    /// Statistics of its training clips.
+    pub statistics: FeatureStatistics,
+    /// Config, step.
+    pub state: State,
+}
+
+impl TrainedClips {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, is not of a recipe on clips, or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        if ![MOTION, TRAJECTORY].contains(&state.config.train.recipe.as_str()) {
+            return Err(Error::NotClips);
+        }
+        let values = read_weights(path, &state, weights)?;
+        let channels = channels_of(&state.config);
+        let mut model = text_denoiser(&state.config, channels, device)?;
+        // The stored matrix counts, whatever the config would make today.
+        let matrix = values.iter().find(|p| p.info.name == MATRIX);
+        let projection = match matrix {
+            Some(matrix) => {
+                let emphasis = GmdConfig::of(&state.config)?.emphasis;
+                let projection = EmphasisProjection::from_matrix(
+                    &matrix.values,
+                    channels,
+                    emphasis.scale,
+                    &emphasis.channels,
+                )?;
+                model = in_space_of(model, matrix.values.clone(), device);
+                Some(projection)
+            }
+            None => None,
+        };
+        Ok(Self {
+            model: parameters::load(model, values)?,
+            projection,
+            statistics: state.statistics.features()?.clone(),
+            state,
+        })
+    }
+}
+
+/// The checkpoint that `init.diffusion` names, for a run on clips.
+pub(crate) struct ClipStart(PathBuf);
+
+impl ClipStart {
+    /// The start of `config`; none where the key is empty.
+    ///
+    /// # Errors
+    /// If it is not there.
+    pub fn named(config: &Config) -> Result<Option<Self>, Error> {
+        let path = GmdConfig::of(config)?.init.diffusion;
+        Ok(named("init.diffusion", &path)?.map(Self))
+    }
+
+    /// The statistics that the start's clips were normalised by.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or is not of a recipe on clips.
+    pub fn statistics(&self) -> Result<FeatureStatistics, Error> {
+        Ok(State::read(&self.0)?.statistics.features()?.clone())
+    }
+
+    /// What the start's config says of network, process and space: it stands beneath the new one.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged.
+    pub fn tables(&self) -> Result<Table, Error> {
+        inherited(&State::read(&self.0)?.config)
+    }
+
+    /// The start's averaged weights, in its space, on an autodiff device.
+    ///
+    /// # Errors
+    /// Names the key in which the start differs from `config`.
+    pub fn model(&self, config: &Config, device: &Device) -> Result<TextDenoiser, Error> {
+        let start = TrainedClips::load(&self.0, Weights::Ema, device)
+            .map_err(|error| refused("init.diffusion", &self.0, &error))?;
+        let (given, recipe) = (&config.train.recipe, &start.state.config.train.recipe);
+        if given != recipe {
+            let reason = format!("its recipe is `{recipe}`, not `{given}`");
+            return Err(refused("init.diffusion", &self.0, &reason));
+        }
+        let base = &start.state.config;
+        must_agree::<GmdConfig>(config, base, &INHERITED)?;
+        let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
+        if (given.root, given.skeleton) != (found.root, found.skeleton) {
+            let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
+            return Err(refused("init.diffusion", &self.0, &reason));
+        }
+        let fresh = text_denoiser(config, channels_of(config), device)?;
+        let fresh = match &start.projection {
+            Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),
+            None => fresh,
+        };
+        Ok(parameters::replace(fresh, values(&start.model)))
+    }
+}
+
+/// Tables that follow from what a run starts from.
+const INHERITED: [&str; 3] = ["model", "diffusion", "emphasis"];
+
+/// What the config of a start says of network, process and space.
+///
+/// # Errors
+/// If it is of another version and cannot be read.
+pub(super) fn inherited(config: &Config) -> Result<Table, Error> {
+    tables_of::<GmdConfig>(config, &INHERITED)
+}

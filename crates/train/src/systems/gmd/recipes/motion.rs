@@ -1,0 +1,73 @@
+//! The motion model of Guided Motion Diffusion (appendix C and E): clips of joint features with an
+//! absolute root, normalised, then projected so that the root's three channels weigh as much as all
+//! others:
+//!
+//! ```text
+//! x = ((u - mean) / std) P          P from `emphasis`, stored with the weights
+//! L = clip_loss(x)                  predicting x itself unless `diffusion.prediction_type` says else
+//! ```
+//!
+//! Without a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead
+//! (appendix C.1; the height among them, as in the published program).
+
+use burn::tensor::Device;
+use kinegrad_data::Batch;
+use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::TextDenoiser;
+
+use super::loss::{ClipDraws, ClipInputs, HeldOutClips, clip_loss, prepare};
+use crate::recipe::{Loss, Measured, Recipe, StepKey};
+
+/// Channels that a trajectory scale is about: root rotation, x, z and height.
+pub const TRAJECTORY_CHANNELS: usize = 4;
+
+/// Trains a [`TextDenoiser`] on whole motion.
+pub struct GmdMotionRecipe {
+    diffusion: GaussianDiffusion,
+    channel_weights: Vec<f64>,
+    held_out: HeldOutClips,
+}
+
+impl GmdMotionRecipe {
+    /// A recipe over `diffusion` for clips of `channels`, validated on `held_out`.
+    pub fn new(
+        diffusion: GaussianDiffusion,
+        channels: usize,
+        trajectory_scale: f64,
+        held_out: HeldOutClips,
+    ) -> Self {
+        let mut channel_weights = vec![1.0; channels];
+        channel_weights[..TRAJECTORY_CHANNELS].fill(trajectory_scale.powi(2));
+        Self {
+            diffusion,
+            channel_weights,
+            held_out,
+        }
+    }
+
+    /// The loss of given draws, whose noise is that of the network's space.
+    pub fn loss_of(&self, model: &TextDenoiser, inputs: ClipInputs, draws: ClipDraws) -> Loss {
+        let x_start = match model.projection() {
+            Some(projection) => projection.forward(inputs.x_start),
+            None => inputs.x_start,
+        };
+        let inputs = ClipInputs { x_start, ..inputs };
+        clip_loss(&self.diffusion, model, inputs, draws, &self.channel_weights)
+    }
+}
+
+impl Recipe for GmdMotionRecipe {
+    type Model = TextDenoiser;
+    type Pending = ();
+
+    fn loss(&self, model: &TextDenoiser, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let (inputs, draws) = prepare(&self.diffusion, batch, key, device);
+        self.loss_of(model, inputs, draws)
+    }
+
+    fn validation_loss(&self, model: &TextDenoiser, device: &Device) -> Measured {
+        let steps = self.diffusion.config.num_train_timesteps;
+        let loss = |inputs, draws| self.loss_of(model, inputs, draws);
+        self.held_out.measure(steps, device, loss)
+    }
+}

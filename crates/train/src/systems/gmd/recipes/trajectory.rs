@@ -1,0 +1,56 @@
+//! The trajectory model of Guided Motion Diffusion (appendix A and E): the root's rotation, x, z and
+//! height, normalised and not projected, predicting the noise:
+//!
+//! ```text
+//! L = clip_loss(x_start[rot, x, z, y])
+//! ```
+//!
+//! A model of four channels has soon learned its training paths by heart and then resists guidance:
+//! early stopping on held-out paths (`train.patience`) belongs to this recipe.
+
+use burn::tensor::Device;
+use kinegrad_data::Batch;
+use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::TextDenoiser;
+
+use super::loss::{ClipDraws, ClipInputs, HeldOutClips, clip_loss, prepare};
+use super::motion::TRAJECTORY_CHANNELS;
+use crate::recipe::{Loss, Measured, Recipe, StepKey};
+
+/// Trains a [`TextDenoiser`] on the root's way.
+pub struct GmdTrajectoryRecipe {
+    diffusion: GaussianDiffusion,
+    held_out: HeldOutClips,
+}
+
+impl GmdTrajectoryRecipe {
+    /// A recipe over `diffusion`, validated on `held_out`.
+    pub fn new(diffusion: GaussianDiffusion, held_out: HeldOutClips) -> Self {
+        Self {
+            diffusion,
+            held_out,
+        }
+    }
+
+    /// The loss of given draws.
+    pub fn loss_of(&self, model: &TextDenoiser, inputs: ClipInputs, draws: ClipDraws) -> Loss {
+        let weights = [1.0; TRAJECTORY_CHANNELS];
+        clip_loss(&self.diffusion, model, inputs, draws, &weights)
+    }
+}
+
+impl Recipe for GmdTrajectoryRecipe {
+    type Model = TextDenoiser;
+    type Pending = ();
+
+    fn loss(&self, model: &TextDenoiser, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let (inputs, draws) = prepare(&self.diffusion, batch, key, device);
+        self.loss_of(model, inputs, draws)
+    }
+
+    fn validation_loss(&self, model: &TextDenoiser, device: &Device) -> Measured {
+        let steps = self.diffusion.config.num_train_timesteps;
+        let loss = |inputs, draws| self.loss_of(model, inputs, draws);
+        self.held_out.measure(steps, device, loss)
+    }
+}

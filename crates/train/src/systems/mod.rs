@@ -1,0 +1,136 @@
+//! The systems: each a folder with all that is its own.
+//!
+//! A [`System`] says its name, its recipes, the tables of its configs, and how to check, train,
+//! sample, evaluate and import. Nothing outside of a system's folder knows it by name: entry points
+//! take a list of [`Systems`] and look a run's system up by its recipe. [`BUILT_IN`] is the list of
+//! those here.
+
+pub mod cc_motion;
+pub mod gmd;
+
+use std::path::Path;
+
+use toml::Table;
+
+use crate::config::{Config, ConfigError};
+use crate::error::Error;
+use crate::observer::Observer;
+use crate::run::{Outcome, Setup};
+
+/// A kind of training of a system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecipeInfo {
+    /// Its name, the value of `train.recipe`; no other system may have one of that name.
+    pub name: &'static str,
+    /// The groups of parameters it trains, each with a learning rate of its own.
+    pub groups: &'static [&'static str],
+}
+
+/// A way to generate motion: its configs, networks, trainings and samplers.
+pub trait System: Sync {
+    /// Its name.
+    fn name(&self) -> &'static str;
+
+    /// Its kinds of training.
+    fn recipes(&self) -> &'static [RecipeInfo];
+
+    /// What the recipe says where a config is silent, beneath `given`, the config as written.
+    fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
+        Table::new()
+    }
+
+    /// The system's own tables of a config with every key written out; `place` says where a dotted
+    /// key stands.
+    ///
+    /// # Errors
+    /// Names the place of a key that is unknown or of the wrong type.
+    fn complete(
+        &self,
+        tables: &Table,
+        place: &dyn Fn(&str) -> String,
+    ) -> Result<Table, ConfigError>;
+
+    /// Refuses values that cannot work and returns what is doubtful; what every run has is checked
+    /// elsewhere.
+    ///
+    /// # Errors
+    /// Names the first key with a bad value.
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
+
+    /// Tables that stand beneath the config of a run because they follow from what it starts from:
+    /// of a run that is resumed, from its `saved` config, and of others from the checkpoints that
+    /// `config` names.
+    ///
+    /// # Errors
+    /// If such a checkpoint is not there or is damaged.
+    fn inherited(&self, _config: &Config, _saved: Option<&Config>) -> Result<Option<Table>, Error> {
+        Ok(None)
+    }
+
+    /// Whether a run in `folder` has begun what comes before its own training.
+    fn has_begun(&self, _folder: &Path) -> bool {
+        false
+    }
+
+    /// Number of parameters of the networks of a run of `config`, adapters left out.
+    ///
+    /// # Errors
+    /// If a network cannot be built.
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
+
+    /// Trains to the end, or until stopped, by way of [`Setup::train`].
+    ///
+    /// # Errors
+    /// If the run is refused, before anything is written; or if it fails.
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error>;
+}
+
+/// The systems that an entry point knows.
+#[derive(Clone, Copy)]
+pub struct Systems<'a>(pub &'a [&'a dyn System]);
+
+/// The systems of this crate.
+pub const BUILT_IN: Systems<'static> = Systems(&[&cc_motion::CcMotion, &gmd::Gmd]);
+
+impl<'a> Systems<'a> {
+    /// The recipes of all systems.
+    pub fn recipes(self) -> impl Iterator<Item = &'static RecipeInfo> + use<'a> {
+        self.0.iter().flat_map(|system| system.recipes())
+    }
+
+    /// The system with a recipe of that name, and the recipe.
+    pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
+        self.0.iter().find_map(|system| {
+            let recipe = system.recipes().iter().find(|recipe| recipe.name == name);
+            Some((*system, recipe?))
+        })
+    }
+
+    /// The system and the recipe of a run.
+    ///
+    /// # Errors
+    /// [`Error::UnknownSystem`] for a recipe of none of these systems.
+    pub fn of(self, config: &Config) -> Result<(&'a dyn System, &'static RecipeInfo), Error> {
+        let name = &config.train.recipe;
+        self.of_recipe(name).ok_or_else(|| Error::UnknownSystem {
+            recipe: name.clone(),
+            known: self
+                .recipes()
+                .map(|recipe| recipe.name)
+                .collect::<Vec<_>>()
+                .join(", "),
+        })
+    }
+
+    /// A config that was saved by another version, as this one would save it.
+    ///
+    /// # Errors
+    /// [`Error::UnknownSystem`]; [`ConfigError`] for tables that the system cannot read.
+    pub fn completed(self, config: &Config) -> Result<Config, Error> {
+        let (system, _) = self.of(config)?;
+        Ok(Config {
+            system: system.complete(&config.system, &|_| "the saved config".into())?,
+            ..config.clone()
+        })
+    }
+}
