@@ -87,7 +87,7 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
     sandbox
-        .run("eval runs/gmd_trajectory --goals 2 --obstacles 1 --classifier-scale 0")
+        .run("eval runs/gmd_trajectory --goals 2 --obstacles 1 --set sampling.steering.scale=0")
         .succeeded();
 }
 
@@ -220,13 +220,20 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
     let sample = "sample runs/gmd_motion --goal goal.toml --out walk";
     for (settings, texts) in [
         ("--steps 0", ["num_inference_steps", "1 to"]),
-        ("--sampler ddim", ["sampling.sampler.kind", "ddpm"]),
+        (
+            "--set sampling.sampler.kind=heun",
+            ["sampling.sampler.kind", "ddpm"],
+        ),
+        ("--set model.size=mdm", ["only keys of `sampling`", "model.size"]),
         ("--frames 8", ["`--frames` with `--goal`", "frames = 16"]),
         (
-            "--classifier-scale=-1",
+            "--set sampling.steering.scale=-1",
             ["sampling.steering.scale", "0 or more"],
         ),
-        ("--clip unit", ["`--clip`", "sampling.clip"]),
+        (
+            "--set sampling.clip=training_range",
+            ["sampling.clip", "training_range"],
+        ),
     ] {
         sandbox
             .run(&format!("{sample} {settings}"))

@@ -94,7 +94,8 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     );
 
     let features = format!("set/audio_features/{phrase}/features.npz");
-    let guided = "--guidance-scale 3 --sampler ddpm --eta 0.5 --count 2";
+    let guided = "--guidance-scale 3 --set sampling.sampler.kind=ddpm \
+                  --set sampling.sampler.eta=0.5 --count 2";
     sandbox
         .run(&format!(
             "sample runs/smallest --out d --cond {features} --steps 4 {guided}"

@@ -1,6 +1,7 @@
 //! The same network on two devices.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
 use kinegrad_models::parameters;
 use kinegrad_models::{Initializer, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};
@@ -46,7 +47,7 @@ fn run(device: &Device) -> Outcome {
         tensor(2, [2, 25, 9]),
     );
     let dropout = Some(Key::new(5, Purpose::Dropout));
-    let y = model.forward(x, &[3, 700], cond, dropout);
+    let y = model.forward(x, &Time::of(&[3, 700]), cond, dropout);
     let output = y.clone().inner().try_into_vec_as::<f32>().expect("float32");
     let loss = (y - target).square().mean();
     let mut tracked = loss.backward();

@@ -75,34 +75,6 @@ pub struct TrainArguments {
     pub resume: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum SamplerName {
-    Ddim,
-    Ddpm,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum SpacingName {
-    Document,
-    Leading,
-    Linspace,
-    Trailing,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum FinalAlphaName {
-    First,
-    One,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ClipName {
-    TrainingRange,
-    Unit,
-    Six,
-    None,
-}
-
 /// Writes PATH.npy (post-processed) and PATH.raw.npy (as the model drew it), both `[T, 25]`
 /// float32 in the dataset's layout and units; with several samples PATH-000.npy and so on. The
 /// condition is a phrase of a dataset, a features.npz, a song, or by default the first held-out
@@ -118,6 +90,7 @@ Examples:
   kinegrad sample runs/quickstart --out dance
   kinegrad sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml --out walk
   kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
+  kinegrad sample runs/phrases --set sampling.sampler.kind=dpmpp_2m --steps 10 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --out dance
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
 pub struct SampleArguments {
@@ -159,12 +132,6 @@ pub struct SampleArguments {
     /// with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
-    /// Strength of the guidance to the goal, 0 is none [default: the run's, else 100]
-    #[arg(long, value_name = "S")]
-    pub classifier_scale: Option<f64>,
-    /// Put no known positions into the draw
-    #[arg(long)]
-    pub no_imputation: bool,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
@@ -172,31 +139,15 @@ pub struct SampleArguments {
     /// clip without a goal, as many as the run trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
-    /// Sampler; goals need ddpm [default: the run's]
-    #[arg(long)]
-    pub sampler: Option<SamplerName>,
     /// Denoising steps [default: the run's]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
-    /// Noise added in each DDIM step, 0 (none) to 1 [default: the run's, else 0]
-    #[arg(long)]
-    pub eta: Option<f64>,
     /// Classifier-free guidance, 1 is none [default: the run's, else 1]
     #[arg(long, value_name = "SCALE")]
     pub guidance_scale: Option<f64>,
-    /// Which timesteps are visited [default: the run's, else linspace]
-    #[arg(long, value_name = "RULE")]
-    pub timestep_spacing: Option<SpacingName>,
-    /// Signal level after the last step [default: the run's, else one]
-    #[arg(long, value_name = "LEVEL")]
-    pub final_alpha: Option<FinalAlphaName>,
-    /// After clipping, go on with the noise that belongs to the clipped motion [default: the
-    /// run's, else true]
-    #[arg(long, value_name = "BOOL")]
-    pub recompute_epsilon: Option<bool>,
-    /// What the predicted clean motion is clipped to [default: the run's, else training-range]
-    #[arg(long, value_name = "RANGE")]
-    pub clip: Option<ClipName>,
+    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
     /// Seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
@@ -310,8 +261,8 @@ pub enum CondName {
 
 /// Draws samples for the held-out phrases of each run's dataset and prints their metrics beside
 /// those of the real phrases; docs/evaluation.md defines them. Writes eval.json and eval.csv, or
-/// eval-noise.json and eval-noise.csv with `--cond noise`. Sampler settings default to those of
-/// the run's config.
+/// eval-noise.json and eval-noise.csv with `--cond noise`. Sampler settings are those of the
+/// run's config, or as `--set` says.
 ///
 /// A run of recipe `gmd_motion` or `gmd_trajectory` is led to goals on the way of held-out clips,
 /// and measured by how near it comes; the report is eval-goals.json.
@@ -343,12 +294,6 @@ pub struct EvalArguments {
     /// Obstacles on the way of each goal, of which then the last key frame alone is asked for
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub obstacles: usize,
-    /// Strength of the guidance to the goals, 0 is none [default: the run's, else 100]
-    #[arg(long, value_name = "S")]
-    pub classifier_scale: Option<f64>,
-    /// Put no known positions into the draws
-    #[arg(long)]
-    pub no_imputation: bool,
     /// Weights of the published text-motion evaluator, for R-precision and FID of runs on clips;
     /// needs the three files below
     #[arg(long, value_name = "FINEST.tar", requires_all = ["evaluator_mean", "evaluator_std", "word_vectors"])]
@@ -371,9 +316,9 @@ pub struct EvalArguments {
     /// Classifier-free guidance, 1 is none [default: the run's, else 1]
     #[arg(long, value_name = "SCALE")]
     pub guidance_scale: Option<f64>,
-    /// What the predicted clean motion is clipped to [default: the run's, else training-range]
-    #[arg(long, value_name = "RANGE")]
-    pub clip: Option<ClipName>,
+    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
     /// Seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,

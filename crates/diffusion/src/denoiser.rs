@@ -2,6 +2,8 @@
 
 use burn::tensor::Tensor;
 
+use crate::Time;
+
 /// A network that answers a noisy motion with a prediction. What the prediction stands for is the
 /// process's `prediction_type`; the network does not know.
 pub trait Denoiser {
@@ -9,12 +11,11 @@ pub trait Denoiser {
     /// embedding, or nothing.
     type Cond;
 
-    /// The prediction at the given noise levels.
+    /// The prediction at the given noise levels, one per sample.
     ///
     /// # Shapes
     /// - x_t, output: `[batch, channels, time]`
-    /// - timesteps: one per sample, 0 being the least noisy
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Self::Cond) -> Tensor<3>;
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Self::Cond) -> Tensor<3>;
 
     /// The condition that stands for none, of the same sizes as `cond`: the one that training
     /// presents in place of a dropped condition.
@@ -37,18 +38,18 @@ pub trait Denoiser {
 pub fn guided<D: Denoiser + ?Sized>(
     denoiser: &D,
     x_t: Tensor<3>,
-    timesteps: &[usize],
+    time: &[Time],
     cond: &D::Cond,
     guidance_scale: f64,
 ) -> Tensor<3> {
     if guidance_scale == 1.0 {
-        return denoiser.predict(x_t, timesteps, cond);
+        return denoiser.predict(x_t, time, cond);
     }
-    let uncond = denoiser.predict(x_t.clone(), timesteps, &denoiser.null_cond(cond));
+    let uncond = denoiser.predict(x_t.clone(), time, &denoiser.null_cond(cond));
     if guidance_scale == 0.0 {
         return uncond;
     }
-    let cond = denoiser.predict(x_t, timesteps, cond);
+    let cond = denoiser.predict(x_t, time, cond);
     uncond.clone() + (cond - uncond) * guidance_scale
 }
 
@@ -68,9 +69,9 @@ mod tests {
     impl Denoiser for Scale {
         type Cond = f64;
 
-        fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &f64) -> Tensor<3> {
+        fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &f64) -> Tensor<3> {
             self.0.set(self.0.get() + 1);
-            x_t * *cond + timesteps[0] as f64
+            x_t * *cond + time[0].0
         }
 
         fn null_cond(&self, _: &f64) -> f64 {
@@ -87,7 +88,7 @@ mod tests {
         // uncond = 7, cond = 2 + 7: 7 + scale 2.
         for (scale, expected, calls) in [(1.0, 9.0, 1), (0.0, 7.0, 1), (3.0, 13.0, 2)] {
             let network = Scale(Cell::new(0));
-            let found = guided(&network, ones(), &[7], &2.0, scale);
+            let found = guided(&network, ones(), &[Time(7.0)], &2.0, scale);
             assert_eq!(
                 found.into_data().try_to_vec::<f32>().unwrap(),
                 [expected; 6]

@@ -3,9 +3,10 @@
 //!
 //! ```text
 //! DiffusionConfig --> NoiseSchedule (tables, f64) --> GaussianDiffusion (forward process, targets)
-//!                                                         |
-//! Denoiser (any network) -- guided (guidance_scale) -- sample (DDIM, DDPM)
-//!                                                   \-- steered_sample (goals, imputation)
+//!
+//! Denoiser (any network) -- guided (guidance_scale) --> Predict --> ddim, ddpm, dpmpp_2m, heun
+//!                           steered (goals, imputation) /
+//!                           rollout (gradients)        /
 //! ```
 //!
 //! Nothing here knows what a channel means, and no network is named: a network joins by the trait
@@ -37,6 +38,7 @@ pub mod rollout;
 pub mod sampler;
 pub mod schedule;
 pub mod steering;
+mod time;
 
 pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
 pub use denoiser::{Denoiser, guided};
@@ -45,11 +47,13 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    Clip, FinalAlpha, SamplerConfig, SamplerKind, StepInput, StepOutput, TimestepSpacing,
-    ddim_step, ddpm_step, sample, timesteps,
+    Clip, FinalAlpha, OnStep, Path, Predict, Prediction, SamplerConfig, SamplerKind, StepInput,
+    StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun, sample,
+    timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Goal, Guidance, Imputation, Networks, Space, SteeredInput, SteeredOutput, Steering,
+    Goal, Guidance, Imputation, Networks, Space, Steered, SteeredInput, SteeredOutput, Steering,
     steered_sample, steered_step,
 };
+pub use time::Time;

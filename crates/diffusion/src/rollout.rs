@@ -12,8 +12,12 @@
 
 use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
-use crate::sampler::{SamplerConfig, StepInput, ddim_step};
-use crate::{Clip, Denoiser, Error, GaussianDiffusion, guided};
+use kinegrad_random::{Key, Purpose};
+
+use crate::sampler::timesteps_of;
+use crate::{
+    Clip, Denoiser, Error, GaussianDiffusion, Path, Prediction, SamplerConfig, Time, ddim, guided,
+};
 
 /// What a rollout keeps for its backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,9 +63,9 @@ pub struct RolloutOutput {
 /// The states of a rollout whose graph was not kept.
 #[derive(Debug)]
 pub struct Trace {
-    /// The state before each step, then the final one, without a graph.
+    /// The state before each step, without a graph.
     states: Vec<Tensor<3>>,
-    timesteps: Vec<Vec<usize>>,
+    path: Path,
     entry: Tensor<3>,
     strategy: Option<GradientCheckpointingStrategy>,
 }
@@ -109,68 +113,81 @@ impl Rollout {
         timesteps: &[Vec<usize>],
         mode: RolloutMode,
     ) -> Result<RolloutOutput, Error> {
-        let steps = timesteps.len();
+        let path = Path::to_clean(timesteps.to_vec());
         let graph_from = match mode {
             RolloutMode::Full => 0,
-            RolloutMode::Checkpointed => steps,
-            RolloutMode::LastK(k) => steps.saturating_sub(k),
+            RolloutMode::Checkpointed => path.len(),
+            RolloutMode::LastK(k) => path.len().saturating_sub(k),
         };
         let strategy = x_start_noise.gradient_checkpointing_strategy();
-        let mut states = vec![x_start_noise.without_autodiff()];
-        for index in 0..graph_from {
-            let x = states.last().expect("the start is one").clone();
-            if mode != RolloutMode::Checkpointed {
-                states.clear();
+        let mut states = Vec::new();
+        let mut entry = None;
+        let mut index = 0;
+        let mut predict = |x: Tensor<3>, time: &[Time]| {
+            let step = index;
+            index += 1;
+            if step < graph_from {
+                if mode == RolloutMode::Checkpointed {
+                    states.push(x.clone());
+                }
+                return self.predict(plain, x, time, cond);
             }
-            states.push(self.step(plain, x, cond, timesteps, index)?);
-        }
-        let entry = states.last().expect("the start is one").clone();
-        let entry = tracked(entry, strategy);
-        let mut x = entry.clone();
-        for index in graph_from..steps {
-            if index > graph_from && self.gradient_decay != 1.0 {
-                let value = x.clone().without_autodiff();
-                x = value.clone() + (x - value) * self.gradient_decay;
-            }
-            x = self.step(model, x, cond, timesteps, index)?;
-        }
+            let x = match step == graph_from {
+                true => entry.insert(tracked(x, strategy)).clone(),
+                false => self.decayed(x),
+            };
+            self.predict(model, x, time, cond)
+        };
+        let start = x_start_noise.without_autodiff();
+        let x = self.walk(&mut predict, start, &path)?;
+        // Without a graph the final state is where the gradient ends.
+        let entry = match entry {
+            Some(entry) => entry,
+            None => tracked(x.clone(), strategy),
+        };
         let trace = (mode == RolloutMode::Checkpointed).then(|| Trace {
             states,
-            timesteps: timesteps.to_vec(),
+            path,
             entry: entry.clone(),
             strategy,
         });
+        let x = match graph_from < timesteps.len() {
+            true => x,
+            false => entry.clone(),
+        };
         Ok(RolloutOutput { x, entry, trace })
     }
 
-    /// One DDIM step without noise, the network included.
-    fn step<D: Denoiser + ?Sized>(
+    /// The same state, whose gradient is scaled by `gradient_decay`.
+    fn decayed(&self, x: Tensor<3>) -> Tensor<3> {
+        if self.gradient_decay == 1.0 {
+            return x;
+        }
+        let value = x.clone().without_autodiff();
+        value.clone() + (x - value) * self.gradient_decay
+    }
+
+    fn predict<D: Denoiser + ?Sized>(
         &self,
-        model: &D,
+        network: &D,
         x: Tensor<3>,
+        time: &[Time],
         cond: &D::Cond,
-        timesteps: &[Vec<usize>],
-        index: usize,
+    ) -> Result<Prediction<'static>, Error> {
+        let output = guided(network, x.clone(), time, cond, self.guidance_scale);
+        Prediction::new(&self.diffusion, output, x, &timesteps_of(time), &self.clip)
+    }
+
+    /// DDIM without noise.
+    fn walk(
+        &self,
+        predict: &mut crate::Predict<'_, '_>,
+        x: Tensor<3>,
+        path: &Path,
     ) -> Result<Tensor<3>, Error> {
-        let now = &timesteps[index];
-        let prev: Vec<Option<usize>> = match timesteps.get(index + 1) {
-            Some(next) => next.iter().copied().map(Some).collect(),
-            None => vec![None; now.len()],
-        };
-        let input = StepInput {
-            model_output: guided(model, x.clone(), now, cond, self.guidance_scale),
-            x_t: x,
-            noise: None,
-            timesteps: now,
-            prev_timesteps: &prev,
-        };
-        let output = ddim_step(
-            &self.diffusion,
-            input,
-            &SamplerConfig::default(),
-            &self.clip,
-        )?;
-        Ok(output.prev_sample)
+        let config = SamplerConfig::default();
+        let unused = Key::new(0, Purpose::Sampling);
+        ddim(&self.diffusion, predict, x, path, &config, unused, &mut |_, _, _| {})
     }
 }
 
@@ -191,19 +208,20 @@ impl Trace {
     ) -> Result<Tensor<3>, Error> {
         let Self {
             mut states,
-            timesteps,
+            path,
             entry,
             strategy,
         } = self;
-        let last = states.pop().expect("a rollout has a final state");
-        let mut cotangent = entry
-            .grad_remove(gradients)
-            .map_or_else(|| last.zeros_like(), Tensor::without_autodiff);
+        let mut cotangent = match entry.grad_remove(gradients) {
+            Some(gradient) => gradient.without_autodiff(),
+            None => entry.clone().without_autodiff().zeros_like(),
+        };
         drop(entry);
-        for index in (0..timesteps.len()).rev() {
+        let mut predict = |x: Tensor<3>, time: &[Time]| rollout.predict(model, x, time, cond);
+        for index in (0..path.len()).rev() {
             let state = states.pop().expect("one state a step");
             let x = tracked(state, strategy);
-            let y = rollout.step(model, x.clone(), cond, &timesteps, index)?;
+            let y = rollout.walk(&mut predict, x.clone(), &path.step(index))?;
             // The gradient of this sum with respect to y is the cotangent.
             let mut local = (y * cotangent).sum().backward();
             cotangent = x

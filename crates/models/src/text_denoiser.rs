@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_diffusion::Denoiser;
+use kinegrad_diffusion::{Denoiser, Time};
 
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
 use crate::transformer::{Encoder, EncoderConfig};
@@ -106,8 +106,8 @@ impl TextDenoiser {
     ///
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
-    pub fn forward(&self, x_t: Tensor<3>, timesteps: &[usize], text: Tensor<3>) -> Tensor<3> {
-        self.forward_stages(x_t, timesteps, text, &mut ())
+    pub fn forward(&self, x_t: Tensor<3>, time: &[Time], text: Tensor<3>) -> Tensor<3> {
+        self.forward_stages(x_t, time, text, &mut ())
     }
 
     /// [`forward`](Self::forward), and what each stage of a UNet gives: `unet_in_padded` and
@@ -118,11 +118,11 @@ impl TextDenoiser {
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
-        timesteps: &[usize],
+        time: &[Time],
         text: Tensor<3>,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
-        let cond = self.flat_conditioner.forward(timesteps, text);
+        let cond = self.flat_conditioner.forward(time, text);
         match &self.flat_network {
             Network::Unet(network) => network.forward(x_t, cond, stages),
             Network::Transformer(encoder) => encoder.forward(x_t, cond),
@@ -161,8 +161,8 @@ impl UnetDenoiser {
 impl Denoiser for TextDenoiser {
     type Cond = Tensor<3>;
 
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
-        self.forward(x_t, timesteps, cond.clone())
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        self.forward(x_t, time, cond.clone())
     }
 
     fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {

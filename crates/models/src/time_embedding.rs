@@ -3,11 +3,12 @@
 use burn::module::Module;
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
 
 use crate::Initializer;
 use crate::layers::Linear;
 
-/// The sinusoidal embedding of integer timesteps: `[cos(t f_0) .. cos(t f_{h-1}) | sin(t f_0) ..
+/// The sinusoidal embedding of times: `[cos(t f_0) .. cos(t f_{h-1}) | sin(t f_0) ..
 /// sin(t f_{h-1})]` with `f_i = 10000^(-i / h)` and `h = dim / 2`.
 ///
 /// Computed on the host in double precision: in single precision the argument alone is wrong by
@@ -15,22 +16,22 @@ use crate::layers::Linear;
 ///
 /// # Shapes
 /// - output: `[batch, dim]`
-pub fn sinusoidal(timesteps: &[usize], dim: usize, device: &Device) -> Tensor<2> {
+pub fn sinusoidal(time: &[Time], dim: usize, device: &Device) -> Tensor<2> {
     let half = dim / 2;
     let frequencies: Vec<f64> = (0..half)
         .map(|i| 10_000f64.powf(-(i as f64) / half as f64))
         .collect();
-    let values: Vec<f32> = timesteps
+    let values: Vec<f32> = time
         .iter()
-        .flat_map(|&t| {
-            let angles = frequencies.iter().map(move |f| t as f64 * f);
+        .flat_map(|&Time(t)| {
+            let angles = frequencies.iter().map(move |f| t * f);
             angles
                 .clone()
                 .map(|a| a.cos() as f32)
                 .chain(angles.map(|a| a.sin() as f32))
         })
         .collect();
-    Tensor::from_data(TensorData::new(values, [timesteps.len(), 2 * half]), device)
+    Tensor::from_data(TensorData::new(values, [time.len(), 2 * half]), device)
 }
 
 /// Sinusoidal embedding, linear, SiLU, linear: the input of every residual block (CC-MotionGen,
@@ -53,9 +54,9 @@ impl TimeEmbedding {
     }
 
     /// # Shapes
-    /// - output: `[batch, dim]`, batch being the number of timesteps
-    pub fn forward(&self, timesteps: &[usize], device: &Device) -> Tensor<2> {
-        let h = self.at_0.forward(sinusoidal(timesteps, self.dim, device));
+    /// - output: `[batch, dim]`, batch being the number of times
+    pub fn forward(&self, time: &[Time], device: &Device) -> Tensor<2> {
+        let h = self.at_0.forward(sinusoidal(time, self.dim, device));
         self.at_2.forward(silu(h))
     }
 }

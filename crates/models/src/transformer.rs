@@ -121,7 +121,7 @@ impl Encoder {
         let frames = self.input_process.poseEmbedding.forward_frames(x);
         let tokens = Tensor::cat(vec![cond.unsqueeze_dim(2), frames], 2);
         let width = tokens.dims()[1];
-        let places: Vec<usize> = (0..=time).collect();
+        let places: Vec<f64> = (0..=time).map(|place| place as f64).collect();
         let positions = interleaved_sinusoidal(&places, width, &tokens.device());
         let mut h = tokens + positions.transpose().unsqueeze::<3>();
         for layer in &self.seqTransEncoder.layers {
@@ -226,7 +226,7 @@ mod tests {
         let x = Tensor::from_data(TensorData::new(values, [1, 3, 5]), &Device::flex());
         let answer = |cond: f32| {
             let cond = Tensor::full([1, 8], cond, &Device::flex())
-                * interleaved_sinusoidal(&[3], 8, &Device::flex());
+                * interleaved_sinusoidal(&[3.0], 8, &Device::flex());
             network.forward(x.clone(), cond)
         };
         let difference = (answer(0.0) - answer(2.0)).abs();

@@ -4,7 +4,7 @@ mod adapters;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_diffusion::Denoiser;
+use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::concat_channels;
 
 use crate::attention::AttentionBlock;
@@ -314,16 +314,16 @@ impl UNet1d {
     ///
     /// # Shapes
     /// - x_t, output: `[batch, in_channels, time]`
-    /// - timesteps: one per sample, raw integers `0..num_train_timesteps`
+    /// - time: one per sample, in timesteps
     /// - cond: `[batch, cond_channels, time]`
     pub fn forward(
         &self,
         x_t: Tensor<3>,
-        timesteps: &[usize],
+        time: &[Time],
         cond: Tensor<3>,
         dropout: DropoutKey,
     ) -> Tensor<3> {
-        self.forward_stages(x_t, timesteps, cond, dropout, &mut ())
+        self.forward_stages(x_t, time, cond, dropout, &mut ())
     }
 
     /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`,
@@ -332,12 +332,12 @@ impl UNet1d {
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
-        timesteps: &[usize],
+        time: &[Time],
         cond: Tensor<3>,
         dropout: DropoutKey,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
-        let time_emb = self.time_embed.forward(timesteps, &x_t.device());
+        let time_emb = self.time_embed.forward(time, &x_t.device());
         stages.stage(format_args!("time_emb"), || time_emb.clone());
         let context = self.audio_proj.forward_frames(cond);
         stages.stage(format_args!("audio_ctx"), || context.clone());
@@ -385,8 +385,8 @@ impl UNet1d {
 impl Denoiser for UNet1d {
     type Cond = Tensor<3>;
 
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
-        self.forward(x_t, timesteps, cond.clone(), None)
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        self.forward(x_t, time, cond.clone(), None)
     }
 
     fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {

@@ -1,6 +1,7 @@
 //! Time embedding, residual block and attention block against golden file 03_blocks.
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_diffusion::Time;
 use kinegrad_models::attention::AttentionBlock;
 use kinegrad_models::res_block::{ResBlock, ResBlockConfig};
 use kinegrad_models::time_embedding::sinusoidal;
@@ -28,7 +29,7 @@ fn golden_time_embedding(golden: Golden) {
     let timesteps = golden.get("in.temb.t").indices();
     for dim in golden.names_under("out.temb.dim") {
         let width = dim.parse().expect("the width ends the name");
-        let embedded = sinusoidal(&timesteps, width, &Device::flex());
+        let embedded = sinusoidal(&Time::of(&timesteps), width, &Device::flex());
         let reference = golden.reference(&format!("out.temb.dim{dim}"));
         reference.assert_close_tensor(&dim, embedded, 1e-4);
     }

@@ -3,7 +3,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    DiffusionConfig, GaussianDiffusion, LossType, PredictionType, diffusion_loss,
+    DiffusionConfig, GaussianDiffusion, LossType, PredictionType, Time, diffusion_loss,
 };
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
@@ -54,7 +54,7 @@ fn golden_diffusion_loss(golden: Golden, network: Golden) {
         golden
             .reference("out.x_t")
             .assert_close_tensor("x_t", x_t.clone(), 1e-5);
-        let output = model.forward(x_t, &timesteps, cond.clone(), None);
+        let output = model.forward(x_t, &Time::of(&timesteps), cond.clone(), None);
         golden
             .reference("out.model_out")
             .assert_close_tensor("output", output.clone(), 2e-5);

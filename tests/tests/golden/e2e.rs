@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, rollout_timesteps};
+use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps};
 use kinegrad_models::{UNet1d, parameters};
 use kinegrad_tests::end_to_end::Case;
 use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, wide};
@@ -150,10 +150,10 @@ struct Call {
 impl Denoiser for Noting<'_> {
     type Cond = Tensor<3>;
 
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
         let place = x_t.clone().without_autodiff().zeros_like();
         let place = place.autodiff().require_grad();
-        let output = self.unet.predict(x_t.clone(), timesteps, cond) + place.clone();
+        let output = self.unet.predict(x_t.clone(), time, cond) + place.clone();
         self.calls.borrow_mut().push(Call {
             x: x_t,
             output: output.clone(),

@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 
 use burn::tensor::Device;
+use kinegrad_diffusion::Time;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
 use kinegrad_models::{Initializer, UNet1d};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, wide};
@@ -54,7 +55,7 @@ fn compare(golden: &Golden, model: &UNet1d, device: &Device, gradient_tolerance:
         let timesteps = golden.get(&format!("in.{case}.t")).indices();
         let target = golden.tensor::<3>(&format!("in.{case}.eps"), device);
 
-        let y = model.forward(x.clone(), &timesteps, cond.clone(), None);
+        let y = model.forward(x.clone(), &Time::of(&timesteps), cond.clone(), None);
         golden
             .reference(&format!("out.{case}.y"))
             .assert_close_tensor(case, y.clone(), OUTPUT);

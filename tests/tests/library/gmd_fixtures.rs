@@ -4,6 +4,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::write_values;
+use kinegrad_diffusion::Time;
 use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
@@ -25,7 +26,7 @@ fn answer(network: &TextDenoiser, golden: &Golden, device: &Device, told: bool) 
     let text: Tensor<3> = if told { text } else { text.zeros_like() };
     network.forward(
         golden.tensor("in.x", device),
-        &golden.get("in.t").indices(),
+        &Time::of(&golden.get("in.t").indices()),
         text,
     )
 }
@@ -63,7 +64,7 @@ fn the_transformer_is_that_of_pytorch() {
     let text = golden
         .tensor::<2>("in.text_features", &device)
         .unsqueeze_dim(2);
-    let y = network.forward(x.clone(), &golden.get("in.t").indices(), text);
+    let y = network.forward(x.clone(), &Time::of(&golden.get("in.t").indices()), text);
     golden
         .get("out.y")
         .assert_within("y", y.clone(), OUTPUT, 0.0);

@@ -3,5 +3,6 @@
 mod gmd_fixtures;
 mod parity;
 mod rollout;
+mod samplers;
 #[cfg(feature = "stores")]
 mod stores;

@@ -4,7 +4,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
     Clip, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode,
-    rollout_timesteps,
+    Time, rollout_timesteps,
 };
 use kinegrad_models::{GradientSum, Initializer, UNet1d, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};
@@ -100,7 +100,7 @@ fn the_network_computes_the_same_bits_with_and_without_gradients() {
             .expect("float32");
         values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
     };
-    let with = model.forward(x.clone(), &[3, 900], cond.clone(), None);
-    let without = model.valid().forward(x, &[3, 900], cond, None);
+    let with = model.forward(x.clone(), &Time::of(&[3, 900]), cond.clone(), None);
+    let without = model.valid().forward(x, &Time::of(&[3, 900]), cond, None);
     assert!(bits(with) == bits(without));
 }

@@ -10,11 +10,10 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, read_goal};
-use kinegrad_train::config::{Config, SteeringConfig};
+use kinegrad_train::Config;
 use kinegrad_train::device;
 use kinegrad_train::checkpoint::resolve_checkpoint;
 
-use super::sample::sampler;
 use crate::args::SampleArguments;
 use crate::failure::{Failure, UsageError};
 use crate::progress::{denoising_bar, on_stage};
@@ -29,8 +28,6 @@ pub fn sample(
     config: &Config,
 ) -> Result<ExitCode, Failure> {
     refuse_phrases(arguments)?;
-    let sampler = sampler(arguments, config);
-    super::eval::must_work(config, &sampler)?;
     if arguments.frames == Some(0) {
         return Err(UsageError::new("`--frames` is 0", "ask for at least one frame").into());
     }
@@ -66,14 +63,12 @@ pub fn sample(
         Some(checkpoint) => Some(ClipGenerator::load(checkpoint, weights, &device)?),
         None => None,
     };
-    let steering = steering(config, arguments.classifier_scale, arguments.no_imputation)?;
     let bar = denoising_bar();
     let samples = generator.sample(
         trajectory.as_ref(),
         &requests,
         frames,
-        &sampler,
-        &steering,
+        &config.sampling,
         arguments.seed,
         &mut on_stage(&bar),
     )?;
@@ -99,22 +94,6 @@ pub fn weights(no_ema: bool) -> Weights {
         true => Weights::Model,
         false => Weights::Ema,
     }
-}
-
-/// How the run's draws are led, with what the command line says instead.
-///
-/// # Errors
-/// If the strength is no number of 0 or more.
-pub fn steering(
-    config: &Config,
-    scale: Option<f64>,
-    no_imputation: bool,
-) -> Result<SteeringConfig, Failure> {
-    let mut steering = config.sampling.steering.clone();
-    steering.scale = scale.unwrap_or(steering.scale);
-    steering.imputation &= !no_imputation;
-    steering.validate()?;
-    Ok(steering)
 }
 
 /// The checkpoint of a trajectory run.
@@ -143,11 +122,6 @@ fn refuse_phrases(arguments: &SampleArguments) -> Result<(), UsageError> {
             format!("`{name}` with a run on clips of joint features"),
             "its condition is a text: `--text-embedding FILE#KEY`",
         ));
-    }
-    if arguments.clip.is_some() {
-        let hint = "it is clipped as its config's `sampling.clip` says";
-        let message = "`--clip` with a run on clips of joint features";
-        return Err(UsageError::new(message, hint));
     }
     Ok(())
 }

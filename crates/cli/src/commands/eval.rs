@@ -5,16 +5,14 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use kinegrad_data::{DataKind, Dataset, Phrase};
-use kinegrad_diffusion::SamplerConfig;
 use kinegrad_train::Config;
-use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::device;
-use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::cc_motion::evaluate::{CondSource, Evaluation, EvaluationSettings, evaluate};
 use kinegrad_train::checkpoint::resolve_checkpoint;
 use kinegrad_train::systems::cc_motion::generate::Generator;
 
-use super::sample::clip;
+use super::sample::{sampling_of, scale, steps};
 use crate::args::{CondName, EvalArguments};
 use crate::comparison::Comparison;
 use crate::failure::{Failure, UsageError};
@@ -85,7 +83,7 @@ fn refuse_zero(arguments: &EvalArguments) -> Result<(), UsageError> {
 struct Subject {
     checkpoint: PathBuf,
     device: String,
-    state: State,
+    config: Config,
     held_out: Vec<Arc<Phrase>>,
     training: Vec<Arc<Phrase>>,
     settings: EvaluationSettings,
@@ -95,14 +93,11 @@ struct Subject {
 impl Subject {
     fn open(run: &Path, arguments: &EvalArguments) -> Result<Self, Failure> {
         let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
-        let state = State::read(&checkpoint)?;
-        let config = &state.config;
-        let mut sampler = config.sampling.sampler.clone();
-        sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
-        sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
-        must_work(config, &sampler)?;
-        let device = arguments.device.as_deref().unwrap_or(&config.run.device);
-        device::open(device)?;
+        let given = [arguments.steps.map(steps), arguments.guidance_scale.map(scale)];
+        let config = sampling_of(&checkpoint, &arguments.overrides, given)?;
+        let device = arguments.device.clone();
+        let device = device.unwrap_or_else(|| config.run.device.clone());
+        device::open(&device)?;
         let mut data = config.data.clone();
         if let Some(source) = &arguments.source {
             data.kind = DataKind::Phrases;
@@ -130,8 +125,7 @@ impl Subject {
                 CondName::Phrases => CondSource::Phrases,
                 CondName::Noise => CondSource::Noise,
             },
-            sampler,
-            clip: clip(arguments.clip, config),
+            sampling: config.sampling.clone(),
         };
         let reports = match &arguments.out {
             Some(out) => out.clone(),
@@ -139,8 +133,8 @@ impl Subject {
         };
         Ok(Self {
             checkpoint,
-            device: device.to_string(),
-            state,
+            device,
+            config,
             held_out,
             training: dataset.train.load()?,
             settings,
@@ -156,7 +150,7 @@ impl Subject {
         };
         let (device, _) = device::open(&self.device)?;
         let generator = Generator::load(&self.checkpoint, weights, &device)?;
-        let bar = denoising_bar().with_prefix(format!("{}  ", self.state.config.run.name));
+        let bar = denoising_bar().with_prefix(format!("{}  ", self.config.run.name));
         let evaluation = evaluate(
             &generator,
             &self.held_out,
@@ -170,15 +164,6 @@ impl Subject {
         bar.finish_and_clear();
         Ok(evaluation)
     }
-}
-
-/// Refuses a sampler that the run's model cannot be drawn from with.
-pub fn must_work(config: &Config, sampler: &SamplerConfig) -> Result<(), Failure> {
-    let mut config = config.clone();
-    config.sampling.sampler = sampler.clone();
-    let (system, _) = BUILT_IN.of(&config)?;
-    system.validate(&config)?;
-    Ok(())
 }
 
 /// The run that a checkpoint belongs to; a checkpoint that was moved away stands for itself.

@@ -15,8 +15,9 @@ use kinegrad_train::systems::gmd::evaluate::{
 };
 use kinegrad_train::checkpoint::resolve_checkpoint;
 
-use super::clips::{steering, trajectory_checkpoint, weights};
-use super::eval::{make_folder, must_work, run_folder};
+use super::clips::{trajectory_checkpoint, weights};
+use super::eval::{make_folder, run_folder};
+use super::sample::{sampling_of, scale, steps};
 use crate::args::EvalArguments;
 use crate::failure::{Failure, UsageError};
 use crate::output::table;
@@ -97,7 +98,6 @@ fn refuse_phrases(arguments: &EvalArguments) -> Result<(), UsageError> {
         ("--seeds", arguments.seeds.is_some()),
         ("--phrases", arguments.phrases.is_some()),
         ("--cond", arguments.cond.is_some()),
-        ("--clip", arguments.clip.is_some()),
     ];
     match given.into_iter().find(|(_, given)| *given) {
         Some((name, _)) => Err(UsageError::new(
@@ -115,11 +115,8 @@ fn evaluate(
     arguments: &EvalArguments,
 ) -> Result<(PathBuf, GoalEvaluation), Failure> {
     let checkpoint = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
-    let config = State::read(&checkpoint)?.config;
-    let mut sampler = config.sampling.sampler.clone();
-    sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
-    sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
-    must_work(&config, &sampler)?;
+    let given = [arguments.steps.map(steps), arguments.guidance_scale.map(scale)];
+    let config = sampling_of(&checkpoint, &arguments.overrides, given)?;
     let mut data = config.data.clone();
     if let Some(source) = &arguments.source {
         data.kind = DataKind::Humanml3d;
@@ -157,8 +154,7 @@ fn evaluate(
             obstacles: arguments.obstacles,
             frames: data.target_frames,
         },
-        steering: steering(&config, arguments.classifier_scale, arguments.no_imputation)?,
-        sampler,
+        sampling: config.sampling.clone(),
         seed: arguments.seed,
     };
     let bar = denoising_bar().with_prefix(format!("{}  ", config.run.name));

@@ -4,16 +4,15 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_data::{AudioFeatures, DataKind, Dataset, load_audio, write_motion};
-use kinegrad_diffusion::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
 use kinegrad_train::checkpoint::{State, Weights};
-use kinegrad_train::config::{Clip, Config};
+use kinegrad_train::config::{Config, override_sampling};
 use kinegrad_train::device;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::systems::cc_motion::evaluate::phrase_seed;
 use kinegrad_train::checkpoint::resolve_checkpoint;
 use kinegrad_train::systems::cc_motion::generate::{Generator, Sample};
 
-use crate::args::{ClipName, FinalAlphaName, SampleArguments, SamplerName, SpacingName};
+use crate::args::SampleArguments;
 use crate::failure::{Failure, UsageError};
 use crate::progress::denoising_bar;
 
@@ -23,13 +22,12 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         return Err(UsageError::new("`--count` is 0", "ask for at least one sample").into());
     }
     let path = resolve_checkpoint(&arguments.run, |damaged| tell!("warning: {damaged}"))?;
-    let config = State::read(&path)?.config;
+    let given = [arguments.steps.map(steps), arguments.guidance_scale.map(scale)];
+    let config = sampling_of(&path, &arguments.overrides, given)?;
     if BUILT_IN.of(&config)?.0.name() == "gmd" {
         return super::clips::sample(&arguments, &path, &config);
     }
     refuse_goals(&arguments)?;
-    let sampler = sampler(&arguments, &config);
-    super::eval::must_work(&config, &sampler)?;
     let conditions = conditions(&arguments, &config)?;
     let weights = if arguments.no_ema {
         Weights::Model
@@ -38,7 +36,6 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     };
     let (device, _) = device::open(arguments.device.as_deref().unwrap_or(&config.run.device))?;
     let generator = Generator::load(&path, weights, &device)?;
-    let clip = clip(arguments.clip, &config);
 
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
@@ -47,8 +44,7 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         let bar = denoising_bar();
         let samples = generator.sample(
             &repeated,
-            &sampler,
-            clip,
+            &config.sampling,
             phrase_seed(arguments.seed, &id),
             &mut |step, total| {
                 bar.set_length(total as u64);
@@ -67,15 +63,32 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The clip that the command line names, else the run's.
-pub fn clip(name: Option<ClipName>, config: &Config) -> Clip {
-    match name {
-        None => config.sampling.clip,
-        Some(ClipName::TrainingRange) => Clip::TrainingRange,
-        Some(ClipName::Unit) => Clip::Unit,
-        Some(ClipName::Six) => Clip::Six,
-        Some(ClipName::None) => Clip::None,
-    }
+/// The override of `--steps`.
+pub fn steps(steps: usize) -> String {
+    format!("sampling.sampler.num_inference_steps={steps}")
+}
+
+/// The override of `--guidance-scale`.
+pub fn scale(scale: f64) -> String {
+    // A whole number is one with a point in TOML.
+    format!("sampling.sampler.guidance_scale={scale:?}")
+}
+
+/// The config of a checkpoint, with the settings of `sampling` that the command line has.
+///
+/// # Errors
+/// If one of them is of another table, or no draw can work with them.
+pub fn sampling_of(
+    checkpoint: &Path,
+    overrides: &[String],
+    given: [Option<String>; 2],
+) -> Result<Config, Failure> {
+    let saved = BUILT_IN.completed(&State::read(checkpoint)?.config)?;
+    let overrides: Vec<String> = overrides.iter().cloned().chain(given.into_iter().flatten()).collect();
+    let config = override_sampling(BUILT_IN, &saved, &overrides).map_err(kinegrad_train::Error::from)?;
+    let (system, _) = BUILT_IN.of(&config)?;
+    system.validate(&config)?;
+    Ok(config)
 }
 
 /// Refuses what only models of clips understand.
@@ -84,8 +97,6 @@ fn refuse_goals(arguments: &SampleArguments) -> Result<(), UsageError> {
         ("--goal", !arguments.goal.is_empty()),
         ("--trajectory-run", arguments.trajectory_run.is_some()),
         ("--text-embedding", arguments.text_embedding.is_some()),
-        ("--classifier-scale", arguments.classifier_scale.is_some()),
-        ("--no-imputation", arguments.no_imputation),
     ];
     match given.into_iter().find(|(_, given)| *given) {
         Some((name, _)) => Err(UsageError::new(
@@ -94,35 +105,6 @@ fn refuse_goals(arguments: &SampleArguments) -> Result<(), UsageError> {
         )),
         None => Ok(()),
     }
-}
-
-/// The run's sampler with what the command line says instead.
-pub fn sampler(arguments: &SampleArguments, config: &Config) -> SamplerConfig {
-    let mut sampler = config.sampling.sampler.clone();
-    match arguments.sampler {
-        Some(SamplerName::Ddim) => sampler.kind = SamplerKind::Ddim,
-        Some(SamplerName::Ddpm) => sampler.kind = SamplerKind::Ddpm,
-        None => {}
-    }
-    match arguments.timestep_spacing {
-        Some(SpacingName::Document) => sampler.timestep_spacing = TimestepSpacing::Document,
-        Some(SpacingName::Leading) => sampler.timestep_spacing = TimestepSpacing::Leading,
-        Some(SpacingName::Linspace) => sampler.timestep_spacing = TimestepSpacing::Linspace,
-        Some(SpacingName::Trailing) => sampler.timestep_spacing = TimestepSpacing::Trailing,
-        None => {}
-    }
-    match arguments.final_alpha {
-        Some(FinalAlphaName::First) => sampler.final_alpha = FinalAlpha::First,
-        Some(FinalAlphaName::One) => sampler.final_alpha = FinalAlpha::One,
-        None => {}
-    }
-    sampler.num_inference_steps = arguments.steps.unwrap_or(sampler.num_inference_steps);
-    sampler.recompute_epsilon = arguments
-        .recompute_epsilon
-        .unwrap_or(sampler.recompute_epsilon);
-    sampler.eta = arguments.eta.unwrap_or(sampler.eta);
-    sampler.guidance_scale = arguments.guidance_scale.unwrap_or(sampler.guidance_scale);
-    sampler
 }
 
 /// The conditions to draw for, by name, cut to `--frames`.

@@ -95,8 +95,7 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
     let seed = outcome.config.run.seed;
     let samples = generator.sample(
         &conditions,
-        &sampling.sampler,
-        sampling.clip,
+        sampling,
         seed,
         &mut |_, _| {},
     )?;

@@ -12,8 +12,8 @@ struct Network {
 impl Denoiser for Network {
     type Cond = Tensor<3>;
 
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], cond: &Tensor<3>) -> Tensor<3> {
-        let scale = 1.0 + timesteps[0] as f64 / 1000.0;
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        let scale = 1.0 + time[0].0 / 1000.0;
         (x_t * self.weight.clone() + cond.clone()).tanh() * scale
     }
 

@@ -13,6 +13,23 @@ pub enum SamplerKind {
     Ddim,
     /// Draws from the posterior in every step: [`crate::ddpm_step`].
     Ddpm,
+    /// Deterministic and of second order: [`crate::dpmpp_2m`].
+    #[serde(rename = "dpmpp_2m")]
+    Dpmpp2m,
+    /// Deterministic and of second order, with two calls of the network a step: [`crate::heun`].
+    Heun,
+}
+
+impl SamplerKind {
+    /// Its name in a config.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ddim => "ddim",
+            Self::Ddpm => "ddpm",
+            Self::Dpmpp2m => "dpmpp_2m",
+            Self::Heun => "heun",
+        }
+    }
 }
 
 /// Which timesteps a sampler of N steps visits out of T; entry i of 0..N, noisiest first.
@@ -59,7 +76,7 @@ pub struct SamplerConfig {
     pub guidance_scale: f64,
     /// Which timesteps are visited.
     pub timestep_spacing: TimestepSpacing,
-    /// Where DDIM's last step lands. DDPM's always lands on the clean motion.
+    /// Where DDIM's last step lands. That of the others is on the clean motion.
     pub final_alpha: FinalAlpha,
     /// After clipping the predicted motion, DDIM goes on with the noise that belongs to the
     /// clipped one; the source goes on with the network's, which then contradicts it.
@@ -114,7 +131,7 @@ impl SamplerConfig {
     pub(super) fn last_landing(&self) -> Option<usize> {
         match (self.kind, self.final_alpha) {
             (SamplerKind::Ddim, FinalAlpha::First) => Some(0),
-            (SamplerKind::Ddim, FinalAlpha::One) | (SamplerKind::Ddpm, _) => None,
+            _ => None,
         }
     }
 }

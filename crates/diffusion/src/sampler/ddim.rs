@@ -1,13 +1,51 @@
-//! The DDIM step.
+//! Denoising diffusion implicit models.
 
+use burn::tensor::Tensor;
+use kinegrad_random::Key;
+
+use super::step::{Alphas, coefficients};
+use super::{
+    Clip, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput, step_noise,
+};
 use crate::per_sample::per_sample;
-use crate::{Error, GaussianDiffusion, PredictionType};
+use crate::{Error, GaussianDiffusion};
 
-use super::{Clip, SamplerConfig, StepInput, StepOutput};
+/// Samples by DDIM along `path` (Song et al. 2021, <https://arxiv.org/abs/2010.02502>). `eta` and
+/// `recompute_epsilon` are read from `config`.
+///
+/// # Shapes
+/// - x_T, output: `[batch, channels, time]`
+///
+/// # Errors
+/// Those of `predict`.
+#[expect(
+    non_snake_case,
+    reason = "x_T is the field's symbol for the start noise"
+)]
+pub fn ddim(
+    diffusion: &GaussianDiffusion,
+    predict: &mut Predict<'_, '_>,
+    x_T: Tensor<3>,
+    path: &Path,
+    config: &SamplerConfig,
+    key: Key,
+    on_step: &mut OnStep<'_>,
+) -> Result<Tensor<3>, Error> {
+    let mut x = x_T;
+    for index in 0..path.len() {
+        let (now, next) = (path.timesteps(index), path.landings(index));
+        let prediction = predict(x, &path.time(index))?;
+        let moves = next.iter().zip(now).any(|(next, now)| next.is_some_and(|next| next != *now));
+        let noise = (config.eta > 0.0 && moves)
+            .then(|| step_noise(key.at(index as u64), &prediction.x_t));
+        x = step(diffusion, &prediction, now, &next, noise, config);
+        on_step(index + 1, path.len(), &x);
+    }
+    Ok(x)
+}
 
-/// One step of denoising diffusion implicit models (CC-MotionGen, sections 5.4 and 8.1;
-/// docs/sources.md, section 1.9; Song et al. 2021, <https://arxiv.org/abs/2010.02502>, equations 12
-/// and 16).
+/// One step of DDIM (CC-MotionGen, sections 5.4 and 8.1; docs/sources.md, section 1.9; Song et al.
+/// 2021, <https://arxiv.org/abs/2010.02502>, equations 12 and 16).
 ///
 /// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
 /// is [`super::ddpm_step`].
@@ -28,52 +66,59 @@ pub fn ddim_step(
     config: &SamplerConfig,
     clip: &Clip,
 ) -> Result<StepOutput, Error> {
+    let prediction = input.prediction(diffusion, clip)?;
+    let StepInput {
+        timesteps,
+        prev_timesteps,
+        noise,
+        ..
+    } = input;
+    let prev_sample = step(diffusion, &prediction, timesteps, prev_timesteps, noise, config);
+    Ok(StepOutput {
+        prev_sample,
+        pred_original_sample: prediction.x_start,
+    })
+}
+
+fn step(
+    diffusion: &GaussianDiffusion,
+    prediction: &Prediction<'_>,
+    timesteps: &[usize],
+    prev_timesteps: &[Option<usize>],
+    noise: Option<Tensor<3>>,
+    config: &SamplerConfig,
+) -> Tensor<3> {
     // abar         alpha-bar_t      where the sample is
     // abar'        alpha-bar_{t-1}  where it goes; the paper's t-1 is the next timestep visited
     // sigma        sigma_t          noise drawn in this step
     // direction    sqrt(1 - alpha-bar_{t-1} - sigma_t^2), "direction pointing to x_t"
-    input.check()?;
-    let variance = |alphas: super::step::Alphas| config.eta.powi(2) * alphas.posterior_variance();
-
-    // 1. Predicted x_0, clipped.
-    let x_start = input.pred_original_sample(diffusion, clip)?;
-
-    // 2. Predicted noise: the network's, or the one that leads from the clipped x_0 to x_t.
-    let epsilon = if config.recompute_epsilon && *clip != Clip::None {
-        let (from, to) = (PredictionType::Sample, PredictionType::Epsilon);
-        diffusion.convert(
-            x_start.clone(),
-            input.x_t.clone(),
-            input.timesteps,
-            from,
-            to,
-        )
-    } else {
-        diffusion.pred_epsilon(
-            input.model_output.clone(),
-            input.x_t.clone(),
-            input.timesteps,
-        )
+    let of = |value: &dyn Fn(Alphas) -> f64| {
+        coefficients(diffusion, timesteps, prev_timesteps, value)
     };
+    let variance = |alphas: Alphas| config.eta.powi(2) * alphas.posterior_variance();
 
-    // 3. sigma^2 = eta^2 (1 - abar') / (1 - abar) (1 - abar / abar'), on the host in f64.
-    let sigma = input.coefficients(diffusion, |alphas| variance(alphas).max(0.0).sqrt());
-    let signal = input.coefficients(diffusion, |alphas| alphas.abar_prev.sqrt());
-    let direction = input.coefficients(diffusion, |alphas| {
+    // 1. Predicted x_0 and noise.
+    let x_start = prediction.x_start.clone();
+    let epsilon = prediction.epsilon(diffusion, timesteps, config.recompute_epsilon);
+
+    // 2. sigma^2 = eta^2 (1 - abar') / (1 - abar) (1 - abar / abar'), on the host in f64.
+    let sigma = of(&|alphas| variance(alphas).max(0.0).sqrt());
+    let signal = of(&|alphas| alphas.abar_prev.sqrt());
+    let direction = of(&|alphas| {
         (alphas.one_minus_abar_prev - variance(alphas))
             .max(0.0)
             .sqrt()
     });
 
-    // 4. x' = sqrt(abar') x_0 + direction epsilon + sigma z.
-    let mut prev_sample = x_start.clone() * per_sample(&signal, &x_start)
-        + epsilon.clone() * per_sample(&direction, &epsilon);
-    if let Some(noise) = input.noise {
-        let sigma = per_sample(&sigma, &noise);
-        prev_sample = prev_sample + noise * sigma;
+    // 3. x' = sqrt(abar') x_0 + direction epsilon + sigma z.
+    let signal = per_sample(&signal, &x_start);
+    let direction = per_sample(&direction, &epsilon);
+    let prev_sample = x_start * signal + epsilon * direction;
+    match noise {
+        Some(noise) => {
+            let sigma = per_sample(&sigma, &noise);
+            prev_sample + noise * sigma
+        }
+        None => prev_sample,
     }
-    Ok(StepOutput {
-        prev_sample,
-        pred_original_sample: x_start,
-    })
 }

@@ -1,12 +1,54 @@
-//! The DDPM step.
+//! Denoising diffusion probabilistic models.
 
+use burn::tensor::Tensor;
+use kinegrad_random::Key;
+
+use super::{
+    Clip, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput, step_noise,
+};
 use crate::{Error, GaussianDiffusion};
 
-use super::{Clip, StepInput, StepOutput};
+/// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
+/// the predictions are.
+///
+/// # Shapes
+/// - x_T, output: `[batch, channels, time]`
+///
+/// # Errors
+/// Those of `predict`.
+#[expect(
+    non_snake_case,
+    reason = "x_T is the field's symbol for the start noise"
+)]
+pub fn ddpm(
+    diffusion: &GaussianDiffusion,
+    predict: &mut Predict<'_, '_>,
+    x_T: Tensor<3>,
+    path: &Path,
+    key: Key,
+    on_step: &mut OnStep<'_>,
+) -> Result<Tensor<3>, Error> {
+    let mut x = x_T;
+    for index in 0..path.len() {
+        let (now, next) = (path.timesteps(index), path.landings(index));
+        let prediction = predict(x, &path.time(index))?;
+        let key = key.at(index as u64);
+        let moves = next.iter().zip(now).any(|(next, now)| next.is_some_and(|next| next != *now));
+        let noise = moves.then(|| step_noise(key, &prediction.x_t));
+        let imputation_noise = prediction
+            .steered
+            .as_ref()
+            .filter(|steered| steered.is_imputed())
+            .map(|_| step_noise(key.named("imputation"), &prediction.x_t));
+        x = step(diffusion, &prediction, now, &next, noise, imputation_noise);
+        on_step(index + 1, path.len(), &x);
+    }
+    Ok(x)
+}
 
-/// One step of denoising diffusion probabilistic models: a draw from the posterior
-/// `q(x_{t-1} | x_t, x_0)` with the predicted x_0 (CC-MotionGen, section 3.2.4; docs/sources.md,
-/// section 1.3; Ho et al. 2020, <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
+/// One step of DDPM: a draw from the posterior `q(x_{t-1} | x_t, x_0)` with the predicted x_0
+/// (CC-MotionGen, section 3.2.4; docs/sources.md, section 1.3; Ho et al. 2020,
+/// <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
 /// <https://arxiv.org/abs/2102.09672>, equation 19): its beta is `1 - abar / abar'`, from the kept
@@ -28,25 +70,51 @@ pub fn ddpm_step(
     input: StepInput<'_>,
     clip: &Clip,
 ) -> Result<StepOutput, Error> {
+    let prediction = input.prediction(diffusion, clip)?;
+    let StepInput {
+        timesteps,
+        prev_timesteps,
+        noise,
+        ..
+    } = input;
+    let prev_sample = step(diffusion, &prediction, timesteps, prev_timesteps, noise, None);
+    Ok(StepOutput {
+        prev_sample,
+        pred_original_sample: prediction.x_start,
+    })
+}
+
+pub(crate) fn step(
+    diffusion: &GaussianDiffusion,
+    prediction: &Prediction<'_>,
+    timesteps: &[usize],
+    prev_timesteps: &[Option<usize>],
+    noise: Option<Tensor<3>>,
+    imputation_noise: Option<Tensor<3>>,
+) -> Tensor<3> {
     // abar, abar'   alpha-bar_t, alpha-bar_{t-1}: where the sample is and where it goes
     // beta          beta_t of the jump; 1 - beta = alpha_t = abar / abar'
     // coef1, coef2  factors of x_0 and x_t in the posterior mean, mu-tilde_t
     // sigma         square root of the posterior variance, beta-tilde_t
-    input.check()?;
+    let posterior = Posterior::of(diffusion, timesteps, prev_timesteps);
 
-    // 1. Predicted x_0, clipped.
-    let x_start = input.pred_original_sample(diffusion, clip)?;
+    // 1. mean = beta sqrt(abar') / (1 - abar) x_0 + (1 - abar') sqrt(alpha) / (1 - abar) x_t.
+    let (x_start, x_t) = (prediction.x_start.clone(), prediction.x_t.clone());
+    let mean = posterior.mean(x_start.clone(), x_t.clone());
+    let mean = match &prediction.steered {
+        Some(steered) => steered.mean(diffusion, mean, &x_start, x_t, &posterior),
+        None => mean,
+    };
 
-    // 2. mean = beta sqrt(abar') / (1 - abar) x_0 + (1 - abar') sqrt(alpha) / (1 - abar) x_t.
-    let posterior = input.posterior(diffusion);
-    let mut prev_sample = posterior.mean(x_start.clone(), input.x_t.clone());
-
-    // 3. x' = mean + sigma z, with sigma 0 where x' is the clean motion.
-    if let Some(noise) = input.noise {
-        prev_sample = prev_sample + posterior.scaled(noise);
+    // 2. x' = mean + sigma z, with sigma 0 where x' is the clean motion.
+    let sample = match noise {
+        Some(noise) => mean + posterior.scaled(noise),
+        None => mean,
+    };
+    match &prediction.steered {
+        Some(steered) => {
+            steered.landed(diffusion, sample, x_start, prev_timesteps, imputation_noise)
+        }
+        None => sample,
     }
-    Ok(StepOutput {
-        prev_sample,
-        pred_original_sample: x_start,
-    })
 }

@@ -1,13 +1,19 @@
-//! From noise to motion: the sampling loop.
+//! From noise to motion.
 //!
-//! A sampler is a list of timesteps ([`timesteps`]) and a step from each to the next: [`ddim_step`]
-//! or [`ddpm_step`]. [`sample`] walks the list; the steps are public, and take their noise as an
-//! argument, for whoever writes another loop.
+//! A sampler is a function in a file of its own that owns its loop: it asks a [`Predict`] for the
+//! clean motion along a [`Path`] of noise levels. [`sample`] runs the one that a config names with a
+//! network; [`draw`] does with any [`Predict`]. The steps of DDIM and DDPM are public too, and take
+//! their noise as an argument, for whoever writes another loop.
 
 mod clip;
 mod config;
 mod ddim;
 mod ddpm;
+mod dpm_solver;
+mod heun;
+mod level;
+mod path;
+mod prediction;
 mod spacing;
 mod step;
 
@@ -16,13 +22,22 @@ use kinegrad_random::Key;
 
 pub use clip::Clip;
 pub use config::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
-pub use ddim::ddim_step;
-pub use ddpm::ddpm_step;
+pub use ddim::{ddim, ddim_step};
+pub(crate) use ddpm::step as ddpm_step_of;
+pub use ddpm::{ddpm, ddpm_step};
+pub use dpm_solver::dpmpp_2m;
+pub use heun::heun;
+pub use path::Path;
+pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
 pub(crate) use step::Posterior;
 pub use step::{StepInput, StepOutput};
 
-use crate::{Denoiser, Error, GaussianDiffusion, guided};
+use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
+
+/// What is told, after each step, the number of steps done, 1 being the first, the number of steps
+/// in all, and the state `[batch, channels, time]` that the step led to.
+pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 
 /// Draws one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).
@@ -33,9 +48,6 @@ use crate::{Denoiser, Error, GaussianDiffusion, guided};
 /// `key` is what the noise of the steps is drawn from, where there is any (`ddpm`, and `ddim` with
 /// `eta` above 0): sample `i` of the batch draws that of step `n` from `key.at(n).at(i)`, on the
 /// host, so that it does not depend on the device or on how many samples are drawn at once.
-///
-/// After each step `on_step` is told the number of steps done, 1 being the first, the number of
-/// steps in all, and the state `[batch, channels, time]` that the step led to.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`
@@ -61,49 +73,49 @@ pub fn sample<D: Denoiser + ?Sized>(
     config: &SamplerConfig,
     clip: &Clip,
     key: Key,
-    on_step: &mut dyn FnMut(usize, usize, &Tensor<3>),
+    on_step: &mut OnStep<'_>,
+) -> Result<Tensor<3>, Error> {
+    clip.validate(x_T.dims()[1])?;
+    let mut predict = |x: Tensor<3>, time: &[Time]| {
+        let model_output = guided(denoiser, x.clone(), time, cond, config.guidance_scale);
+        Prediction::new(diffusion, model_output, x, &timesteps_of(time), clip)
+    };
+    draw(diffusion, &mut predict, x_T, config, key, on_step)
+}
+
+/// Runs the sampler that `config` names with `predict`; [`sample`] describes the rest.
+///
+/// # Shapes
+/// - x_T, output: `[batch, channels, time]`
+///
+/// # Errors
+/// If the sampler's settings are not valid for this process, and those of `predict`.
+#[expect(
+    non_snake_case,
+    reason = "x_T is the field's symbol for the start noise"
+)]
+pub fn draw(
+    diffusion: &GaussianDiffusion,
+    predict: &mut Predict<'_, '_>,
+    x_T: Tensor<3>,
+    config: &SamplerConfig,
+    key: Key,
+    on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let num_train_timesteps = diffusion.schedule.num_train_timesteps();
     config.validate(num_train_timesteps)?;
-    let [batch, channels, _] = x_T.dims();
-    clip.validate(channels)?;
-
-    let kept = timesteps(config, num_train_timesteps);
-    let mut x = x_T;
-    for (index, &timestep) in kept.iter().enumerate() {
-        let prev_timestep = match kept.get(index + 1) {
-            Some(&next) => Some(next),
-            None => config.last_landing(),
-        };
-        let now = vec![timestep; batch];
-        let model_output = guided(denoiser, x.clone(), &now, cond, config.guidance_scale);
-        let input = StepInput {
-            model_output,
-            noise: draws_noise(config, timestep, prev_timestep)
-                .then(|| step_noise(key.at(index as u64), &x)),
-            x_t: x,
-            timesteps: &now,
-            prev_timesteps: &vec![prev_timestep; batch],
-        };
-        let output = match config.kind {
-            SamplerKind::Ddim => ddim_step(diffusion, input, config, clip)?,
-            SamplerKind::Ddpm => ddpm_step(diffusion, input, clip)?,
-        };
-        x = output.prev_sample;
-        on_step(index + 1, kept.len(), &x);
+    let path = Path::of(config, num_train_timesteps, x_T.dims()[0]);
+    match config.kind {
+        SamplerKind::Ddim => ddim(diffusion, predict, x_T, &path, config, key, on_step),
+        SamplerKind::Ddpm => ddpm(diffusion, predict, x_T, &path, key, on_step),
+        SamplerKind::Dpmpp2m => dpmpp_2m(diffusion, predict, x_T, &path, on_step),
+        SamplerKind::Heun => heun(diffusion, predict, x_T, &path, on_step),
     }
-    Ok(x)
 }
 
-/// Whether the step's noise has a factor above 0: not when it lands on the clean motion, and not
-/// when it stays where it is.
-pub(crate) fn draws_noise(
-    config: &SamplerConfig,
-    timestep: usize,
-    prev_timestep: Option<usize>,
-) -> bool {
-    let random = config.kind == SamplerKind::Ddpm || config.eta > 0.0;
-    random && prev_timestep.is_some_and(|prev| prev != timestep)
+/// The timesteps that times stand for.
+pub(crate) fn timesteps_of(time: &[Time]) -> Vec<usize> {
+    time.iter().map(|time| time.timestep()).collect()
 }
 
 /// Standard normal noise like `x`, each sample's from a key of its own.

@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::Clip;
+use super::{Clip, Prediction};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -32,45 +32,26 @@ pub struct StepOutput {
 }
 
 impl StepInput<'_> {
-    /// Refuses a network's output of other sizes than its input.
+    /// What the network's answer says.
     ///
     /// # Panics
     /// Panics if there is not one timestep before and after for each sample.
-    pub(super) fn check(&self) -> Result<(), Error> {
-        let (found, expected) = (self.model_output.dims(), self.x_t.dims());
-        if found != expected {
-            return Err(Error::ModelOutput {
-                found: found.into(),
-                expected: expected.into(),
-            });
-        }
-        assert_eq!(self.timesteps.len(), expected[0], "one timestep per sample");
-        assert_eq!(
-            self.prev_timesteps.len(),
-            expected[0],
-            "one landing per sample"
-        );
-        Ok(())
-    }
-
-    /// The predicted clean motion, clipped.
-    pub(super) fn pred_original_sample(
+    pub(super) fn prediction(
         &self,
         diffusion: &GaussianDiffusion,
         clip: &Clip,
-    ) -> Result<Tensor<3>, Error> {
+    ) -> Result<Prediction<'static>, Error> {
+        let batch = self.x_t.dims()[0];
+        assert_eq!(self.timesteps.len(), batch, "one timestep per sample");
+        assert_eq!(self.prev_timesteps.len(), batch, "one landing per sample");
         let (model_output, x_t) = (self.model_output.clone(), self.x_t.clone());
-        clip.apply(diffusion.pred_original_sample(model_output, x_t, self.timesteps))
+        Prediction::new(diffusion, model_output, x_t, self.timesteps, clip)
     }
+}
 
-    /// The posterior of the jump.
-    pub(super) fn posterior(&self, diffusion: &GaussianDiffusion) -> Posterior {
-        Posterior::of(diffusion, self.timesteps, self.prev_timesteps)
-    }
-
-    /// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and
-    /// primed where it goes.
-    pub(super) fn coefficients(
+/// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and primed
+/// where it goes.
+pub(super) fn coefficients(
         &self,
         diffusion: &GaussianDiffusion,
         coefficient: impl Fn(Alphas) -> f64,

@@ -12,10 +12,11 @@ use burn::tensor::Tensor;
 use kinegrad_random::Key;
 
 pub use imputation::{Imputation, Space};
-pub use step::{SteeredInput, SteeredOutput, steered_step};
+pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
+use step::steered_prediction;
 
-use crate::sampler::{draws_noise, step_noise};
-use crate::{Clip, Denoiser, Error, GaussianDiffusion, SamplerConfig, SamplerKind, timesteps};
+use crate::sampler::draw;
+use crate::{Clip, Denoiser, Error, GaussianDiffusion, OnStep, SamplerConfig, SamplerKind, Time};
 
 /// A loss of the clean motion.
 pub trait Goal {
@@ -94,42 +95,22 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     clip: &Clip,
     steering: &dyn Fn(usize) -> Steering<'s>,
     key: Key,
-    on_step: &mut dyn FnMut(usize, usize, &Tensor<3>),
+    on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
-    let num_train_timesteps = diffusion.schedule.num_train_timesteps();
-    config.validate(num_train_timesteps)?;
     if config.kind != SamplerKind::Ddpm {
         return Err(Error::Config {
             key: "sampling.sampler.kind".into(),
-            found: "\"ddim\"".into(),
+            found: format!("\"{}\"", config.kind.name()),
             allowed: "\"ddpm\" where a draw is led to a goal".into(),
-            hint: "the shift is scaled by the variance of the step, which DDIM has none of".into(),
+            hint: "the shift is scaled by the variance of the step, which the others have none of"
+                .into(),
         });
     }
     clip.validate(x_T.dims()[1])?;
-
-    let kept = timesteps(config, num_train_timesteps);
-    let mut x = x_T;
-    for (index, &timestep) in kept.iter().enumerate() {
-        let prev_timestep = kept.get(index + 1).copied();
-        let key = key.at(index as u64);
-        let steering = steering(timestep);
-        let noise = draws_noise(config, timestep, prev_timestep).then(|| step_noise(key, &x));
-        let imputation_noise = steering
-            .imputation
-            .as_ref()
-            .map(|_| step_noise(key.named("imputation"), &x));
-        let input = SteeredInput {
-            x_t: x,
-            timestep,
-            prev_timestep,
-            guidance_scale: config.guidance_scale,
-            noise,
-            imputation_noise,
-        };
-        let output = steered_step(diffusion, networks, input, cond, clip, &steering)?;
-        x = output.prev_sample;
-        on_step(index + 1, kept.len(), &x);
-    }
-    Ok(x)
+    let mut predict = |x: Tensor<3>, time: &[Time]| {
+        let steering = steering(time[0].timestep());
+        let scale = config.guidance_scale;
+        steered_prediction(diffusion, networks, x, time, cond, scale, clip, steering)
+    };
+    draw(diffusion, &mut predict, x_T, config, key, on_step)
 }

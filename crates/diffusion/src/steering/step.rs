@@ -2,10 +2,84 @@
 
 use burn::tensor::Tensor;
 
-use super::{Guidance, Networks, Steering};
+use super::{Guidance, Imputation, Networks, Steering};
 use crate::per_sample::per_sample;
-use crate::sampler::Posterior;
-use crate::{Clip, Denoiser, Error, GaussianDiffusion, PredictionType, guided};
+use crate::sampler::{Posterior, ddpm_step_of, timesteps_of};
+use crate::{
+    Clip, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided,
+};
+
+/// What leads a step of DDPM to a goal.
+pub struct Steered<'a> {
+    /// `s d(-L) / d x_t`, where the step is guided.
+    pub scaled_gradient: Option<Tensor<3>>,
+    /// The values that are put in.
+    pub imputation: Option<Imputation<'a>>,
+}
+
+impl Steered<'_> {
+    /// Whether values are put in, for which noise is drawn.
+    pub(crate) fn is_imputed(&self) -> bool {
+        self.imputation.is_some()
+    }
+
+    /// The mean of the step, whose mean without steering is `unguided`.
+    pub(crate) fn mean(
+        &self,
+        diffusion: &GaussianDiffusion,
+        unguided: Tensor<3>,
+        x_start: &Tensor<3>,
+        x_t: Tensor<3>,
+        posterior: &Posterior,
+    ) -> Tensor<3> {
+        let guided = self.scaled_gradient.as_ref().map(|gradient| {
+            let variance = per_sample(&posterior.variance, &x_t);
+            unguided.clone() + gradient.clone() * variance
+        });
+        match &self.imputation {
+            Some(imputation) if predicts_motion(diffusion) => {
+                let imputed = posterior.mean(imputation.put_into(x_start.clone()), x_t);
+                match guided {
+                    Some(guided) => imputation.merge(imputed, guided),
+                    // Outside the mask both means are the same: the map back and forth only rounds.
+                    None => imputed,
+                }
+            }
+            _ => guided.unwrap_or(unguided),
+        }
+    }
+
+    /// Where the step lands that has led to `sample`.
+    pub(crate) fn landed(
+        &self,
+        diffusion: &GaussianDiffusion,
+        sample: Tensor<3>,
+        x_start: Tensor<3>,
+        prev_timesteps: &[Option<usize>],
+        imputation_noise: Option<Tensor<3>>,
+    ) -> Tensor<3> {
+        let Some(imputation) = self.imputation.as_ref() else {
+            return sample;
+        };
+        if predicts_motion(diffusion) {
+            return sample;
+        }
+        let known = imputation.put_into(x_start);
+        let noised = match imputation_noise {
+            Some(noise) => {
+                // The published program goes no lower than the least noisy timestep.
+                let levels: Vec<usize> = prev_timesteps.iter().map(|t| t.unwrap_or(0)).collect();
+                diffusion.add_noise(known, noise, &levels)
+            }
+            None => known,
+        };
+        imputation.merge(noised, sample)
+    }
+}
+
+fn predicts_motion(diffusion: &GaussianDiffusion) -> bool {
+    diffusion.config.prediction_type == PredictionType::Sample
+}
 
 /// Where a steered step begins.
 #[derive(Clone, Debug)]
@@ -75,76 +149,92 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     } = input;
     let batch = x_t.dims()[0];
     let timesteps = vec![timestep; batch];
-    let posterior = Posterior::of(diffusion, &timesteps, &vec![prev_timestep; batch]);
+    let time = Time::of(&timesteps);
+    let prediction = steered_prediction(
+        diffusion,
+        networks,
+        x_t,
+        &time,
+        cond,
+        guidance_scale,
+        clip,
+        steering.clone(),
+    )?;
+    let landings = vec![prev_timestep; batch];
+    let prev_sample = ddpm_step_of(
+        diffusion,
+        &prediction,
+        &timesteps,
+        &landings,
+        noise,
+        imputation_noise,
+    );
+    let Prediction {
+        x_start, steered, ..
+    } = prediction;
+    let steered = steered.expect("a steered prediction");
+    Ok(SteeredOutput {
+        prev_sample,
+        pred_original_sample: match &steered.imputation {
+            Some(imputation) if !predicts_motion(diffusion) => imputation.put_into(x_start),
+            _ => x_start,
+        },
+        scaled_gradient: steered.scaled_gradient,
+    })
+}
+
+/// What the networks say of `x_t`, and what steers the step from there.
+///
+/// # Errors
+/// If the clipping bounds do not fit the channels, or the network's output has other sizes than
+/// its input.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "each is another thing, named at the call"
+)]
+pub(super) fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
+    diffusion: &GaussianDiffusion,
+    networks: Networks<'_, D>,
+    x_t: Tensor<3>,
+    time: &[Time],
+    cond: &Tensor<3>,
+    guidance_scale: f64,
+    clip: &Clip,
+    steering: Steering<'s>,
+) -> Result<Prediction<'s>, Error> {
+    let timesteps = timesteps_of(time);
     let predict = |network: &D, x_t: Tensor<3>, cond: &Tensor<3>| {
-        let output = guided(network, x_t.clone(), &timesteps, cond, guidance_scale);
-        let (found, expected) = (output.dims(), x_t.dims());
-        if found != expected {
-            return Err(Error::ModelOutput {
-                found: found.into(),
-                expected: expected.into(),
-            });
-        }
-        clip.apply(diffusion.pred_original_sample(output, x_t, &timesteps))
+        let output = guided(network, x_t.clone(), time, cond, guidance_scale);
+        Prediction::new(diffusion, output, x_t, &timesteps, clip)
     };
-
-    let (x_start, scaled_gradient) = match steering.guidance {
-        Some(Guidance { goal, scale }) => {
-            let tracked = x_t.clone().autodiff().require_grad();
-            let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
-            let x_start = prediction.clone().without_autodiff();
-            // The gradient of this sum with respect to x_t is that of the loss.
-            let cotangent = goal.gradient(&x_start).autodiff();
-            let mut gradients = (prediction * cotangent).sum().backward();
-            let gradient = match tracked.grad_remove(&mut gradients) {
-                Some(gradient) => gradient.without_autodiff(),
-                None => x_t.zeros_like(),
-            };
-            (x_start, Some(gradient * -scale))
-        }
-        None => (predict(networks.plain, x_t.clone(), cond)?, None),
-    };
-
-    let by_mean = diffusion.config.prediction_type == PredictionType::Sample;
-    let unguided = posterior.mean(x_start.clone(), x_t.clone());
-    let guided_mean = scaled_gradient.as_ref().map(|gradient| {
-        let variance = per_sample(&posterior.variance, &x_t);
-        unguided.clone() + gradient.clone() * variance
-    });
-    let mean = match (&steering.imputation, by_mean) {
-        (Some(imputation), true) => {
-            let imputed = posterior.mean(imputation.put_into(x_start.clone()), x_t);
-            match guided_mean {
-                Some(guided) => imputation.merge(imputed, guided),
-                // Outside the mask both means are the same: the map back and forth only rounds.
-                None => imputed,
-            }
-        }
-        _ => guided_mean.unwrap_or(unguided),
-    };
-    let sample = match noise {
-        Some(noise) => mean + posterior.scaled(noise),
-        None => mean,
-    };
-    let (Some(imputation), false) = (&steering.imputation, by_mean) else {
-        return Ok(SteeredOutput {
-            prev_sample: sample,
-            pred_original_sample: x_start,
-            scaled_gradient,
+    let Some(Guidance { goal, scale }) = steering.guidance else {
+        let steered = Steered {
+            scaled_gradient: None,
+            imputation: steering.imputation,
+        };
+        return Ok(Prediction {
+            steered: Some(steered),
+            ..predict(networks.plain, x_t, cond)?
         });
     };
-    let known = imputation.put_into(x_start);
-    let noised = match imputation_noise {
-        Some(noise) => {
-            // The published program goes no lower than the least noisy timestep.
-            let level = prev_timestep.unwrap_or(0);
-            diffusion.add_noise(known.clone(), noise, &vec![level; batch])
-        }
-        None => known.clone(),
+    let tracked = x_t.clone().autodiff().require_grad();
+    let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
+    let x_start = prediction.x_start.clone().without_autodiff();
+    // The gradient of this sum with respect to x_t is that of the loss.
+    let cotangent = goal.gradient(&x_start).autodiff();
+    let mut gradients = (prediction.x_start * cotangent).sum().backward();
+    let gradient = match tracked.grad_remove(&mut gradients) {
+        Some(gradient) => gradient.without_autodiff(),
+        None => x_t.zeros_like(),
     };
-    Ok(SteeredOutput {
-        prev_sample: imputation.merge(noised, sample),
-        pred_original_sample: known,
-        scaled_gradient,
+    Ok(Prediction {
+        x_t,
+        x_start,
+        model_output: prediction.model_output.without_autodiff(),
+        clipped: prediction.clipped,
+        steered: Some(Steered {
+            scaled_gradient: Some(gradient * -scale),
+            imputation: steering.imputation,
+        }),
     })
 }

@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
 
 use crate::Initializer;
 use crate::layers::Linear;
@@ -17,18 +18,18 @@ pub const TEXT_CHANNELS: usize = 512;
 ///
 /// # Shapes
 /// - output: `[batch, dim]`
-pub fn interleaved_sinusoidal(timesteps: &[usize], dim: usize, device: &Device) -> Tensor<2> {
-    let values: Vec<f32> = timesteps
+pub fn interleaved_sinusoidal(positions: &[f64], dim: usize, device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = positions
         .iter()
-        .flat_map(|&t| position_row(t, dim))
+        .flat_map(|&position| position_row(position, dim))
         .collect();
-    Tensor::from_data(TensorData::new(values, [timesteps.len(), dim]), device)
+    Tensor::from_data(TensorData::new(values, [positions.len(), dim]), device)
 }
 
-fn position_row(position: usize, dim: usize) -> impl Iterator<Item = f32> {
+fn position_row(position: f64, dim: usize) -> impl Iterator<Item = f32> {
     (0..dim).map(move |column| {
         let pair = (column / 2 * 2) as f64;
-        let angle = position as f64 * (-pair * 10_000f64.ln() / dim as f64).exp();
+        let angle = position * (-pair * 10_000f64.ln() / dim as f64).exp();
         match column % 2 {
             0 => angle.sin() as f32,
             _ => angle.cos() as f32,
@@ -77,13 +78,14 @@ impl Conditioner {
     /// # Shapes
     /// - text: `[batch, 512, 1]`
     /// - output: `[batch, width]`
-    pub fn forward(&self, timesteps: &[usize], text: Tensor<3>) -> Tensor<2> {
-        self.time(timesteps, &text.device()) + self.embed_text.forward(text.squeeze_dim(2))
+    pub fn forward(&self, time: &[Time], text: Tensor<3>) -> Tensor<2> {
+        self.time(time, &text.device()) + self.embed_text.forward(text.squeeze_dim(2))
     }
 
     /// The timestep's part: `[batch, width]`.
-    pub fn time(&self, timesteps: &[usize], device: &Device) -> Tensor<2> {
-        let rows = interleaved_sinusoidal(timesteps, self.width, device);
+    pub fn time(&self, time: &[Time], device: &Device) -> Tensor<2> {
+        let positions: Vec<f64> = time.iter().map(|time| time.0).collect();
+        let rows = interleaved_sinusoidal(&positions, self.width, device);
         let embed = &self.embed_timestep.time_embed;
         embed.at_2.forward(silu(embed.at_0.forward(rows)))
     }

@@ -62,6 +62,16 @@ pub enum ConfigError {
         /// The values allowed.
         allowed: String,
     },
+    /// An override of what a trained model has been trained with.
+    #[error("`--set {argument}`: the model is trained, only keys of `sampling` can be set")]
+    #[diagnostic(help(
+        "for example `--set sampling.sampler.num_inference_steps=50`; other settings are for \
+         `kinegrad train`"
+    ))]
+    Trained {
+        /// The argument found.
+        argument: String,
+    },
     /// An override that is not `KEY=VALUE`.
     #[error("`--set {argument}` is not KEY=VALUE")]
     #[diagnostic(help("for example `--set optim.learning_rate=2e-4`"))]

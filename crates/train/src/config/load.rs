@@ -83,6 +83,30 @@ pub fn parse(
     Ok(config)
 }
 
+/// A run's config with `overrides` of keys of the table `sampling`: what may change once a model is
+/// trained.
+///
+/// # Errors
+/// Names the override that is wrong, or whose key is of another table.
+pub fn override_sampling(
+    systems: Systems<'_>,
+    config: &Config,
+    overrides: &[String],
+) -> Result<Config, ConfigError> {
+    let mut table = Table::try_from(config).expect("plain data");
+    let mut changed = config.clone();
+    for argument in overrides {
+        if !argument.trim_start().starts_with("sampling.") {
+            return Err(ConfigError::Trained {
+                argument: argument.clone(),
+            });
+        }
+        apply(&mut table, argument)?;
+        changed = whole(systems, &table, &|_| format!("--set {argument}"))?;
+    }
+    Ok(changed)
+}
+
 /// The config of `given`, where what it leaves out is as its recipe has it.
 fn whole(
     systems: Systems<'_>,

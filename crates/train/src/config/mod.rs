@@ -15,7 +15,7 @@ mod tables;
 
 pub use difference::{Difference, difference};
 pub use error::ConfigError;
-pub use load::{load, load_over, parse, to_toml};
+pub use load::{load, load_over, override_sampling, parse, to_toml};
 pub(crate) use load::lay_over;
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;

@@ -3,7 +3,7 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
     BetaSchedule, Clip, Denoiser, DiffusionConfig, GaussianDiffusion, Networks, PredictionType,
-    SteeredInput, SteeredOutput, Steering, steered_step,
+    SteeredInput, SteeredOutput, Steering, Time, steered_step,
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
@@ -43,8 +43,8 @@ impl Toy {
 impl Denoiser for Toy {
     type Cond = Tensor<3>;
 
-    fn predict(&self, x_t: Tensor<3>, timesteps: &[usize], _: &Tensor<3>) -> Tensor<3> {
-        let t = timesteps[0] as f64 / 1000.0;
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], _: &Tensor<3>) -> Tensor<3> {
+        let t = time[0].0 / 1000.0;
         (self.w.clone().matmul(x_t) + self.v.clone() * t).tanh() * self.s
     }
 

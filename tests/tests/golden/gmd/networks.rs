@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use kinegrad_diffusion::guided;
+use kinegrad_diffusion::{Time, guided};
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
@@ -111,7 +111,7 @@ fn golden_gmd_whole_model(golden: Golden) {
     let backbone = Backbone::Unet(gmd::unet(&golden, "model.unet."), padded_frames);
     let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
-    let timesteps = golden.get("in.t").indices();
+    let at = Time::of(&golden.get("in.t").indices());
     let text = golden
         .tensor::<2>("in.text_features", &device)
         .unsqueeze_dim(2);
@@ -124,37 +124,37 @@ fn golden_gmd_whole_model(golden: Golden) {
     let width = golden.get("out.time_emb").shape[1];
     golden.get("out.pe_rows").assert_within(
         "sinusoid rows",
-        interleaved_sinusoidal(&timesteps, width, &device),
+        interleaved_sinusoidal(&at.iter().map(|t| t.0).collect::<Vec<_>>(), width, &device),
         1e-5,
         0.0,
     );
     let conditioner = network.conditioner();
-    let time = conditioner.time(&timesteps, &device);
+    let time = conditioner.time(&at, &device);
     golden
         .get("out.time_emb")
         .assert_within("time", time, WHOLE, 0.0);
-    let cond = conditioner.forward(&timesteps, text.clone());
+    let cond = conditioner.forward(&at, text.clone());
     golden
         .get("out.emb")
         .assert_within("cond", cond, WHOLE, 0.0);
-    let uncond = conditioner.forward(&timesteps, text.zeros_like());
+    let uncond = conditioner.forward(&at, text.zeros_like());
     golden
         .get("out.emb_uncond")
         .assert_within("uncond", uncond, WHOLE, 0.0);
 
     let mut stages = Noted::default();
-    let y = network.forward_stages(x.clone(), &timesteps, text.clone(), &mut stages);
+    let y = network.forward_stages(x.clone(), &at, text.clone(), &mut stages);
     compare_padding(&golden, &stages);
     golden
         .get("out.y")
         .assert_within("y", y.clone(), WHOLE, 0.0);
-    let uncond = network.forward(x.clone(), &timesteps, text.zeros_like());
+    let uncond = network.forward(x.clone(), &at, text.zeros_like());
     golden
         .get("out.y_uncond")
         .assert_within("y without text", uncond, WHOLE, 0.0);
     let scales = golden.get("in.cfg_scale");
     for (sample, &scale) in scales.values.iter().enumerate() {
-        let mixed = guided(&network, x.clone(), &timesteps, &text, scale);
+        let mixed = guided(&network, x.clone(), &at, &text, scale);
         let mixed = mixed.narrow(0, sample, 1);
         let expected = golden.get("out.y_cfg").part(sample);
         expected.assert_within("guided", mixed, GUIDED, 0.0);

@@ -1,4 +1,5 @@
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -59,7 +60,7 @@ fn output(network: &UNet1d, device: &Device) -> Tensor<3> {
         let values = key.at(index).normals(2 * channels * 11);
         Tensor::from_data(TensorData::new(values, [2, channels, 11]), device)
     };
-    network.forward(input(0, 25), &[3, 700], input(1, 163), None)
+    network.forward(input(0, 25), &Time::of(&[3, 700]), input(1, 163), None)
 }
 
 fn values(network: &UNet1d, device: &Device) -> Vec<f32> {

@@ -5,7 +5,7 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
-use kinegrad_diffusion::{GaussianDiffusion, SamplerConfig, sample};
+use kinegrad_diffusion::{GaussianDiffusion, sample};
 use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
@@ -14,7 +14,7 @@ use kinegrad_random::{Key, Purpose};
 
 use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
-use crate::config::{Clip, Config, SystemTables};
+use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
 
 /// One sample, in physical units.
@@ -83,8 +83,7 @@ impl Generator {
     pub fn sample(
         &self,
         conditions: &[AudioFeatures],
-        sampler: &SamplerConfig,
-        clip: Clip,
+        sampling: &SamplingConfig,
         seed: u64,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<Sample>, Error> {
@@ -107,8 +106,8 @@ impl Generator {
                 &self.unet,
                 start,
                 &cond,
-                sampler,
-                &clip.range(self.statistics()),
+                &sampling.sampler,
+                &sampling.clip.range(self.statistics()),
                 key.at(1),
                 &mut |step, total, _| on_step(done * total + step, all * total),
             )?;

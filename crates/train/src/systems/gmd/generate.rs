@@ -22,7 +22,7 @@ use super::networks::{TrainedClips, channels_of};
 use super::space::{FeatureSpace, GroundGoal};
 use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::Weights;
-use crate::config::{Config, SteeringConfig, SystemTables};
+use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
 
 /// Which of the two stages is drawing.
@@ -124,17 +124,12 @@ impl ClipGenerator {
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
     /// of the models cannot follow goals.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "each is another thing, named at the call"
-    )]
     pub fn sample(
         &self,
         trajectory: Option<&Self>,
         requests: &[ClipRequest],
         frames: usize,
-        sampler: &SamplerConfig,
-        steering: &SteeringConfig,
+        sampling: &SamplingConfig,
         seed: u64,
         on_step: &mut dyn FnMut(Stage, usize, usize),
     ) -> Result<Vec<ClipSample>, Error> {
@@ -147,7 +142,12 @@ impl ClipGenerator {
             self.must_match(model)?;
             let mut told = |done, all| on_step(Stage::Trajectory, done, all);
             let key = key.named("trajectory");
-            let x = model.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
+            // The first stage is clipped as its own run says.
+            let first = SamplingConfig {
+                clip: model.config().sampling.clip,
+                ..sampling.clone()
+            };
+            let x = model.draw(&texts, &goals, frames, &first, key, &mut told)?;
             let drawn = model.paths(x);
             for (goal, path) in goals.iter_mut().zip(&drawn) {
                 *goal = on_path(goal, path);
@@ -155,7 +155,7 @@ impl ClipGenerator {
             paths = Some(drawn);
         }
         let mut told = |done, all| on_step(Stage::Motion, done, all);
-        let x = self.draw(&texts, &goals, frames, sampler, steering, key, &mut told)?;
+        let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
         let mut paths = paths.map(Vec::into_iter);
         let mut next_path = || paths.as_mut().and_then(Iterator::next);
         if self.trained.config.train.recipe == TRAJECTORY {
@@ -194,17 +194,12 @@ impl ClipGenerator {
     }
 
     /// Motion in the network's space, led to `goals` where there are any.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "each is another thing, named at the call"
-    )]
     fn draw(
         &self,
         texts: &[Option<&[f32]>],
         goals: &[Goal],
         frames: usize,
-        sampler: &SamplerConfig,
-        steering: &SteeringConfig,
+        sampling: &SamplingConfig,
         key: Key,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Tensor<3>, Error> {
@@ -224,15 +219,16 @@ impl ClipGenerator {
         });
         let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, TEXT_CHANNELS, 1]);
         let cond = Tensor::from_data(data, &self.device);
+        let steering = &sampling.steering;
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
             guidance_scale: match texts.iter().any(Option::is_some) {
-                true => sampler.guidance_scale,
+                true => sampling.sampler.guidance_scale,
                 false => 0.0,
             },
-            ..sampler.clone()
+            ..sampling.sampler.clone()
         };
-        let clip = self.trained.config.sampling.clip.fixed_range();
+        let clip = sampling.clip.fixed_range();
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
         if goals.is_empty() {
             let plain = &self.plain;

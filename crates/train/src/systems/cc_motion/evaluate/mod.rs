@@ -6,7 +6,6 @@ mod terms;
 use std::sync::Arc;
 
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
-use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
@@ -15,7 +14,7 @@ pub use measures::{CheckRate, Measures, ProfileRates};
 pub use terms::LossTerm;
 
 use super::generate::Generator;
-use crate::config::Clip;
+use crate::config::SamplingConfig;
 use crate::error::Error;
 use measures::Reference;
 
@@ -40,10 +39,9 @@ pub struct EvaluationSettings {
     pub seed: u64,
     /// What the model hears.
     pub cond: CondSource,
-    /// The sampler.
-    pub sampler: SamplerConfig,
-    /// What the predicted clean motion is clipped to.
-    pub clip: Clip,
+    /// The sampler, and what the predicted clean motion is clipped to.
+    #[serde(flatten)]
+    pub sampling: SamplingConfig,
 }
 
 /// What an evaluation found.
@@ -92,8 +90,7 @@ pub fn evaluate(
         let conditions = vec![condition(phrase, settings); settings.seeds];
         let samples = generator.sample(
             &conditions,
-            &settings.sampler,
-            settings.clip,
+            &settings.sampling,
             phrase_seed(settings.seed, &phrase.id),
             &mut |step, total| on_step(index * total + step, held_out.len() * total),
         )?;
@@ -143,8 +140,7 @@ mod tests {
             seeds: 1,
             seed,
             cond,
-            sampler: SamplerConfig::default(),
-            clip: Clip::default(),
+            sampling: SamplingConfig::default(),
         }
     }
 

@@ -10,7 +10,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
+use kinegrad_diffusion::{GaussianDiffusion, Time, diffusion_loss};
 use kinegrad_models::{DropoutKey, UNet1d};
 use kinegrad_random::Purpose;
 
@@ -114,7 +114,7 @@ pub(super) fn denoising_loss(
         Some(keep) => cond * keep,
         None => cond,
     };
-    let model_output = unet.forward(x_t.clone(), &timesteps, cond.clone(), dropout);
+    let model_output = unet.forward(x_t.clone(), &Time::of(&timesteps), cond.clone(), dropout);
 
     let target = diffusion.target(x_start.clone(), noise, &timesteps);
     let weights = diffusion.loss_weights(&timesteps);
@@ -159,7 +159,7 @@ pub(super) fn denoising_validation_loss(
                 spread_timesteps(range.clone(), draw, draws, phrases, num_train_timesteps);
             let noise = held_out.noise(range.clone(), draw as u64, &x_start);
             let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-            let model_output = unet.forward(x_t, &timesteps, cond, None);
+            let model_output = unet.forward(x_t, &Time::of(&timesteps), cond, None);
             let target = diffusion.target(x_start, noise, &timesteps);
             let loss_type = diffusion.config.loss_type;
             let loss = diffusion_loss(model_output, target, Some(mask), None, loss_type);

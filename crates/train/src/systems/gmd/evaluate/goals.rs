@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use kinegrad_data::humanml::{Clip, EMBEDDING_CHANNELS};
-use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::{Goal, Keyframe, Obstacle};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
@@ -11,7 +10,7 @@ use serde::Serialize;
 
 use super::text_motion::{TextMotion, TextMotionReports};
 use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, Stage};
-use crate::config::SteeringConfig;
+use crate::config::SamplingConfig;
 use crate::error::Error;
 
 /// Radius of the obstacles, metres: a person with some room.
@@ -82,10 +81,9 @@ impl GoalTask {
 pub struct GoalSettings {
     /// What is asked.
     pub task: GoalTask,
-    /// The sampler.
-    pub sampler: SamplerConfig,
-    /// How draws are led.
-    pub steering: SteeringConfig,
+    /// The sampler, and how draws are led.
+    #[serde(flatten)]
+    pub sampling: SamplingConfig,
     /// Seed of the noise.
     pub seed: u64,
 }
@@ -140,8 +138,7 @@ pub fn evaluate_goals(
         trajectory,
         &requests,
         frames,
-        &settings.sampler,
-        &settings.steering,
+        &settings.sampling,
         settings.seed,
         on_step,
     )?;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::humanml::{Clip, collate_clips};
 use kinegrad_data::{Batch, DataConfig};
-use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::humanml::FeatureStatistics;
 use kinegrad_random::{Key, Purpose};
@@ -114,7 +114,7 @@ pub fn clip_loss(
         Some(keep) => text * keep,
         None => text,
     };
-    let model_output = model.forward(x_t.clone(), &timesteps, text.clone());
+    let model_output = model.forward(x_t.clone(), &Time::of(&timesteps), text.clone());
     let target = diffusion.target(x_start.clone(), noise, &timesteps);
     let total = weighted_masked_mse(model_output.clone(), target, mask, channel_weights);
     Loss {

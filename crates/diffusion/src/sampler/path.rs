@@ -1,0 +1,82 @@
+//! Which noise levels a sampler visits.
+
+use super::{SamplerConfig, timesteps};
+use crate::Time;
+
+/// The timesteps that each sample of a batch visits, noisiest first, and where its last step lands.
+#[derive(Clone, Debug)]
+pub struct Path {
+    /// One list of the whole batch per step.
+    steps: Vec<Vec<usize>>,
+    /// Of each sample a timestep, or `None` for the clean motion.
+    landing: Vec<Option<usize>>,
+}
+
+impl Path {
+    /// The path of a sampler's settings, the same for all samples of a batch.
+    pub fn of(config: &SamplerConfig, num_train_timesteps: usize, batch: usize) -> Self {
+        let kept = timesteps(config, num_train_timesteps).into_iter();
+        Self {
+            steps: kept.map(|timestep| vec![timestep; batch]).collect(),
+            landing: vec![config.last_landing(); batch],
+        }
+    }
+
+    /// A path to the clean motion on which samples have timesteps of their own: one list of the
+    /// whole batch per step.
+    pub fn to_clean(steps: Vec<Vec<usize>>) -> Self {
+        Self {
+            landing: vec![None; steps.first().map_or(0, Vec::len)],
+            steps,
+        }
+    }
+
+    /// Step `index` as a path of its own.
+    ///
+    /// # Panics
+    /// Panics if there are not so many steps.
+    #[must_use]
+    pub fn step(&self, index: usize) -> Self {
+        Self {
+            steps: vec![self.steps[index].clone()],
+            landing: self.landings(index),
+        }
+    }
+
+    /// Number of steps.
+    pub fn len(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Whether there are no steps.
+    pub fn is_empty(&self) -> bool {
+        self.steps.is_empty()
+    }
+
+    /// Where each sample is before step `index`.
+    ///
+    /// # Panics
+    /// Panics if there are not so many steps.
+    pub fn timesteps(&self, index: usize) -> &[usize] {
+        &self.steps[index]
+    }
+
+    /// The same as a network is told.
+    ///
+    /// # Panics
+    /// Panics if there are not so many steps.
+    pub fn time(&self, index: usize) -> Vec<Time> {
+        Time::of(self.timesteps(index))
+    }
+
+    /// Where each sample is after step `index`.
+    ///
+    /// # Panics
+    /// Panics if there are not so many steps.
+    pub fn landings(&self, index: usize) -> Vec<Option<usize>> {
+        match self.steps.get(index + 1) {
+            Some(next) => next.iter().copied().map(Some).collect(),
+            None => self.landing.clone(),
+        }
+    }
+}

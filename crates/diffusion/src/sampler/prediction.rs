@@ -1,0 +1,76 @@
+//! What a sampler learns of the clean motion at each noise level.
+
+use burn::tensor::Tensor;
+
+use super::Clip;
+use crate::steering::Steered;
+use crate::{Error, GaussianDiffusion, PredictionType, Time};
+
+/// What a network says of a noisy motion: asked for by a sampler as often as it needs to, with the
+/// noisy motion `[batch, channels, time]` and one [`Time`] a sample.
+///
+/// Guidance, clipping, steering and rollouts stand between network and sampler and show in what is
+/// answered.
+pub type Predict<'p, 's> =
+    dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
+
+/// What is known of the clean motion at a noise level.
+pub struct Prediction<'s> {
+    /// The noisy motion that the step goes on from: the one that was asked about, perhaps with
+    /// another gradient.
+    pub x_t: Tensor<3>,
+    /// The predicted clean motion, clipped.
+    pub x_start: Tensor<3>,
+    /// What the network answered, after guidance.
+    pub model_output: Tensor<3>,
+    /// Whether `x_start` was clipped.
+    pub clipped: bool,
+    /// What leads the step to a goal.
+    pub steered: Option<Steered<'s>>,
+}
+
+impl<'s> Prediction<'s> {
+    /// What `model_output` says of `x_t`, by the process's prediction type.
+    ///
+    /// # Errors
+    /// If the sizes of the network's output and input differ, or the bounds do not fit the channels.
+    pub fn new(
+        diffusion: &GaussianDiffusion,
+        model_output: Tensor<3>,
+        x_t: Tensor<3>,
+        timesteps: &[usize],
+        clip: &Clip,
+    ) -> Result<Self, Error> {
+        let (found, expected) = (model_output.dims(), x_t.dims());
+        if found != expected {
+            return Err(Error::ModelOutput {
+                found: found.into(),
+                expected: expected.into(),
+            });
+        }
+        let x_start = diffusion.pred_original_sample(model_output.clone(), x_t.clone(), timesteps);
+        Ok(Self {
+            x_start: clip.apply(x_start)?,
+            clipped: *clip != Clip::None,
+            x_t,
+            model_output,
+            steered: None,
+        })
+    }
+
+    /// The predicted noise: the network's or, with `recompute` and a clipped prediction, the one
+    /// that leads from the clipped clean motion to the noisy one.
+    pub fn epsilon(
+        &self,
+        diffusion: &GaussianDiffusion,
+        timesteps: &[usize],
+        recompute: bool,
+    ) -> Tensor<3> {
+        let x_t = self.x_t.clone();
+        if recompute && self.clipped {
+            let (from, to) = (PredictionType::Sample, PredictionType::Epsilon);
+            return diffusion.convert(self.x_start.clone(), x_t, timesteps, from, to);
+        }
+        diffusion.pred_epsilon(self.model_output.clone(), x_t, timesteps)
+    }
+}

@@ -1,0 +1,24 @@
+//! What a network is told of how noisy its input is.
+
+/// How far a sample is from clean motion, in the units that its network was trained with: in a
+/// diffusion process the timestep, 0 being the least noisy.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Time(pub f64);
+
+impl From<usize> for Time {
+    fn from(timestep: usize) -> Self {
+        Self(timestep as f64)
+    }
+}
+
+impl Time {
+    /// The times of timesteps.
+    pub fn of(timesteps: &[usize]) -> Vec<Self> {
+        timesteps.iter().copied().map(Self::from).collect()
+    }
+
+    /// The nearest timestep.
+    pub fn timestep(self) -> usize {
+        self.0.round() as usize
+    }
+}
