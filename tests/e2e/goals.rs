@@ -81,9 +81,10 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     let said = sandbox
         .run("eval runs/gmd_motion --goals 2 --keyframes 3 --trajectory-run runs/gmd_trajectory")
         .succeeded();
-    assert!(said.stdout.contains("held out"), "{}", said.stdout);
+    assert!(said.stdout.contains("real"), "{}", said.stdout);
     let report = sandbox.path("runs/gmd_motion/reports/eval-goals.json");
     let report: Value = serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
+    let report = &report["evaluations"][0];
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
     sandbox
@@ -224,7 +225,10 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
             "--set sampling.sampler.kind=heun",
             ["sampling.sampler.kind", "ddpm"],
         ),
-        ("--set model.size=mdm", ["only keys of `sampling`", "model.size"]),
+        (
+            "--set model.size=mdm",
+            ["only keys of `sampling`", "model.size"],
+        ),
         ("--frames 8", ["`--frames` with `--goal`", "frames = 16"]),
         (
             "--set sampling.steering.scale=-1",

@@ -139,32 +139,31 @@ pub struct SampleArguments {
     /// clip without a goal, as many as the run trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
-    /// Denoising steps [default: the run's]
-    #[arg(long, value_name = "N")]
-    pub steps: Option<usize>,
-    /// Classifier-free guidance, 1 is none [default: the run's, else 1]
-    #[arg(long, value_name = "SCALE")]
-    pub guidance_scale: Option<f64>,
-    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub overrides: Vec<String>,
+    #[command(flatten)]
+    pub draw: DrawArguments,
     /// Seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+}
+
+/// How motion is drawn from a trained model.
+#[derive(Debug, Args)]
+pub struct DrawArguments {
+    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Denoising steps [default: the run's]
+    #[arg(long, value_name = "N")]
+    pub steps: Option<usize>,
+    /// Classifier-free guidance, 1 is none [default: the run's]
+    #[arg(long, value_name = "SCALE")]
+    pub guidance_scale: Option<f64>,
     /// Draw from the trained weights instead of their moving average
     #[arg(long)]
     pub no_ema: bool,
     /// Device to run on [default: the run's]
     #[arg(long)]
     pub device: Option<String>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ArchitectureName {
-    #[value(name = "gmd_motion")]
-    GmdMotion,
-    #[value(name = "gmd_trajectory")]
-    GmdTrajectory,
 }
 
 /// Reads a file that `torch.save` wrote: one with `model` and `model_avg`, of which the average is
@@ -179,9 +178,9 @@ pub struct ImportArguments {
     /// The weights
     #[arg(value_name = "WEIGHTS.pt")]
     pub weights: PathBuf,
-    /// What they are of
+    /// What they are of: gmd_motion or gmd_trajectory
     #[arg(long)]
-    pub arch: ArchitectureName,
+    pub arch: String,
     /// Mean of the training data, one number a feature: all of them, of a trajectory model too
     #[arg(long, value_name = "M.npy")]
     pub mean: Option<PathBuf>,
@@ -265,7 +264,7 @@ pub enum CondName {
 /// run's config, or as `--set` says.
 ///
 /// A run of recipe `gmd_motion` or `gmd_trajectory` is led to goals on the way of held-out clips,
-/// and measured by how near it comes; the report is eval-goals.json.
+/// and measured by how near it comes; the reports are eval-goals.json and eval-goals.csv.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -285,15 +284,16 @@ pub struct EvalArguments {
     /// Run of recipe `gmd_trajectory` that draws the ground paths to the goals first
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Held-out clips with a goal each, of runs on clips
-    #[arg(long, default_value_t = 20, value_name = "N")]
-    pub goals: usize,
-    /// Key frames of each goal
-    #[arg(long, default_value_t = 5, value_name = "N")]
-    pub keyframes: usize,
+    /// Held-out clips with a goal each, of runs on clips [default: 20]
+    #[arg(long, value_name = "N", conflicts_with = "phrases")]
+    pub goals: Option<usize>,
+    /// Key frames of each goal [default: 5]
+    #[arg(long, value_name = "N")]
+    pub keyframes: Option<usize>,
     /// Obstacles on the way of each goal, of which then the last key frame alone is asked for
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    pub obstacles: usize,
+    /// [default: 0]
+    #[arg(long, value_name = "N")]
+    pub obstacles: Option<usize>,
     /// Weights of the published text-motion evaluator, for R-precision and FID of runs on clips;
     /// needs the three files below
     #[arg(long, value_name = "FINEST.tar", requires_all = ["evaluator_mean", "evaluator_std", "word_vectors"])]
@@ -310,27 +310,14 @@ pub struct EvalArguments {
     /// What the model hears [default: phrases]
     #[arg(long, value_enum, value_name = "COND")]
     pub cond: Option<CondName>,
-    /// Denoising steps [default: the run's, else 20]
-    #[arg(long, value_name = "N")]
-    pub steps: Option<usize>,
-    /// Classifier-free guidance, 1 is none [default: the run's, else 1]
-    #[arg(long, value_name = "SCALE")]
-    pub guidance_scale: Option<f64>,
-    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub overrides: Vec<String>,
+    #[command(flatten)]
+    pub draw: DrawArguments,
     /// Seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
     /// Dataset with the phrases, split as the run's config says [default: the run's own]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
-    /// Device to run on [default: the run's]
-    #[arg(long)]
-    pub device: Option<String>,
-    /// Draw from the trained weights instead of their moving average
-    #[arg(long)]
-    pub no_ema: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

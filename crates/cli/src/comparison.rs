@@ -2,33 +2,24 @@
 
 use std::path::PathBuf;
 
-use kinegrad_motion::Value;
-use kinegrad_train::systems::cc_motion::evaluate::{Evaluation, Measures, ProfileRates};
+use kinegrad_train::evaluation::{Column, Evaluated, Group};
 use serde_json::json;
 
 use crate::output::table;
 
-/// Evaluations with a column for each run and one for the real phrases.
+/// Evaluations with a column for each run and one for real motion.
 pub struct Comparison<'a> {
-    evaluations: &'a [Evaluation],
-    columns: Vec<Column<'a>>,
+    evaluations: &'a [Evaluated],
+    columns: Vec<(String, &'a Column)>,
 }
 
-struct Column<'a> {
-    label: String,
-    /// Step, phrases and seeds; nothing for the real phrases but their number.
-    counts: [Option<u64>; 3],
-    processed: &'a Measures,
-    raw: &'a Measures,
-}
-
-/// Names of [`Column::counts`].
-const COUNTS: [&str; 3] = ["step", "phrases", "seeds"];
+/// Stands in the table for a number that cannot be computed or does not apply.
+const MISSING: &str = "-";
 
 impl<'a> Comparison<'a> {
     /// The comparison of these evaluations, of which there is at least one. The columns are named
     /// after the runs or, where two runs have the same name, as the user named them in `paths`.
-    pub fn new(paths: &[PathBuf], evaluations: &'a [Evaluation]) -> Self {
+    pub fn new(paths: &[PathBuf], evaluations: &'a [Evaluated]) -> Self {
         let names: Vec<&str> = evaluations.iter().map(|each| each.run.as_str()).collect();
         let distinct = (1..names.len()).all(|index| !names[..index].contains(&names[index]));
         let labels: Vec<String> = match distinct {
@@ -38,34 +29,18 @@ impl<'a> Comparison<'a> {
                 .map(|path| path.display().to_string())
                 .collect(),
         };
-        let real = |label: String, evaluation: &'a Evaluation| Column {
-            label,
-            counts: [None, Some(evaluation.phrases as u64), None],
-            processed: &evaluation.real,
-            raw: &evaluation.real,
-        };
-        let same = evaluations
-            .iter()
-            .all(|evaluation| evaluation.real == evaluations[0].real);
+        let mut each = evaluations.iter();
+        let same = each.all(|evaluation| evaluation.real == evaluations[0].real);
         let mut columns = Vec::new();
-        for (label, evaluation) in labels.iter().zip(evaluations) {
-            columns.push(Column {
-                label: label.clone(),
-                counts: [
-                    Some(evaluation.step),
-                    Some(evaluation.phrases as u64),
-                    Some(evaluation.settings.seeds as u64),
-                ],
-                processed: &evaluation.processed,
-                raw: &evaluation.raw,
-            });
-            // Runs with other held-out phrases, or other training phrases to measure in units of.
+        for (label, evaluation) in labels.into_iter().zip(evaluations) {
+            columns.push((label.clone(), &evaluation.drawn));
+            // Runs with other held-out motion, or other training motion to measure in units of.
             if !same {
-                columns.push(real(format!("real ({label})"), evaluation));
+                columns.push((format!("real ({label})"), &evaluation.real));
             }
         }
         if same {
-            columns.push(real("real".to_string(), &evaluations[0]));
+            columns.push(("real".to_string(), &evaluations[0].real));
         }
         Self {
             evaluations,
@@ -75,215 +50,90 @@ impl<'a> Comparison<'a> {
 
     /// All numbers: `{"evaluations": [...]}`, one object for each run.
     pub fn json(&self) -> String {
-        let report = json!({ "evaluations": self.evaluations });
+        let all: Vec<_> = self.evaluations.iter().map(|each| &each.json).collect();
+        let report = json!({ "evaluations": all });
         serde_json::to_string_pretty(&report).expect("an evaluation is plain data")
     }
 
-    /// All numbers, a line each: whether of the samples as post-processed or raw, its name, the
-    /// runs, the real phrases. A number that is missing leaves its field empty.
+    /// All numbers, a line each: its group (of phrases, whether post-processed or raw), its name,
+    /// the runs, real motion. A number that is missing leaves its field empty.
     pub fn csv(&self) -> String {
-        let labels = self.columns.iter().map(|column| field(&column.label));
-        let mut lines = vec![line(["samples", "measure"], labels)];
-        for (index, name) in COUNTS.into_iter().enumerate() {
-            let counts = self.columns.iter().map(|column| {
-                let count = column.counts[index];
-                count.map_or_else(String::new, |count| count.to_string())
-            });
-            lines.push(line(["", name], counts));
+        let mut csv = csv::Writer::from_writer(Vec::new());
+        let mut line = |head: [&str; 2], fields: Vec<String>| {
+            let head = head.map(String::from).into_iter();
+            csv.write_record(head.chain(fields))
+                .expect("written to memory");
+        };
+        let labels = self.columns.iter().map(|(label, _)| label.clone());
+        line(["samples", "measure"], labels.collect());
+        for name in self.facts() {
+            line(["", name], self.fact(name, ""));
         }
-        for form in [Form::Processed, Form::Raw] {
-            let columns = self.columns.iter().map(|column| numbers(column.of(form)));
-            let columns: Vec<Vec<(String, Option<f64>)>> = columns.collect();
-            let named = columns.iter().flatten().map(|(name, _)| name.as_str());
-            for name in distinct(named) {
-                let values = columns.iter().map(|numbers| {
-                    let found = numbers.iter().find(|(other, _)| other == name);
+        for (index, group) in self.groups() {
+            let groups = || self.columns.iter().map(|(_, column)| &column.groups[index]);
+            let named = groups().flat_map(|group| &group.numbers);
+            for name in distinct(named.map(|(name, _)| name.as_str())) {
+                let values = groups().map(|group| {
+                    let found = group.numbers.iter().find(|(other, _)| other == name);
                     let value = found.and_then(|(_, value)| *value);
                     value.map_or_else(String::new, |value| value.to_string())
                 });
-                lines.push(line([form.key(), name], values));
+                line([group.key, name], values.collect());
             }
         }
-        lines.concat()
+        let bytes = csv.into_inner().expect("written to memory");
+        String::from_utf8(bytes).expect("text")
     }
 
-    /// All numbers for people: of checks the share that passes and the mean value.
+    /// All numbers for people.
     pub fn table(&self) -> String {
-        let mut rows = vec![self.row("", |column| column.label.clone())];
-        for (index, name) in COUNTS.into_iter().enumerate() {
-            rows.push(self.row(name, |column| match column.counts[index] {
-                Some(count) => count.to_string(),
-                None => MISSING.to_string(),
-            }));
+        let labels = self.columns.iter().map(|(label, _)| label.clone());
+        let mut rows = vec![row("", labels.collect())];
+        for name in self.facts() {
+            rows.push(row(name, self.fact(name, MISSING)));
         }
-        for form in [Form::Processed, Form::Raw] {
-            rows.push(self.row(form.title(), |_| String::new()));
-            for metric in &METRICS {
-                rows.push(
-                    self.row(metric.title, |column| match (metric.of)(column.of(form)) {
-                        Some(value) => format!("{value:.*}", metric.decimals),
-                        None => MISSING.to_string(),
-                    }),
-                );
+        for (index, group) in self.groups() {
+            if !group.title.is_empty() {
+                rows.push(row(group.title, vec![String::new(); self.columns.len()]));
             }
-            let losses = self
-                .columns
-                .iter()
-                .flat_map(|column| &column.of(form).losses);
-            for name in distinct(losses.map(|loss| loss.name)) {
-                rows.push(self.row(&format!("loss: {name}"), |column| {
-                    let mut losses = column.of(form).losses.iter();
-                    match losses.find(|loss| loss.name == name) {
-                        Some(loss) => format!("{:.3e}", loss.value),
-                        None => MISSING.to_string(),
-                    }
-                }));
-            }
-            for (profile, rates) in PROFILES {
-                rows.push(self.row(&format!("{profile}: all"), |column| {
-                    percent(rates(column.of(form)).pass_rate)
-                }));
-                let all = self.columns.iter().map(|column| rates(column.of(form)));
-                let checks = all.flat_map(|rates| &rates.checks);
-                for name in distinct(checks.map(|check| check.name)) {
-                    rows.push(self.row(&format!("{profile}: {name}"), |column| {
-                        match rates(column.of(form)).check(name) {
-                            Some(check) => {
-                                format!("{} ({})", percent(check.pass_rate), check.value)
-                            }
-                            None => MISSING.to_string(),
-                        }
-                    }));
-                }
+            let groups = || self.columns.iter().map(|(_, column)| &column.groups[index]);
+            let titles = groups().flat_map(|group| &group.rows);
+            for title in distinct(titles.map(|(title, _)| title.as_str())) {
+                let cells: Vec<Option<String>> = groups()
+                    .map(|group| {
+                        let found = group.rows.iter().find(|(other, _)| other == title);
+                        found.and_then(|(_, shown)| shown.clone())
+                    })
+                    .collect();
+                let cells = cells.into_iter();
+                let cells = cells.map(|cell| cell.unwrap_or_else(|| MISSING.to_string()));
+                rows.push(row(title, cells.collect()));
             }
         }
         table(rows)
     }
 
-    fn row(&self, title: &str, cell: impl Fn(&Column) -> String) -> Vec<String> {
-        let cells = self.columns.iter().map(cell);
-        std::iter::once(title.to_string()).chain(cells).collect()
+    fn facts(&self) -> Vec<&'static str> {
+        let facts = self.columns[0].1.facts.iter();
+        facts.map(|(name, _)| *name).collect()
+    }
+
+    fn fact(&self, name: &str, missing: &str) -> Vec<String> {
+        let counts = self.columns.iter().map(|(_, column)| {
+            let fact = column.facts.iter().find(|(other, _)| *other == name);
+            let count = fact.and_then(|(_, count)| *count);
+            count.map_or_else(|| missing.to_string(), |count| count.to_string())
+        });
+        counts.collect()
+    }
+
+    fn groups(&self) -> impl Iterator<Item = (usize, &'a Group)> + use<'a> {
+        self.columns[0].1.groups.iter().enumerate()
     }
 }
 
-/// Stands in the table for a number that cannot be computed or does not apply.
-const MISSING: &str = "-";
-
-/// Which of the two forms of the samples.
-#[derive(Clone, Copy)]
-enum Form {
-    Processed,
-    Raw,
-}
-
-impl Form {
-    fn key(self) -> &'static str {
-        match self {
-            Self::Processed => "processed",
-            Self::Raw => "raw",
-        }
-    }
-
-    fn title(self) -> &'static str {
-        match self {
-            Self::Processed => "POST-PROCESSED",
-            Self::Raw => "RAW",
-        }
-    }
-}
-
-impl Column<'_> {
-    fn of(&self, form: Form) -> &Measures {
-        match form {
-            Form::Processed => self.processed,
-            Form::Raw => self.raw,
-        }
-    }
-}
-
-struct Metric {
-    key: &'static str,
-    title: &'static str,
-    decimals: usize,
-    of: fn(&Measures) -> Option<f64>,
-}
-
-const METRICS: [Metric; 6] = [
-    Metric {
-        key: "diversity",
-        title: "diversity",
-        decimals: 3,
-        of: |measures| measures.diversity,
-    },
-    Metric {
-        key: "same_phrase_diversity",
-        title: "same-phrase diversity",
-        decimals: 3,
-        of: |measures| measures.same_phrase_diversity,
-    },
-    Metric {
-        key: "frechet_held_out",
-        title: "Fréchet to held-out",
-        decimals: 4,
-        of: |measures| measures.frechet_held_out,
-    },
-    Metric {
-        key: "frechet_training",
-        title: "Fréchet to training",
-        decimals: 4,
-        of: |measures| measures.frechet_training,
-    },
-    Metric {
-        key: "beat_alignment",
-        title: "beat alignment",
-        decimals: 3,
-        of: |measures| measures.beat_alignment,
-    },
-    Metric {
-        key: "mean_jerk",
-        title: "mean jerk, m/s^3",
-        decimals: 1,
-        of: |measures| measures.mean_jerk,
-    },
-];
-
-type Rates = fn(&Measures) -> &ProfileRates;
-
-const PROFILES: [(&str, Rates); 2] = [
-    ("document", |measures| &measures.document),
-    ("strict", |measures| &measures.strict),
-];
-
-/// Every number by its path in the JSON; a value that is not finite counts as missing.
-fn numbers(measures: &Measures) -> Vec<(String, Option<f64>)> {
-    let mut numbers: Vec<(String, Option<f64>)> = METRICS
-        .iter()
-        .map(|metric| (metric.key.to_string(), (metric.of)(measures)))
-        .collect();
-    for loss in &measures.losses {
-        let value = loss.value.is_finite().then_some(loss.value);
-        numbers.push((format!("loss.{}", loss.name), value));
-    }
-    for (profile, rates) in PROFILES {
-        let rates = rates(measures);
-        let mut add = |name: String, value: f64| {
-            let name = format!("{profile}.{name}");
-            numbers.push((name, value.is_finite().then_some(value)));
-        };
-        add("pass_rate".to_string(), rates.pass_rate);
-        for check in &rates.checks {
-            let name = check.name;
-            add(format!("{name}.pass_rate"), check.pass_rate);
-            match check.value {
-                Value::Number(value) => add(format!("{name}.value"), value),
-                Value::Range([low, high]) => {
-                    add(format!("{name}.min"), low);
-                    add(format!("{name}.max"), high);
-                }
-            }
-        }
-    }
-    numbers
+fn row(title: &str, cells: Vec<String>) -> Vec<String> {
+    std::iter::once(title.to_string()).chain(cells).collect()
 }
 
 /// Each name once, in the order in which they first come.
@@ -297,39 +147,9 @@ fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     seen
 }
 
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
-}
-
-fn line(head: [&str; 2], fields: impl Iterator<Item = String>) -> String {
-    let fields: Vec<String> = head.map(String::from).into_iter().chain(fields).collect();
-    fields.join(",") + "\n"
-}
-
-/// A field of a CSV file, in quotes where it needs them (RFC 4180).
-fn field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_string()
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{distinct, field};
-
-    #[test]
-    fn fields_are_quoted_where_they_need_it() {
-        for (text, quoted) in [
-            ("run", "run"),
-            ("a run", "a run"),
-            ("one, two", "\"one, two\""),
-            ("the \"best\"", "\"the \"\"best\"\"\""),
-        ] {
-            assert_eq!(field(text), quoted);
-        }
-    }
+    use super::distinct;
 
     #[test]
     fn names_keep_their_first_place() {

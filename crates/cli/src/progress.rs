@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use kinegrad_train::systems::gmd::Stage;
 use kinegrad_train::{Observer, RunSummary, StepReport};
 
 use crate::output::grouped;
@@ -232,16 +231,4 @@ pub fn denoising_bar() -> ProgressBar {
     let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
     let style = ProgressStyle::with_template(template).expect("a valid template");
     ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
-}
-
-/// Shows the stage of drawing clips on a bar, and its steps done and in all.
-pub fn on_stage(bar: &ProgressBar) -> impl FnMut(Stage, usize, usize) + '_ {
-    |stage, done, all| {
-        bar.set_message(match stage {
-            Stage::Trajectory => "trajectory  ",
-            Stage::Motion => "motion  ",
-        });
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    }
 }

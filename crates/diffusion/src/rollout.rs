@@ -187,7 +187,15 @@ impl Rollout {
     ) -> Result<Tensor<3>, Error> {
         let config = SamplerConfig::default();
         let unused = Key::new(0, Purpose::Sampling);
-        ddim(&self.diffusion, predict, x, path, &config, unused, &mut |_, _, _| {})
+        ddim(
+            &self.diffusion,
+            predict,
+            x,
+            path,
+            &config,
+            unused,
+            &mut |_, _, _| {},
+        )
     }
 }
 

@@ -290,6 +290,19 @@ pub enum Error {
         /// Path of the last good checkpoint, or that there is none.
         last_good: String,
     },
+    /// What was asked for does not fit the model or each other.
+    #[error("{message}")]
+    #[diagnostic(help("{hint}"))]
+    Usage {
+        /// What is wrong.
+        message: String,
+        /// What to do instead.
+        hint: String,
+    },
+    /// A song that cannot be used.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Audio(#[from] kinegrad_audio::Error),
     /// A file operation failed.
     #[error("cannot {action} {}: {source}", path.display())]
     #[diagnostic(help("{}", io_hint(source)))]
@@ -325,6 +338,14 @@ impl Error {
             action,
             path,
             source,
+        }
+    }
+
+    /// [`Error::Usage`] with its hint.
+    pub fn usage(message: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Usage {
+            message: message.into(),
+            hint: hint.into(),
         }
     }
 

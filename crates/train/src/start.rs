@@ -33,9 +33,7 @@ pub fn named(key: &'static str, path: &Path) -> Result<Option<PathBuf>, Error> {
         return Ok(None);
     }
     let found = resolve_checkpoint(path, |_| {});
-    found
-        .map(Some)
-        .map_err(|error| refused(key, path, &error))
+    found.map(Some).map_err(|error| refused(key, path, &error))
 }
 
 /// The error of a checkpoint that cannot be started from.
@@ -66,7 +64,10 @@ pub fn must_agree<T: SystemTables>(
     start: &Config,
     names: &[&str],
 ) -> Result<(), Error> {
-    let (start, given) = (tables_of::<T>(start, names)?, tables_of::<T>(config, names)?);
+    let (start, given) = (
+        tables_of::<T>(start, names)?,
+        tables_of::<T>(config, names)?,
+    );
     let mut differences = config::difference(&start, &given).into_iter();
     match differences.find(|d| !FREE_KEYS.contains(&d.key.as_str())) {
         None => Ok(()),

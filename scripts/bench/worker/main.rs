@@ -353,14 +353,13 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let model = parameters::load(network.init(&device)?, weights)?;
             let channels = network.motion_channels;
             let unit = FeatureStatistics::new(vec![0.0; 263], vec![1.0; 263], Root::Absolute)?;
-            let held_out =
-                HeldOutClips::new(
-                    Vec::new(),
-                    Arc::new(unit),
-                    0..channels,
-                    &DataConfig::default(),
-                    &ValidationConfig::default(),
-                );
+            let held_out = HeldOutClips::new(
+                Vec::new(),
+                Arc::new(unit),
+                0..channels,
+                &DataConfig::default(),
+                &ValidationConfig::default(),
+            );
             let recipe = GmdMotionRecipe::new(diffusion, channels, trajectory_scale, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.clip_draws()?);
             let loss = move |recipe: &GmdMotionRecipe, model: &TextDenoiser| {

@@ -14,9 +14,9 @@ use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{trials, weights};
 use kinegrad_train::Recipe;
 use kinegrad_train::config::OptimConfig;
+use kinegrad_train::optim::{AdamW, global_norm};
 use kinegrad_train::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutMode};
-use kinegrad_train::optim::{AdamW, global_norm};
 
 /// The tests of this file.
 pub fn tests() -> Vec<GoldenTest> {

@@ -119,7 +119,7 @@ fn golden_unet_stages(golden: Golden) {
         let mut stages = Noted::default();
         model.forward_stages(
             golden.tensor(&format!("in.{case}.x"), &device),
-            &golden.get(&format!("in.{case}.t")).indices(),
+            &Time::of(&golden.get(&format!("in.{case}.t")).indices()),
             golden.tensor(&format!("in.{case}.cond"), &device),
             None,
             &mut stages,

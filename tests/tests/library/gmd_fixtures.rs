@@ -10,7 +10,9 @@ use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, workspace};
 use kinegrad_tests::weights;
 use kinegrad_train::checkpoint::Weights;
-use kinegrad_train::systems::gmd::{Architecture, ImportRequest, TrainedClips, import};
+use kinegrad_train::import::ImportRequest;
+use kinegrad_train::systems::System;
+use kinegrad_train::systems::gmd::{Gmd, TrainedClips};
 
 const OUTPUT: f64 = 2e-5;
 const GRADIENT: f64 = 1e-4;
@@ -102,17 +104,18 @@ fn imported(name: &str, padded_frames: usize, last: bool, device: &Device) -> Te
         write_values(&path, &[263], &[1.0; 263]).expect("a file");
         path
     });
-    let run = import(&ImportRequest {
-        weights: workspace().join("data_fixtures/gmd").join(name),
-        architecture: Architecture::GmdTrajectory,
-        mean,
-        std,
-        projection: None,
-        padded_frames,
-        last,
-        out: folder.path().join("run"),
-    })
-    .expect("weights that fit");
+    let run = Gmd
+        .import(&ImportRequest {
+            weights: workspace().join("data_fixtures/gmd").join(name),
+            architecture: "gmd_trajectory".into(),
+            mean: Some(mean),
+            std: Some(std),
+            projection: None,
+            padded_frames,
+            last,
+            out: folder.path().join("run"),
+        })
+        .expect("weights that fit");
     let trained = TrainedClips::load(&run.path, Weights::Ema, device).expect("a checkpoint");
     trained.model.valid()
 }

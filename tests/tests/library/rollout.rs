@@ -3,8 +3,8 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode,
-    Time, rollout_timesteps,
+    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode, Time,
+    rollout_timesteps,
 };
 use kinegrad_models::{GradientSum, Initializer, UNet1d, UNet1dConfig};
 use kinegrad_random::{Key, Purpose};

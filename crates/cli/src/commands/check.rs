@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_data::{DataConfig, Dataset, read_motion};
+use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::sanity::{Profile, Report, check};
-use kinegrad_motion::{Motion, TrainingStatistics};
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::checkpoint::resolve_checkpoint;
 use serde_json::json;
@@ -141,34 +141,4 @@ fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
         ]
     });
     table(std::iter::once(header).chain(rows))
-}
-
-/// Both profiles for a few named samples, a line each.
-pub fn sanity_table(
-    samples: &[(String, Motion)],
-    statistics: &TrainingStatistics,
-) -> Result<String, Failure> {
-    let mut rows = vec![
-        ["sample", "document", "strict", "fails"]
-            .map(String::from)
-            .to_vec(),
-    ];
-    for (name, motion) in samples {
-        let document = check(motion, Profile::Document, None)?;
-        let strict = check(motion, Profile::Strict, Some(statistics))?;
-        let failed = document
-            .checks
-            .iter()
-            .chain(&strict.checks)
-            .filter(|check| !check.passed);
-        let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
-        failed.dedup();
-        rows.push(vec![
-            name.clone(),
-            verdict(document.passed),
-            verdict(strict.passed),
-            failed.join(", "),
-        ]);
-    }
-    Ok(table(rows))
 }

@@ -11,9 +11,14 @@ use crate::output::grouped;
 
 /// Prints the resolved config, and the model's size as a comment, so that the output is a config.
 pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
-    let config = run::load_config(BUILT_IN, &arguments.config, &arguments.overrides, &mut |missing| {
-        tell!("warning: {missing}; its networks and process are not shown");
-    })?;
+    let config = run::load_config(
+        BUILT_IN,
+        &arguments.config,
+        &arguments.overrides,
+        &mut |missing| {
+            tell!("warning: {missing}; its networks and process are not shown");
+        },
+    )?;
     for warning in config::validate(BUILT_IN, &config)? {
         tell!("warning: {warning}");
     }

@@ -2,46 +2,36 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::systems::gmd::{Architecture, ImportRequest, import};
+use kinegrad_train::import::ImportRequest;
+use kinegrad_train::systems::BUILT_IN;
 
-use crate::args::{ArchitectureName, ImportArguments};
+use crate::args::ImportArguments;
 use crate::failure::{Failure, UsageError};
 use crate::output::grouped;
 
 /// Writes a run of published weights.
 pub fn run(arguments: ImportArguments) -> Result<ExitCode, Failure> {
-    let (Some(mean), Some(std)) = (arguments.mean, arguments.std) else {
-        let message = "published weights without the statistics of their training data";
-        let hint = "give `--mean M.npy --std S.npy`, those that the model was trained with: for \
-                    an absolute root Mean_abs_3d.npy and Std_abs_3d.npy";
-        return Err(UsageError::new(message, hint).into());
+    let name = &arguments.arch;
+    let systems = || BUILT_IN.0.iter();
+    let Some(system) = systems().find(|system| system.architectures().contains(&name.as_str()))
+    else {
+        let known: Vec<&str> = systems().flat_map(|s| s.architectures()).copied().collect();
+        let message = format!("`--arch {name}` is no network whose weights can be imported");
+        return Err(UsageError::new(message, format!("they are {}", known.join(", "))).into());
     };
-    let motion = matches!(arguments.arch, ArchitectureName::GmdMotion);
-    match (motion, &arguments.projection) {
-        (true, None) => tell!(
-            "warning: no `--projection`: published motion models work in a projected space, and \
-             draw nonsense outside of it"
-        ),
-        (false, Some(_)) => {
-            let message = "`--projection` with `--arch gmd_trajectory`";
-            let hint = "trajectory models work on features as they are";
-            return Err(UsageError::new(message, hint).into());
-        }
-        _ => {}
-    }
-    let imported = import(&ImportRequest {
+    let imported = system.import(&ImportRequest {
         weights: arguments.weights.clone(),
-        architecture: match arguments.arch {
-            ArchitectureName::GmdMotion => Architecture::GmdMotion,
-            ArchitectureName::GmdTrajectory => Architecture::GmdTrajectory,
-        },
-        mean,
-        std,
+        architecture: arguments.arch,
+        mean: arguments.mean,
+        std: arguments.std,
         projection: arguments.projection,
         padded_frames: arguments.padded_frames,
         last: arguments.last,
         out: arguments.out,
     })?;
+    for warning in &imported.warnings {
+        tell!("warning: {warning}");
+    }
     let part = match imported.part {
         Some(part) => format!("`{part}` of {}", arguments.weights.display()),
         None => arguments.weights.display().to_string(),

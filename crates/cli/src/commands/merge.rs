@@ -2,16 +2,18 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::checkpoint::resolve_checkpoint;
-use kinegrad_train::systems::cc_motion::merge;
+use kinegrad_train::checkpoint::State;
+use kinegrad_train::systems::BUILT_IN;
 
+use super::sample::checkpoint;
 use crate::args::MergeArguments;
 use crate::failure::Failure;
 
 /// Writes a run of plain weights.
 pub fn run(arguments: MergeArguments) -> Result<ExitCode, Failure> {
-    let path = resolve_checkpoint(&arguments.run, |damaged| tell!("warning: {damaged}"))?;
-    let written = merge(&path, &arguments.out)?;
+    let path = checkpoint(&arguments.run)?;
+    let (system, _) = BUILT_IN.of(&State::read(&path)?.config)?;
+    let written = system.merge(&path, &arguments.out)?;
     say!("merged {} into {}", path.display(), written.display());
     Ok(ExitCode::SUCCESS)
 }

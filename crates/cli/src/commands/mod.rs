@@ -2,12 +2,10 @@
 
 pub mod audio;
 pub mod check;
-pub mod clips;
 pub mod config;
 pub mod data;
 pub mod devices;
 pub mod eval;
-pub mod eval_goals;
 pub mod import;
 pub mod inspect_clips;
 pub mod merge;

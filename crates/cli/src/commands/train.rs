@@ -1,18 +1,15 @@
 //! `kinegrad train`
 
-use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use kinegrad_data::{Dataset, write_motion};
 use kinegrad_train::Ending;
-use kinegrad_train::checkpoint::Weights;
-use kinegrad_train::checkpoint::resolve_checkpoint;
-use kinegrad_train::systems::cc_motion::generate::Generator;
+use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, TrainRequest};
+use kinegrad_train::sampling::{Conditions, Request, Subject};
 use kinegrad_train::systems::BUILT_IN;
 
-use super::check::sanity_table;
+use super::sample::{Files, checkpoint, say_remark};
 use crate::args::TrainArguments;
 use crate::failure::Failure;
 use crate::output::table;
@@ -76,46 +73,29 @@ fn summarise(outcome: &Outcome, started: Instant) {
     say!("{}", table(rows));
 }
 
-/// Draws samples for the first held-out phrases into the run's folder and checks them.
+/// Draws samples for the first held-out items into the run's folder.
 fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
-    let sampling = &outcome.config.sampling;
-    let path = resolve_checkpoint(&outcome.folder, |damaged| tell!("warning: {damaged}"))?;
-    let (device, _) = kinegrad_train::device::open(&outcome.config.run.device)?;
-    let generator = Generator::load(&path, Weights::Ema, &device)?;
-    let dataset = Dataset::open(&outcome.config.data)?;
-    let phrases = match dataset.validation.is_empty() {
-        true => &dataset.train,
-        false => &dataset.validation,
+    let path = checkpoint(&outcome.folder)?;
+    let subject = Subject::open(BUILT_IN, &path, &[], Weights::Ema, None)?;
+    let request = Request {
+        conditions: Conditions {
+            held_out: Some(outcome.config.sampling.count_at_end),
+            ..Conditions::default()
+        },
+        count: 1,
+        frames: None,
+        seed: outcome.config.run.seed,
     };
-    let chosen: Vec<_> = (0..sampling.count_at_end.min(phrases.len()))
-        .map(|position| phrases.get(position))
-        .collect::<Result<_, _>>()?;
-    let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
-    let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
-    let seed = outcome.config.run.seed;
-    let samples = generator.sample(
-        &conditions,
-        sampling,
-        seed,
-        &mut |_, _| {},
-    )?;
     let folder = outcome.folder.join("samples");
-    let mut named = Vec::new();
-    for (phrase, sample) in chosen.iter().zip(samples) {
-        write(&folder, &format!("{}.raw.npy", phrase.id), &sample.raw)?;
-        write(&folder, &format!("{}.npy", phrase.id), &sample.motion)?;
-        named.push((phrase.id.clone(), sample.motion));
-    }
+    let (system, _) = BUILT_IN.of(&subject.config)?;
+    let mut files = Files::silent(&folder);
+    let remark = system.sample(&subject, &request, &mut files)?;
     say!(
         "\n{} samples of step {} in {}",
-        named.len(),
-        generator.step(),
+        files.written(),
+        State::read(&path)?.step,
         folder.display()
     );
-    say!("{}", sanity_table(&named, generator.statistics())?);
+    say_remark(remark);
     Ok(())
-}
-
-fn write(folder: &Path, name: &str, motion: &kinegrad_motion::Motion) -> Result<(), Failure> {
-    Ok(write_motion(&folder.join(name), motion)?)
 }

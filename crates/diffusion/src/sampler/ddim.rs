@@ -35,9 +35,12 @@ pub fn ddim(
     for index in 0..path.len() {
         let (now, next) = (path.timesteps(index), path.landings(index));
         let prediction = predict(x, &path.time(index))?;
-        let moves = next.iter().zip(now).any(|(next, now)| next.is_some_and(|next| next != *now));
-        let noise = (config.eta > 0.0 && moves)
-            .then(|| step_noise(key.at(index as u64), &prediction.x_t));
+        let moves = next
+            .iter()
+            .zip(now)
+            .any(|(next, now)| next.is_some_and(|next| next != *now));
+        let noise =
+            (config.eta > 0.0 && moves).then(|| step_noise(key.at(index as u64), &prediction.x_t));
         x = step(diffusion, &prediction, now, &next, noise, config);
         on_step(index + 1, path.len(), &x);
     }
@@ -73,7 +76,14 @@ pub fn ddim_step(
         noise,
         ..
     } = input;
-    let prev_sample = step(diffusion, &prediction, timesteps, prev_timesteps, noise, config);
+    let prev_sample = step(
+        diffusion,
+        &prediction,
+        timesteps,
+        prev_timesteps,
+        noise,
+        config,
+    );
     Ok(StepOutput {
         prev_sample,
         pred_original_sample: prediction.x_start,
@@ -92,9 +102,8 @@ fn step(
     // abar'        alpha-bar_{t-1}  where it goes; the paper's t-1 is the next timestep visited
     // sigma        sigma_t          noise drawn in this step
     // direction    sqrt(1 - alpha-bar_{t-1} - sigma_t^2), "direction pointing to x_t"
-    let of = |value: &dyn Fn(Alphas) -> f64| {
-        coefficients(diffusion, timesteps, prev_timesteps, value)
-    };
+    let of =
+        |value: &dyn Fn(Alphas) -> f64| coefficients(diffusion, timesteps, prev_timesteps, value);
     let variance = |alphas: Alphas| config.eta.powi(2) * alphas.posterior_variance();
 
     // 1. Predicted x_0 and noise.

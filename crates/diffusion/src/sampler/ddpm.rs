@@ -33,7 +33,10 @@ pub fn ddpm(
         let (now, next) = (path.timesteps(index), path.landings(index));
         let prediction = predict(x, &path.time(index))?;
         let key = key.at(index as u64);
-        let moves = next.iter().zip(now).any(|(next, now)| next.is_some_and(|next| next != *now));
+        let moves = next
+            .iter()
+            .zip(now)
+            .any(|(next, now)| next.is_some_and(|next| next != *now));
         let noise = moves.then(|| step_noise(key, &prediction.x_t));
         let imputation_noise = prediction
             .steered
@@ -77,7 +80,14 @@ pub fn ddpm_step(
         noise,
         ..
     } = input;
-    let prev_sample = step(diffusion, &prediction, timesteps, prev_timesteps, noise, None);
+    let prev_sample = step(
+        diffusion,
+        &prediction,
+        timesteps,
+        prev_timesteps,
+        noise,
+        None,
+    );
     Ok(StepOutput {
         prev_sample,
         pred_original_sample: prediction.x_start,

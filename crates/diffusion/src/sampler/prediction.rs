@@ -11,8 +11,7 @@ use crate::{Error, GaussianDiffusion, PredictionType, Time};
 ///
 /// Guidance, clipping, steering and rollouts stand between network and sampler and show in what is
 /// answered.
-pub type Predict<'p, 's> =
-    dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
+pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s>, Error> + 'p;
 
 /// What is known of the clean motion at a noise level.
 pub struct Prediction<'s> {

@@ -52,15 +52,6 @@ impl StepInput<'_> {
 /// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and primed
 /// where it goes.
 pub(super) fn coefficients(
-        &self,
-        diffusion: &GaussianDiffusion,
-        coefficient: impl Fn(Alphas) -> f64,
-    ) -> Vec<f64> {
-        coefficients(diffusion, self.timesteps, self.prev_timesteps, coefficient)
-    }
-}
-
-fn coefficients(
     diffusion: &GaussianDiffusion,
     timesteps: &[usize],
     prev_timesteps: &[Option<usize>],

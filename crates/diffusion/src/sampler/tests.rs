@@ -15,8 +15,13 @@ impl Denoiser for Knows<'_> {
 
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
         let to = self.0.config.prediction_type;
-        self.0
-            .convert(cond.clone(), x_t, &timesteps_of(time), PredictionType::Sample, to)
+        self.0.convert(
+            cond.clone(),
+            x_t,
+            &timesteps_of(time),
+            PredictionType::Sample,
+            to,
+        )
     }
 
     fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {

@@ -12,8 +12,8 @@ use burn::tensor::Tensor;
 use kinegrad_random::Key;
 
 pub use imputation::{Imputation, Space};
-pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
 use step::steered_prediction;
+pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
 
 use crate::sampler::draw;
 use crate::{Clip, Denoiser, Error, GaussianDiffusion, OnStep, SamplerConfig, SamplerKind, Time};

@@ -5,9 +5,7 @@ use burn::tensor::Tensor;
 use super::{Guidance, Imputation, Networks, Steering};
 use crate::per_sample::per_sample;
 use crate::sampler::{Posterior, ddpm_step_of, timesteps_of};
-use crate::{
-    Clip, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided,
-};
+use crate::{Clip, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided};
 
 /// What leads a step of DDPM to a goal.
 pub struct Steered<'a> {

@@ -406,14 +406,23 @@ mod tests {
             let again = parse(BUILT_IN, &to_toml(&config), "c.toml", &[]).expect("own output");
             assert_eq!(again, config);
             let json = serde_json::to_string(&config).expect("plain data");
-            assert_eq!(serde_json::from_str::<Config>(&json).expect("own output"), config);
+            assert_eq!(
+                serde_json::from_str::<Config>(&json).expect("own output"),
+                config
+            );
         }
     }
 
     #[test]
     fn an_unknown_recipe_names_the_known_ones() {
         let text = error("[train]\n\nrecipe = \"gmd_movement\"\n", &[]);
-        assert!(text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not"), "{text}");
-        assert!(text.contains("diffusion, decoder, e2e") && text.contains("\"gmd_motion\"?"), "{text}");
+        assert!(
+            text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not"),
+            "{text}"
+        );
+        assert!(
+            text.contains("diffusion, decoder, e2e") && text.contains("\"gmd_motion\"?"),
+            "{text}"
+        );
     }
 }

@@ -15,8 +15,8 @@ mod tables;
 
 pub use difference::{Difference, difference};
 pub use error::ConfigError;
-pub use load::{load, load_over, override_sampling, parse, to_toml};
 pub(crate) use load::lay_over;
+pub use load::{load, load_over, override_sampling, parse, to_toml};
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
@@ -138,7 +138,7 @@ impl<'de> Deserialize<'de> for Config {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let json = serde_json::Map::deserialize(deserializer)?;
         let (common, system) = split(toml_table(json));
-        let common = load::from_table(&common, |_| "its config".into());
+        let common = load::from_table(&common, &|_| "its config".into());
         Ok(Self::of(common.map_err(D::Error::custom)?, system))
     }
 }

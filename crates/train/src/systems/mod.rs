@@ -8,14 +8,17 @@
 pub mod cc_motion;
 pub mod gmd;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use toml::Table;
 
 use crate::config::{Config, ConfigError};
 use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::import::{ImportRequest, Imported};
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
 
 /// A kind of training of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,6 +80,56 @@ pub trait System: Sync {
     /// # Errors
     /// If a network cannot be built.
     fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
+
+    /// Names of the networks whose weights it imports.
+    fn architectures(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Writes weights of another program as the only checkpoint of a run.
+    ///
+    /// # Errors
+    /// If they cannot be read or do not fit; nothing is written then.
+    fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
+        Err(Error::usage(
+            format!("the system `{}` imports no weights", self.name()),
+            format!("`{}` is not among its networks", request.architecture),
+        ))
+    }
+
+    /// Adds the adapters of the checkpoint in `path` to the weights they sit on, and writes the
+    /// result as the only checkpoint of a run in `out`, a new or an empty folder. Returns where it
+    /// is.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
+    fn merge(&self, path: &Path, _out: &Path) -> Result<PathBuf, Error> {
+        Err(Error::NoAdapters {
+            path: path.to_path_buf(),
+        })
+    }
+
+    /// Draws motion and hands each to `receiver`; what is to be said of all of them is returned.
+    ///
+    /// # Errors
+    /// If a condition is of a kind that the model cannot be told, or cannot be read; or if the
+    /// receiver fails.
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error>;
+
+    /// An evaluation of a trained model on held-out motion, whose request has been checked.
+    ///
+    /// # Errors
+    /// If what is asked for does not apply to its models, or nothing is held out.
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error>;
 
     /// Trains to the end, or until stopped, by way of [`Setup::train`].
     ///

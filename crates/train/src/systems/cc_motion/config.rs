@@ -247,8 +247,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let allowed = format!("\"phrases\" or \"synthetic\" for recipe `{recipe}`");
         return Err(ConfigError::range("data.kind", "a kind of clips", allowed).into());
     }
-    own.model
-        .unet1d(CHANNELS, AUDIO_CHANNELS)?;
+    own.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
     let timesteps = own.diffusion.num_train_timesteps;
     config.sampling.sampler.validate(timesteps)?;
     if rolls_out(config) {
@@ -266,92 +265,92 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
 }
 
 impl CcMotionConfig {
-/// Refuses bad values in `init`, `rollout` and `loss`.
-fn validate_fine_tuning(&self, config: &Config) -> Result<(), ConfigError> {
-    let init = &self.init;
-    if init.diffusion.as_os_str().is_empty() {
-        if !init.decoder.as_os_str().is_empty() {
-            let found = format!("{} without `init.diffusion`", init.decoder.display());
-            let allowed = "a decoder together with the base it was made on";
-            return Err(ConfigError::range("init.decoder", found, allowed));
+    /// Refuses bad values in `init`, `rollout` and `loss`.
+    fn validate_fine_tuning(&self, config: &Config) -> Result<(), ConfigError> {
+        let init = &self.init;
+        if init.diffusion.as_os_str().is_empty() {
+            if !init.decoder.as_os_str().is_empty() {
+                let found = format!("{} without `init.diffusion`", init.decoder.display());
+                let allowed = "a decoder together with the base it was made on";
+                return Err(ConfigError::range("init.decoder", found, allowed));
+            }
+            if config.train.recipe == E2E && init.pretrain.diffusion_steps == 0 {
+                let key = "init.pretrain.diffusion_steps";
+                return Err(ConfigError::range(
+                    key,
+                    0,
+                    "1 or more, or an `init.diffusion`",
+                ));
+            }
         }
-        if config.train.recipe == E2E && init.pretrain.diffusion_steps == 0 {
-            let key = "init.pretrain.diffusion_steps";
+        let timesteps = self.diffusion.num_train_timesteps;
+        let rollout = &self.rollout;
+        if !(1..=timesteps).contains(&rollout.steps) {
+            let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
+            return Err(ConfigError::range("rollout.steps", rollout.steps, allowed));
+        }
+        if !(1..=rollout.steps).contains(&rollout.last_k) {
+            let allowed = format!("1 to rollout.steps ({})", rollout.steps);
             return Err(ConfigError::range(
-                key,
-                0,
-                "1 or more, or an `init.diffusion`",
+                "rollout.last_k",
+                rollout.last_k,
+                allowed,
             ));
         }
-    }
-    let timesteps = self.diffusion.num_train_timesteps;
-    let rollout = &self.rollout;
-    if !(1..=timesteps).contains(&rollout.steps) {
-        let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
-        return Err(ConfigError::range("rollout.steps", rollout.steps, allowed));
-    }
-    if !(1..=rollout.steps).contains(&rollout.last_k) {
-        let allowed = format!("1 to rollout.steps ({})", rollout.steps);
-        return Err(ConfigError::range(
-            "rollout.last_k",
-            rollout.last_k,
-            allowed,
-        ));
-    }
-    let [lowest, highest] = rollout.start_timesteps;
-    if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
-        let found = format!("[{lowest}, {highest}]");
-        let allowed = format!(
-            "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
-            rollout.steps - 1
-        );
-        return Err(ConfigError::range(
-            "rollout.start_timesteps",
-            found,
-            allowed,
-        ));
-    }
-    let at_least_zero = |key: String, value: f64| {
-        if value >= 0.0 && value.is_finite() {
-            Ok(())
-        } else {
-            Err(ConfigError::range(key, value, "0 or more"))
+        let [lowest, highest] = rollout.start_timesteps;
+        if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
+            let found = format!("[{lowest}, {highest}]");
+            let allowed = format!(
+                "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
+                rollout.steps - 1
+            );
+            return Err(ConfigError::range(
+                "rollout.start_timesteps",
+                found,
+                allowed,
+            ));
         }
-    };
-    let loss = &self.loss;
-    let named = [
-        ("loss.w_diff", loss.w_diff),
-        ("loss.w_dec", loss.w_dec),
-        ("loss.w_temp", loss.w_temp),
-        ("loss.w_components", loss.w_components),
-        ("rollout.guidance_scale", rollout.guidance_scale),
-        (
-            "init.pretrain.diffusion_learning_rate",
-            init.pretrain.diffusion_learning_rate,
-        ),
-        (
-            "init.pretrain.decoder_learning_rate",
-            init.pretrain.decoder_learning_rate,
-        ),
-    ];
-    for (key, value) in named {
-        at_least_zero(key.to_string(), value)?;
-    }
-    for (key, value) in loss.temporal.numbers() {
-        let key = format!("loss.temporal.{key}");
-        if key.contains(".target_") && !(value > 0.0 && value.is_finite()) {
-            return Err(ConfigError::range(key, value, "more than 0"));
+        let at_least_zero = |key: String, value: f64| {
+            if value >= 0.0 && value.is_finite() {
+                Ok(())
+            } else {
+                Err(ConfigError::range(key, value, "0 or more"))
+            }
+        };
+        let loss = &self.loss;
+        let named = [
+            ("loss.w_diff", loss.w_diff),
+            ("loss.w_dec", loss.w_dec),
+            ("loss.w_temp", loss.w_temp),
+            ("loss.w_components", loss.w_components),
+            ("rollout.guidance_scale", rollout.guidance_scale),
+            (
+                "init.pretrain.diffusion_learning_rate",
+                init.pretrain.diffusion_learning_rate,
+            ),
+            (
+                "init.pretrain.decoder_learning_rate",
+                init.pretrain.decoder_learning_rate,
+            ),
+        ];
+        for (key, value) in named {
+            at_least_zero(key.to_string(), value)?;
         }
-        at_least_zero(key, value)?;
+        for (key, value) in loss.temporal.numbers() {
+            let key = format!("loss.temporal.{key}");
+            if key.contains(".target_") && !(value > 0.0 && value.is_finite()) {
+                return Err(ConfigError::range(key, value, "more than 0"));
+            }
+            at_least_zero(key, value)?;
+        }
+        if !(0.0..=1.0).contains(&rollout.gradient_decay) {
+            let found = rollout.gradient_decay;
+            return Err(ConfigError::range(
+                "rollout.gradient_decay",
+                found,
+                "0 to 1",
+            ));
+        }
+        Ok(())
     }
-    if !(0.0..=1.0).contains(&rollout.gradient_decay) {
-        let found = rollout.gradient_decay;
-        return Err(ConfigError::range(
-            "rollout.gradient_decay",
-            found,
-            "0 to 1",
-        ));
-    }
-    Ok(())
-}
 }

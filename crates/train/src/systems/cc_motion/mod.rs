@@ -11,10 +11,11 @@ mod merge;
 mod networks;
 mod pretrain;
 pub mod recipes;
+mod sample;
 mod start;
 mod train;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
@@ -26,14 +27,15 @@ pub use config::{
     CcMotionConfig, InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig,
     RolloutMode, RolloutStart,
 };
-pub use merge::merge;
 pub use networks::Trained;
 
 use super::{RecipeInfo, System};
 use crate::config::{Config, ConfigError, SystemTables};
 use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
 use start::Starts;
 
 /// The system.
@@ -119,6 +121,27 @@ impl System for CcMotion {
         };
         let decoder = random.init(unit, &Initializer::new(0, &device))?;
         Ok(unet + count(parameters::infos(&decoder)))
+    }
+
+    fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {
+        merge::merge(path, out)
+    }
+
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error> {
+        sample::sample(subject, request, receiver)
+    }
+
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error> {
+        evaluate::prepare(subject, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

@@ -41,9 +41,8 @@ impl Starts {
     /// # Errors
     /// If one is not there.
     pub fn at(diffusion: &Path, decoder: Option<&Path>) -> Result<Self, Error> {
-        let found = |key, path| {
-            named(key, path)?.ok_or_else(|| refused(key, path, &"the path is empty"))
-        };
+        let found =
+            |key, path| named(key, path)?.ok_or_else(|| refused(key, path, &"the path is empty"));
         Ok(Self {
             diffusion: found("init.diffusion", diffusion)?,
             decoder: decoder

@@ -1,7 +1,7 @@
 //! Published PyTorch checkpoints as runs (docs/sources.md, section 4.4).
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
@@ -13,67 +13,13 @@ use kinegrad_motion::humanml::{FeatureStatistics, Root};
 use pytorch_reader::Tensor;
 
 use super::networks::{MATRIX, channels_of, in_space_of, text_denoiser};
-use super::{Gmd, GmdConfig};
+use super::{Gmd, GmdConfig, MOTION};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
+use crate::import::{ImportRequest, Imported};
 use crate::published::{part_of, read_tensors, values_of, vector};
 use crate::systems::Systems;
-
-/// What a file of weights is of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Architecture {
-    /// The motion model of Guided Motion Diffusion.
-    GmdMotion,
-    /// Its trajectory model.
-    GmdTrajectory,
-}
-
-impl Architecture {
-    /// The recipe that trains it.
-    pub fn recipe(self) -> &'static str {
-        match self {
-            Self::GmdMotion => "gmd_motion",
-            Self::GmdTrajectory => "gmd_trajectory",
-        }
-    }
-}
-
-/// What `kinegrad import` is asked to do.
-#[derive(Clone, Debug)]
-pub struct ImportRequest {
-    /// The file that `torch.save` wrote.
-    pub weights: PathBuf,
-    /// What it is of.
-    pub architecture: Architecture,
-    /// `.npy` files of the training data's mean and deviation, one number a feature.
-    pub mean: PathBuf,
-    /// See `mean`.
-    pub std: PathBuf,
-    /// `.npy` file of the projection's matrix, for a model that works in a projected space.
-    pub projection: Option<PathBuf>,
-    /// Frames that the network pads every clip to; 224 in the published models.
-    pub padded_frames: usize,
-    /// Take the weights of the last step and not their moving average.
-    pub last: bool,
-    /// Folder of the new run.
-    pub out: PathBuf,
-}
-
-/// What was imported.
-#[derive(Clone, Debug)]
-pub struct Imported {
-    /// The checkpoint.
-    pub path: PathBuf,
-    /// Number of parameters.
-    pub parameters: usize,
-    /// The part of the file that was read: `model_avg`, `model`, or none for a bare state dict.
-    pub part: Option<&'static str>,
-    /// Names that are known and not needed.
-    pub skipped: usize,
-    /// The resolved config.
-    pub config: Config,
-}
 
 /// Names of the published programs that are no weights of the network: the text encoder and the
 /// tables of positions.
@@ -90,6 +36,26 @@ fn is_known_stranger(name: &str) -> bool {
 /// If a file cannot be read, a parameter is missing, superfluous, of another shape or not finite
 /// (all of them are listed), or statistics or matrix do not fit. Nothing is written then.
 pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
+    let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
+        let message = "published weights without the statistics of their training data";
+        let hint = "give `--mean M.npy --std S.npy`, those that the model was trained with: for an \
+                    absolute root Mean_abs_3d.npy and Std_abs_3d.npy";
+        return Err(Error::usage(message, hint));
+    };
+    let mut warnings = Vec::new();
+    match (request.architecture == MOTION, &request.projection) {
+        (true, None) => warnings.push(
+            "no `--projection`: published motion models work in a projected space, and draw \
+             nonsense outside of it"
+                .to_string(),
+        ),
+        (false, Some(_)) => {
+            let message = format!("`--projection` with `--arch {}`", request.architecture);
+            let hint = "trajectory models work on features as they are";
+            return Err(Error::usage(message, hint));
+        }
+        _ => {}
+    }
     must_be_free(&request.out)?;
     let (part, tensors) = read_weights(&request.weights, request.last)?;
     let all = tensors.len();
@@ -99,7 +65,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         .collect();
     let skipped = all - tensors.len();
     let sizes = Sizes::infer(&request.weights, &tensors)?;
-    let (config, statistics) = settings(request, &sizes)?;
+    let (config, statistics) = settings(request, mean, std, &sizes)?;
     let device = Device::flex();
     let model = text_denoiser(&config, sizes.channels, &device)?;
     let mut weights = fitting(&request.weights, &model, &tensors)?;
@@ -142,6 +108,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         part,
         skipped,
         config,
+        warnings,
     })
 }
 
@@ -207,13 +174,18 @@ impl Sizes {
 }
 
 /// The config that describes the weights, and the statistics of their data.
-fn settings(request: &ImportRequest, sizes: &Sizes) -> Result<(Config, FeatureStatistics), Error> {
-    let recipe = request.architecture.recipe();
+fn settings(
+    request: &ImportRequest,
+    mean_path: &Path,
+    std_path: &Path,
+    sizes: &Sizes,
+) -> Result<(Config, FeatureStatistics), Error> {
+    let recipe = &request.architecture;
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
     let mut config = config::parse(Systems(&[&Gmd]), &text, "the recipe's defaults", &[])?;
-    let (mean, std) = (vector(&request.mean)?, vector(&request.std)?);
+    let (mean, std) = (vector(mean_path)?, vector(std_path)?);
     let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
-        path: request.mean.clone(),
+        path: mean_path.to_path_buf(),
         found: format!("{} numbers", mean.len()),
         allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;

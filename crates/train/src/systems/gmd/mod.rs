@@ -11,6 +11,7 @@ mod generate;
 mod import;
 mod networks;
 pub mod recipes;
+mod sample;
 mod space;
 mod train;
 
@@ -20,15 +21,17 @@ use toml::Table;
 
 pub use config::{GmdConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
-pub use import::{Architecture, ImportRequest, Imported, import};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundGoal};
 
 use super::{RecipeInfo, System};
 use crate::config::{Config, ConfigError, SystemTables};
 use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::import::{ImportRequest, Imported};
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
 use networks::ClipStart;
 
 /// The system.
@@ -89,6 +92,31 @@ impl System for Gmd {
         let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
         let infos = parameters::infos(&denoiser);
         Ok(infos.iter().map(ParameterInfo::len).sum())
+    }
+
+    fn architectures(&self) -> &'static [&'static str] {
+        &[MOTION, TRAJECTORY]
+    }
+
+    fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
+        import::import(request)
+    }
+
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error> {
+        sample::sample(subject, request, receiver)
+    }
+
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error> {
+        evaluate::prepare(subject, request)
     }
 
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {

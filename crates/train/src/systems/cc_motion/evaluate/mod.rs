@@ -1,6 +1,8 @@
 //! From a trained model to the numbers that describe its samples, beside those of real phrases.
 
 mod measures;
+mod report;
+mod run;
 mod terms;
 
 use std::sync::Arc;
@@ -9,6 +11,8 @@ use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
 use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
+
+pub(super) use run::prepare;
 
 pub use measures::{CheckRate, Measures, ProfileRates};
 pub use terms::LossTerm;

@@ -9,9 +9,9 @@ use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
 use serde::Serialize;
 
 use super::text_motion::{TextMotion, TextMotionReports};
-use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, Stage};
 use crate::config::SamplingConfig;
 use crate::error::Error;
+use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, Stage};
 
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;

@@ -1,7 +1,9 @@
 //! How well models reach goals, and how their motion matches its captions.
 
 mod goals;
+mod run;
 mod text_motion;
 
 pub use goals::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
+pub(super) use run::prepare;
 pub use text_motion::{EvaluatorFiles, TextMotion, TextMotionReports};

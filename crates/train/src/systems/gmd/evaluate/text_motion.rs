@@ -10,8 +10,8 @@ use kinegrad_motion::metrics::text_motion::{
 use pytorch_reader::Tensor;
 use serde::Serialize;
 
-use crate::published::{part_of, read_tensors, values_of, vector};
 use crate::error::Error;
+use crate::published::{part_of, read_tensors, values_of, vector};
 
 /// Where the evaluator's parts lie.
 #[derive(Clone, Debug)]

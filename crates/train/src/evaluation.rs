@@ -1,0 +1,76 @@
+//! Measuring trained models: what a system is asked, and numbers that reports put side by side.
+
+use std::path::PathBuf;
+
+use serde_json::Value;
+
+use crate::error::Error;
+
+/// What is measured. A system refuses what does not apply to its models.
+#[derive(Clone, Debug, Default)]
+pub struct EvaluationRequest {
+    /// Dataset whose held-out items are drawn for, in place of the run's own.
+    pub source: Option<String>,
+    /// Samples of each item.
+    pub seeds: Option<usize>,
+    /// Held-out items at most.
+    pub items: Option<usize>,
+    /// Whether conditions are replaced by noise.
+    pub noise: Option<bool>,
+    /// Key frames of each goal.
+    pub keyframes: Option<usize>,
+    /// Obstacles on the way of each goal.
+    pub obstacles: Option<usize>,
+    /// Checkpoint of the model that draws the ground paths to the goals first.
+    pub trajectory: Option<PathBuf>,
+    /// Files of the text-motion evaluator: weights, mean, deviation, word vectors.
+    pub evaluator: Option<[PathBuf; 4]>,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+/// An evaluation whose request has been checked: it is told of the stage, if there are several, and
+/// of the denoising steps done and in all.
+pub type Evaluate<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Evaluated, Error> + 'a>;
+
+/// What is told of a stage's denoising steps done and in all.
+pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) + 'a;
+
+/// What an evaluation found of one run.
+#[derive(Clone, Debug)]
+pub struct Evaluated {
+    /// Name of the run.
+    pub run: String,
+    /// Stem of the report's files.
+    pub report: &'static str,
+    /// Everything, as JSON.
+    pub json: Value,
+    /// The numbers of what the model draws.
+    pub drawn: Column,
+    /// The same numbers of real motion.
+    pub real: Column,
+    /// What does not fit into columns.
+    pub remarks: Vec<String>,
+}
+
+/// Numbers of one set of motions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Column {
+    /// Counts and the like by name; nothing where one does not apply.
+    pub facts: Vec<(&'static str, Option<u64>)>,
+    /// The numbers, in groups.
+    pub groups: Vec<Group>,
+}
+
+/// Numbers that belong together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Its name in files.
+    pub key: &'static str,
+    /// Its heading in tables; empty where there is only one.
+    pub title: &'static str,
+    /// Every number by its name in files; nothing where it cannot be computed.
+    pub numbers: Vec<(String, Option<f64>)>,
+    /// Lines of a table: what is shown, and its number as text.
+    pub rows: Vec<(String, Option<String>)>,
+}

@@ -1,0 +1,216 @@
+//! Phrases drawn under music.
+
+use std::path::Path;
+
+use kinegrad_data::{AudioFeatures, DataKind, Dataset, load_audio};
+use kinegrad_motion::{CHANNELS, Motion, Profile, TrainingStatistics, check};
+
+use super::evaluate::phrase_seed;
+use super::generate::{Generator, Sample};
+use crate::config::Config;
+use crate::error::Error;
+use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
+
+/// Draws what is asked for: each phrase post-processed and as the model drew it.
+///
+/// # Errors
+/// If a condition cannot be used, or the checkpoint cannot be read.
+pub(super) fn sample(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    request.conditions.refuse(
+        &["--goal", "--trajectory-run", "--text-embedding"],
+        "a run on phrases",
+        "runs of recipe `gmd_motion` and `gmd_trajectory` can be led to goals",
+    )?;
+    if let Some(count) = request.conditions.held_out {
+        return for_held_out(subject, count, request.seed, receiver).map(Some);
+    }
+    let conditions = conditions(request, &subject.config)?;
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let several = conditions.len() > 1;
+    for (id, condition) in conditions {
+        let repeated = vec![condition; request.count];
+        let samples = generator.sample(
+            &repeated,
+            &subject.config.sampling,
+            phrase_seed(request.seed, &id),
+            &mut |done, all| receiver.stepped("", done, all),
+        )?;
+        for (index, sample) in samples.into_iter().enumerate() {
+            let mut name = match several {
+                true => format!("-{id}"),
+                false => String::new(),
+            };
+            if request.count > 1 {
+                name += &format!("-{index:03}");
+            }
+            receiver.drawn(drawn(name, sample))?;
+        }
+    }
+    Ok(None)
+}
+
+/// Draws one sample for each of the first `count` held-out phrases, or of those trained on where none
+/// are held out, and checks them.
+fn for_held_out(
+    subject: &Subject,
+    count: usize,
+    seed: u64,
+    receiver: &mut dyn Receiver,
+) -> Result<Remark, Error> {
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let dataset = Dataset::open(&subject.config.data)?;
+    let phrases = match dataset.validation.is_empty() {
+        true => &dataset.train,
+        false => &dataset.validation,
+    };
+    let chosen: Vec<_> = (0..count.min(phrases.len()))
+        .map(|position| phrases.get(position))
+        .collect::<Result<_, _>>()?;
+    let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
+    let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
+    let sampling = &subject.config.sampling;
+    let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {
+        receiver.stepped("", done, all);
+    })?;
+    let header = ["sample", "document", "strict", "fails"];
+    let mut rows = vec![header.map(String::from).to_vec()];
+    for (phrase, sample) in chosen.iter().zip(samples) {
+        rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
+        receiver.drawn(drawn(phrase.id.clone(), sample))?;
+    }
+    Ok(Remark::Table(rows))
+}
+
+/// A line of both profiles' verdicts.
+fn checked(
+    name: &str,
+    motion: &Motion,
+    statistics: &TrainingStatistics,
+) -> Result<Vec<String>, Error> {
+    let document = check(motion, Profile::Document, None)?;
+    let strict = check(motion, Profile::Strict, Some(statistics))?;
+    let checks = document.checks.iter().chain(&strict.checks);
+    let failed = checks.filter(|check| !check.passed);
+    let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
+    failed.dedup();
+    let verdict = |passed| if passed { "ok" } else { "FAIL" }.to_string();
+    Ok(vec![
+        name.to_string(),
+        verdict(document.passed),
+        verdict(strict.passed),
+        failed.join(", "),
+    ])
+}
+
+fn drawn(name: String, sample: Sample) -> Drawn {
+    let array = |motion: Motion| Contents::Array {
+        shape: vec![motion.frames(), CHANNELS],
+        values: motion.into_vec(),
+    };
+    Drawn {
+        name,
+        files: vec![
+            (".npy", array(sample.motion)),
+            (".raw.npy", array(sample.raw)),
+        ],
+    }
+}
+
+/// The conditions to draw for, by name, cut to the frames that are asked for.
+fn conditions(request: &Request, config: &Config) -> Result<Vec<(String, AudioFeatures)>, Error> {
+    let Conditions {
+        audio_features,
+        song,
+        ..
+    } = &request.conditions;
+    let found = match (audio_features, song) {
+        (Some(path), _) => vec![("cond".to_string(), load_audio(path)?)],
+        (None, Some(song)) => vec![of_song(song, request, config)?],
+        (None, None) => of_phrases(&request.conditions, config)?,
+    };
+    let Some(frames) = request.frames else {
+        return Ok(found);
+    };
+    let cut = |(id, audio): (String, AudioFeatures)| {
+        if frames == 0 || frames > audio.frames() {
+            let message = format!(
+                "`--frames` is {frames}, the condition `{id}` has {} frames",
+                audio.frames()
+            );
+            return Err(Error::usage(message, "ask for 1 up to that many"));
+        }
+        Ok((id, audio.slice(0..frames)))
+    };
+    found.into_iter().map(cut).collect()
+}
+
+/// The features of a whole song, from the start that is asked for: of a part alone they would be
+/// normalised otherwise than what the model was trained on.
+fn of_song(
+    song: &Path,
+    request: &Request,
+    config: &Config,
+) -> Result<(String, AudioFeatures), Error> {
+    let waveform = kinegrad_audio::decode(song)?;
+    let features = kinegrad_audio::extract(&waveform.samples).map_err(|error| {
+        let message = format!("{}: {error}", song.display());
+        Error::usage(message, "write the song again from its source")
+    })?;
+    let audio = AudioFeatures::from(&features);
+    let begins = request.conditions.start;
+    let start = begins * kinegrad_audio::FPS;
+    let left = audio.frames() as f64 - start;
+    let name = song.file_stem().unwrap_or_default().to_string_lossy();
+    if !(start >= 0.0 && left >= 1.0) {
+        let message = format!(
+            "`--start` is {begins}, the song {name} has {:.1} seconds",
+            audio.frames() as f64 / kinegrad_audio::FPS
+        );
+        return Err(Error::usage(message, "give a moment within the song"));
+    }
+    let start = start.round() as usize;
+    let most = request.frames.unwrap_or(config.data.target_frames);
+    let end = audio.frames().min(start + most.max(1));
+    Ok((name.into_owned(), audio.slice(start..end)))
+}
+
+fn of_phrases(
+    conditions: &Conditions,
+    config: &Config,
+) -> Result<Vec<(String, AudioFeatures)>, Error> {
+    let mut data = config.data.clone();
+    if let Some(source) = &conditions.source {
+        data.kind = DataKind::Phrases;
+        data.source = Some(source.clone());
+        if conditions.item.is_none() {
+            let hint = "name one with `--phrase ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--phrase`", hint));
+        }
+    }
+    let dataset = Dataset::open(&data)?;
+    let mut found = Vec::new();
+    for side in [&dataset.validation, &dataset.train] {
+        match &conditions.item {
+            None if found.is_empty() && !side.is_empty() => found.push(side.get(0)?),
+            None => {}
+            Some(pattern) => {
+                let chosen = side.filter(|id| kinegrad_data::matches(pattern, id));
+                found.extend(chosen.load()?);
+            }
+        }
+    }
+    if found.is_empty() {
+        let wanted = conditions.item.as_deref().unwrap_or_default();
+        let message = format!("the dataset has no phrase `{wanted}`");
+        let hint = "`kinegrad data inspect URI` lists the phrases";
+        return Err(Error::usage(message, hint));
+    }
+    let found = found.into_iter();
+    Ok(found
+        .map(|phrase| (phrase.id.clone(), phrase.audio.clone()))
+        .collect())
+}

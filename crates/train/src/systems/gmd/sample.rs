@@ -1,0 +1,195 @@
+//! Clips drawn under texts, led to goals or free.
+
+use std::path::Path;
+
+use kinegrad_data::humanml::read_embedding;
+use kinegrad_motion::goal::Goal;
+use kinegrad_motion::humanml::Skeleton;
+use kinegrad_motion::metrics::{GoalReport, GoalSample};
+
+use super::TRAJECTORY;
+use super::generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
+use crate::checkpoint::State;
+use crate::error::Error;
+use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
+
+/// Units of a BVH file in a metre.
+const CENTIMETRES: f64 = 100.0;
+
+/// Draws what is asked for, as one batch: joints, features and BVH of a motion model, the path of a
+/// trajectory model. Returns how near the goals the clips have come.
+///
+/// # Errors
+/// If a condition cannot be used, or a checkpoint cannot be read.
+pub(super) fn sample(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let conditions = &request.conditions;
+    conditions.refuse(
+        &["--source", "--phrase", "--cond", "--audio"],
+        "a run on clips of joint features",
+        "its condition is a text: `--text-embedding FILE#KEY`",
+    )?;
+    if request.frames == Some(0) {
+        return Err(Error::usage(
+            "`--frames` is 0",
+            "ask for at least one frame",
+        ));
+    }
+    let goals: Vec<Goal> = conditions
+        .goals
+        .iter()
+        .map(|path| read_goal(path))
+        .collect::<Result<_, _>>()?;
+    if goals.is_empty() && conditions.trajectory.is_some() {
+        let hint = "the first stage draws the path to a goal: give `--goal GOAL.toml` too";
+        return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
+    }
+    if let (Some(_), Some(goal)) = (request.frames, goals.first()) {
+        let hint = format!(
+            "the goal says how long the clip is: `frames = {}`",
+            goal.frames
+        );
+        return Err(Error::usage("`--frames` with `--goal`", hint));
+    }
+    let text = conditions.text_embedding.as_deref().map(read_embedding);
+    let requests = requests(request.count, &goals, text.transpose()?.as_deref());
+    let frames = match goals.iter().map(|goal| goal.frames).max() {
+        Some(frames) => frames,
+        None => request.frames.unwrap_or(subject.config.data.target_frames),
+    };
+    let load =
+        |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
+    let trajectory = match &conditions.trajectory {
+        Some(checkpoint) => {
+            must_draw_paths(checkpoint)?;
+            Some(load(checkpoint)?)
+        }
+        None => None,
+    };
+    let samples = load(&subject.checkpoint)?.sample(
+        trajectory.as_ref(),
+        &requests,
+        frames,
+        &subject.config.sampling,
+        request.seed,
+        &mut |stage, done, all| receiver.stepped(name_of(stage), done, all),
+    )?;
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    for (index, (sample, request)) in samples.iter().zip(&requests).enumerate() {
+        let name = match samples.len() {
+            1 => String::new(),
+            _ => format!("-{index:03}"),
+        };
+        let frames = request.goal.as_ref().map_or(frames, |goal| goal.frames);
+        receiver.drawn(drawn(name, sample, frames, &skeleton)?)?;
+    }
+    Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
+}
+
+/// What a stage is called.
+pub(super) fn name_of(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Trajectory => "trajectory",
+        Stage::Motion => "motion",
+    }
+}
+
+/// Refuses a checkpoint whose model draws no ground paths.
+///
+/// # Errors
+/// [`Error::Usage`], or if the checkpoint is damaged.
+pub(super) fn must_draw_paths(checkpoint: &Path) -> Result<(), Error> {
+    let recipe = State::read(checkpoint)?.config.train.recipe;
+    if recipe == TRAJECTORY {
+        return Ok(());
+    }
+    let message = format!(
+        "`--trajectory-run` is {}, a run of recipe `{recipe}`",
+        checkpoint.display()
+    );
+    Err(Error::usage(
+        message,
+        "give a run of recipe `gmd_trajectory`",
+    ))
+}
+
+/// `count` clips for each goal, or for none.
+fn requests(count: usize, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipRequest> {
+    let request = |goal: Option<&Goal>| ClipRequest {
+        goal: goal.cloned(),
+        text: text.map(<[f32]>::to_vec),
+    };
+    match goals.is_empty() {
+        true => vec![request(None); count],
+        false => goals
+            .iter()
+            .flat_map(|goal| vec![request(Some(goal)); count])
+            .collect(),
+    }
+}
+
+fn drawn(
+    name: String,
+    sample: &ClipSample,
+    frames: usize,
+    skeleton: &Skeleton,
+) -> Result<Drawn, Error> {
+    let Some(features) = &sample.features else {
+        let files = vec![(".npy", path(&sample.ground[..frames]))];
+        return Ok(Drawn { name, files });
+    };
+    let features = features.slice(0..frames);
+    let joints = features.joints();
+    let mut files = vec![
+        (
+            ".npy",
+            Contents::Array {
+                shape: vec![joints.frames(), joints.joints(), 3],
+                values: joints.to_f32(),
+            },
+        ),
+        (
+            ".features.npy",
+            Contents::Array {
+                shape: vec![features.frames(), features.layout().channels()],
+                values: features.into_vec(),
+            },
+        ),
+        (
+            ".bvh",
+            Contents::Text(joints.to_bvh(skeleton, CENTIMETRES)?.to_text()),
+        ),
+    ];
+    if let Some(drawn) = &sample.path {
+        files.push((".path.npy", path(&drawn[..frames])));
+    }
+    Ok(Drawn { name, files })
+}
+
+/// `[frames, 2]`, x and z.
+fn path(ground: &[[f64; 2]]) -> Contents {
+    Contents::Array {
+        shape: vec![ground.len(), 2],
+        values: ground.iter().flatten().map(|&value| value as f32).collect(),
+    }
+}
+
+/// How near the goals the clips have come.
+fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton) -> Option<String> {
+    let measured: Vec<GoalSample> = samples
+        .iter()
+        .zip(requests)
+        .filter_map(|(sample, request)| {
+            Some(GoalSample {
+                goal: request.goal.as_ref()?,
+                ground: &sample.ground,
+                joints: None,
+            })
+        })
+        .collect();
+    let feet = skeleton.contact_joints();
+    (!measured.is_empty()).then(|| GoalReport::compute(&measured, &feet).to_string())
+}
