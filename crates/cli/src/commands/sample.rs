@@ -138,20 +138,18 @@ impl Receiver for Files {
         }
         let stem = format!("{}{}", self.stem, drawn.name);
         for (ending, contents) in &drawn.files {
-            write(&PathBuf::from(format!("{stem}{ending}")), contents)?;
+            let path = PathBuf::from(format!("{stem}{ending}"));
+            match contents {
+                Contents::Array { shape, values } => write_values(&path, shape, values)?,
+                Contents::Text(text) => {
+                    std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+                }
+            }
         }
         self.written += 1;
         if let (true, Some((ending, _))) = (self.says, drawn.files.first()) {
             say!("{stem}{ending}");
         }
         Ok(())
-    }
-}
-
-/// Writes one file.
-pub fn write(path: &Path, contents: &Contents) -> Result<(), Error> {
-    match contents {
-        Contents::Array { shape, values } => Ok(write_values(path, shape, values)?),
-        Contents::Text(text) => std::fs::write(path, text).map_err(Error::io("write", path)),
     }
 }
