@@ -249,6 +249,43 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
 }
 
 #[test]
+fn losses_and_samples_at_the_end_are_those_of_every_system() {
+    let sandbox = sandbox();
+    let train = "train c.toml --name losses --set train.max_steps=2 --set validation.every_steps=1";
+    let loss = |settings: &str| {
+        let _ = fs::remove_dir_all(sandbox.path("runs/losses"));
+        sandbox.run(&format!("{train} {settings}")).succeeded();
+        let lines = fs::read_to_string(sandbox.path("runs/losses/metrics.jsonl")).expect("metrics");
+        let lines: Vec<Value> = lines
+            .lines()
+            .map(|line| serde_json::from_str(line).expect("JSON"))
+            .collect();
+        let first = |key: &str| lines.iter().find_map(|line| line[key].as_f64());
+        (
+            first("loss").expect("a loss"),
+            first("val_loss").expect("one"),
+        )
+    };
+    let (plain, validated) = loss("");
+    let (absolute, _) = loss("--set diffusion.loss_type=l1");
+    assert!((plain - absolute).abs() > 1e-3, "{plain} {absolute}");
+    // The weights of the timesteps change what is trained on, not what is measured first.
+    let (weighted, same) = loss("--set diffusion.snr_gamma=5");
+    assert!((plain - weighted).abs() > 1e-3, "{plain} {weighted}");
+    assert!(
+        (validated - same).abs() < 0.2 * validated,
+        "{validated} {same}"
+    );
+    let said = sandbox
+        .run("train c.toml --name end --set train.max_steps=1 --set sampling.count_at_end=2")
+        .succeeded();
+    assert!(said.stdout.contains("samples of step 1"), "{}", said.stdout);
+    let names = sandbox.list("runs/end/samples");
+    let bodies = names.iter().filter(|name| name.ends_with(".bvh"));
+    assert!(bodies.count() > 0, "{names:?}");
+}
+
+#[test]
 fn settings_of_another_kind_of_run_are_refused_by_name() {
     let sandbox = sandbox();
     let refused = |settings: &str, texts: &[&str]| {

@@ -7,9 +7,8 @@ use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, Predi
 use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_train::config::{Clip, ValidationConfig};
-use kinegrad_train::systems::cc_motion::recipes::{
-    DenoisingDraws, E2eDraws, E2eRecipe, HeldOut, Inputs, Sampler,
-};
+use kinegrad_train::denoising::{Draws, HeldOut, Inputs};
+use kinegrad_train::systems::cc_motion::recipes::{E2eDraws, E2eRecipe, Sampler};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 
 use crate::golden::{Golden, GoldenTensors, Reference};
@@ -99,12 +98,8 @@ impl Case {
             gradient_decay: 1.0,
             guidance_scale: 1.0,
         };
-        let held_out = HeldOut::new(
-            Vec::new(),
-            statistics.clone(),
-            &ValidationConfig::default(),
-            16,
-        );
+        let nothing = |_| unreachable!("nothing is held out");
+        let held_out = HeldOut::new(Vec::new(), &ValidationConfig::default(), nothing);
         let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
         E2eRecipe::new(sampler, &LossConfig::document(), held_out)
     }
@@ -125,7 +120,7 @@ impl Case {
     pub fn draws(&self) -> E2eDraws {
         let timesteps = self.golden.get(&format!("in.{}.t", self.name));
         E2eDraws {
-            denoising: DenoisingDraws {
+            denoising: Draws {
                 timesteps: timesteps.indices(),
                 noise: self.tensor("in.noise"),
                 keep_cond: None,

@@ -6,8 +6,8 @@
 
 pub mod checkpoint;
 pub mod config;
+pub mod denoising;
 pub mod device;
-pub mod draws;
 pub mod ema;
 mod error;
 pub mod evaluation;

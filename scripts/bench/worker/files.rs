@@ -6,8 +6,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-use kinegrad_train::systems::cc_motion::recipes::{DenoisingDraws, Inputs};
-use kinegrad_train::systems::gmd::recipes::{ClipDraws, ClipInputs};
+use kinegrad_train::denoising::{Draws, Inputs};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::Result;
@@ -51,24 +50,16 @@ impl NamedTensors {
     }
 
     /// Clips with a mask `[batch, 1, time]` and a text each.
-    pub fn clips(&self) -> Result<ClipInputs> {
-        Ok(ClipInputs {
+    pub fn clips(&self) -> Result<Inputs> {
+        Ok(Inputs {
             x_start: self.tensor("motion")?,
-            text: self.tensor("cond")?,
+            cond: self.tensor("cond")?,
             mask: self.tensor("mask")?.squeeze_dim(1),
         })
     }
 
-    pub fn clip_draws(&self) -> Result<ClipDraws> {
-        Ok(ClipDraws {
-            timesteps: self.timesteps.clone(),
-            noise: self.tensor("noise")?,
-            keep_text: None,
-        })
-    }
-
-    pub fn denoising_draws(&self) -> Result<DenoisingDraws> {
-        Ok(DenoisingDraws {
+    pub fn draws(&self) -> Result<Draws> {
+        Ok(Draws {
             timesteps: self.timesteps.clone(),
             noise: self.tensor("noise")?,
             keep_cond: None,

@@ -26,7 +26,7 @@ use std::time::Instant;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use kinegrad_data::{AUDIO_CHANNELS, DataConfig};
+use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
     Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
@@ -36,17 +36,15 @@ use kinegrad_models::{
     DecoderConfig, Initializer, ModelConfig, ModelKind, MotionModel, TextDenoiser, UNet1d,
 };
 use kinegrad_motion::TrainingStatistics;
-use kinegrad_motion::humanml::{FeatureStatistics, Root};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::config::{EmaConfig, OptimConfig, ValidationConfig};
+use kinegrad_train::denoising::HeldOut;
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
-use kinegrad_train::systems::cc_motion::recipes::{
-    DiffusionRecipe, E2eDraws, E2eRecipe, HeldOut, Sampler,
-};
+use kinegrad_train::systems::cc_motion::recipes::{DiffusionRecipe, E2eDraws, E2eRecipe, Sampler};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
-use kinegrad_train::systems::gmd::recipes::{GmdMotionRecipe, HeldOutClips};
+use kinegrad_train::systems::gmd::recipes::GmdMotionRecipe;
 use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
 use serde_json::json;
@@ -287,12 +285,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
     let weights = read_weights(&row.weights)?;
     let statistics = Arc::new(TrainingStatistics::unit());
-    let held_out = HeldOut::new(
-        Vec::new(),
-        statistics.clone(),
-        &ValidationConfig::default(),
-        0,
-    );
+    let held_out = nothing_held_out();
     Ok(match row.task {
         Task::Train {
             optim,
@@ -300,7 +293,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
         } => {
             let model = parameters::load(unet()?, weights)?;
             let recipe = DiffusionRecipe::new(diffusion, held_out);
-            let (batch, draws) = (inputs.batch()?, inputs.denoising_draws()?);
+            let (batch, draws) = (inputs.batch()?, inputs.draws()?);
             let loss = move |recipe: &DiffusionRecipe, unet: &UNet1d| {
                 recipe.loss_of(unet, batch.clone(), draws.clone())
             };
@@ -330,7 +323,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             let recipe = E2eRecipe::new(sampler, &LossConfig::document(), held_out);
             let batch = inputs.batch()?;
             let draws = E2eDraws {
-                denoising: inputs.denoising_draws()?,
+                denoising: inputs.draws()?,
                 starts: vec![last; batch.x_start.dims()[0]],
                 start_noise: inputs.tensor("x_T")?,
                 decoder_dropout: None,
@@ -352,16 +345,8 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(network.init(&device)?, weights)?;
             let channels = network.motion_channels;
-            let unit = FeatureStatistics::new(vec![0.0; 263], vec![1.0; 263], Root::Absolute)?;
-            let held_out = HeldOutClips::new(
-                Vec::new(),
-                Arc::new(unit),
-                0..channels,
-                &DataConfig::default(),
-                &ValidationConfig::default(),
-            );
             let recipe = GmdMotionRecipe::new(diffusion, channels, trajectory_scale, held_out);
-            let (batch, draws) = (inputs.clips()?, inputs.clip_draws()?);
+            let (batch, draws) = (inputs.clips()?, inputs.draws()?);
             let loss = move |recipe: &GmdMotionRecipe, model: &TextDenoiser| {
                 recipe.loss_of(model, batch.clone(), draws.clone())
             };
@@ -436,4 +421,12 @@ fn main() -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What a recipe that is never validated is measured on.
+fn nothing_held_out() -> HeldOut {
+    let validation = ValidationConfig::default();
+    HeldOut::new(Vec::new(), &validation, |_| {
+        unreachable!("nothing is held out")
+    })
 }

@@ -1,11 +1,11 @@
 //! The trajectory's loss with its first channels weighted.
 
 use burn::tensor::{Device, Tensor};
-use kinegrad_diffusion::PredictionType;
+use kinegrad_diffusion::{LossType, PredictionType};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::recipes::loss::weighted_masked_mse;
+use kinegrad_train::systems::gmd::recipes::loss::weighted_masked_loss;
 
 use super::bench::process;
 
@@ -57,13 +57,21 @@ fn golden_gmd_trajectory_loss(golden: Golden) {
             for sample in 0..batch {
                 let of = |x: &Tensor<3>| x.clone().narrow(0, sample, 1);
                 let masked = mask.clone().narrow(0, sample, 1);
-                let loss = weighted_masked_mse(of(&output), of(&target), masked, &weights);
+                let loss = weighted_masked_loss(
+                    of(&output),
+                    of(&target),
+                    masked,
+                    &weights,
+                    None,
+                    LossType::Mse,
+                );
                 let expected = golden.get(&format!("out.{name}.loss")).values[sample];
                 let found = f64::from(loss.into_scalar::<f32>());
                 golden.bound(&name, (found / expected - 1.0).abs(), 1e-5);
             }
             literal(&golden, &name, &output, &target, k);
-            let loss = weighted_masked_mse(output, target, mask.clone(), &weights);
+            let loss =
+                weighted_masked_loss(output, target, mask.clone(), &weights, None, LossType::Mse);
             let gradients = loss.backward();
             golden.get(&format!("grad.{name}.W")).assert_close_tensor(
                 "dW",
@@ -94,7 +102,7 @@ fn literal(golden: &Golden, name: &str, output: &Tensor<3>, target: &Tensor<3>, 
         for frame in 0..frames {
             let (output, target) = (of(output, sample, frame), of(target, sample, frame));
             let mask = Tensor::ones([1, 1], &output.device());
-            let loss = weighted_masked_mse(output, target, mask, &weights);
+            let loss = weighted_masked_loss(output, target, mask, &weights, None, LossType::Mse);
             found.push(f64::from(loss.into_scalar::<f32>()) * sum);
         }
     }

@@ -4,16 +4,19 @@ use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::{Dataset, Loader};
+use std::ops::Range;
+
+use kinegrad_data::{Dataset, Loader, collate_validation};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::MotionModel;
 use kinegrad_motion::TrainingStatistics;
 
 use super::networks::{denoiser, networks};
-use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, HeldOut, Sampler};
+use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Sampler};
 use super::start::Starts;
 use super::{CcMotionConfig, DECODER, DIFFUSION, E2E, pretrain};
 use crate::config::{Config, SystemTables};
+use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
@@ -90,12 +93,13 @@ struct Phrases {
 impl Phrases {
     /// The held-out phrases, in memory from now on.
     fn held_out(&self) -> Result<HeldOut, Error> {
-        Ok(HeldOut::new(
-            self.dataset.validation.load()?,
-            self.statistics.clone(),
-            &self.config.validation,
-            self.config.data.target_frames,
-        ))
+        let phrases = self.dataset.validation.load()?;
+        let ids = phrases.iter().map(|phrase| phrase.id.clone()).collect();
+        let statistics = self.statistics.clone();
+        let frames = self.config.data.target_frames;
+        let collate =
+            move |range: Range<usize>| collate_validation(&phrases[range], &statistics, frames);
+        Ok(HeldOut::new(ids, &self.config.validation, collate))
     }
 
     fn sampler(&self) -> Result<Sampler, Error> {

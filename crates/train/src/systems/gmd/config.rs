@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, LossType};
+use kinegrad_diffusion::DiffusionConfig;
 use kinegrad_models::ModelConfig;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisError, EmphasisKind};
 use serde::{Deserialize, Serialize};
@@ -97,20 +97,6 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     if config.sampling.clip == Clip::TrainingRange {
         let allowed = "\"none\", \"six\" or \"unit\": the ranges of joint features are not kept";
         return Err(ConfigError::range("sampling.clip", "\"training_range\"", allowed).into());
-    }
-    if config.sampling.count_at_end > 0 {
-        let allowed = "0 for recipes on clips: `kinegrad sample` draws";
-        let found = config.sampling.count_at_end;
-        return Err(ConfigError::range("sampling.count_at_end", found, allowed).into());
-    }
-    let diffusion = &own.diffusion;
-    if diffusion.loss_type != LossType::Mse {
-        let allowed = "\"mse\" for recipes on clips";
-        return Err(ConfigError::range("diffusion.loss_type", "another", allowed).into());
-    }
-    if let Some(snr_gamma) = diffusion.snr_gamma {
-        let allowed = "no such key for recipes on clips";
-        return Err(ConfigError::range("diffusion.snr_gamma", snr_gamma, allowed).into());
     }
     own.emphasis.validate().map_err(|error| match error {
         EmphasisError::InvalidSetting {

@@ -1,13 +1,15 @@
 //! Clips drawn under texts, led to goals or free.
 
 use std::path::Path;
+use std::sync::Arc;
 
-use kinegrad_data::humanml::read_embedding;
+use kinegrad_data::humanml::{Clip, ClipDataset, read_embedding};
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::TRAJECTORY;
+use super::evaluate::embedding;
 use super::generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 use crate::checkpoint::State;
 use crate::error::Error;
@@ -32,6 +34,9 @@ pub(super) fn sample(
         "a run on clips of joint features",
         "its condition is a text: `--text-embedding FILE#KEY`",
     )?;
+    if let Some(count) = conditions.held_out {
+        return for_held_out(subject, count, request.seed, receiver);
+    }
     if request.frames == Some(0) {
         return Err(Error::usage(
             "`--frames` is 0",
@@ -87,6 +92,38 @@ pub(super) fn sample(
         receiver.drawn(drawn(name, sample, frames, &skeleton)?)?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
+}
+
+/// Draws one clip for each of the first `count` held-out clips, or of those trained on where none are
+/// held out, under its first caption.
+fn for_held_out(
+    subject: &Subject,
+    count: usize,
+    seed: u64,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let config = &subject.config;
+    let dataset = ClipDataset::open(&config.data)?;
+    let clips = match dataset.validation.is_empty() {
+        true => &dataset.train,
+        false => &dataset.validation,
+    };
+    let chosen: Vec<_> = (0..count.min(clips.len()))
+        .map(|position| clips.get(position))
+        .collect::<Result<_, _>>()?;
+    let request = |clip: &Arc<Clip>| ClipRequest {
+        goal: None,
+        text: embedding(clip),
+    };
+    let requests: Vec<ClipRequest> = chosen.iter().map(request).collect();
+    let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let (frames, sampling) = (config.data.target_frames, &config.sampling);
+    let mut told = |stage, done, all| receiver.stepped(name_of(stage), done, all);
+    let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
+    for (clip, sample) in chosen.iter().zip(&samples) {
+        receiver.drawn(drawn(clip.id.clone(), sample, frames, &dataset.skeleton)?)?;
+    }
+    Ok(None)
 }
 
 /// What a stage is called.

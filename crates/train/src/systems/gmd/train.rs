@@ -1,15 +1,17 @@
 //! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use kinegrad_data::Loader;
-use kinegrad_data::humanml::ClipDataset;
+use kinegrad_data::humanml::{ClipDataset, collate_clips};
 use kinegrad_diffusion::GaussianDiffusion;
 
 use super::networks::{ClipStart, channels_of, model_in_space};
-use super::recipes::{GmdMotionRecipe, GmdTrajectoryRecipe, HeldOutClips};
+use super::recipes::{GmdMotionRecipe, GmdTrajectoryRecipe};
 use super::{GmdConfig, TRAJECTORY};
 use crate::config::SystemTables;
+use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
@@ -40,13 +42,15 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let statistics = Arc::new(statistics);
     let held_out = dataset.validation.load()?;
-    let held_out = HeldOutClips::new(
-        held_out,
-        statistics.clone(),
-        channels.clone(),
-        &config.data,
-        &config.validation,
-    );
+    let ids = held_out.iter().map(|clip| clip.id.clone()).collect();
+    let collate = {
+        let (statistics, channels) = (statistics.clone(), channels.clone());
+        let data = config.data.clone();
+        move |range: Range<usize>| {
+            collate_clips(&held_out[range], &statistics, channels.clone(), &data)
+        }
+    };
+    let held_out = HeldOut::new(ids, &config.validation, collate);
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let material = Material {
         train: dataset.train.len(),

@@ -17,9 +17,9 @@ use kinegrad_data::Batch;
 use kinegrad_models::MotionModel;
 use kinegrad_random::{Key, Purpose};
 
+use super::Sampler;
 use super::sampler::channels;
-use super::{HeldOut, Inputs, Sampler};
-use crate::draws::noise;
+use crate::denoising::{HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::losses::reconstruction::normalized_error;
 use crate::systems::cc_motion::{LossConfig, ReconstructionWeighting};
@@ -126,7 +126,7 @@ impl Recipe for DecoderRecipe {
     }
 
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
-        let phrases = self.held_out.phrases.len();
+        let phrases = self.held_out.len();
         let starts = self.sampler.starts(phrases, |_| 0.5);
         let mut measured = Measured::default();
         for (range, inputs) in self.held_out.batches(device) {

@@ -8,14 +8,12 @@
 //! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
 //! `diffusion.cond_drop_prob`, so that classifier-free guidance has a null condition it knows.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use kinegrad_data::Batch;
-use kinegrad_diffusion::{GaussianDiffusion, Time, diffusion_loss};
-use kinegrad_models::{DropoutKey, UNet1d};
-use kinegrad_random::Purpose;
+use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
+use kinegrad_models::UNet1d;
 
-use super::{HeldOut, Inputs};
-use crate::draws::{keep_cond, noise, spread_timesteps};
+use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
 /// Trains a [`UNet1d`] to denoise.
@@ -34,8 +32,8 @@ impl DiffusionRecipe {
     }
 
     /// The loss of given draws.
-    pub fn loss_of(&self, model: &UNet1d, inputs: Inputs, draws: DenoisingDraws) -> Loss {
-        denoising_loss(&self.diffusion, model, inputs, draws)
+    pub fn loss_of(&self, model: &UNet1d, inputs: Inputs, draws: Draws) -> Loss {
+        denoising_loss(&self.diffusion, model, inputs, draws, true)
     }
 }
 
@@ -45,7 +43,7 @@ impl Recipe for DiffusionRecipe {
 
     fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
-        let draws = DenoisingDraws::new(&self.diffusion, inputs.x_start.dims(), key, device);
+        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
         self.loss_of(model, inputs, draws)
     }
 
@@ -57,114 +55,41 @@ impl Recipe for DiffusionRecipe {
     }
 }
 
-/// What is random in the loss of one batch.
-#[derive(Clone, Debug)]
-pub struct DenoisingDraws {
-    /// One timestep a sample.
-    pub timesteps: Vec<usize>,
-    /// Standard normal: `[batch, channels, time]`.
-    pub noise: Tensor<3>,
-    /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
-    pub keep_cond: Option<Tensor<3>>,
-    /// The network's dropout.
-    pub dropout: DropoutKey,
-}
-
-impl DenoisingDraws {
-    /// The draws of `key` for a batch of this shape.
-    pub fn new(
-        diffusion: &GaussianDiffusion,
-        shape: [usize; 3],
-        key: StepKey,
-        device: &Device,
-    ) -> Self {
-        let config = &diffusion.config;
-        let batch = shape[0];
-        Self {
-            timesteps: key
-                .of(Purpose::Timesteps)
-                .integers(batch, config.num_train_timesteps),
-            noise: noise(key.of(Purpose::Noise), shape, device),
-            keep_cond: keep_cond(config.cond_drop_prob, batch, key, device),
-            dropout: Some(key.of(Purpose::Dropout)),
-        }
-    }
-}
-
-/// The loss above.
+/// The loss above, with the weights w(t) where it is `weighted`.
 pub(super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     inputs: Inputs,
-    draws: DenoisingDraws,
+    draws: Draws,
+    weighted: bool,
 ) -> Loss {
-    let Inputs {
-        x_start,
-        cond,
-        mask,
-    } = inputs;
-    let DenoisingDraws {
-        timesteps,
-        noise,
-        keep_cond,
-        dropout,
-    } = draws;
-    let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-    let cond = match keep_cond {
-        Some(keep) => cond * keep,
-        None => cond,
-    };
-    let model_output = unet.forward(x_t.clone(), &Time::of(&timesteps), cond.clone(), dropout);
-
-    let target = diffusion.target(x_start.clone(), noise, &timesteps);
-    let weights = diffusion.loss_weights(&timesteps);
-    let total = diffusion_loss(
-        model_output.clone(),
-        target,
-        Some(mask),
-        Some(&weights),
-        diffusion.config.loss_type,
-    );
-    Loss {
-        terms: vec![("diffusion", total.clone())],
-        probes: vec![
-            ("x_start", x_start),
-            ("cond", cond),
-            ("x_t", x_t),
-            ("model_output", model_output),
-        ],
-        total,
-        pending: (),
-    }
+    let weights = weighted.then(|| diffusion.loss_weights(&draws.timesteps));
+    crate::denoising::denoising_loss(
+        diffusion,
+        inputs,
+        draws,
+        |x_t, time, cond, dropout| unet.forward(x_t, time, cond, dropout),
+        |model_output, target, mask| {
+            let loss_type = diffusion.config.loss_type;
+            diffusion_loss(
+                model_output,
+                target,
+                Some(mask),
+                weights.as_deref(),
+                loss_type,
+            )
+        },
+    )
 }
 
-/// The same loss without dropout on held-out phrases, at [`spread_timesteps`].
+/// The same loss, not weighted, on held-out phrases.
 pub(super) fn denoising_validation_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     held_out: &HeldOut,
     device: &Device,
 ) -> f64 {
-    let (phrases, draws) = (held_out.phrases.len(), held_out.draws);
-    let num_train_timesteps = diffusion.config.num_train_timesteps;
-    let mut sum = 0.0;
-    for draw in 0..draws {
-        for (range, inputs) in held_out.batches(device) {
-            let Inputs {
-                x_start,
-                cond,
-                mask,
-            } = inputs;
-            let timesteps =
-                spread_timesteps(range.clone(), draw, draws, phrases, num_train_timesteps);
-            let noise = held_out.noise(range.clone(), draw as u64, &x_start);
-            let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
-            let model_output = unet.forward(x_t, &Time::of(&timesteps), cond, None);
-            let target = diffusion.target(x_start, noise, &timesteps);
-            let loss_type = diffusion.config.loss_type;
-            let loss = diffusion_loss(model_output, target, Some(mask), None, loss_type);
-            sum += f64::from(loss.into_scalar::<f32>()) * range.len() as f64;
-        }
-    }
-    sum / (draws * phrases) as f64
+    held_out.mean_loss(diffusion, device, |inputs, draws| {
+        denoising_loss(diffusion, unet, inputs, draws, false).total
+    })
 }

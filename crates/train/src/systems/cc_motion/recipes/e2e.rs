@@ -23,10 +23,10 @@ use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
 
-use super::diffusion::{DenoisingDraws, denoising_loss, denoising_validation_loss};
+use super::Sampler;
+use super::diffusion::{denoising_loss, denoising_validation_loss};
 use super::sampler::channels;
-use super::{HeldOut, Inputs, Sampler};
-use crate::draws::noise;
+use crate::denoising::{Draws, HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::LossConfig;
 use crate::systems::cc_motion::losses::reconstruction::normalized_error;
@@ -53,7 +53,7 @@ pub struct PendingRollout {
 #[derive(Clone, Debug)]
 pub struct E2eDraws {
     /// Of the diffusion loss.
-    pub denoising: DenoisingDraws,
+    pub denoising: Draws,
     /// Start timestep of each sample's rollout.
     pub starts: Vec<usize>,
     /// Start noise of the rollout, standard normal: `[batch, 25, time]`.
@@ -87,7 +87,7 @@ impl E2eRecipe {
         } = draws;
         // 1. The diffusion loss.
         let diffusion = &self.sampler.rollout.diffusion;
-        let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising);
+        let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising, true);
         let mut total = denoising.total * self.loss.w_diff;
         let mut terms = vec![("diffusion", total.clone())];
 
@@ -182,7 +182,7 @@ impl Recipe for E2eRecipe {
         let shape = inputs.x_start.dims();
         let diffusion = &self.sampler.rollout.diffusion;
         let draws = E2eDraws {
-            denoising: DenoisingDraws::new(diffusion, shape, key, device),
+            denoising: Draws::new(diffusion, shape, key, device),
             starts: self
                 .sampler
                 .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
@@ -211,7 +211,7 @@ impl Recipe for E2eRecipe {
     /// evenly.
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
         let diffusion = &self.sampler.rollout.diffusion;
-        let phrases = self.held_out.phrases.len();
+        let phrases = self.held_out.len();
         let denoising = denoising_validation_loss(diffusion, &model.unet, &self.held_out, device);
         let mut measured = Measured::default();
         measured.add("diffusion", denoising * self.loss.w_diff);

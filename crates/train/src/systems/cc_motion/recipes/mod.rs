@@ -3,13 +3,9 @@
 pub mod decoder;
 pub mod diffusion;
 pub mod e2e;
-mod held_out;
-mod inputs;
 mod sampler;
 
 pub use decoder::DecoderRecipe;
-pub use diffusion::{DenoisingDraws, DiffusionRecipe};
+pub use diffusion::DiffusionRecipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
-pub use held_out::HeldOut;
-pub use inputs::Inputs;
 pub use sampler::Sampler;

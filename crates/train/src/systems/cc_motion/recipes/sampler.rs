@@ -8,7 +8,7 @@ use kinegrad_models::UNet1d;
 use kinegrad_motion::TrainingStatistics;
 use kinegrad_random::Key;
 
-use super::Inputs;
+use crate::denoising::Inputs;
 use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.

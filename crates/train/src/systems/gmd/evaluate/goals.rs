@@ -179,7 +179,8 @@ pub fn evaluate_goals(
     })
 }
 
-fn embedding(clip: &Clip) -> Option<Vec<f32>> {
+/// The embedding of a clip's first caption.
+pub fn embedding(clip: &Clip) -> Option<Vec<f32>> {
     let embedding = clip.captions.first()?.embedding.as_deref()?;
     debug_assert_eq!(embedding.len(), EMBEDDING_CHANNELS);
     Some(embedding.to_vec())

@@ -4,6 +4,7 @@ mod goals;
 mod run;
 mod text_motion;
 
+pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
 pub(super) use run::prepare;
 pub use text_motion::{EvaluatorFiles, TextMotion, TextMotionReports};

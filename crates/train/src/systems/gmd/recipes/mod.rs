@@ -4,6 +4,5 @@ pub mod loss;
 pub mod motion;
 pub mod trajectory;
 
-pub use loss::{ClipDraws, ClipInputs, HeldOutClips};
 pub use motion::GmdMotionRecipe;
 pub use trajectory::GmdTrajectoryRecipe;

@@ -15,7 +15,8 @@ use kinegrad_data::Batch;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
 
-use super::loss::{ClipDraws, ClipInputs, HeldOutClips, clip_loss, prepare};
+use super::loss::clip_loss;
+use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
 /// Channels that a trajectory scale is about: root rotation, x, z and height.
@@ -25,7 +26,7 @@ pub const TRAJECTORY_CHANNELS: usize = 4;
 pub struct GmdMotionRecipe {
     diffusion: GaussianDiffusion,
     channel_weights: Vec<f64>,
-    held_out: HeldOutClips,
+    held_out: HeldOut,
 }
 
 impl GmdMotionRecipe {
@@ -34,7 +35,7 @@ impl GmdMotionRecipe {
         diffusion: GaussianDiffusion,
         channels: usize,
         trajectory_scale: f64,
-        held_out: HeldOutClips,
+        held_out: HeldOut,
     ) -> Self {
         let mut channel_weights = vec![1.0; channels];
         channel_weights[..TRAJECTORY_CHANNELS].fill(trajectory_scale.powi(2));
@@ -46,13 +47,24 @@ impl GmdMotionRecipe {
     }
 
     /// The loss of given draws, whose noise is that of the network's space.
-    pub fn loss_of(&self, model: &TextDenoiser, inputs: ClipInputs, draws: ClipDraws) -> Loss {
+    pub fn loss_of(&self, model: &TextDenoiser, inputs: Inputs, draws: Draws) -> Loss {
+        self.weighted_loss(model, inputs, draws, true)
+    }
+
+    fn weighted_loss(
+        &self,
+        model: &TextDenoiser,
+        inputs: Inputs,
+        draws: Draws,
+        weighted: bool,
+    ) -> Loss {
         let x_start = match model.projection() {
             Some(projection) => projection.forward(inputs.x_start),
             None => inputs.x_start,
         };
-        let inputs = ClipInputs { x_start, ..inputs };
-        clip_loss(&self.diffusion, model, inputs, draws, &self.channel_weights)
+        let inputs = Inputs { x_start, ..inputs };
+        let weights = &self.channel_weights;
+        clip_loss(&self.diffusion, model, inputs, draws, weights, weighted)
     }
 }
 
@@ -61,13 +73,16 @@ impl Recipe for GmdMotionRecipe {
     type Pending = ();
 
     fn loss(&self, model: &TextDenoiser, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        let (inputs, draws) = prepare(&self.diffusion, batch, key, device);
+        let inputs = Inputs::new(batch, device);
+        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
         self.loss_of(model, inputs, draws)
     }
 
     fn validation_loss(&self, model: &TextDenoiser, device: &Device) -> Measured {
-        let steps = self.diffusion.config.num_train_timesteps;
-        let loss = |inputs, draws| self.loss_of(model, inputs, draws);
-        self.held_out.measure(steps, device, loss)
+        let loss = |inputs, draws| self.weighted_loss(model, inputs, draws, false).total;
+        Measured {
+            total: self.held_out.mean_loss(&self.diffusion, device, loss),
+            terms: Vec::new(),
+        }
     }
 }

@@ -13,19 +13,20 @@ use kinegrad_data::Batch;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
 
-use super::loss::{ClipDraws, ClipInputs, HeldOutClips, clip_loss, prepare};
+use super::loss::clip_loss;
 use super::motion::TRAJECTORY_CHANNELS;
+use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
 /// Trains a [`TextDenoiser`] on the root's way.
 pub struct GmdTrajectoryRecipe {
     diffusion: GaussianDiffusion,
-    held_out: HeldOutClips,
+    held_out: HeldOut,
 }
 
 impl GmdTrajectoryRecipe {
     /// A recipe over `diffusion`, validated on `held_out`.
-    pub fn new(diffusion: GaussianDiffusion, held_out: HeldOutClips) -> Self {
+    pub fn new(diffusion: GaussianDiffusion, held_out: HeldOut) -> Self {
         Self {
             diffusion,
             held_out,
@@ -33,9 +34,19 @@ impl GmdTrajectoryRecipe {
     }
 
     /// The loss of given draws.
-    pub fn loss_of(&self, model: &TextDenoiser, inputs: ClipInputs, draws: ClipDraws) -> Loss {
+    pub fn loss_of(&self, model: &TextDenoiser, inputs: Inputs, draws: Draws) -> Loss {
+        self.weighted_loss(model, inputs, draws, true)
+    }
+
+    fn weighted_loss(
+        &self,
+        model: &TextDenoiser,
+        inputs: Inputs,
+        draws: Draws,
+        weighted: bool,
+    ) -> Loss {
         let weights = [1.0; TRAJECTORY_CHANNELS];
-        clip_loss(&self.diffusion, model, inputs, draws, &weights)
+        clip_loss(&self.diffusion, model, inputs, draws, &weights, weighted)
     }
 }
 
@@ -44,13 +55,16 @@ impl Recipe for GmdTrajectoryRecipe {
     type Pending = ();
 
     fn loss(&self, model: &TextDenoiser, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        let (inputs, draws) = prepare(&self.diffusion, batch, key, device);
+        let inputs = Inputs::new(batch, device);
+        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
         self.loss_of(model, inputs, draws)
     }
 
     fn validation_loss(&self, model: &TextDenoiser, device: &Device) -> Measured {
-        let steps = self.diffusion.config.num_train_timesteps;
-        let loss = |inputs, draws| self.loss_of(model, inputs, draws);
-        self.held_out.measure(steps, device, loss)
+        let loss = |inputs, draws| self.weighted_loss(model, inputs, draws, false).total;
+        Measured {
+            total: self.held_out.mean_loss(&self.diffusion, device, loss),
+            terms: Vec::new(),
+        }
     }
 }

@@ -1,0 +1,224 @@
+//! Training a denoiser on noised motion: a batch on the device, what is drawn for it, the loss, and
+//! the held-out motion. Recipes of all systems share it.
+
+use std::ops::Range;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::Batch;
+use kinegrad_diffusion::{GaussianDiffusion, Time};
+use kinegrad_models::DropoutKey;
+use kinegrad_random::{Key, Purpose};
+
+use crate::config::ValidationConfig;
+use crate::recipe::{Loss, StepKey};
+
+/// A batch on the device.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// `[batch, channels, time]`, normalised.
+    pub x_start: Tensor<3>,
+    /// What each sample is conditioned on, zeros where it is nothing: audio features
+    /// `[batch, 163, time]`, or a text's pooled feature `[batch, 512, 1]`.
+    pub cond: Tensor<3>,
+    /// `[batch, time]`, 1 where a frame is real.
+    pub mask: Tensor<2>,
+}
+
+impl Inputs {
+    /// Copies `batch` to `device`.
+    pub fn new(batch: &Batch, device: &Device) -> Self {
+        let (size, time) = (batch.batch_size, batch.frames);
+        let on_device = |values: &[f32], shape: [usize; 3]| -> Tensor<3> {
+            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+        };
+        Self {
+            x_start: on_device(&batch.x_start, [size, batch.channels, time]),
+            cond: on_device(&batch.cond, [size, batch.cond_channels, batch.cond_frames]),
+            mask: Tensor::from_data(TensorData::new(batch.mask.clone(), [size, time]), device),
+        }
+    }
+}
+
+/// What is random in the loss of one batch.
+#[derive(Clone, Debug)]
+pub struct Draws {
+    /// One timestep a sample.
+    pub timesteps: Vec<usize>,
+    /// Standard normal: `[batch, channels, time]`.
+    pub noise: Tensor<3>,
+    /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
+    pub keep_cond: Option<Tensor<3>>,
+    /// The network's dropout.
+    pub dropout: DropoutKey,
+}
+
+impl Draws {
+    /// The draws of `key` for a batch of this shape.
+    pub fn new(
+        diffusion: &GaussianDiffusion,
+        shape: [usize; 3],
+        key: StepKey,
+        device: &Device,
+    ) -> Self {
+        let config = &diffusion.config;
+        let batch = shape[0];
+        let keep_cond = (config.cond_drop_prob > 0.0).then(|| {
+            let keep: Vec<f32> = key
+                .of(Purpose::CondDropout)
+                .uniforms(batch)
+                .iter()
+                .map(|&u| f32::from(f64::from(u) >= config.cond_drop_prob))
+                .collect();
+            Tensor::from_data(TensorData::new(keep, [batch, 1, 1]), device)
+        });
+        Self {
+            timesteps: key
+                .of(Purpose::Timesteps)
+                .integers(batch, config.num_train_timesteps),
+            noise: noise(key.of(Purpose::Noise), shape, device),
+            keep_cond,
+            dropout: Some(key.of(Purpose::Dropout)),
+        }
+    }
+}
+
+/// Standard normal noise of `key`.
+pub fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
+    let values = key.normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// The loss of a network on noised motion:
+///
+/// ```text
+/// L = distance(target, f(x_t, t, cond))     x_t = sqrt(abar_t) x_start + sqrt(1 - abar_t) noise
+/// ```
+///
+/// with the target chosen by `diffusion.prediction_type`, and the condition zero where it is
+/// dropped. `distance` is told output, target and mask.
+pub fn denoising_loss(
+    diffusion: &GaussianDiffusion,
+    inputs: Inputs,
+    draws: Draws,
+    network: impl FnOnce(Tensor<3>, &[Time], Tensor<3>, DropoutKey) -> Tensor<3>,
+    distance: impl FnOnce(Tensor<3>, Tensor<3>, Tensor<2>) -> Tensor<1>,
+) -> Loss {
+    let Inputs {
+        x_start,
+        cond,
+        mask,
+    } = inputs;
+    let Draws {
+        timesteps,
+        noise,
+        keep_cond,
+        dropout,
+    } = draws;
+    let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
+    let cond = match keep_cond {
+        Some(keep) => cond * keep,
+        None => cond,
+    };
+    let model_output = network(x_t.clone(), &Time::of(&timesteps), cond.clone(), dropout);
+    let target = diffusion.target(x_start.clone(), noise, &timesteps);
+    let total = distance(model_output.clone(), target, mask);
+    Loss {
+        terms: vec![("diffusion", total.clone())],
+        probes: vec![
+            ("x_start", x_start),
+            ("cond", cond),
+            ("x_t", x_t),
+            ("model_output", model_output),
+        ],
+        total,
+        pending: (),
+    }
+}
+
+/// What a recipe is measured on.
+pub struct HeldOut {
+    ids: Vec<String>,
+    /// The batch of some items, by their numbers.
+    collate: Box<dyn Fn(Range<usize>) -> Batch>,
+    draws: usize,
+    batch_size: usize,
+}
+
+impl HeldOut {
+    /// The items with these ids, whose batches `collate` makes.
+    pub fn new(
+        ids: Vec<String>,
+        validation: &ValidationConfig,
+        collate: impl Fn(Range<usize>) -> Batch + 'static,
+    ) -> Self {
+        Self {
+            ids,
+            collate: Box::new(collate),
+            draws: validation.draws,
+            batch_size: validation.batch_size,
+        }
+    }
+
+    /// Number of items.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.ids.is_empty()
+    }
+
+    /// Each batch, with the numbers of its items.
+    pub fn batches(&self, device: &Device) -> impl Iterator<Item = (Range<usize>, Inputs)> {
+        (0..self.len()).step_by(self.batch_size).map(move |start| {
+            let range = start..(start + self.batch_size).min(self.len());
+            let inputs = Inputs::new(&(self.collate)(range.clone()), device);
+            (range, inputs)
+        })
+    }
+
+    /// Noise keyed by item and draw alone, so that runs with other seeds compare too.
+    pub fn noise(&self, range: Range<usize>, draw: u64, like: &Tensor<3>) -> Tensor<3> {
+        let [_, channels, time] = like.dims();
+        let values: Vec<f32> = self.ids[range]
+            .iter()
+            .flat_map(|id| {
+                let key = Key::new(0, Purpose::Validation).named(id);
+                key.at(draw).normals(channels * time)
+            })
+            .collect();
+        Tensor::from_data(TensorData::new(values, like.dims()), &like.device())
+    }
+
+    /// The mean of a loss over all items and draws, without dropout, at timesteps that are the same
+    /// each time: those of draw k of item p of P are `floor((k P + p + 0.5) T / (draws P))`, so that
+    /// all together cover them evenly.
+    pub fn mean_loss(
+        &self,
+        diffusion: &GaussianDiffusion,
+        device: &Device,
+        loss: impl Fn(Inputs, Draws) -> Tensor<1>,
+    ) -> f64 {
+        let (all, draws) = (self.len(), self.draws);
+        let num_train_timesteps = diffusion.config.num_train_timesteps;
+        let mut sum = 0.0;
+        for draw in 0..draws {
+            for (range, inputs) in self.batches(device) {
+                let timestep = |p| {
+                    let twice = 2 * (draw * all + p) + 1;
+                    twice * num_train_timesteps / (2 * draws * all)
+                };
+                let given = Draws {
+                    timesteps: range.clone().map(timestep).collect(),
+                    noise: self.noise(range.clone(), draw as u64, &inputs.x_start),
+                    keep_cond: None,
+                    dropout: None,
+                };
+                let loss = loss(inputs, given).into_scalar::<f32>();
+                sum += f64::from(loss) * range.len() as f64;
+            }
+        }
+        sum / (draws * all) as f64
+    }
+}
