@@ -47,9 +47,9 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    Clip, FinalAlpha, OnStep, Path, Predict, Prediction, SamplerConfig, SamplerKind, StepInput,
-    StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun, sample,
-    timesteps,
+    Clip, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, SamplerKind,
+    StepInput, StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
+    sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{

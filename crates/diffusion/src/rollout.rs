@@ -186,7 +186,7 @@ impl Rollout {
         path: &Path,
     ) -> Result<Tensor<3>, Error> {
         let config = SamplerConfig::default();
-        let unused = Key::new(0, Purpose::Sampling);
+        let unused = Key::new(0, Purpose::Sampling).into();
         ddim(
             &self.diffusion,
             predict,

@@ -1,11 +1,10 @@
 //! Denoising diffusion implicit models.
 
 use burn::tensor::Tensor;
-use kinegrad_random::Key;
 
 use super::step::{Alphas, coefficients};
 use super::{
-    Clip, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput, step_noise,
+    Clip, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput,
 };
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
@@ -28,7 +27,7 @@ pub fn ddim(
     x_T: Tensor<3>,
     path: &Path,
     config: &SamplerConfig,
-    key: Key,
+    keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
@@ -39,8 +38,7 @@ pub fn ddim(
             .iter()
             .zip(now)
             .any(|(next, now)| next.is_some_and(|next| next != *now));
-        let noise =
-            (config.eta > 0.0 && moves).then(|| step_noise(key.at(index as u64), &prediction.x_t));
+        let noise = (config.eta > 0.0 && moves).then(|| keys.noise(index, None, &prediction.x_t));
         x = step(diffusion, &prediction, now, &next, noise, config);
         on_step(index + 1, path.len(), &x);
     }

@@ -1,11 +1,8 @@
 //! Denoising diffusion probabilistic models.
 
 use burn::tensor::Tensor;
-use kinegrad_random::Key;
 
-use super::{
-    Clip, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput, step_noise,
-};
+use super::{Clip, NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
@@ -25,24 +22,23 @@ pub fn ddpm(
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
     path: &Path,
-    key: Key,
+    keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let mut x = x_T;
     for index in 0..path.len() {
         let (now, next) = (path.timesteps(index), path.landings(index));
         let prediction = predict(x, &path.time(index))?;
-        let key = key.at(index as u64);
         let moves = next
             .iter()
             .zip(now)
             .any(|(next, now)| next.is_some_and(|next| next != *now));
-        let noise = moves.then(|| step_noise(key, &prediction.x_t));
+        let noise = moves.then(|| keys.noise(index, None, &prediction.x_t));
         let imputation_noise = prediction
             .steered
             .as_ref()
             .filter(|steered| steered.is_imputed())
-            .map(|_| step_noise(key.named("imputation"), &prediction.x_t));
+            .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
         x = step(diffusion, &prediction, now, &next, noise, imputation_noise);
         on_step(index + 1, path.len(), &x);
     }

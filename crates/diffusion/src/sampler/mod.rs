@@ -12,13 +12,13 @@ mod ddpm;
 mod dpm_solver;
 mod heun;
 mod level;
+mod noise;
 mod path;
 mod prediction;
 mod spacing;
 mod step;
 
-use burn::tensor::{Tensor, TensorData};
-use kinegrad_random::Key;
+use burn::tensor::Tensor;
 
 pub use clip::Clip;
 pub use config::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
@@ -27,6 +27,7 @@ pub(crate) use ddpm::step as ddpm_step_of;
 pub use ddpm::{ddpm, ddpm_step};
 pub use dpm_solver::dpmpp_2m;
 pub use heun::heun;
+pub use noise::NoiseKeys;
 pub use path::Path;
 pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
@@ -45,9 +46,8 @@ pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 /// Run it on a plain device with a network of plain weights (Burn: `Module::valid`): on a device
 /// with autodiff every step keeps its graph, and memory grows from call to call.
 ///
-/// `key` is what the noise of the steps is drawn from, where there is any (`ddpm`, and `ddim` with
-/// `eta` above 0): sample `i` of the batch draws that of step `n` from `key.at(n).at(i)`, on the
-/// host, so that it does not depend on the device or on how many samples are drawn at once.
+/// `keys` are what the noise of the steps is drawn from, where there is any (`ddpm`, and `ddim` with
+/// `eta` above 0), on the host, so that it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`
@@ -65,14 +65,14 @@ pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
 )]
-pub fn sample<D: Denoiser + ?Sized>(
+pub fn sample<'k, D: Denoiser + ?Sized>(
     diffusion: &GaussianDiffusion,
     denoiser: &D,
     x_T: Tensor<3>,
     cond: &D::Cond,
     config: &SamplerConfig,
     clip: &Clip,
-    key: Key,
+    keys: impl Into<NoiseKeys<'k>>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     clip.validate(x_T.dims()[1])?;
@@ -80,7 +80,7 @@ pub fn sample<D: Denoiser + ?Sized>(
         let model_output = guided(denoiser, x.clone(), time, cond, config.guidance_scale);
         Prediction::new(diffusion, model_output, x, &timesteps_of(time), clip)
     };
-    draw(diffusion, &mut predict, x_T, config, key, on_step)
+    draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }
 
 /// Runs the sampler that `config` names with `predict`; [`sample`] describes the rest.
@@ -99,15 +99,15 @@ pub fn draw(
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
     config: &SamplerConfig,
-    key: Key,
+    keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     let num_train_timesteps = diffusion.schedule.num_train_timesteps();
     config.validate(num_train_timesteps)?;
     let path = Path::of(config, num_train_timesteps, x_T.dims()[0]);
     match config.kind {
-        SamplerKind::Ddim => ddim(diffusion, predict, x_T, &path, config, key, on_step),
-        SamplerKind::Ddpm => ddpm(diffusion, predict, x_T, &path, key, on_step),
+        SamplerKind::Ddim => ddim(diffusion, predict, x_T, &path, config, keys, on_step),
+        SamplerKind::Ddpm => ddpm(diffusion, predict, x_T, &path, keys, on_step),
         SamplerKind::Dpmpp2m => dpmpp_2m(diffusion, predict, x_T, &path, on_step),
         SamplerKind::Heun => heun(diffusion, predict, x_T, &path, on_step),
     }
@@ -116,16 +116,6 @@ pub fn draw(
 /// The timesteps that times stand for.
 pub(crate) fn timesteps_of(time: &[Time]) -> Vec<usize> {
     time.iter().map(|time| time.timestep()).collect()
-}
-
-/// Standard normal noise like `x`, each sample's from a key of its own.
-pub(crate) fn step_noise(key: Key, x: &Tensor<3>) -> Tensor<3> {
-    let [batch, channels, time] = x.dims();
-    let values: Vec<f32> = (0..batch as u64)
-        .flat_map(|sample| key.at(sample).normals(channels * time))
-        .collect();
-    let data = TensorData::new(values, [batch, channels, time]);
-    Tensor::from_data(data, (&x.device(), x.dtype()))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Properties of the whole loop, with networks whose answer is known.
 
-use burn::tensor::Device;
-use kinegrad_random::Purpose;
+use burn::tensor::{Device, TensorData};
+use kinegrad_random::{Key, Purpose};
 use proptest::prelude::*;
 
 use super::*;
@@ -226,6 +226,29 @@ fn a_sample_does_not_depend_on_its_batch() {
         ignore,
     );
     assert_eq!(both.narrow(0, 0, 1).into_data(), alone.unwrap().into_data());
+}
+
+#[test]
+fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
+    let diffusion = process(20, PredictionType::Epsilon);
+    let config = SamplerConfig {
+        kind: SamplerKind::Ddpm,
+        ..Default::default()
+    };
+    let draw = |start: Tensor<3>, keys: &[Key]| {
+        let (clip, keys) = (Clip::None, NoiseKeys::Samples(keys));
+        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+        sample(&diffusion, &Waves, start, &(), &config, &clip, keys, ignore).unwrap()
+    };
+    let both = draw(normal(1), &[key(5), key(6)]);
+    let second = draw(normal(1).narrow(0, 1, 1), &[key(6)]);
+    assert_eq!(both.clone().narrow(0, 1, 1).into_data(), second.into_data());
+    let other = draw(normal(1), &[key(5), key(7)]);
+    assert_eq!(
+        both.clone().narrow(0, 0, 1).into_data(),
+        other.clone().narrow(0, 0, 1).into_data()
+    );
+    assert_ne!(both.into_data(), other.into_data());
 }
 
 #[test]

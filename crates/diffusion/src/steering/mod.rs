@@ -9,14 +9,15 @@ mod imputation;
 mod step;
 
 use burn::tensor::Tensor;
-use kinegrad_random::Key;
 
 pub use imputation::{Imputation, Space};
 use step::steered_prediction;
 pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
 
 use crate::sampler::draw;
-use crate::{Clip, Denoiser, Error, GaussianDiffusion, OnStep, SamplerConfig, SamplerKind, Time};
+use crate::{
+    Clip, Denoiser, Error, GaussianDiffusion, NoiseKeys, OnStep, SamplerConfig, SamplerKind, Time,
+};
 
 /// A loss of the clean motion.
 pub trait Goal {
@@ -66,8 +67,8 @@ impl<D: ?Sized> Copy for Networks<'_, D> {}
 /// Draws one motion per sample of the start noise by DDPM, each step steered as `steering` says of
 /// its timestep.
 ///
-/// Noise is drawn as [`sample`](crate::sample) draws it; that of an imputation from
-/// `key.at(n).named("imputation").at(i)`. `on_step` is told the number of steps done and in all,
+/// Noise is drawn as [`sample`](crate::sample) draws it, that of an imputation by the name
+/// `imputation`. `on_step` is told the number of steps done and in all,
 /// and the state that the step led to.
 ///
 /// # Shapes
@@ -94,7 +95,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     config: &SamplerConfig,
     clip: &Clip,
     steering: &dyn Fn(usize) -> Steering<'s>,
-    key: Key,
+    keys: impl Into<NoiseKeys<'s>>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
     if config.kind != SamplerKind::Ddpm {
@@ -112,5 +113,5 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let scale = config.guidance_scale;
         steered_prediction(diffusion, networks, x, time, cond, scale, clip, steering)
     };
-    draw(diffusion, &mut predict, x_T, config, key, on_step)
+    draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }

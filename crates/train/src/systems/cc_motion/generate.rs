@@ -5,7 +5,7 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
-use kinegrad_diffusion::{GaussianDiffusion, sample};
+use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
@@ -16,6 +16,9 @@ use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
+
+/// Most samples that are drawn at once.
+const BATCH: usize = 32;
 
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
@@ -74,9 +77,9 @@ impl Generator {
         self.state.step
     }
 
-    /// Draws one sample for each condition; all conditions have the same number of frames.
-    /// Sample i depends on `seed` and i alone, not on how many are drawn. `on_step` is told the
-    /// sampler's steps done and in all.
+    /// Draws one sample for each condition, as a batch; all conditions have the same number of
+    /// frames. Sample i depends on `seed` and i alone, beyond rounding not on how many are drawn.
+    /// `on_step` is told the sampler's steps done and in all.
     ///
     /// # Errors
     /// If the sampler's settings cannot work.
@@ -91,37 +94,41 @@ impl Generator {
             return Ok(Vec::new());
         };
         let key = Key::new(seed, Purpose::Sampling);
+        let keys: Vec<Key> = (0..conditions.len() as u64).map(|i| key.at(i)).collect();
+        let batches = conditions.chunks(BATCH).zip(keys.chunks(BATCH));
+        let all = conditions.len().div_ceil(BATCH);
         let mut samples = Vec::with_capacity(conditions.len());
-        for (index, condition) in conditions.iter().enumerate() {
-            let key = key.at(index as u64);
+        for (done, (conditions, keys)) in batches.enumerate() {
             let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
-                let data = TensorData::new(values, [1, channels, frames]);
+                let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)
             };
-            let start = on_device(key.at(0).normals(CHANNELS * frames), CHANNELS);
-            let cond = on_device(condition.as_slice().to_vec(), AUDIO_CHANNELS);
-            let (done, all) = (index, conditions.len());
+            let start = keys.iter().map(|key| key.at(0).normals(CHANNELS * frames));
+            let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
+            let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
             let x = sample(
                 &self.diffusion,
                 &self.unet,
-                start,
-                &cond,
+                on_device(start.flatten().collect(), CHANNELS),
+                &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
                 &sampling.sampler,
                 &sampling.clip.range(self.statistics()),
-                key.at(1),
+                NoiseKeys::Samples(&of_steps),
                 &mut |step, total, _| on_step(done * total + step, all * total),
             )?;
-            let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("samples are float32");
-            let raw = match &self.decoder {
-                Some(decoder) => {
-                    Motion::from_channel_major(&host(decoder.forward(x, None)), frames)?
-                }
-                None => self
-                    .statistics()
-                    .denormalize_channel_major(&host(x), frames),
+            let x = match &self.decoder {
+                Some(decoder) => decoder.forward(x, None),
+                None => x,
             };
-            let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
-            samples.push(Sample { raw, motion });
+            let values = x.try_into_vec_as::<f32>().expect("samples are float32");
+            for values in values.chunks(CHANNELS * frames) {
+                let raw = match &self.decoder {
+                    Some(_) => Motion::from_channel_major(values, frames)?,
+                    None => self.statistics().denormalize_channel_major(values, frames),
+                };
+                let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
+                samples.push(Sample { raw, motion });
+            }
         }
         Ok(samples)
     }
