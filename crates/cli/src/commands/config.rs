@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::Systems;
 use kinegrad_train::{config, run};
 
 use crate::args::ShowArguments;
@@ -10,21 +10,21 @@ use crate::failure::Failure;
 use crate::output::grouped;
 
 /// Prints the resolved config, and the model's size as a comment, so that the output is a config.
-pub fn show(arguments: ShowArguments) -> Result<ExitCode, Failure> {
+pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Failure> {
     let config = run::load_config(
-        BUILT_IN,
+        systems,
         &arguments.config,
         &arguments.overrides,
         &mut |missing| {
             tell!("warning: {missing}; its networks and process are not shown");
         },
     )?;
-    for warning in config::validate(BUILT_IN, &config)? {
+    for warning in config::validate(systems, &config)? {
         tell!("warning: {warning}");
     }
     say!(
         "# model: {} parameters",
-        grouped(run::parameter_count(BUILT_IN, &config)?)
+        grouped(run::parameter_count(systems, &config)?)
     );
     say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)

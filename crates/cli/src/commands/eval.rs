@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use kinegrad_train::evaluation::{Evaluated, EvaluationRequest};
 use kinegrad_train::sampling::Subject;
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::Systems;
 
 use super::sample::{checkpoint, subject};
 use crate::args::{CondName, EvalArguments};
@@ -14,18 +14,18 @@ use crate::failure::{Failure, UsageError};
 use crate::progress::denoising_bar;
 
 /// Evaluates each run, writes the reports and prints them.
-pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Failure> {
     let subjects: Vec<Subject> = arguments
         .runs
         .iter()
-        .map(|run| subject(run, &arguments.draw))
+        .map(|run| subject(systems, run, &arguments.draw))
         .collect::<Result<_, _>>()?;
-    must_compare(&subjects)?;
+    must_compare(systems, &subjects)?;
     let request = request(&arguments)?;
     // Whatever is wrong with any run is said before the first one costs minutes.
     let mut evaluations = Vec::with_capacity(subjects.len());
     for subject in &subjects {
-        let (system, _) = BUILT_IN.of(&subject.config)?;
+        let (system, _) = systems.of(&subject.config)?;
         evaluations.push(system.evaluate(subject, &request)?);
     }
     let folders: Vec<PathBuf> = subjects
@@ -75,10 +75,10 @@ pub fn run(arguments: EvalArguments) -> Result<ExitCode, Failure> {
 }
 
 /// Refuses runs that have no measure in common.
-fn must_compare(subjects: &[Subject]) -> Result<(), Failure> {
+fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Failure> {
     let mut names = Vec::with_capacity(subjects.len());
     for subject in subjects {
-        names.push(BUILT_IN.of(&subject.config)?.0.name());
+        names.push(systems.of(&subject.config)?.0.name());
     }
     if names.windows(2).all(|pair| pair[0] == pair[1]) {
         return Ok(());

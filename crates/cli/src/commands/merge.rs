@@ -3,16 +3,16 @@
 use std::process::ExitCode;
 
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::Systems;
 
 use super::sample::checkpoint;
 use crate::args::MergeArguments;
 use crate::failure::Failure;
 
 /// Writes a run of plain weights.
-pub fn run(arguments: MergeArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: MergeArguments) -> Result<ExitCode, Failure> {
     let path = checkpoint(&arguments.run)?;
-    let (system, _) = BUILT_IN.of(&State::read(&path)?.config)?;
+    let (system, _) = systems.of(&State::read(&path)?.config)?;
     let written = system.merge(&path, &arguments.out)?;
     say!("merged {} into {}", path.display(), written.display());
     Ok(ExitCode::SUCCESS)

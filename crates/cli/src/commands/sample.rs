@@ -8,7 +8,7 @@ use kinegrad_data::write_values;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::Systems;
 
 use crate::args::{DrawArguments, SampleArguments};
 use crate::failure::{Failure, UsageError};
@@ -16,11 +16,11 @@ use crate::output::table;
 use crate::progress::denoising_bar;
 
 /// Draws motion and writes it.
-pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Failure> {
     if arguments.count == 0 {
         return Err(UsageError::new("`--count` is 0", "ask for at least one sample").into());
     }
-    let subject = subject(&arguments.run, &arguments.draw)?;
+    let subject = subject(systems, &arguments.run, &arguments.draw)?;
     let request = Request {
         conditions: Conditions {
             source: arguments.source,
@@ -41,7 +41,7 @@ pub fn run(arguments: SampleArguments) -> Result<ExitCode, Failure> {
         frames: arguments.frames,
         seed: arguments.seed,
     };
-    let (system, _) = BUILT_IN.of(&subject.config)?;
+    let (system, _) = systems.of(&subject.config)?;
     let mut files = Files::new(&arguments.out);
     let remark = system.sample(&subject, &request, &mut files)?;
     say_remark(remark);
@@ -56,7 +56,11 @@ pub fn checkpoint(path: &Path) -> Result<PathBuf, Failure> {
 }
 
 /// The model of a run or checkpoint, with the settings of the command line.
-pub fn subject(run: &Path, arguments: &DrawArguments) -> Result<Subject, Failure> {
+pub fn subject(
+    systems: Systems<'_>,
+    run: &Path,
+    arguments: &DrawArguments,
+) -> Result<Subject, Failure> {
     let DrawArguments {
         overrides,
         steps,
@@ -73,7 +77,7 @@ pub fn subject(run: &Path, arguments: &DrawArguments) -> Result<Subject, Failure
         false => Weights::Ema,
     };
     let path = checkpoint(run)?;
-    let subject = Subject::open(BUILT_IN, &path, &overrides, weights, device.as_deref())?;
+    let subject = Subject::open(systems, &path, &overrides, weights, device.as_deref())?;
     Ok(subject)
 }
 

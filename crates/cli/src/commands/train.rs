@@ -7,7 +7,7 @@ use kinegrad_train::Ending;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, TrainRequest};
 use kinegrad_train::sampling::{Conditions, Request, Subject};
-use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::systems::Systems;
 
 use super::sample::{Files, checkpoint, say_remark};
 use crate::args::TrainArguments;
@@ -16,7 +16,7 @@ use crate::output::table;
 use crate::progress::{TrainProgress, duration};
 
 /// Trains, then draws the samples that the config asks for.
-pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Failure> {
     let mut overrides = arguments.overrides;
     for (key, value) in [
         ("run.name", arguments.name),
@@ -35,7 +35,7 @@ pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
     };
     let started = Instant::now();
     let mut progress = TrainProgress::new();
-    let outcome = run::train(BUILT_IN, &request, &mut progress);
+    let outcome = run::train(systems, &request, &mut progress);
     progress.finish();
     let outcome = outcome?;
     summarise(&outcome, started);
@@ -43,7 +43,7 @@ pub fn run(arguments: TrainArguments) -> Result<ExitCode, Failure> {
         return Ok(ExitCode::from(130));
     }
     if outcome.ending.is_some() && outcome.config.sampling.count_at_end > 0 {
-        draw_samples(&outcome)?;
+        draw_samples(systems, &outcome)?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -74,9 +74,9 @@ fn summarise(outcome: &Outcome, started: Instant) {
 }
 
 /// Draws samples for the first held-out items into the run's folder.
-fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
+fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Failure> {
     let path = checkpoint(&outcome.folder)?;
-    let subject = Subject::open(BUILT_IN, &path, &[], Weights::Ema, None)?;
+    let subject = Subject::open(systems, &path, &[], Weights::Ema, None)?;
     let request = Request {
         conditions: Conditions {
             held_out: Some(outcome.config.sampling.count_at_end),
@@ -87,7 +87,7 @@ fn draw_samples(outcome: &Outcome) -> Result<(), Failure> {
         seed: outcome.config.run.seed,
     };
     let folder = outcome.folder.join("samples");
-    let (system, _) = BUILT_IN.of(&subject.config)?;
+    let (system, _) = systems.of(&subject.config)?;
     let mut files = Files::silent(&folder);
     let remark = system.sample(&subject, &request, &mut files)?;
     say!(

@@ -1,0 +1,73 @@
+//! The command line of kinegrad, for any list of systems.
+//!
+//! A program with systems of its own has all commands for them:
+//!
+//! ```no_run
+//! use kinegrad_train::systems::{BUILT_IN, System, Systems};
+//!
+//! fn with(mine: &dyn System) -> std::process::ExitCode {
+//!     let all: Vec<&dyn System> = BUILT_IN.0.iter().copied().chain([mine]).collect();
+//!     kinegrad_cli::run(Systems(&all), std::env::args_os())
+//! }
+//! ```
+#![recursion_limit = "256"]
+// `say!` and `tell!` stand for them, which survive a reader that has gone.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+#[macro_use]
+mod output;
+
+mod args;
+mod commands;
+mod comparison;
+mod failure;
+mod picture;
+mod progress;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::Parser;
+use kinegrad_train::systems::Systems;
+
+use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand};
+use failure::Failure;
+
+/// Does what the command line says, with these systems, and returns the exit code.
+pub fn run(
+    systems: Systems<'_>,
+    arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+) -> ExitCode {
+    kinegrad_kernels::memory::keep_freed();
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(error) => error.exit(),
+    };
+    match execute(systems, arguments.command) {
+        Ok(code) => code,
+        Err(failure) => {
+            tell!("{failure}");
+            ExitCode::from(failure.exit_code)
+        }
+    }
+}
+
+fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Failure> {
+    match command {
+        Command::Train(arguments) => commands::train::run(systems, arguments),
+        Command::Sample(arguments) => commands::sample::run(systems, arguments),
+        Command::Import(arguments) => commands::import::run(systems, arguments),
+        Command::Merge(arguments) => commands::merge::run(systems, arguments),
+        Command::Check(arguments) => commands::check::run(arguments),
+        Command::Eval(arguments) => commands::eval::run(systems, arguments),
+        Command::Plot(arguments) => commands::plot::run(arguments),
+        Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
+        Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
+        Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),
+        Command::Audio(AudioCommand::Features(arguments)) => commands::audio::features(arguments),
+        Command::Config(ConfigCommand::Show(arguments)) => {
+            commands::config::show(systems, arguments)
+        }
+        Command::Devices => commands::devices::run(),
+    }
+}
