@@ -28,6 +28,24 @@ impl Emulator {
         format!("http://{}", self.address)
     }
 
+    /// Puts an object into the bucket of fake-gcs-server, by the only interface that it is written
+    /// to by.
+    ///
+    /// # Panics
+    /// Panics if the server does not take it.
+    pub fn upload(&self, key: &str, bytes: &[u8]) {
+        let head = format!(
+            "POST /upload/storage/v1/b/{BUCKET}/o?uploadType=media&name={} HTTP/1.1\r\nHost: {}\r\n\
+             Content-Type: application/octet-stream\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+            key.replace('/', "%2F"),
+            self.address,
+            bytes.len()
+        );
+        let answer = request(self.address, &head, bytes).expect("an answer");
+        let text = String::from_utf8_lossy(&answer);
+        assert!(text.starts_with("HTTP/1.1 200"), "{key}: {text}");
+    }
+
     fn start(mut command: Command, port: u16, make_bucket: &str, body: &str) -> Self {
         let process = command
             .stdout(Stdio::null())

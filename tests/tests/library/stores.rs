@@ -90,15 +90,23 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     let source = format!("{scheme}://bucket/some/prefix");
     let cache = folder.path().join("cache");
     let remote = config(&source, &cache, Some(emulator.endpoint()));
-    let store = Store::open(&source, &remote.store).expect("a bucket");
+    let put = |prefix: &str, path: &str, bytes: Vec<u8>| match scheme {
+        "gs" => emulator.upload(&format!("{prefix}/{path}"), &bytes),
+        _ => {
+            let uri = format!("{scheme}://bucket/{prefix}");
+            let store = Store::open(&uri, &remote.store).expect("a bucket");
+            store.write(path, bytes).expect("the bucket takes it");
+        }
+    };
     for (path, bytes) in contents(&set) {
-        store.write(&path, bytes).expect("the bucket takes it");
+        put("some/prefix", &path, bytes);
     }
     // A phrase of another dataset, whose prefix begins like this one's.
-    let other = Store::open(&format!("{source}-other"), &remote.store).expect("a bucket");
-    other
-        .write("motion/x/trajectory.npy", b"no".to_vec())
-        .expect("taken");
+    put(
+        "some/prefix-other",
+        "motion/x/trajectory.npy",
+        b"no".to_vec(),
+    );
 
     let local = config(&set.display().to_string(), &cache, None);
     let expected = Dataset::open(&local).expect("the folder opens");
@@ -364,17 +372,17 @@ fn a_damaged_cache_is_read_past() {
 
 #[test]
 fn faults_before_a_bucket_are_survived_too() {
-    let emulator = servers::gcs();
+    let emulator = servers::s3();
     let proxy = FaultyServer::start(Upstream::Server(emulator.address));
     let folder = dataset(false);
     let set = folder.path().join("set");
     let mut remote = config(
-        "gs://bucket",
+        "s3://bucket",
         &folder.path().join("cache"),
         Some(proxy.endpoint()),
     );
     remote.cache.disk_mib = 0;
-    let store = Store::open("gs://bucket", &remote.store).expect("a bucket");
+    let store = Store::open("s3://bucket", &remote.store).expect("a bucket");
     proxy.inject("", Fault::Status(503), 2);
     for (path, bytes) in contents(&set) {
         store.write(&path, bytes).expect("taken");

@@ -17,7 +17,7 @@ use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
 use super::client::{client_options, no_retries};
-use super::gcs::{self, GcsUploader};
+use super::gcs;
 use super::{Object, StoreError};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -34,8 +34,6 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 pub(super) struct Remote {
     uri: String,
     store: Box<dyn ObjectStore>,
-    /// Takes what is written, where `store` cannot.
-    uploader: Option<GcsUploader>,
     /// The path within the bucket; a web server's is part of its address.
     prefix: String,
     can_list: bool,
@@ -70,10 +68,10 @@ impl Remote {
         let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
         let built = match service {
             Service::Gcs => gcs::open(bucket, config),
-            Service::S3 => s3(bucket, config).map(|store| (store, None)),
-            Service::Http => http(&uri, config).map(|store| (store, None)),
+            Service::S3 => s3(bucket, config),
+            Service::Http => http(&uri, config),
         };
-        let (store, uploader) = built.map_err(|reason| unusable(reason.to_string()))?;
+        let store = built.map_err(|reason| unusable(reason.to_string()))?;
         Ok(Self {
             prefix: match service {
                 Service::Http => String::new(),
@@ -82,7 +80,6 @@ impl Remote {
             can_list: service != Service::Http,
             endpoint: config.endpoint.clone().unwrap_or_default(),
             store,
-            uploader,
             max_retries: config.max_retries,
             requests: Semaphore::new(config.concurrency),
             runtime,
@@ -143,11 +140,8 @@ impl Remote {
         let (object, key) = self.key(path)?;
         let payload = PutPayload::from(bytes);
         let written = self.try_often(&object, "write", || async {
-            let put = match &self.uploader {
-                Some(uploader) => uploader.put(&key, &payload).await,
-                None => self.store.put(&key, payload.clone()).await.map(drop),
-            };
-            put.map_err(Failure::Request)
+            let put = self.store.put(&key, payload.clone()).await;
+            put.map(drop).map_err(Failure::Request)
         });
         written.map_err(Stopped::into_store)
     }
@@ -161,11 +155,7 @@ impl Remote {
         }
         let (object, key) = self.key(path)?;
         let removed = self.try_often(&object, "remove", || async {
-            let removed = match &self.uploader {
-                Some(uploader) => uploader.delete(&key).await,
-                None => self.store.delete(&key).await,
-            };
-            match removed {
+            match self.store.delete(&key).await {
                 Err(object_store::Error::NotFound { .. }) => Ok(()),
                 removed => removed.map_err(Failure::Request),
             }
