@@ -3,7 +3,7 @@
 use std::fs;
 
 use kinegrad_data::read_motion;
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::Statistics;
 use kinegrad_motion::metrics::diversity;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 use serde_json::Value;
@@ -145,7 +145,7 @@ fn sample_draws_what_eval_measures_with_another_noise_for_each_phrase() {
         &format!("runs/smallest/checkpoints/{state}/state.json"),
     );
     let state: Value = serde_json::from_str(&state).expect("JSON");
-    let statistics: TrainingStatistics =
+    let statistics: Statistics =
         serde_json::from_value(state["statistics"].clone()).expect("statistics");
     let drawn: Vec<_> = sandbox
         .list("s")

@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
+use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
 use kinegrad_models::{Initializer, MotionModel, parameters};
-use kinegrad_motion::TrainingStatistics;
-use kinegrad_train::config::{Clip, ValidationConfig};
-use kinegrad_train::denoising::{Draws, HeldOut, Inputs};
+use kinegrad_motion::Statistics;
+use kinegrad_train::config::Clip;
+use kinegrad_train::denoising::{Conditions, Draws, HeldOut, Inputs};
 use kinegrad_train::systems::cc_motion::recipes::{E2eDraws, E2eRecipe, Sampler};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 
@@ -78,14 +79,14 @@ impl Case {
         let [batch, _, time] = x_start.dims();
         Inputs {
             x_start,
-            cond: self.tensor("in.cond"),
+            cond: Conditions::new([(AUDIO, self.tensor("in.cond"))]),
             mask: Tensor::ones([batch, time], &self.device),
         }
     }
 
     /// The recipe with CC-MotionGen's settings.
     pub fn recipe(&self, mode: RolloutMode) -> E2eRecipe {
-        let statistics = Arc::new(TrainingStatistics::unit());
+        let statistics = Arc::new(Statistics::unit(25));
         let last = self.diffusion.config.num_train_timesteps - 1;
         let config = RolloutConfig {
             steps: self.steps(),
@@ -98,10 +99,9 @@ impl Case {
             gradient_decay: 1.0,
             guidance_scale: 1.0,
         };
-        let nothing = |_| unreachable!("nothing is held out");
-        let held_out = HeldOut::new(Vec::new(), &ValidationConfig::default(), nothing);
         let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
-        E2eRecipe::new(sampler, &LossConfig::document(), held_out)
+        let sampler = sampler.expect("nothing is clipped");
+        E2eRecipe::new(sampler, &LossConfig::document(), HeldOut::nothing())
     }
 
     /// DDIM steps.

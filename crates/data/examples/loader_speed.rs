@@ -16,7 +16,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use kinegrad_data::{CacheConfig, DataConfig, Dataset, Loader, ValidationSplit, synthetic};
+use kinegrad_data::{
+    CacheConfig, DataConfig, Dataset, Loader, Phrase, PhraseSamples, ValidationSplit, synthetic,
+};
 
 const SEED: u64 = 7;
 
@@ -52,7 +54,7 @@ fn config(folder: &str) -> DataConfig {
 
 fn write(folder: &str, phrases: usize, frames: usize) -> Result<(), Box<dyn Error>> {
     synthetic::write_dataset(Path::new(folder), phrases, frames, SEED)?;
-    let statistics = Dataset::open(&config(folder))?.train.statistics()?;
+    let statistics = Dataset::<Phrase>::open(&config(folder))?.statistics()?;
     let file = Path::new(folder).join("statistics.json");
     std::fs::write(file, serde_json::to_vec(&statistics)?)?;
     Ok(())
@@ -60,15 +62,16 @@ fn write(folder: &str, phrases: usize, frames: usize) -> Result<(), Box<dyn Erro
 
 fn measure(config: &DataConfig, warm_up_epochs: usize) -> Result<(), Box<dyn Error>> {
     let dataset = Dataset::open(config)?;
-    let statistics = Arc::new(dataset.train.statistics()?);
-    let mut loader = Loader::new(dataset.train.clone(), statistics, config, SEED, 0);
+    let statistics = Arc::new(dataset.statistics()?);
     let batches_per_epoch = dataset.train.len() / config.batch_size;
+    let samples = PhraseSamples::new(dataset.train, statistics, config, SEED);
+    let mut loader = Loader::new(samples, config, SEED, 0);
     let (mut motion, mut audio) = (0.0, 0.0);
     for _ in 0..batches_per_epoch {
         let batch = loader.next()?;
         let sum = |values: &[f32]| values.iter().map(|v| f64::from(v.abs())).sum::<f64>();
         motion += sum(&batch.x_start);
-        audio += sum(&batch.cond);
+        audio += sum(&batch.conditions[0].values);
     }
     println!("{{\"motion\": {motion}, \"audio\": {audio}}}");
     for _ in 0..batches_per_epoch * warm_up_epochs {

@@ -6,9 +6,9 @@ use std::ops::Range;
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
-use crate::batch::Window;
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 use crate::passage::Passage;
+use crate::phrase_samples::Window;
 use crate::{AugmentConfig, Crop, DataConfig};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.
@@ -63,10 +63,7 @@ impl Sampler {
         }
         // A leading crop without any of these stays as stored.
         let anchor = window.start > 0 || reflect || turn || min_frames.is_some();
-        let mut motion = Window {
-            of: Cow::Borrowed(&passage.take.motion),
-            frames: window.clone(),
-        };
+        let (mut motion, mut audio) = passage.window(window.clone());
         if anchor || flip {
             let mut changed = passage.take.motion.slice(window.clone());
             if reflect && key.at(MIRROR).uniform() < 0.5 {
@@ -86,10 +83,6 @@ impl Sampler {
                 of: Cow::Owned(changed),
             };
         }
-        let mut audio = Window {
-            of: Cow::Borrowed(&passage.take.audio),
-            frames: window.clone(),
-        };
         if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 {
             let mut changed = passage.take.audio.slice(window);
             if audio_noise > 0.0 {

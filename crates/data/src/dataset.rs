@@ -1,40 +1,54 @@
-//! A dataset: every phrase read once, checked and put on its side of the split.
+//! A dataset: every item read once, checked and put on its side of the split.
 
 use std::sync::Arc;
 
-use crate::split::Split;
-use crate::survey::{OpenProgress, Survey};
-use crate::{Counters, DataConfig, DataKind, Digest, Error, LoaderReport, Phrase, PhraseSet};
+use kinegrad_motion::Statistics;
 
-/// The phrases of a dataset, sorted by id within each side of the split.
-#[derive(Clone, Debug)]
-pub struct Dataset {
-    /// Phrases to train on; at least one.
-    pub train: PhraseSet,
-    /// Phrases held out; may be none.
-    pub validation: PhraseSet,
-    /// Id and reason of each bad phrase left out under `on_bad_phrase = "skip"`.
+use crate::item::{Item, ItemSet};
+use crate::survey::{Listable, OpenProgress};
+use crate::{Counters, DataConfig, Digest, Error, LoaderReport};
+
+/// Most odd items that are named one by one.
+const NOTES: usize = 5;
+
+/// The items of a dataset, sorted by id within each side of the split.
+#[derive(Debug)]
+pub struct Dataset<T: Item> {
+    /// Items to train on; at least one.
+    pub train: ItemSet<T>,
+    /// Items held out; may be none.
+    pub validation: ItemSet<T>,
+    /// What the rows of their motion are.
+    pub representation: T::Representation,
+    /// Id and reason of each bad item left out under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
+    /// Id and reason of each item that is in order and does not belong here: clips that are too
+    /// short, too long, or have captions of short passages only.
+    pub left_out: Vec<(String, String)>,
     /// What a user should hear of without the run being stopped: unequal lengths of motion and
-    /// audio, unpaired folders, validation patterns that match nothing.
+    /// audio, unpaired folders, captions that cannot be used, validation patterns that match
+    /// nothing.
     pub warnings: Vec<String>,
-    /// A checksum of the ids, files and side of the split of all phrases used. Equal datasets have equal ones,
-    /// wherever they lie.
+    /// A checksum of the ids, files and side of the split of all items used, and of other files
+    /// that decide what is trained on. Equal datasets have equal ones, wherever they lie.
     pub digest: Digest,
+    given: Option<Statistics>,
     counters: Arc<Counters>,
 }
 
-impl Dataset {
-    /// Opens the dataset that `config` describes, reading all phrases in parallel.
+#[expect(private_bounds, reason = "configs list the items of this crate alone")]
+impl<T: Listable> Dataset<T> {
+    /// Opens the dataset that `config` describes, reading all items in parallel.
     ///
-    /// Bad phrases are reported before anything is said of the split.
+    /// Bad items are reported before anything is said of the split.
     ///
     /// # Errors
-    /// [`Error::Config`], [`Error::Scheme`] and [`Error::Feature`] for settings that cannot be
-    /// followed; [`Error::MissingFolder`], [`Error::EmptyDataset`], [`Error::Manifest`],
-    /// [`Error::Store`], [`Error::Io`] for a dataset that is not there or cannot be reached;
-    /// [`Error::BadItem`] for the first bad phrase by id, or [`Error::AllSkipped`];
-    /// [`Error::EmptyTrainSplit`].
+    /// [`Error::Config`] for settings that cannot be followed, a `kind` of other items among them;
+    /// [`Error::Scheme`] and [`Error::Feature`]; [`Error::MissingFolder`],
+    /// [`Error::EmptyDataset`], [`Error::Manifest`], [`Error::File`], [`Error::Store`],
+    /// [`Error::Io`] for a dataset that is not there, cannot be reached or has files that cannot be
+    /// used; [`Error::BadItem`] for the first bad item by id, [`Error::AllSkipped`] or
+    /// [`Error::NoClipOfLength`] where none can be used; [`Error::EmptyTrainSplit`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_with_progress(config, &|_, _| {})
     }
@@ -45,48 +59,116 @@ impl Dataset {
     /// As [`open`](Self::open).
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
-        let split = Split::new(&config.validation)?;
-        let mut survey = Survey::phrases(config)?;
-        let ids: Vec<&str> = survey.listed.iter().map(|item| item.id.as_str()).collect();
-        let idle = split.idle_entries(&ids);
+        let mut survey = T::survey(config)?;
+        let gathered = survey.gather(config, config.on_bad_phrase, progress)?;
+        let kind = T::KIND;
+        let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
+        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.left_out.first()) {
+            return Err(Error::NoClipOfLength {
+                clips: gathered.left_out.len(),
+                first: named(first),
+            });
+        }
+        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.skipped.first()) {
+            return Err(Error::AllSkipped {
+                kind,
+                skipped: gathered.skipped.len(),
+                first: named(first),
+            });
+        }
         let mut warnings = std::mem::take(&mut survey.warnings);
-        warnings.extend(idle);
-        let mut gathered = survey.gather(config, progress)?;
-        let note = |(id, note): (String, String)| format!("phrase `{id}`: {note}");
-        warnings.extend(std::mem::take(&mut gathered.notes).into_iter().map(note));
-        let skipped = std::mem::take(&mut gathered.skipped);
+        warnings.extend(gathered.notes.iter().map(named).take(NOTES));
+        if gathered.notes.len() > NOTES {
+            let more = gathered.notes.len() - NOTES;
+            warnings.push(format!("{more} more {kind}s of that sort"));
+        }
+        let (representation, given) = (survey.representation.clone(), survey.given.take());
         let counters = survey.counters.clone();
-        let sides = survey.split(gathered, |entry| split.holds_out(&entry.id, entry.side))?;
+        let sides = survey.divide(gathered.entries, gathered.memory);
+        if sides.train.is_empty() {
+            return Err(Error::EmptyTrainSplit {
+                kind,
+                items: sides.validation.len(),
+            });
+        }
         Ok(Self {
             train: sides.train,
             validation: sides.validation,
-            skipped,
+            representation,
+            skipped: gathered.skipped,
+            left_out: gathered.left_out,
             warnings,
             digest: sides.digest,
+            given,
             counters,
         })
     }
+}
 
-    /// The dataset of [synthetic phrases](crate::synthetic) that `config.synthetic` describes,
-    /// whatever `config.kind` says.
+impl<T: Item> Dataset<T> {
+    /// Items that stay in memory.
     ///
-    /// # Errors
-    /// As [`Dataset::open`].
-    pub fn synthetic(config: &DataConfig) -> Result<Self, Error> {
-        Self::open(&DataConfig {
-            kind: DataKind::Synthetic,
-            ..config.clone()
-        })
+    /// # Panics
+    /// Panics if there are none to train on.
+    pub fn of_items(
+        train: Vec<Arc<T>>,
+        validation: Vec<Arc<T>>,
+        representation: T::Representation,
+    ) -> Self {
+        assert!(!train.is_empty(), "a dataset has an item to train on");
+        let sides = [&train, &validation];
+        let parts = sides.into_iter().flatten().map(|item| {
+            let rows = item.rows(&representation);
+            let bytes: Vec<u8> = rows.iter().flat_map(|value| value.to_le_bytes()).collect();
+            [item.id().as_bytes().to_vec(), bytes].concat()
+        });
+        let parts: Vec<Vec<u8>> = parts.collect();
+        let held_out = train.len().to_le_bytes();
+        let parts = parts.iter().map(Vec::as_slice).chain([held_out.as_slice()]);
+        Self {
+            digest: Digest::of_parts(parts),
+            train: train.into(),
+            validation: validation.into(),
+            representation,
+            skipped: Vec::new(),
+            left_out: Vec::new(),
+            warnings: Vec::new(),
+            given: None,
+            counters: Arc::default(),
+        }
     }
 
-    /// Reads the phrase `id`, from either side of the split; `None` if there is none.
+    /// How motion is normalised: the dataset's own statistics, else those of the items to train
+    /// on, which are read for it.
     ///
     /// # Errors
-    /// As [`PhraseSet::get`].
-    pub fn find(&self, id: &str) -> Result<Option<Arc<Phrase>>, Error> {
+    /// As [`ItemSet::get`].
+    pub fn statistics(&self) -> Result<Statistics, Error> {
+        match &self.given {
+            Some(given) => Ok(given.clone()),
+            None => {
+                let statistics = self.train.statistics(&self.representation)?;
+                Ok(statistics.expect("a dataset has an item to train on"))
+            }
+        }
+    }
+
+    /// Reads the item `id`, from either side of the split; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`ItemSet::get`].
+    pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
         match self.train.find(id)? {
             None => self.validation.find(id),
             found => Ok(found),
+        }
+    }
+
+    /// The items held out, or those trained on where none are held out.
+    pub fn held_out(&self) -> &ItemSet<T> {
+        match self.validation.is_empty() {
+            true => &self.train,
+            false => &self.validation,
         }
     }
 
@@ -99,7 +181,7 @@ impl Dataset {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::OnBadPhrase;
+    use crate::{DataKind, OnBadPhrase, Phrase, PhraseSet};
     use crate::{features_path, motion_path, synthetic};
     use std::fs;
     use std::path::Path;
@@ -128,14 +210,15 @@ mod tests {
     #[test]
     fn a_written_synthetic_dataset_is_the_one_made_in_memory() {
         let (_folder, config) = dataset(6);
-        let read = Dataset::open(&config).unwrap();
+        let read = Dataset::<Phrase>::open(&config).unwrap();
         let mut made = config.clone();
+        made.kind = DataKind::Synthetic;
         made.synthetic = crate::SyntheticConfig {
             phrases: 6,
             frames: 12,
             seed: 5,
         };
-        let made = Dataset::synthetic(&made).unwrap();
+        let made = Dataset::<Phrase>::open(&made).unwrap();
         assert_eq!(read.train.load().unwrap(), made.train.load().unwrap());
         assert_eq!(
             read.validation.load().unwrap(),
@@ -149,7 +232,7 @@ mod tests {
     fn listed_phrases_are_held_out_and_found_again() {
         let (_folder, mut config) = dataset(12);
         config.validation.patterns = vec!["*_00003".into(), "*1?".into(), "*_0001*".into()];
-        let read = Dataset::open(&config).unwrap();
+        let read = Dataset::<Phrase>::open(&config).unwrap();
         assert_eq!(
             ids(&read.validation),
             ["synthetic_00003", "synthetic_00010", "synthetic_00011"]
@@ -172,19 +255,19 @@ mod tests {
         let (folder, mut config) = dataset(4);
         spoil(folder.path(), 2);
         config.validation.patterns = vec!["*".into()];
-        let message = Dataset::open(&config).unwrap_err().to_string();
+        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
         assert!(message.contains("phrase `synthetic_00002`"), "{message}");
         assert!(message.contains("frame 3, channel phase"), "{message}");
 
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let error = Dataset::open(&config).unwrap_err();
+        let error = Dataset::<Phrase>::open(&config).unwrap_err();
         assert!(
             matches!(error, Error::EmptyTrainSplit { items: 3, .. }),
             "{error}"
         );
 
         config.validation.patterns = vec!["*_00000".into()];
-        let read = Dataset::open(&config).unwrap();
+        let read = Dataset::<Phrase>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00001", "synthetic_00003"]);
         assert_eq!(read.skipped.len(), 1);
         assert_eq!(read.skipped[0].0, "synthetic_00002");
@@ -197,7 +280,7 @@ mod tests {
         (0..2)
             .chain(3..4)
             .for_each(|index| spoil(folder.path(), index));
-        let error = Dataset::open(&config).unwrap_err();
+        let error = Dataset::<Phrase>::open(&config).unwrap_err();
         assert!(
             matches!(error, Error::AllSkipped { skipped: 4, .. }),
             "{error}"
@@ -210,13 +293,13 @@ mod tests {
         let features = folder.path().join(features_path("synthetic_00001"));
         let bytes = fs::read(&features).unwrap();
         fs::write(&features, &bytes[..bytes.len() / 2]).unwrap();
-        let message = Dataset::open(&config).unwrap_err().to_string();
+        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
         assert!(
             message.contains("`synthetic_00001`") && message.contains("features.npz"),
             "{message}"
         );
         fs::remove_file(folder.path().join(motion_path("synthetic_00000"))).unwrap();
-        let message = Dataset::open(&config).unwrap_err().to_string();
+        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
         assert!(
             message.contains("`synthetic_00000`") && message.contains("not found"),
             "{message}"
@@ -230,7 +313,7 @@ mod tests {
         fs::remove_file(&path).unwrap();
         fs::create_dir(&path).unwrap();
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let read = Dataset::open(&config).unwrap();
+        let read = Dataset::<Phrase>::open(&config).unwrap();
         assert_eq!(read.skipped.len(), 1);
         assert!(
             read.skipped[0].1.contains("trajectory.npy"),
@@ -242,7 +325,7 @@ mod tests {
     #[test]
     fn the_digest_knows_files_and_split_and_not_the_place() {
         let (folder, mut config) = dataset(6);
-        let digest = |config: &DataConfig| Dataset::open(config).unwrap().digest;
+        let digest = |config: &DataConfig| Dataset::<Phrase>::open(config).unwrap().digest;
         let first = digest(&config);
         let (_other, elsewhere) = dataset(6);
         assert_eq!(digest(&elsewhere), first);
@@ -261,7 +344,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let open = |path: &Path| {
             let source = Some(path.display().to_string());
-            Dataset::open(&DataConfig {
+            Dataset::<Phrase>::open(&DataConfig {
                 source,
                 ..DataConfig::default()
             })
@@ -294,7 +377,7 @@ mod tests {
         fs::create_dir_all(folder.path().join("motion/zz")).unwrap();
         config.num_phrases = Some(2);
         config.validation.fraction = Some(0.0);
-        let read = Dataset::open(&config).unwrap();
+        let read = Dataset::<Phrase>::open(&config).unwrap();
         assert_eq!(ids(&read.train), ["synthetic_00000", "synthetic_00001"]);
         assert!(read.warnings[0].contains("zz"), "{:?}", read.warnings);
     }

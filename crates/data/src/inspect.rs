@@ -1,183 +1,276 @@
 //! What is in a dataset, and what is wrong with it.
 
-use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::ops::Range;
 
-use kinegrad_motion::{CHANNELS, FPS, Profile, TrainingStatistics, check};
+use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation};
 use serde::Serialize;
 
-use crate::features::AUDIO_CHANNELS;
-use crate::split::Split;
-use crate::summary::{summarise_audio, summarise_motion};
-use crate::survey::{OpenProgress, Survey};
-use crate::{ChannelSummary, DataConfig, Error, Phrase};
+use crate::humanml::Clip;
+use crate::item::Item;
+use crate::survey::{Gathered, Listable, OpenProgress, Sides};
+use crate::{DataConfig, DataKind, Error, OnBadPhrase, Phrase};
 
-/// The contents of a dataset. Numbers describe the phrases that can be used.
+/// The contents of a dataset. Numbers describe the items that can be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inspection {
-    /// The dataset's address, or `synthetic`.
+    /// The dataset's address, or `synthetic` or `synthetic_walks`.
     pub source: String,
-    /// Phrases that can be used.
-    pub phrases: usize,
-    /// Phrases that cannot be used.
-    pub bad_phrases: usize,
-    /// Training phrases.
+    /// What an item is called: `phrase` or `clip`.
+    pub kind: &'static str,
+    /// What its rows of numbers are.
+    pub representation: String,
+    /// Items that are used.
+    pub items: usize,
+    /// Items that cannot be used.
+    pub bad_items: usize,
+    /// Items that are in order and do not belong here: clips that are too short, too long, or have
+    /// captions of short passages only.
+    pub left_out: usize,
+    /// Items to train on.
     pub train: usize,
-    /// Phrases held out for validation.
+    /// Items held out for validation.
     pub validation: usize,
-    /// Frames of all phrases together.
+    /// Frames of all items together.
     pub frames: usize,
     /// Their length in hours.
     pub hours: f64,
     /// Frames per second.
     pub fps: f64,
-    /// Frames of the shortest phrase.
+    /// Frames of the shortest item.
     pub shortest_frames: usize,
-    /// Frames of the longest phrase.
+    /// Frames of the longest item.
     pub longest_frames: usize,
     /// Channels of the motion.
-    pub motion_channels: usize,
-    /// Channels of the stacked audio features.
-    pub audio_channels: usize,
-    /// Each channel of the motion, in the dataset's units.
+    pub channels: usize,
+    /// Counts of conditions, by name.
+    pub counts: Vec<(&'static str, usize)>,
+    /// Each channel of the motion, or group of them taken together, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
-    /// Each array of audio features, its rows taken together.
-    pub audio: Vec<ChannelSummary>,
-    /// What is wrong with single phrases, by id.
+    /// The numbers of each condition, taken together.
+    pub conditions: Vec<ChannelSummary>,
+    /// What is wrong with single items, by id.
     pub problems: Vec<Problem>,
     /// What is odd about the dataset as a whole.
     pub warnings: Vec<String>,
 }
 
-/// Something wrong with a phrase.
+/// Range, mean and standard deviation over all frames of all usable items.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ChannelSummary {
+    /// The channel.
+    pub name: String,
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation.
+    pub std: f64,
+}
+
+impl ChannelSummary {
+    /// Some channels taken together.
+    fn of(name: &str, moments: &ChannelMoments, channels: Range<usize>) -> Self {
+        let channel = |c: usize| ChannelMoments {
+            mean: vec![moments.mean[c]],
+            std: vec![moments.std[c]],
+            min: vec![moments.min[c]],
+            max: vec![moments.max[c]],
+            ..*moments
+        };
+        let mut together = channel(channels.start);
+        (channels.start + 1..channels.end).for_each(|c| together.merge(&channel(c)));
+        Self {
+            name: name.to_owned(),
+            min: together.min[0],
+            max: together.max[0],
+            mean: together.mean[0],
+            std: together.std[0],
+        }
+    }
+}
+
+/// Something wrong with an item.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Problem {
-    /// The phrase.
+    /// The item.
     pub id: String,
     /// What is wrong, in words.
     pub problem: String,
-    /// Whether the phrase cannot be used for it.
+    /// Whether the item cannot be used for it.
     pub unusable: bool,
 }
 
-/// Looks at every phrase of the dataset that `config` describes, whatever `on_bad_phrase` says.
-///
-/// A phrase that can be read is held against both profiles of the sanity checks, the strict one
-/// with the statistics of the training phrases (of all phrases, where none is left to train on).
-///
-/// # Errors
-/// As [`Dataset::open`](crate::Dataset::open), but never for a single bad phrase.
-pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
-    config.validate()?;
-    let split = Split::new(&config.validation)?;
-    let mut survey = Survey::phrases(config)?;
-    survey.tolerates_changes = true;
-    let outcomes = survey.meet_all(progress, |_, met| (met.entry.side, met.item, met.note))?;
-    let listed: Vec<&str> = outcomes.iter().map(|(id, _)| id.as_str()).collect();
-    let mut warnings = survey.warnings;
-    warnings.extend(split.idle_entries(&listed));
-    let mut problems = Vec::new();
-    let mut phrases = Vec::new();
-    let mut held_out = BTreeSet::new();
-    for (id, outcome) in outcomes {
-        match outcome {
-            Ok((side, phrase, note)) => {
-                if split.holds_out(&id, side) {
-                    held_out.insert(id.clone());
-                }
-                problems.extend(note.map(|problem| Problem {
-                    id,
-                    problem,
-                    unusable: false,
-                }));
-                phrases.push(phrase);
-            }
-            Err(cause) => {
-                problems.push(Problem {
-                    id,
-                    problem: cause.to_string(),
-                    unusable: true,
-                });
-            }
+/// What one item, or several, come to.
+struct Contents {
+    motion: Measured,
+    conditions: Vec<(&'static str, ChannelMoments)>,
+    counts: Vec<(&'static str, usize)>,
+}
+
+impl Contents {
+    fn of<T: Item>(item: &T, representation: &T::Representation) -> Self {
+        let conditions = item.conditions().into_iter();
+        Self {
+            motion: Measured::of(representation, &item.rows(representation)),
+            conditions: conditions
+                .map(|(name, values)| (name, ChannelMoments::measure(1, [values])))
+                .collect(),
+            counts: item.counts(),
         }
     }
-    let bad_phrases = problems.iter().filter(|problem| problem.unusable).count();
-    let train = phrases.len() - held_out.len();
-    if train == 0 {
-        warnings.push("no phrase is left to train on".to_owned());
+
+    fn merge(&mut self, other: Self) {
+        self.motion.merge(other.motion);
+        for ((_, all), (_, moments)) in self.conditions.iter_mut().zip(&other.conditions) {
+            all.merge(moments);
+        }
+        for ((_, all), (_, count)) in self.counts.iter_mut().zip(other.counts) {
+            *all += count;
+        }
     }
-    problems.extend(failed_checks(&phrases, |phrase| {
-        train == 0 || !held_out.contains(&phrase.id)
-    }));
+}
+
+/// Looks at every item of the dataset that `config` describes, whatever `on_bad_phrase` says.
+///
+/// An item that can be read is held against both profiles of the checks, the strict one with the
+/// statistics of the training items (of all items, where none is left to train on).
+///
+/// # Errors
+/// As [`Dataset::open`](crate::Dataset::open), but never for a single bad item or for a side of
+/// the split that is empty.
+pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
+    config.validate()?;
+    match config.kind {
+        DataKind::Phrases | DataKind::Synthetic => inspect_items::<Phrase>(config, progress),
+        DataKind::Humanml3d | DataKind::SyntheticWalks => inspect_items::<Clip>(config, progress),
+    }
+}
+
+fn inspect_items<T: Listable>(
+    config: &DataConfig,
+    progress: OpenProgress,
+) -> Result<Inspection, Error> {
+    let mut survey = T::survey(config)?;
+    survey.tolerates_changes = true;
+    let Gathered {
+        entries,
+        skipped,
+        left_out,
+        notes,
+        memory,
+    } = survey.gather(config, OnBadPhrase::Skip, progress)?;
+    let (kind, representation) = (T::KIND, survey.representation.clone());
+    let (source, mut warnings) = (survey.source.clone(), std::mem::take(&mut survey.warnings));
+    let lengths: Vec<usize> = entries.iter().map(|entry| entry.frames).collect();
+    let Sides {
+        train, validation, ..
+    } = survey.divide(entries, memory);
+
+    let problem = |unusable| {
+        move |(id, problem)| Problem {
+            id,
+            problem,
+            unusable,
+        }
+    };
+    let mut problems: Vec<Problem> = notes.into_iter().map(problem(false)).collect();
+    let bad_items = skipped.len();
+    problems.extend(skipped.into_iter().map(problem(true)));
+    if train.is_empty() {
+        warnings.push(format!("no {kind} is left to train on"));
+    }
+    if let Some((id, reason)) = left_out.first() {
+        let count = left_out.len();
+        warnings.push(format!(
+            "{count} {kind}(s) are left out; the first: {kind} `{id}`: {reason}"
+        ));
+    }
+
+    let mut all: Option<Contents> = None;
+    let mut of_training = None;
+    for side in [&train, &validation] {
+        side.measure(
+            |item| Contents::of(item, &representation),
+            |contents| match &mut all {
+                Some(all) => all.merge(contents),
+                None => all = Some(contents),
+            },
+        )?;
+        let measured = || all.as_ref().map(|all| all.motion.clone());
+        of_training = of_training.or_else(measured);
+    }
+    let statistics = of_training.map(|measured| measured.statistics(&representation));
+    for side in [&train, &validation] {
+        let failed = |item: &T| {
+            let rows = item.rows(&representation);
+            let odd = representation.implausible(&rows).into_iter();
+            let profiles = [Profile::Strict, Profile::Document].into_iter();
+            let checks = profiles.flat_map(|profile| {
+                let report = representation.check(&rows, profile, statistics.as_ref());
+                let checks = report.map(|report| report.checks).unwrap_or_default();
+                let failed = checks.into_iter().filter(|check| !check.passed);
+                failed.map(move |check| {
+                    let (message, allowed) = (check.message, check.threshold);
+                    format!(
+                        "fails the {profile} check {}: {message}, {allowed} allowed",
+                        check.name
+                    )
+                })
+            });
+            let problems = odd.chain(checks);
+            let id = item.id().to_owned();
+            problems
+                .map(|problem| (id.clone(), problem))
+                .collect::<Vec<_>>()
+        };
+        side.measure(failed, |failed| {
+            problems.extend(failed.into_iter().map(problem(false)));
+        })?;
+    }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
-    let frames: usize = phrases.iter().map(|phrase| phrase.frames()).sum();
+    let frames: usize = lengths.iter().sum();
+    let moments = all.as_ref().map(|all| all.motion.moments());
+    let groups = moments.map(|moments| {
+        let groups = representation.groups().into_iter();
+        groups
+            .map(|(name, channels)| ChannelSummary::of(&name, moments, channels))
+            .collect()
+    });
+    let conditions = all.iter().flat_map(|all| &all.conditions);
     Ok(Inspection {
-        source: survey.source,
-        phrases: phrases.len(),
-        bad_phrases,
-        train,
-        validation: held_out.len(),
+        source,
+        kind,
+        representation: representation.name(),
+        items: lengths.len(),
+        bad_items,
+        left_out: left_out.len(),
+        train: train.len(),
+        validation: validation.len(),
         frames,
-        hours: frames as f64 / FPS / 3600.0,
-        fps: FPS,
-        shortest_frames: phrases
-            .iter()
-            .map(|phrase| phrase.frames())
-            .min()
-            .unwrap_or(0),
-        longest_frames: phrases
-            .iter()
-            .map(|phrase| phrase.frames())
-            .max()
-            .unwrap_or(0),
-        motion_channels: CHANNELS,
-        audio_channels: AUDIO_CHANNELS,
-        motion: summarise_motion(&phrases),
-        audio: summarise_audio(&phrases),
+        hours: frames as f64 / representation.fps() / 3600.0,
+        fps: representation.fps(),
+        shortest_frames: lengths.iter().copied().min().unwrap_or(0),
+        longest_frames: lengths.iter().copied().max().unwrap_or(0),
+        channels: representation.channels(),
+        motion: groups.unwrap_or_default(),
+        conditions: conditions
+            .map(|(name, moments)| ChannelSummary::of(name, moments, 0..1))
+            .collect(),
+        counts: all.map(|all| all.counts).unwrap_or_default(),
         problems,
         warnings,
     })
 }
 
-/// Every sanity check that a phrase fails, one line each. `reference` picks the phrases that the
-/// strict profile compares with.
-fn failed_checks(phrases: &[Arc<Phrase>], reference: impl Fn(&Phrase) -> bool) -> Vec<Problem> {
-    let references = phrases
-        .iter()
-        .filter(|phrase| reference(phrase))
-        .map(|phrase| &phrase.motion);
-    let Ok(statistics) = TrainingStatistics::compute(references) else {
-        return Vec::new();
-    };
-    let mut problems = Vec::new();
-    for phrase in phrases {
-        for profile in [Profile::Strict, Profile::Document] {
-            let checks = check(&phrase.motion, profile, Some(&statistics))
-                .map(|report| report.checks)
-                .unwrap_or_default();
-            problems.extend(
-                checks
-                    .into_iter()
-                    .filter(|check| !check.passed)
-                    .map(|check| Problem {
-                        id: phrase.id.clone(),
-                        problem: format!(
-                            "fails the {profile} check {}: {}, {} allowed",
-                            check.name, check.message, check.threshold
-                        ),
-                        unusable: false,
-                    }),
-            );
-        }
-    }
-    problems
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::humanml::{walk, write_features, write_walks};
     use crate::{features_path, motion_path};
-    use crate::{read_motion, synthetic, write_features, write_motion};
+    use crate::{read_motion, synthetic, write_motion};
+    use kinegrad_motion::humanml::{Features, Root};
     use kinegrad_motion::phrase::{PHASE, QUATERNION};
     use std::fs;
 
@@ -192,12 +285,7 @@ mod tests {
         config.validation.patterns = vec!["*3".into(), "*4".into()];
         let found = inspect(&config, &|_, _| {}).unwrap();
         assert_eq!(
-            (
-                found.phrases,
-                found.bad_phrases,
-                found.train,
-                found.validation
-            ),
+            (found.items, found.bad_items, found.train, found.validation),
             (5, 0, 3, 2)
         );
         assert_eq!(
@@ -216,7 +304,7 @@ mod tests {
         assert!((height.mean - mean).abs() < 1e-9);
         assert_eq!(height.max, heights.iter().copied().fold(f64::MIN, f64::max));
         let names: Vec<&str> = found
-            .audio
+            .conditions
             .iter()
             .map(|summary| summary.name.as_str())
             .collect();
@@ -231,7 +319,7 @@ mod tests {
                 "onset_strength"
             ]
         );
-        let mfcc = &found.audio[2];
+        let mfcc = &found.conditions[2];
         assert!(mfcc.mean.abs() < 1e-5 && (mfcc.std - 1.0).abs() < 1e-3);
         assert!(
             found.problems.is_empty() && found.warnings.is_empty(),
@@ -262,7 +350,7 @@ mod tests {
             (0..30).for_each(|t| motion.frame_mut(t)[3] += 20.0)
         });
         let features = folder.path().join(features_path(&id(5)));
-        write_features(&features, &synthetic::phrase(5, 20, 3).audio).unwrap();
+        crate::write_features(&features, &synthetic::phrase(5, 20, 3).audio).unwrap();
         fs::write(folder.path().join(features_path(&id(6))), b"PK").unwrap();
         let source = Some(folder.path().display().to_string());
         let found = inspect(
@@ -273,7 +361,7 @@ mod tests {
             &|_, _| {},
         )
         .unwrap();
-        assert_eq!((found.phrases, found.bad_phrases), (6, 2));
+        assert_eq!((found.items, found.bad_items), (6, 2));
         for (index, expected) in [
             (0, "NaN in frame 5, channel position.z"),
             (1, "strict check quaternion_norm"),
@@ -312,8 +400,8 @@ mod tests {
             &|_, _| {},
         )
         .unwrap();
-        assert_eq!((found.phrases, found.bad_phrases, found.frames), (0, 1, 0));
-        assert!(found.motion.is_empty() && found.audio.is_empty());
+        assert_eq!((found.items, found.bad_items, found.frames), (0, 1, 0));
+        assert!(found.motion.is_empty() && found.conditions.is_empty());
         assert_eq!(found.warnings, ["no phrase is left to train on"]);
     }
 
@@ -325,9 +413,83 @@ mod tests {
         };
         let found = inspect(&config, &|_, _| {}).unwrap();
         assert_eq!(
-            (found.source.as_str(), found.phrases, found.frames),
+            (found.source.as_str(), found.items, found.frames),
             ("synthetic", 64, 7680)
         );
+        assert!(found.problems.is_empty(), "{:?}", found.problems);
+    }
+
+    #[test]
+    fn clips_are_counted_and_what_is_wrong_is_listed() {
+        let folder = tempfile::tempdir().unwrap();
+        write_walks(folder.path(), 12, 80, 4).unwrap();
+        let features = |index: usize| {
+            folder
+                .path()
+                .join(format!("new_joint_vecs/walk_{index:05}.npy"))
+        };
+        fs::write(features(1), b"no array").unwrap();
+        write_features(&features(2), &walk(2, 30, 4).features).unwrap();
+        let layout = walk(0, 80, 4).features.layout();
+        let flat = Features::new(vec![0.25; 50 * 263], layout, Root::Relative).unwrap();
+        write_features(&features(3), &flat).unwrap();
+        let config = DataConfig {
+            kind: DataKind::Humanml3d,
+            source: Some(folder.path().display().to_string()),
+            ..DataConfig::default()
+        };
+        let found = inspect(&config, &|_, _| {}).unwrap();
+        assert_eq!((found.items, found.bad_items, found.left_out), (10, 1, 1));
+        assert_eq!(found.train + found.validation, 10);
+        assert_eq!(
+            (found.frames, found.shortest_frames, found.longest_frames),
+            (770, 50, 80)
+        );
+        assert!((found.hours - 770.0 / 72_000.0).abs() < 1e-12);
+        let count = |name| found.counts.iter().find(|(n, _)| *n == name).unwrap().1;
+        assert!(count("captions") >= 20 && found.channels == 263);
+        assert_eq!(count("captions"), count("captions with an embedding"));
+        assert_eq!(count("clips without captions"), 0);
+        let problems: Vec<_> = (found.problems.iter())
+            .map(|p| (p.id.as_str(), p.unusable))
+            .collect();
+        assert_eq!(
+            problems,
+            [("walk_00001", true), ("walk_00003", false)],
+            "{found:?}"
+        );
+        assert!(
+            found.problems[1]
+                .problem
+                .contains("joint rotations are none in frame 0")
+        );
+        assert!(found.warnings[0].contains("clip `walk_00002`: too short: 30 frames"));
+    }
+
+    #[test]
+    fn groups_are_summed_up_over_all_clips() {
+        let mut config = DataConfig {
+            kind: DataKind::SyntheticWalks,
+            ..DataConfig::default()
+        };
+        config.synthetic.phrases = 4;
+        config.synthetic.frames = 50;
+        let found = inspect(&config, &|_, _| {}).unwrap();
+        assert_eq!((found.items, found.frames), (4, 200));
+        let clips: Vec<_> = (0..4).map(|index| walk(index, 50, 0)).collect();
+        let heights: Vec<f64> = (clips.iter())
+            .flat_map(|clip| (0..50).map(|t| f64::from(clip.features.frame(t)[3])))
+            .collect();
+        let mean = heights.iter().sum::<f64>() / 200.0;
+        let square = heights
+            .iter()
+            .map(|value| (value - mean).powi(2))
+            .sum::<f64>();
+        let height = &found.motion[2];
+        assert_eq!(height.name, "root height");
+        assert!((height.mean - mean).abs() < 1e-12);
+        assert!((height.std - (square / 200.0).sqrt()).abs() < 1e-12);
+        assert_eq!(height.max, heights.iter().copied().fold(f64::MIN, f64::max));
         assert!(found.problems.is_empty(), "{:?}", found.problems);
     }
 }

@@ -1,8 +1,10 @@
 //! What datasets consist of, and some of it at a time.
 
+use std::borrow::Cow;
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use kinegrad_motion::{Measured, Representation, Statistics};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -11,10 +13,13 @@ use crate::library::Library;
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
 const CHUNK: usize = 256;
 
-/// One piece of a dataset: a [`Phrase`](crate::Phrase) or a [`Clip`](crate::humanml::Clip).
+/// One piece of a dataset: motion, and what it is conditioned on.
 pub trait Item: Debug + Send + Sync + 'static {
     /// What messages call one: `phrase` or `clip`.
     const KIND: &'static str;
+
+    /// What its rows of numbers are.
+    type Representation: Representation + Clone;
 
     /// Its name in the dataset.
     fn id(&self) -> &str;
@@ -24,6 +29,19 @@ pub trait Item: Debug + Send + Sync + 'static {
 
     /// Bytes it takes in memory.
     fn bytes(&self) -> usize;
+
+    /// Its motion as rows of `representation`, `[frames, channels]`.
+    fn rows(&self, representation: &Self::Representation) -> Cow<'_, [f32]>;
+
+    /// Numbers of its conditions, by name.
+    fn conditions(&self) -> Vec<(&'static str, &[f32])> {
+        Vec::new()
+    }
+
+    /// Counts of its conditions, by name.
+    fn counts(&self) -> Vec<(&'static str, usize)> {
+        Vec::new()
+    }
 }
 
 /// Some of the items of a dataset in the order of their ids, read when they are asked for. A clone
@@ -134,20 +152,38 @@ impl<T: Item> ItemSet<T> {
             .collect()
     }
 
-    /// Measures each item, on all cores, and hands the measures to `take` in the items' order.
+    /// The statistics of their motion as rows of `representation`; none of no items.
     ///
     /// # Errors
-    /// As [`get`](Self::get), and those of `measure`.
+    /// As [`get`](Self::get).
+    pub fn statistics(
+        &self,
+        representation: &T::Representation,
+    ) -> Result<Option<Statistics>, Error> {
+        let measure = |item: &T| Measured::of(representation, &item.rows(representation));
+        let mut all: Option<Measured> = None;
+        self.measure(measure, |measured| match &mut all {
+            Some(all) => all.merge(measured),
+            None => all = Some(measured),
+        })?;
+        Ok(all.map(|all| all.statistics(representation)))
+    }
+
+    /// Measures each item, some at a time on all cores, and hands the measures to `take` in the
+    /// items' order.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
     pub(crate) fn measure<M: Send>(
         &self,
-        measure: impl Fn(&T) -> Result<M, Error> + Sync,
+        measure: impl Fn(&T) -> M + Sync,
         mut take: impl FnMut(M),
     ) -> Result<(), Error> {
         let positions: Vec<usize> = (0..self.len()).collect();
         for chunk in positions.chunks(CHUNK) {
             let measured: Vec<M> = chunk
                 .par_iter()
-                .map(|&position| measure(&*self.get(position)?))
+                .map(|&position| Ok(measure(&*self.get(position)?)))
                 .collect::<Result<_, Error>>()?;
             measured.into_iter().for_each(&mut take);
         }

@@ -7,12 +7,13 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use kinegrad_data::{DataConfig, DataKind, Dataset, Loader};
+//! use kinegrad_data::{DataConfig, DataKind, Dataset, Loader, PhraseSamples};
 //!
 //! let config = DataConfig { kind: DataKind::Synthetic, batch_size: 4, ..DataConfig::default() };
 //! let dataset = Dataset::open(&config)?;
-//! let statistics = Arc::new(dataset.train.statistics()?);
-//! let mut loader = Loader::new(dataset.train.clone(), statistics, &config, 7, 0);
+//! let statistics = Arc::new(dataset.statistics()?);
+//! let samples = PhraseSamples::new(dataset.train, statistics, &config, 7);
+//! let mut loader = Loader::new(samples, &config, 7, 0);
 //! assert_eq!(loader.next()?.x_start.len(), 4 * 25 * 120);
 //! # Ok::<(), kinegrad_data::Error>(())
 //! ```
@@ -42,16 +43,16 @@ mod npz;
 mod order;
 mod passage;
 mod phrase;
+mod phrase_samples;
 mod phrase_set;
 mod prefetch;
 pub mod prepare;
 mod split;
 mod store;
-mod summary;
 mod survey;
 pub mod synthetic;
 
-pub use batch::{Batch, collate_validation};
+pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StoreConfig,
     SyntheticConfig, ValidationSplit,
@@ -62,17 +63,17 @@ pub use digest::Digest;
 pub use error::{Error, FileError};
 pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
-pub use inspect::{Inspection, Problem, inspect};
+pub use inspect::{ChannelSummary, Inspection, Problem, inspect};
 pub use item::{Item, ItemSet};
 pub use layout::{MANIFEST, check_id, features_path, motion_path};
-pub use loader::Loader;
+pub use loader::{Loader, Samples};
 pub use npy::{
     Array, MAX_FRAMES, parse_motion, read_array, read_motion, write_motion, write_values,
 };
 pub use npz::{parse_features, read_features, write_features, write_song_features};
 pub use phrase::{Phrase, load_audio};
+pub use phrase_samples::PhraseSamples;
 pub use phrase_set::PhraseSet;
 pub use split::{Side, matches};
 pub use store::{Store, StoreError};
-pub use summary::ChannelSummary;
 pub use survey::OpenProgress;

@@ -1,109 +1,87 @@
 //! The endless stream of training batches.
 
-use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-use kinegrad_motion::TrainingStatistics;
-use kinegrad_motion::humanml::FeatureStatistics;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::augment::Sampler;
-use crate::batch::Shape;
-use crate::humanml::{ClipMaker, ClipSet};
+use crate::batch::SampleShape;
+use crate::item::{Item, ItemSet};
 use crate::order::Order;
-use crate::passage::Passages;
 use crate::prefetch::Prefetch;
-use crate::{Batch, Counters, DataConfig, Error, LoaderReport, PhraseSet};
+use crate::{Batch, Counters, DataConfig, Error, LoaderReport};
+
+/// How the items of a set become samples. A clone makes the same ones.
+pub trait Samples: Clone + Send + Sync + 'static {
+    /// What the set consists of.
+    type Item: Item;
+
+    /// What is read for one sample.
+    type Read: Send;
+
+    /// The items.
+    fn items(&self) -> &ItemSet<Self::Item>;
+
+    /// The shape of every sample.
+    fn shape(&self) -> SampleShape;
+
+    /// Whether what is read of item `position` is in memory now.
+    fn is_at_hand(&self, position: usize) -> bool {
+        self.items().is_at_hand(position)
+    }
+
+    /// Reads what a sample of item `position` is made from.
+    ///
+    /// # Errors
+    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    fn read(&self, position: usize) -> Result<Self::Read, Error>;
+
+    /// Adds sample `number` of the stream; without a number the one that validation takes, in
+    /// which nothing is drawn.
+    fn push(&self, batch: &mut Batch, read: &Self::Read, number: Option<u64>);
+
+    /// The samples that validation takes of the items in `positions`, as one batch.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    fn collate(&self, positions: std::ops::Range<usize>) -> Result<Batch, Error> {
+        let mut batch = Batch::with_capacity(positions.len(), &self.shape());
+        for position in positions {
+            self.push(&mut batch, &self.read(position)?, None);
+        }
+        Ok(batch)
+    }
+}
 
 /// Hands out training batches, one after the other, without end.
 ///
-/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: phrase (or clip)
-/// number `n mod P` of epoch `n / P` over the `P` phrases, cropped and augmented by draws keyed by
-/// `n`. So a batch follows from its number alone: a resumed run asks for the next number, and the
-/// number of workers changes nothing. Batches cross epochs, and may hold more samples than there
-/// are phrases.
+/// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: item number `n mod P`
+/// of epoch `n / P` over the `P` items, cropped and augmented by draws keyed by `n`. So a batch
+/// follows from its number alone: a resumed run asks for the next number, and the number of
+/// workers changes nothing. Batches cross epochs, and may hold more samples than there are items.
 pub struct Loader {
-    maker: Box<dyn MakeBatch>,
+    make: Box<dyn FnMut(u64) -> Result<Batch, Error> + Send>,
     next_batch: u64,
     prefetch: Option<Prefetch<Result<Batch, Error>>>,
     counters: Arc<Counters>,
 }
 
-/// Makes any batch from its number.
-pub(crate) trait MakeBatch: Send {
-    /// Batch `number`.
-    ///
-    /// # Errors
-    /// As [`Loader::next`].
-    fn make(&mut self, number: u64) -> Result<Batch, Error>;
-}
-
 impl Loader {
-    /// A loader that begins with batch `first_batch` of the stream of this `seed`.
+    /// A loader of `samples` that begins with batch `first_batch` of the stream of this `seed`.
     ///
     /// `data.num_workers` threads make batches ahead, at most two each; with 0, or where the system
     /// gives no threads, [`next`](Self::next) makes them itself, reading on all cores with 0.
     ///
     /// # Panics
-    /// Panics if there are no phrases, or if `config` has not passed [`DataConfig::validate`].
-    pub fn new(
-        phrases: PhraseSet,
-        statistics: Arc<TrainingStatistics>,
-        config: &DataConfig,
-        seed: u64,
-        first_batch: u64,
-    ) -> Self {
-        assert!(!phrases.is_empty(), "a loader needs at least one phrase");
+    /// Panics if there are no items, or if `config` has not passed [`DataConfig::validate`].
+    pub fn new(samples: impl Samples, config: &DataConfig, seed: u64, first_batch: u64) -> Self {
+        let items = samples.items();
+        assert!(!items.is_empty(), "a loader needs at least one item");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
-        let (counters, concurrency) = (phrases.counters().clone(), phrases.concurrency());
-        let passages = if config.join_neighbours {
-            Passages::joined(phrases, config.target_frames)
-        } else {
-            Passages::alone(phrases, config.target_frames)
-        };
-        let maker = PhraseMaker {
-            samples: Samples::new(passages.len(), config, seed, concurrency),
-            sampler: Sampler::new(config, seed),
-            passages,
-            statistics,
-            frames: config.target_frames,
-        };
-        Self::start(maker, config.num_workers, first_batch, counters)
-    }
-
-    /// A loader of HumanML3D clips, in every other respect as [`new`](Self::new): `channels` of
-    /// the features with the root that `config.humanml3d` names, normalised by `statistics`, and
-    /// the embedding of a caption as the condition.
-    ///
-    /// # Panics
-    /// As [`new`](Self::new); or if `statistics` or `channels` are not of the configured layout and
-    /// root.
-    pub fn clips(
-        clips: ClipSet,
-        statistics: Arc<FeatureStatistics>,
-        channels: Range<usize>,
-        config: &DataConfig,
-        seed: u64,
-        first_batch: u64,
-    ) -> Self {
-        assert!(!clips.is_empty(), "a loader needs at least one clip");
-        assert!(config.batch_size > 0, "a batch holds at least one sample");
-        let counters = clips.counters().clone();
-        let samples = Samples::new(clips.len(), config, seed, clips.concurrency());
-        let maker = ClipMaker::new(clips, statistics, channels, samples, config, seed);
-        Self::start(maker, config.num_workers, first_batch, counters)
-    }
-
-    /// The stream that `maker`, all of whose clones make the same batches, gives.
-    fn start<M: MakeBatch + Clone + 'static>(
-        maker: M,
-        workers: usize,
-        first_batch: u64,
-        counters: Arc<Counters>,
-    ) -> Self {
-        let prefetch = match workers {
+        let counters = items.counters().clone();
+        let mut maker = Maker::new(samples, config, seed);
+        let prefetch = match config.num_workers {
             0 => None,
             workers => {
                 let mut maker = maker.clone();
@@ -111,7 +89,7 @@ impl Loader {
             }
         };
         Self {
-            maker: Box::new(maker),
+            make: Box::new(move |number| maker.make(number)),
             next_batch: first_batch,
             prefetch,
             counters,
@@ -121,7 +99,7 @@ impl Loader {
     /// The next batch; blocks until it is ready.
     ///
     /// # Errors
-    /// [`Error::BadItem`] for a phrase or clip whose files are gone, have changed or cannot be read any
+    /// [`Error::BadItem`] for an item whose files are gone, have changed or cannot be read any
     /// more since the dataset was opened.
     ///
     /// # Panics
@@ -150,7 +128,7 @@ impl Loader {
                 Some(batch) => batch,
                 None => return Ok(None),
             },
-            None => self.maker.make(self.next_batch),
+            None => (self.make)(self.next_batch),
         };
         self.next_batch += 1;
         let batch = batch?;
@@ -169,9 +147,10 @@ impl Loader {
     }
 }
 
-/// Which items the samples of a batch are of.
+/// Makes any batch from its number.
 #[derive(Clone)]
-pub(crate) struct Samples {
+struct Maker<S> {
+    samples: S,
     order: Order,
     batch_size: usize,
     /// Whether the items of a batch are read by rayon's threads and not one after the other.
@@ -180,97 +159,62 @@ pub(crate) struct Samples {
     readers: Option<Arc<ThreadPool>>,
 }
 
-impl Samples {
-    /// The samples of a run with this `seed` over so many items, of which `concurrency` may be
-    /// read at once where they lie far away.
-    pub fn new(items: usize, config: &DataConfig, seed: u64, concurrency: usize) -> Self {
+impl<S: Samples> Maker<S> {
+    fn new(samples: S, config: &DataConfig, seed: u64) -> Self {
+        let concurrency = samples.items().concurrency();
         let readers = ThreadPoolBuilder::new().num_threads(concurrency);
         Self {
             readers: match concurrency {
                 0 => None,
                 _ => readers.build().ok().map(Arc::new),
             },
-            order: Order::new(items, seed),
+            order: Order::new(samples.items().len(), seed),
             batch_size: config.batch_size,
             all_cores: config.num_workers == 0,
+            samples,
         }
     }
 
-    /// Makes batch `number` of samples of this `shape`: reads the items of its samples with
-    /// `get`, ahead where that gains something, and hands them to `push` with the samples'
-    /// numbers, in order.
+    /// Batch `number`: reads the items of its samples, ahead where that gains something.
     ///
     /// # Errors
-    /// Those of `get`.
-    pub fn make<T: Send>(
-        &mut self,
-        number: u64,
-        shape: Shape,
-        is_at_hand: impl Fn(usize) -> bool,
-        get: impl Fn(usize) -> Result<T, Error> + Sync,
-        mut push: impl FnMut(&mut Batch, u64, T),
-    ) -> Result<Batch, Error> {
-        let mut batch = Batch::with_capacity(self.batch_size, shape);
+    /// As [`Samples::read`].
+    fn make(&mut self, number: u64) -> Result<Batch, Error> {
+        let Self { samples, .. } = self;
+        let mut batch = Batch::with_capacity(self.batch_size, &samples.shape());
         let first = number.wrapping_mul(self.batch_size as u64);
-        let samples = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
-        let samples: Vec<(u64, usize)> = samples.map(|n| (n, self.order.phrase(n))).collect();
-        let at_hand = |&(_, position): &(u64, usize)| is_at_hand(position);
-        let read = || samples.par_iter().map(|&(_, item)| get(item)).collect();
+        let numbers = (0..self.batch_size as u64).map(|i| first.wrapping_add(i));
+        let numbers: Vec<(u64, usize)> = numbers.map(|n| (n, self.order.item(n))).collect();
+        let at_hand = |&(_, position): &(u64, usize)| samples.is_at_hand(position);
+        let read = || {
+            let items = numbers
+                .par_iter()
+                .map(|&(_, position)| samples.read(position));
+            items.collect()
+        };
         let at_once = self.all_cores || self.readers.is_some();
-        let ahead: Vec<Result<T, Error>> = match &self.readers {
-            _ if !at_once || samples.iter().all(at_hand) => Vec::new(),
+        let ahead: Vec<Result<S::Read, Error>> = match &self.readers {
+            _ if !at_once || numbers.iter().all(at_hand) => Vec::new(),
             Some(readers) => readers.install(read),
             None => read(),
         };
         let mut ahead = ahead.into_iter();
-        for (n, position) in samples {
-            let item = match ahead.next() {
-                Some(item) => item?,
-                None => get(position)?,
+        for (n, position) in numbers {
+            let read = match ahead.next() {
+                Some(read) => read?,
+                None => samples.read(position)?,
             };
-            push(&mut batch, n, item);
+            samples.push(&mut batch, &read, Some(n));
         }
         Ok(batch)
-    }
-}
-
-/// Makes batches of phrases.
-#[derive(Clone)]
-struct PhraseMaker {
-    passages: Passages,
-    statistics: Arc<TrainingStatistics>,
-    samples: Samples,
-    sampler: Sampler,
-    frames: usize,
-}
-
-impl MakeBatch for PhraseMaker {
-    fn make(&mut self, number: u64) -> Result<Batch, Error> {
-        let Self {
-            passages,
-            statistics,
-            samples,
-            sampler,
-            frames,
-        } = self;
-        samples.make(
-            number,
-            Shape::of_phrases(*frames),
-            |position| passages.is_at_hand(position),
-            |position| passages.get(position),
-            |batch, n, passage| {
-                let (motion, audio) = sampler.windows(&passage, n);
-                batch.push_phrase(&passage.id, motion, audio, statistics);
-            },
-        )
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Phrase;
-    use crate::synthetic;
+    use crate::{Phrase, PhraseSamples, synthetic};
+    use kinegrad_motion::phrase_statistics;
     use std::collections::BTreeMap;
 
     fn config() -> DataConfig {
@@ -295,8 +239,9 @@ mod tests {
     fn loader(config: &DataConfig, seed: u64, first_batch: u64) -> Loader {
         let phrases = phrases();
         let motions = phrases.iter().map(|phrase| &phrase.motion);
-        let statistics = Arc::new(TrainingStatistics::compute(motions).unwrap());
-        Loader::new(phrases.into(), statistics, config, seed, first_batch)
+        let statistics = Arc::new(phrase_statistics(motions).unwrap());
+        let samples = PhraseSamples::new(phrases.into(), statistics, config, seed);
+        Loader::new(samples, config, seed, first_batch)
     }
 
     fn batches(config: &DataConfig, seed: u64, first_batch: u64, count: usize) -> Vec<Batch> {
@@ -345,9 +290,10 @@ mod tests {
                 ..config()
             };
             config.cache.memory_mib = memory_mib;
-            let phrases = crate::Dataset::open(&config).unwrap().train;
-            let statistics = Arc::new(phrases.statistics().unwrap());
-            let mut loader = Loader::new(phrases, statistics, &config, 1, 0);
+            let dataset = crate::Dataset::open(&config).unwrap();
+            let statistics = Arc::new(dataset.statistics().unwrap());
+            let samples = PhraseSamples::new(dataset.train, statistics, &config, 1);
+            let mut loader = Loader::new(samples, &config, 1, 0);
             (0..8).map(|_| loader.next().unwrap()).collect::<Vec<_>>()
         };
         let expected = batches(2, 1024);
@@ -413,7 +359,7 @@ mod tests {
                 assert!(mask[valid..].iter().all(|&value| value == 0.0));
                 assert!(valid >= 12);
                 padded += batch.frames - valid;
-                for (rows, channels) in [(&batch.x_start, 25), (&batch.cond, 163)] {
+                for (rows, channels) in [(&batch.x_start, 25), (&batch.conditions[0].values, 163)] {
                     let values =
                         &rows[sample * channels * batch.frames..][..channels * batch.frames];
                     for row in values.chunks(batch.frames) {

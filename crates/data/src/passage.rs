@@ -1,5 +1,6 @@
 //! Passages: a phrase within the recording it was cut from.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -8,22 +9,23 @@ use kinegrad_motion::phrase::{POSITION, VELOCITY};
 use kinegrad_motion::{FPS, Motion};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::phrase_samples::Window;
 use crate::{Error, Phrase, PhraseSet};
 
 /// A phrase and what was recorded around it.
 #[derive(Clone, Debug)]
-pub(crate) struct Passage {
+pub struct Passage {
     /// The phrase, joined with so much of its recording as a crop can reach.
-    pub take: Arc<Phrase>,
+    pub(crate) take: Arc<Phrase>,
     /// The phrase's own frames in the take.
-    pub own: Range<usize>,
+    pub(crate) own: Range<usize>,
     /// The phrase's id.
-    pub id: String,
+    pub(crate) id: String,
 }
 
 impl Passage {
     /// A phrase without neighbours.
-    pub fn alone(phrase: Arc<Phrase>) -> Self {
+    pub(crate) fn alone(phrase: Arc<Phrase>) -> Self {
         Self {
             own: 0..phrase.frames(),
             id: phrase.id.clone(),
@@ -31,9 +33,25 @@ impl Passage {
         }
     }
 
+    /// The `frames` of its take.
+    pub(crate) fn window(
+        &self,
+        frames: Range<usize>,
+    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+        let motion = Window {
+            of: Cow::Borrowed(&self.take.motion),
+            frames: frames.clone(),
+        };
+        let audio = Window {
+            of: Cow::Borrowed(&self.take.audio),
+            frames,
+        };
+        (motion, audio)
+    }
+
     /// The first frames that a crop of `target_frames` may have: those within the phrase, and,
     /// where it has neighbours, up to half its length around. Never empty.
-    pub fn starts(&self, target_frames: usize) -> Range<usize> {
+    pub(crate) fn starts(&self, target_frames: usize) -> Range<usize> {
         let frames = self.take.frames();
         let length = frames.min(target_frames);
         let reach = if self.own.len() == frames {
@@ -90,9 +108,9 @@ impl Passages {
         }
     }
 
-    /// Number of passages.
-    pub fn len(&self) -> usize {
-        self.phrases.len()
+    /// The phrases, one for each passage.
+    pub fn phrases(&self) -> &PhraseSet {
+        &self.phrases
     }
 
     /// Whether passage `position` needs no work: a phrase alone that is in memory now.
@@ -203,7 +221,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
 mod tests {
     use super::*;
     use crate::synthetic;
-    use kinegrad_motion::{Profile, TrainingStatistics, anchor_floor, check};
+    use kinegrad_motion::{Profile, anchor_floor, check, phrase_statistics};
 
     /// A recording of 90 frames cut into phrases of 30, each moved to the origin.
     fn cut() -> (Phrase, Vec<Arc<Phrase>>) {
@@ -233,7 +251,7 @@ mod tests {
     fn joined_phrases_are_the_recording_again() {
         let (whole, phrases) = cut();
         let passages = Passages::joined(phrases.into(), 30);
-        assert_eq!(passages.len(), 3);
+        assert_eq!(passages.phrases().len(), 3);
         let passage = passages.get(1).unwrap();
         let take = &passage.take;
         assert_eq!((take.frames(), passage.own.clone()), (90, 30..60));
@@ -253,7 +271,7 @@ mod tests {
         for t in 1..90 {
             assert!(take.motion.quaternion(t - 1).dot(take.motion.quaternion(t)) > 0.9);
         }
-        let statistics = TrainingStatistics::compute([&whole.motion]).expect("statistics");
+        let statistics = phrase_statistics([&whole.motion]).expect("statistics");
         let report = check(&take.motion, Profile::Strict, Some(&statistics)).expect("a report");
         assert!(report.passed, "{report:?}");
     }

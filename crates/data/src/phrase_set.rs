@@ -1,23 +1,31 @@
-//! Phrases of a dataset: their statistics, and how they are read or made up.
+//! Phrases of a dataset: how they are listed, read and made up.
 
-use kinegrad_motion::kinematics::mean_jerk_norm;
-use kinegrad_motion::{ChannelMoments, TrainingStatistics};
+use std::borrow::Cow;
+use std::sync::Arc;
 
+use kinegrad_motion::Phrases;
+
+use crate::features::FEATURES;
 use crate::files::Files;
 use crate::item::{Item, ItemSet};
 use crate::layout::{features_path, motion_path};
 use crate::library::{Origin, Reading};
-use crate::listing::Expected;
+use crate::listing::{Expected, Listed, Listing};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
 use crate::phrase::Named;
-use crate::{Error, FileError, Phrase, SyntheticConfig, synthetic};
+use crate::split::Split;
+use crate::store::Store;
+use crate::survey::{Listable, Survey};
+use crate::{DataConfig, DataKind, Error, FileError, Phrase, SyntheticConfig, synthetic};
 
 /// Phrases in the order of their ids. A clone is another handle to the same ones.
 pub type PhraseSet = ItemSet<Phrase>;
 
 impl Item for Phrase {
     const KIND: &'static str = "phrase";
+
+    type Representation = Phrases;
 
     fn id(&self) -> &str {
         &self.id
@@ -31,34 +39,95 @@ impl Item for Phrase {
         let values = self.motion.as_slice().len() + self.audio.as_slice().len();
         size_of_val(self) + self.id.len() + 4 * values
     }
+
+    fn rows(&self, _representation: &Phrases) -> Cow<'_, [f32]> {
+        Cow::Borrowed(self.motion.as_slice())
+    }
+
+    fn conditions(&self) -> Vec<(&'static str, &[f32])> {
+        let mut rest = self.audio.as_slice();
+        let arrays = FEATURES.into_iter().map(|(name, rows)| {
+            let (array, after) = rest.split_at(rows * self.frames());
+            rest = after;
+            (name, array)
+        });
+        arrays.collect()
+    }
 }
 
-impl ItemSet<Phrase> {
-    /// The statistics of their motion, some phrases at a time.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
-    ///
-    /// # Panics
-    /// Panics if there are no phrases: a dataset has at least one to train on.
-    pub fn statistics(&self) -> Result<TrainingStatistics, Error> {
-        let mut moments: Option<ChannelMoments> = None;
-        let mut jerks = Vec::with_capacity(self.len());
-        let measure = |phrase: &Phrase| {
-            let moments = ChannelMoments::compute([&phrase.motion]);
-            let moments = moments.expect("phrases hold finite numbers only");
-            Ok((moments, mean_jerk_norm(&phrase.motion)))
-        };
-        self.measure(measure, |(of_phrase, jerk)| {
-            jerks.push(jerk);
-            match &mut moments {
-                Some(moments) => moments.merge(&of_phrase),
-                None => moments = Some(of_phrase),
+impl Listable for Phrase {
+    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error> {
+        let split = Split::new(&config.validation)?;
+        let mut survey = match config.kind {
+            DataKind::Phrases => phrase_files(config)?,
+            DataKind::Synthetic => Survey {
+                representation: Phrases,
+                given: None,
+                split: None,
+                origin: Box::new(MadeUpPhrases(config.synthetic.clone())),
+                warnings: Vec::new(),
+                counters: Arc::default(),
+                source: "synthetic".to_owned(),
+                listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
+                concurrency: 0,
+                tolerates_changes: false,
+            },
+            kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => {
+                return Err(Error::wrong_kind(
+                    kind,
+                    "\"phrases\" or \"synthetic\"",
+                    "clips are no phrases of motion and music: another recipe or command takes them",
+                ));
             }
-        })?;
-        let moments = moments.expect("a phrase to train on");
-        Ok(TrainingStatistics::from_moments(moments, jerks))
+        };
+        survey.warnings.extend(split.idle_entries(&survey.listed));
+        survey.split = Some(split);
+        Ok(survey)
     }
+}
+
+fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
+    let source = config.source.as_deref().unwrap_or_default();
+    let store = Store::open(source, &config.store)?;
+    let Listing {
+        mut phrases,
+        only_motion,
+        only_audio,
+        mut warnings,
+    } = Listing::read(&store)?;
+    if phrases.is_empty() {
+        return Err(Error::EmptyDataset {
+            source_uri: store.uri(),
+            only_motion: only_motion.len(),
+            only_audio: only_audio.len(),
+        });
+    }
+    for (alone, place, lacking) in [
+        (&only_motion, "motion", "audio_features"),
+        (&only_audio, "audio_features", "motion"),
+    ] {
+        if let Some(first) = alone.first() {
+            let count = alone.len();
+            warnings.push(format!(
+                "{count} folder(s) under {place}/ have no counterpart under {lacking}/ and \
+                 are left out, the first: {first}"
+            ));
+        }
+    }
+    phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
+    let files = Files::open(store, config, &mut warnings)?;
+    Ok(Survey {
+        representation: Phrases,
+        given: None,
+        split: None,
+        warnings,
+        counters: files.store.counters().clone(),
+        source: files.store.uri(),
+        listed: phrases,
+        concurrency: files.concurrency(config),
+        tolerates_changes: false,
+        origin: Box::new(PhraseFiles(files)),
+    })
 }
 
 /// Phrases of the layout of CC-MotionGen, section 1.3.

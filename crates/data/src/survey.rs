@@ -3,25 +3,27 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use kinegrad_motion::Statistics;
 use rayon::prelude::*;
 
 use crate::cache::MemoryCache;
-use crate::files::Files;
 use crate::item::{Item, ItemSet};
 use crate::library::{Entry, Library, Met, Origin};
-use crate::listing::{Listed, Listing};
-use crate::phrase_set::{MadeUpPhrases, PhraseFiles};
-use crate::store::Store;
-use crate::{
-    Counters, DataConfig, DataKind, Digest, Error, FileError, OnBadPhrase, Phrase, StoreError,
-    synthetic,
-};
+use crate::listing::Listed;
+use crate::split::{Side, Split};
+use crate::{Counters, DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
 /// Hears how many of how many items have been read; called from several threads.
 pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
 /// A dataset whose items are known by name.
-pub(crate) struct Survey<T> {
+pub(crate) struct Survey<T: Item> {
+    /// What the rows of the items are.
+    pub representation: T::Representation,
+    /// The statistics that the dataset brings along.
+    pub given: Option<Statistics>,
+    /// What is said of the side of the split; where there is nothing, the dataset decides.
+    pub split: Option<Split>,
     pub origin: Box<dyn Origin<T>>,
     /// What is odd about the dataset as a whole.
     pub warnings: Vec<String>,
@@ -35,7 +37,20 @@ pub(crate) struct Survey<T> {
     pub tolerates_changes: bool,
 }
 
-/// The items of a dataset that can be used, and what was said of the others.
+/// Items that are listed by a config.
+pub(crate) trait Listable: Item {
+    /// Lists the items of a valid `config`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
+    /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
+    /// [`Error::EmptyDataset`], [`Error::Io`].
+    fn survey(config: &DataConfig) -> Result<Survey<Self>, Error>
+    where
+        Self: Sized;
+}
+
+/// What was read of a dataset.
 pub(crate) struct Gathered<T> {
     pub entries: Vec<Entry>,
     /// Id and reason of each bad item.
@@ -44,7 +59,7 @@ pub(crate) struct Gathered<T> {
     pub left_out: Vec<(String, String)>,
     /// Id and what is odd about it.
     pub notes: Vec<(String, String)>,
-    memory: MemoryCache<T>,
+    pub memory: MemoryCache<T>,
 }
 
 /// Both sides of a dataset.
@@ -52,75 +67,6 @@ pub(crate) struct Sides<T> {
     pub train: ItemSet<T>,
     pub validation: ItemSet<T>,
     pub digest: Digest,
-}
-
-impl Survey<Phrase> {
-    /// Lists the phrases of a valid `config`.
-    ///
-    /// # Errors
-    /// [`Error::Config`] where `config` is not of phrases; [`Error::Scheme`], [`Error::Feature`],
-    /// [`Error::Store`], [`Error::Manifest`], [`Error::MissingFolder`], [`Error::EmptyDataset`],
-    /// [`Error::Io`].
-    pub fn phrases(config: &DataConfig) -> Result<Self, Error> {
-        match config.kind {
-            DataKind::Phrases => Self::of_files(config),
-            DataKind::Synthetic => Ok(Self {
-                origin: Box::new(MadeUpPhrases(config.synthetic.clone())),
-                warnings: Vec::new(),
-                counters: Arc::default(),
-                source: "synthetic".to_owned(),
-                listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
-                concurrency: 0,
-                tolerates_changes: false,
-            }),
-            kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => Err(Error::wrong_kind(
-                kind,
-                "\"phrases\" or \"synthetic\"",
-                "clips are no phrases of motion and music: another recipe or command takes them",
-            )),
-        }
-    }
-
-    fn of_files(config: &DataConfig) -> Result<Self, Error> {
-        let source = config.source.as_deref().unwrap_or_default();
-        let store = Store::open(source, &config.store)?;
-        let Listing {
-            mut phrases,
-            only_motion,
-            only_audio,
-            mut warnings,
-        } = Listing::read(&store)?;
-        if phrases.is_empty() {
-            return Err(Error::EmptyDataset {
-                source_uri: store.uri(),
-                only_motion: only_motion.len(),
-                only_audio: only_audio.len(),
-            });
-        }
-        for (alone, place, lacking) in [
-            (&only_motion, "motion", "audio_features"),
-            (&only_audio, "audio_features", "motion"),
-        ] {
-            if let Some(first) = alone.first() {
-                let count = alone.len();
-                warnings.push(format!(
-                    "{count} folder(s) under {place}/ have no counterpart under {lacking}/ and \
-                     are left out, the first: {first}"
-                ));
-            }
-        }
-        phrases.truncate(config.num_phrases.unwrap_or(usize::MAX));
-        let files = Files::open(store, config, &mut warnings)?;
-        Ok(Self {
-            warnings,
-            counters: files.store.counters().clone(),
-            source: files.store.uri(),
-            listed: phrases,
-            concurrency: files.concurrency(config),
-            tolerates_changes: false,
-            origin: Box::new(PhraseFiles(files)),
-        })
-    }
 }
 
 impl<T: Item> Survey<T> {
@@ -158,14 +104,15 @@ impl<T: Item> Survey<T> {
         }
     }
 
-    /// Reads all items of a valid `config`, and keeps so many in memory as it allows.
+    /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
+    /// `on_bad` says.
     ///
     /// # Errors
-    /// As [`meet_all`](Self::meet_all); [`Error::BadItem`] for the first bad item by id, or
-    /// [`Error::AllSkipped`].
+    /// As [`meet_all`](Self::meet_all); [`Error::BadItem`] for the first bad item by id.
     pub fn gather(
         &self,
         config: &DataConfig,
+        on_bad: OnBadPhrase,
         progress: OpenProgress,
     ) -> Result<Gathered<T>, Error> {
         let memory = MemoryCache::new(config.cache.memory_bytes());
@@ -189,51 +136,30 @@ impl<T: Item> Survey<T> {
                     gathered.notes.extend(note.map(|note| (id, note)));
                     gathered.entries.push(entry);
                 }
-                Err(cause) if config.on_bad_phrase == OnBadPhrase::Skip => {
+                Err(cause) if on_bad == OnBadPhrase::Skip => {
                     gathered.skipped.push((id, cause.to_string()));
                 }
                 Err(cause) => return Err(Error::bad::<T>(&id, cause)),
             }
         }
-        if let (true, Some((id, reason))) = (gathered.entries.is_empty(), gathered.skipped.first())
-        {
-            return Err(Error::AllSkipped {
-                kind: T::KIND,
-                skipped: gathered.skipped.len(),
-                first: format!("{} `{id}`: {reason}", T::KIND),
-            });
-        }
         Ok(gathered)
     }
 
-    /// The sides of the split of what was gathered, of which `held_out` picks the second.
-    ///
-    /// # Errors
-    /// [`Error::EmptyTrainSplit`].
-    pub fn split(
-        self,
-        gathered: Gathered<T>,
-        held_out: impl Fn(&Entry) -> bool,
-    ) -> Result<Sides<T>, Error> {
-        let Gathered {
-            entries, memory, ..
-        } = gathered;
+    /// The sides of the split of what was gathered.
+    pub fn divide(self, entries: Vec<Entry>, memory: MemoryCache<T>) -> Sides<T> {
+        let held_out = |entry: &Entry| match &self.split {
+            Some(split) => split.holds_out(&entry.id, entry.side),
+            None => entry.side == Some(Side::Validation),
+        };
         let (validation, train): (Vec<usize>, Vec<usize>) =
             (0..entries.len()).partition(|&index| held_out(&entries[index]));
-        if train.is_empty() {
-            return Err(Error::EmptyTrainSplit {
-                kind: T::KIND,
-                items: validation.len(),
-            });
-        }
         let library = Library::new(self.origin, entries, memory, self.counters);
-        let library = library.read_at_once(self.concurrency);
-        let library = Arc::new(library);
-        Ok(Sides {
+        let library = Arc::new(library.read_at_once(self.concurrency));
+        Sides {
             digest: library.digest(&validation),
             train: ItemSet::new(library.clone(), train),
             validation: ItemSet::new(library, validation),
-        })
+        }
     }
 
     /// Whether other items may be good all the same.

@@ -53,7 +53,7 @@ mod tests {
     use crate::kinematics::rederive;
     use crate::phrase::{PHASE, QUATERNION};
     use crate::wandering::wandering;
-    use crate::{CHANNELS, Profile, TrainingStatistics, channel_name, check};
+    use crate::{CHANNELS, Profile, channel_name, check};
 
     /// The rounding of single precision through two differences: positions of about 1 m carry
     /// 1e-7 m, times 30 frames per second for each difference.
@@ -83,7 +83,7 @@ mod tests {
             }
             assert_eq!(changed.frame(t)[PHASE..], original.frame(t)[PHASE..]);
         }
-        let statistics = TrainingStatistics::compute([original]).unwrap();
+        let statistics = crate::phrase_statistics([original]).unwrap();
         let before = check(original, Profile::Strict, Some(&statistics)).unwrap();
         let after = check(&changed, Profile::Strict, Some(&statistics)).unwrap();
         assert!(before.passed && after.passed, "{before:?} {after:?}");

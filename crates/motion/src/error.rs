@@ -28,38 +28,17 @@ pub enum Error {
         found: usize,
     },
 
-    /// Statistics of no phrases were asked for.
-    #[error("statistics need at least one phrase")]
-    #[diagnostic(help(
-        "check that the training split is not empty: the validation pattern may match every phrase"
-    ))]
-    NoPhrases,
-
-    /// A phrase holds NaN or an infinity.
-    #[error("phrase {phrase} (counted from 0) is not finite in frame {frame}, channel `{channel}`")]
-    #[diagnostic(help("repair or leave out this phrase: one such value spoils every statistic"))]
-    NonFinite {
-        /// Position of the phrase in the iterator.
-        phrase: usize,
-        /// First frame that is not finite.
-        frame: usize,
-        /// First channel of that frame that is not finite.
-        channel: String,
-    },
-
     /// The strict profile was asked for without the training phrases' statistics.
-    #[error(
-        "the profile `strict` compares with the training phrases, whose statistics are missing"
-    )]
+    #[error("the profile `strict` compares with training motion, whose statistics are missing")]
     #[diagnostic(help(
-        "name the run that holds them with `--run`, or the phrases themselves with `--source`, \
+        "name the run that holds them with `--run`, or the motion itself with `--source`, \
          or use `--profile document`"
     ))]
     StatisticsNeeded,
 
     /// Stored statistics cannot be used.
-    #[error("the training statistics are unusable: {reason}")]
-    #[diagnostic(help("compute them again from the training phrases"))]
+    #[error("the statistics are unusable: {reason}")]
+    #[diagnostic(help("compute them again from the training motion"))]
     InvalidStatistics {
         /// What is wrong.
         reason: String,

@@ -30,6 +30,7 @@ pub mod metrics;
 pub mod moments;
 pub mod phrase;
 pub mod postprocess;
+pub mod representation;
 pub mod rotation;
 pub mod sanity;
 pub mod statistics;
@@ -44,6 +45,9 @@ pub use kinematics::derive;
 pub use moments::ChannelMoments;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
 pub use postprocess::{ClampLimits, Differences, Hemisphere, PostProcessConfig, process};
+pub use representation::{
+    Curves, JointFeatures, JointPositions, Measured, Phrases, Representation, phrase_statistics,
+};
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, SanityThresholds, Threshold, Value, check};
-pub use statistics::TrainingStatistics;
+pub use statistics::Statistics;

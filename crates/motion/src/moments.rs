@@ -1,60 +1,40 @@
-//! What the channels of some phrases look like: range, mean and standard deviation as measured.
+//! What the channels of motion look like: range, mean and standard deviation as measured.
 
-use serde::{Deserialize, Serialize};
-
-use crate::{CHANNELS, Error, Motion, channel_name};
-
-/// Range, mean and standard deviation of each channel, as measured, in the dataset's units.
+/// Range, mean and standard deviation of each channel, as measured, in the representation's units.
 ///
-/// [`TrainingStatistics`](crate::TrainingStatistics) holds the mean and deviation that
-/// normalisation uses instead, which differ for the quaternion, the phase and constant channels.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-#[serde(deny_unknown_fields)]
+/// [`Statistics`](crate::Statistics) holds the mean and deviation that normalisation uses instead,
+/// which differ where a representation says so.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ChannelMoments {
-    /// Mean of each channel, `[25]`.
+    /// Mean of each channel, `[channels]`.
     pub mean: Vec<f64>,
     /// Standard deviation of each channel (of the population: divided by the number of frames),
-    /// `[25]`.
+    /// `[channels]`.
     pub std: Vec<f64>,
-    /// Smallest value of each channel, `[25]`.
+    /// Smallest value of each channel, `[channels]`.
     pub min: Vec<f64>,
-    /// Largest value of each channel, `[25]`.
+    /// Largest value of each channel, `[channels]`.
     pub max: Vec<f64>,
-    /// Number of frames of all phrases together.
+    /// Number of frames of all items together.
     pub frames: usize,
-    /// Number of phrases.
-    pub phrases: usize,
+    /// Number of items.
+    pub items: usize,
 }
 
 impl ChannelMoments {
-    /// Measures phrases without padding, every frame weighing the same.
+    /// Measures items, each `[frames, channels]` row by row, every frame weighing the same.
     ///
-    /// # Errors
-    /// [`Error::NoPhrases`] if there are none; [`Error::NonFinite`] if a value is not finite.
-    pub fn compute<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Result<Self, Error> {
-        let phrases: Vec<&Motion> = phrases.into_iter().collect();
-        if phrases.is_empty() {
-            return Err(Error::NoPhrases);
-        }
-        for (phrase, motion) in phrases.iter().enumerate() {
-            if let Some((frame, channel)) = motion.first_non_finite() {
-                return Err(Error::NonFinite {
-                    phrase,
-                    frame,
-                    channel: channel_name(channel),
-                });
-            }
-        }
-        let frames: usize = phrases.iter().map(|motion| motion.frames()).sum();
-        let each_frame = || {
-            phrases
-                .iter()
-                .flat_map(|motion| motion.as_slice().chunks(CHANNELS))
-        };
-
-        let mut mean = vec![0.0; CHANNELS];
-        let mut min = vec![f64::INFINITY; CHANNELS];
-        let mut max = vec![f64::NEG_INFINITY; CHANNELS];
+    /// # Panics
+    /// Panics if there is no frame, or an item is not of whole frames.
+    pub fn measure<'a>(channels: usize, items: impl IntoIterator<Item = &'a [f32]>) -> Self {
+        let items: Vec<&[f32]> = items.into_iter().collect();
+        let values: usize = items.iter().map(|item| item.len()).sum();
+        let frames = values / channels;
+        assert!(frames > 0, "moments of no frames");
+        let each_frame = || items.iter().flat_map(|item| item.chunks_exact(channels));
+        let mut mean = vec![0.0; channels];
+        let mut min = vec![f64::INFINITY; channels];
+        let mut max = vec![f64::NEG_INFINITY; channels];
         for frame in each_frame() {
             for (channel, &value) in frame.iter().enumerate() {
                 let value = f64::from(value);
@@ -64,105 +44,79 @@ impl ChannelMoments {
             }
         }
         mean.iter_mut().for_each(|sum| *sum /= frames as f64);
-
         // A second pass: the difference of two sums of squares would lose the small deviations.
-        let mut std = vec![0.0; CHANNELS];
+        let mut std = vec![0.0; channels];
         for frame in each_frame() {
             for (channel, &value) in frame.iter().enumerate() {
                 std[channel] += (f64::from(value) - mean[channel]).powi(2);
             }
         }
-        std.iter_mut()
-            .for_each(|sum| *sum = (*sum / frames as f64).sqrt());
-        Ok(Self {
+        for sum in &mut std {
+            *sum = (*sum / frames as f64).sqrt();
+        }
+        Self {
             mean,
             std,
             min,
             max,
             frames,
-            phrases: phrases.len(),
-        })
+            items: items.len(),
+        }
     }
 
-    /// Takes in the moments of further phrases, as if all had been measured together.
+    /// Takes in the moments of further items, as if all had been measured together (Chan, Golub
+    /// and LeVeque 1979).
     pub fn merge(&mut self, other: &Self) {
-        let frames = [self.frames as f64, other.frames as f64];
-        for channel in 0..CHANNELS {
-            (self.mean[channel], self.std[channel]) = merge_channel(
-                frames,
-                [self.mean[channel], other.mean[channel]],
-                [self.std[channel], other.std[channel]],
-            );
+        let (n, m) = (self.frames as f64, other.frames as f64);
+        let total = n + m;
+        for channel in 0..self.mean.len() {
+            let apart = other.mean[channel] - self.mean[channel];
+            let squares = n * self.std[channel].powi(2)
+                + m * other.std[channel].powi(2)
+                + apart.powi(2) * n * m / total;
+            self.mean[channel] += apart * m / total;
+            self.std[channel] = (squares / total).sqrt();
             self.min[channel] = self.min[channel].min(other.min[channel]);
             self.max[channel] = self.max[channel].max(other.max[channel]);
         }
         self.frames += other.frames;
-        self.phrases += other.phrases;
+        self.items += other.items;
     }
-}
-
-/// Mean and standard deviation of two samples together, from the size, mean and deviation of each
-/// (Chan, Golub and LeVeque 1979).
-pub(crate) fn merge_channel([n, m]: [f64; 2], mean: [f64; 2], std: [f64; 2]) -> (f64, f64) {
-    let total = n + m;
-    let apart = mean[1] - mean[0];
-    let squares = n * std[0].powi(2) + m * std[1].powi(2) + apart.powi(2) * n * m / total;
-    (mean[0] + apart * m / total, (squares / total).sqrt())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn phrase(values: &[f32]) -> Motion {
-        Motion::new(values.iter().flat_map(|&v| [v; CHANNELS]).collect()).unwrap()
-    }
-
     #[test]
     fn every_frame_weighs_the_same() {
-        let (long, short) = (phrase(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0]), phrase(&[9.0]));
-        let moments = ChannelMoments::compute([&long, &short]).unwrap();
-        assert_eq!((moments.frames, moments.phrases), (8, 2));
-        for channel in 0..CHANNELS {
-            assert_eq!(moments.mean[channel], 5.0);
-            assert_eq!(moments.std[channel], 2.0);
+        let rows = |values: &[f32]| -> Vec<f32> { values.iter().flat_map(|&v| [v; 3]).collect() };
+        let (long, short) = (rows(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0]), rows(&[9.0]));
+        let moments = ChannelMoments::measure(3, [&long[..], &short]);
+        assert_eq!((moments.frames, moments.items), (8, 2));
+        for channel in 0..3 {
+            assert_eq!((moments.mean[channel], moments.std[channel]), (5.0, 2.0));
             assert_eq!((moments.min[channel], moments.max[channel]), (2.0, 9.0));
         }
     }
 
     #[test]
-    fn no_phrases_and_bad_phrases_are_errors() {
-        assert_eq!(ChannelMoments::compute([]), Err(Error::NoPhrases));
-        let (good, mut bad) = (phrase(&[1.0]), phrase(&[1.0, 2.0]));
-        bad.frame_mut(1)[16] = f32::NAN;
-        let error = ChannelMoments::compute([&good, &bad]).unwrap_err();
-        assert_eq!(
-            error,
-            Error::NonFinite {
-                phrase: 1,
-                frame: 1,
-                channel: "phase".to_string()
-            }
-        );
-    }
-
-    #[test]
-    fn merged_moments_are_those_of_all_phrases_together() {
-        let motion = |frames: usize, scale: f32| {
-            let values = (0..frames * CHANNELS).map(|i| scale * ((i * 7919) % 101) as f32 - 3.0);
-            Motion::new(values.collect()).expect("whole frames")
+    fn merged_moments_are_those_of_all_items_together() {
+        let item = |frames: usize, scale: f32| -> Vec<f32> {
+            let values = (0..frames * 7).map(|i| scale * ((i * 7919) % 101) as f32 - 3.0);
+            values.collect()
         };
-        let phrases = [motion(5, 0.01), motion(40, 1.0), motion(1, -2.0)];
-        let together = ChannelMoments::compute(&phrases).expect("finite numbers");
-        let mut merged = ChannelMoments::compute([&phrases[0]]).expect("finite numbers");
-        for phrase in &phrases[1..] {
-            merged.merge(&ChannelMoments::compute([phrase]).expect("finite numbers"));
+        let items = [item(5, 0.01), item(40, 1.0), item(1, -2.0)];
+        let together = ChannelMoments::measure(7, items.iter().map(Vec::as_slice));
+        let mut merged = ChannelMoments::measure(7, [&items[0][..]]);
+        for item in &items[1..] {
+            merged.merge(&ChannelMoments::measure(7, [&item[..]]));
         }
-        for channel in 0..CHANNELS {
+        for channel in 0..7 {
             assert!((merged.mean[channel] - together.mean[channel]).abs() < 1e-12);
             assert!((merged.std[channel] - together.std[channel]).abs() < 1e-12);
         }
         assert_eq!((&merged.min, &merged.max), (&together.min, &together.max));
-        assert_eq!((merged.frames, merged.phrases), (46, 3));
+        assert_eq!((merged.frames, merged.items), (46, 3));
     }
 }

@@ -1,215 +1,205 @@
-//! What a run remembers of its training phrases: how to normalise, and what real motion is like.
+//! What a run remembers of its training motion: how to normalise, and what real motion is like.
 //!
 //! The source trains on raw values and clips predicted data to +-1 while positions range over +-100
 //! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit
-//! deviation, except where a channel has a natural scale: the quaternion stays as it is (its norm
-//! would no longer be 1), and the phase is centred from [0, 1] to [-1, 1].
+//! deviation, except where a [representation](crate::Representation) says otherwise.
 
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::kinematics::mean_jerk_norm;
-use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, VELOCITY};
-use crate::{CHANNELS, ChannelMoments, Error, Motion};
+use crate::humanml::Root;
+use crate::{ChannelMoments, Error};
 
 /// A channel whose deviation is below this counts as constant.
 pub(crate) const CONSTANT: f64 = 1e-8;
 
-/// Statistics of the training phrases, computed once and stored in the run.
+/// Statistics of the training motion, computed once and stored in the run.
 ///
-/// A normalised value is `(value - mean) / std`. Reading refuses lists of another length than 25,
-/// values that are not finite, and a `std` that is not positive.
+/// A normalised value is `(value - mean) / std`. Reading refuses lists of unequal length, values
+/// that are not finite, and a `std` that is not positive.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
-#[serde(try_from = "Stored")]
-pub struct TrainingStatistics {
-    /// What normalisation subtracts, `[25]`, dataset units: the mean, but 0 for the quaternion and
-    /// 0.5 for the phase.
+#[serde(try_from = "Stored", into = "Stored")]
+pub struct Statistics {
+    /// What normalisation subtracts, `[channels]`.
     pub mean: Vec<f64>,
-    /// What normalisation divides by, `[25]`, dataset units: the standard deviation, but 1 for the
-    /// quaternion, 0.5 for the phase and 1 for a constant channel.
+    /// What normalisation divides by, `[channels]`.
     pub std: Vec<f64>,
-    /// Smallest value of each channel, `[25]`, dataset units.
-    pub min: Vec<f64>,
-    /// Largest value of each channel, `[25]`, dataset units.
-    pub max: Vec<f64>,
-    /// Number of frames of all training phrases together.
+    /// Smallest and largest value of each channel, `[channels]` each; none where they came with a
+    /// dataset.
+    pub range: Option<[Vec<f64>; 2]>,
+    /// Number of frames of all items together; 0 where that is not known.
     pub frames: usize,
-    /// Number of training phrases.
-    pub phrases: usize,
-    /// Root mean square of the speed over all frames, metres per second.
-    pub rms_speed: f64,
-    /// Root mean square of the acceleration over all frames, metres per second squared.
-    pub rms_acceleration: f64,
-    /// 95th percentile (linear interpolation) of the phrases' mean jerk norms, metres per second
+    /// Number of items; 0 where that is not known.
+    pub items: usize,
+    /// Root mean square of the root's speed over all frames, metres per second; this and the next
+    /// two are none where they were not measured.
+    pub rms_speed: Option<f64>,
+    /// Root mean square of the root's acceleration over all frames, metres per second squared.
+    pub rms_acceleration: Option<f64>,
+    /// 95th percentile (linear interpolation) of the items' mean jerk norms, metres per second
     /// cubed.
-    pub jerk_p95: f64,
+    pub jerk_p95: Option<f64>,
+    /// The reading of the root that they belong to, of joint features.
+    pub root: Option<Root>,
 }
 
-impl TrainingStatistics {
+impl Statistics {
     /// Those of motion that is its own normalised form, in -1 to 1.
-    pub fn unit() -> Self {
+    pub fn unit(channels: usize) -> Self {
         Self {
-            mean: vec![0.0; CHANNELS],
-            std: vec![1.0; CHANNELS],
-            min: vec![-1.0; CHANNELS],
-            max: vec![1.0; CHANNELS],
+            range: Some([vec![-1.0; channels], vec![1.0; channels]]),
             frames: 1,
-            phrases: 1,
-            rms_speed: 1.0,
-            rms_acceleration: 1.0,
-            jerk_p95: 1.0,
+            items: 1,
+            rms_speed: Some(1.0),
+            rms_acceleration: Some(1.0),
+            jerk_p95: Some(1.0),
+            ..Self::given(vec![0.0; channels], vec![1.0; channels])
         }
     }
 
-    /// Computes the statistics of phrases without padding, in double precision.
-    ///
-    /// # Errors
-    /// [`Error::NoPhrases`] if there are none; [`Error::NonFinite`] if a value is not finite.
-    pub fn compute<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Result<Self, Error> {
-        let phrases: Vec<&Motion> = phrases.into_iter().collect();
-        let moments = ChannelMoments::compute(phrases.iter().copied())?;
-        let jerks = phrases
-            .iter()
-            .map(|motion| mean_jerk_norm(motion))
-            .collect();
-        Ok(Self::from_moments(moments, jerks))
-    }
-
-    /// The statistics that follow from the phrases' `moments` and the mean jerk norm of each
-    /// ([`mean_jerk_norm`], m/s^3).
-    ///
-    /// # Panics
-    /// Panics if there are no jerks.
-    pub fn from_moments(moments: ChannelMoments, jerks: Vec<f64>) -> Self {
+    /// Zero mean and unit deviation in every channel; a constant channel is left as it is.
+    pub fn standard(moments: ChannelMoments) -> Self {
         let ChannelMoments {
-            mut mean,
+            mean,
             mut std,
             min,
             max,
             frames,
-            phrases,
+            items,
         } = moments;
-        // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
-        let rms = |channels: std::ops::Range<usize>| {
-            channels
-                .map(|c| mean[c].powi(2) + std[c].powi(2))
-                .sum::<f64>()
-                .sqrt()
-        };
-        let (rms_speed, rms_acceleration) = (rms(VELOCITY), rms(ACCELERATION));
         for deviation in std.iter_mut().filter(|deviation| **deviation < CONSTANT) {
             *deviation = 1.0;
         }
-        mean[QUATERNION].fill(0.0);
-        std[QUATERNION].fill(1.0);
-        (mean[PHASE], std[PHASE]) = (0.5, 0.5);
+        Self {
+            range: Some([min, max]),
+            frames,
+            items,
+            ..Self::given(mean, std)
+        }
+    }
+
+    fn given(mean: Vec<f64>, std: Vec<f64>) -> Self {
         Self {
             mean,
             std,
-            min,
-            max,
-            frames,
-            phrases,
-            rms_speed,
-            rms_acceleration,
-            jerk_p95: percentile(jerks, 95.0),
+            range: None,
+            frames: 0,
+            items: 0,
+            rms_speed: None,
+            rms_acceleration: None,
+            jerk_p95: None,
+            root: None,
         }
     }
 
-    /// Normalises frame-major values `[frames, 25]` in place.
+    /// Means and deviations that come with a dataset, used as they are.
     ///
-    /// # Panics
-    /// Panics if the length is no multiple of 25.
-    pub fn normalize(&self, values: &mut [f32]) {
-        self.each(values, normalized);
+    /// # Errors
+    /// [`Error::InvalidStatistics`] if a value is not finite or a deviation not positive.
+    pub fn new(mean: Vec<f64>, std: Vec<f64>, root: Option<Root>) -> Result<Self, Error> {
+        Self {
+            root,
+            ..Self::given(mean, std)
+        }
+        .checked()
     }
 
-    /// Brings normalised frame-major values `[frames, 25]` back to the dataset's units, in place.
-    ///
-    /// # Panics
-    /// Panics if the length is no multiple of 25.
-    pub fn denormalize(&self, values: &mut [f32]) {
-        self.each(values, |value, mean, std| {
-            (f64::from(value) * std + mean) as f32
-        });
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        self.mean.len()
     }
 
-    /// The normalised values of a phrase, channel-major `[25, frames]`: what a network sees.
-    pub fn normalize_motion(&self, motion: &Motion) -> Vec<f32> {
-        let channels = (0..CHANNELS)
-            .flat_map(|channel| self.normalize_channel(motion, channel, 0..motion.frames()));
-        channels.collect()
-    }
-
-    /// The normalised values of one channel in the frames of `range`, `[range.len()]`.
-    ///
-    /// # Panics
-    /// Panics unless `channel < 25`, or if `range` reaches beyond the last frame.
+    /// The normalised values of one channel of `rows`, `[frames, channels]` row by row.
     pub fn normalize_channel<'a>(
         &self,
-        motion: &'a Motion,
+        rows: &'a [f32],
         channel: usize,
-        range: Range<usize>,
     ) -> impl ExactSizeIterator<Item = f32> + use<'a> {
         let (mean, std) = (self.mean[channel], self.std[channel]);
-        let (frames, _) = motion.as_slice().as_chunks::<CHANNELS>();
-        let values = frames[range].iter().map(move |frame| frame[channel]);
-        values.map(move |value| normalized(value, mean, std))
+        let frames = rows.chunks_exact(self.channels());
+        frames.map(move |frame| normalized(frame[channel], mean, std))
     }
 
-    /// The phrase of a network's output, normalised channel-major values `[25, frames]`.
-    ///
-    /// # Panics
-    /// Panics if there are not `25 * frames` values or `frames` is zero.
-    pub fn denormalize_channel_major(&self, values: &[f32], frames: usize) -> Motion {
-        let mut motion =
-            Motion::from_channel_major(values, frames).expect("25 values for each of the frames");
-        for t in 0..frames {
-            self.denormalize(motion.frame_mut(t));
-        }
-        motion
+    /// The normalised values of `rows`, `[frames, channels]` row by row, as channel-major
+    /// `[channels, frames]`: what a network sees.
+    pub fn normalize(&self, rows: &[f32]) -> Vec<f32> {
+        let channels = 0..self.channels();
+        channels
+            .flat_map(|channel| self.normalize_channel(rows, channel))
+            .collect()
     }
 
-    /// Widens the ranges to what the phrases reach when they are turned about the vertical by any
-    /// angle: horizontal vectors by their length (at most), quaternions to +-1. A model trained on
-    /// turned phrases draws motion in all directions, which the phrases' own ranges would clip.
-    pub fn widen_ranges_for_yaw(&mut self) {
-        for vector in [POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY] {
+    /// The rows `[frames, channels]` of a network's output, normalised channel-major values
+    /// `[channels, frames]`.
+    pub fn denormalize(&self, values: &[f32]) -> Vec<f32> {
+        let frames = values.len() / self.channels();
+        let row_major = (0..frames).flat_map(|t| (0..self.channels()).map(move |c| (t, c)));
+        row_major
+            .map(|(t, c)| (f64::from(values[c * frames + t]) * self.std[c] + self.mean[c]) as f32)
+            .collect()
+    }
+
+    /// Smallest and largest value of each channel in the training motion in normalised units,
+    /// `[channels]` each: the bounds for clipping predicted data. The source's bounds of +-1 would
+    /// cut real data, which reaches 21 standard deviations in single channels.
+    pub fn normalized_range(&self) -> Option<[Vec<f32>; 2]> {
+        // Rounded like the data, so that the extreme item itself stays within.
+        let bound = |values: &Vec<f64>| {
+            let channels = values.iter().zip(self.mean.iter().zip(&self.std));
+            channels
+                .map(|(&value, (&mean, &std))| normalized(value as f32, mean, std))
+                .collect()
+        };
+        self.range.as_ref().map(|range| range.each_ref().map(bound))
+    }
+
+    /// Widens the range of the horizontal `vectors` to what they reach when motion is turned about
+    /// the vertical by any angle (their length, at most), and of the `signed` channels to +-1. A
+    /// model trained on turned motion draws it in all directions, which the range as measured
+    /// would clip.
+    pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
+        let Some([min, max]) = &mut self.range else {
+            return;
+        };
+        for vector in vectors {
             let (x, z) = (vector.start, vector.start + 2);
-            let reach = |c: usize| self.min[c].abs().max(self.max[c].abs());
+            let reach = |c: usize| min[c].abs().max(max[c].abs());
             let length = reach(x).hypot(reach(z));
             for channel in [x, z] {
-                (self.min[channel], self.max[channel]) = (-length, length);
+                (min[channel], max[channel]) = (-length, length);
             }
         }
-        for channel in QUATERNION {
-            (self.min[channel], self.max[channel]) = (-1.0, 1.0);
+        for channel in signed {
+            (min[channel], max[channel]) = (-1.0, 1.0);
         }
     }
 
-    /// Smallest and largest value of each channel in the training phrases in normalised units,
-    /// `[25]` each: the bounds for clipping predicted data. The source's bounds of +-1 would cut
-    /// real data, which reaches 21 standard deviations in single channels.
-    pub fn normalized_range(&self) -> (Vec<f32>, Vec<f32>) {
-        let bound = |values: &[f64]| {
-            // Rounded like the data, so that the extreme phrase itself stays within.
-            let mut bounds: Vec<f32> = values.iter().map(|&value| value as f32).collect();
-            self.normalize(&mut bounds);
-            bounds
+    fn checked(self) -> Result<Self, Error> {
+        let invalid = |reason: String| Err(Error::InvalidStatistics { reason });
+        let channels = self.channels();
+        let [min, max] = match &self.range {
+            Some([min, max]) => [Some(min), Some(max)],
+            None => [None; 2],
         };
-        (bound(&self.min), bound(&self.max))
-    }
-
-    fn each(&self, values: &mut [f32], map: impl Fn(f32, f64, f64) -> f32) {
-        assert!(
-            values.len().is_multiple_of(CHANNELS),
-            "whole frames of 25 channels"
-        );
-        for frame in values.chunks_exact_mut(CHANNELS) {
-            for (channel, value) in frame.iter_mut().enumerate() {
-                *value = map(*value, self.mean[channel], self.std[channel]);
+        let lists = [
+            ("mean", Some(&self.mean)),
+            ("std", Some(&self.std)),
+            ("min", min),
+            ("max", max),
+        ];
+        for (name, list) in lists {
+            let Some(list) = list else { continue };
+            if list.len() != channels {
+                return invalid(format!("`{name}` has {} of {channels} values", list.len()));
             }
+            if let Some(channel) = list.iter().position(|value| !value.is_finite()) {
+                return invalid(format!("`{name}[{channel}]` is not finite"));
+            }
+        }
+        match self.std.iter().position(|deviation| *deviation <= 0.0) {
+            Some(channel) => invalid(format!("`std[{channel}]` is not positive")),
+            None => Ok(self),
         }
     }
 }
@@ -220,7 +210,7 @@ fn normalized(value: f32, mean: f64, std: f64) -> f32 {
 
 /// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,
 /// of which there is at least one.
-fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
+pub(crate) fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let place = percent / 100.0 * (values.len() - 1) as f64;
     let below = place.floor() as usize;
@@ -228,145 +218,137 @@ fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values[below] + (values[above] - values[below]) * place.fract()
 }
 
-/// [`TrainingStatistics`] as read, before its lists are known to be usable.
-#[derive(Deserialize)]
+/// [`Statistics`] as stored. The number of items is called after what they are, as runs of all
+/// versions say it.
+#[derive(Clone, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    root: Option<Root>,
     mean: Vec<f64>,
     std: Vec<f64>,
-    min: Vec<f64>,
-    max: Vec<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    min: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max: Option<Vec<f64>>,
     frames: usize,
-    phrases: usize,
-    rms_speed: f64,
-    rms_acceleration: f64,
-    jerk_p95: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    phrases: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clips: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rms_speed: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rms_acceleration: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    jerk_p95: Option<f64>,
 }
 
-impl TryFrom<Stored> for TrainingStatistics {
+impl TryFrom<Stored> for Statistics {
     type Error = Error;
 
     fn try_from(stored: Stored) -> Result<Self, Error> {
-        let invalid = |reason: String| Err(Error::InvalidStatistics { reason });
-        let Stored {
+        Self {
+            range: stored.min.zip(stored.max).map(|(min, max)| [min, max]),
+            items: stored.phrases.or(stored.clips).unwrap_or_default(),
+            mean: stored.mean,
+            std: stored.std,
+            frames: stored.frames,
+            rms_speed: stored.rms_speed,
+            rms_acceleration: stored.rms_acceleration,
+            jerk_p95: stored.jerk_p95,
+            root: stored.root,
+        }
+        .checked()
+    }
+}
+
+impl From<Statistics> for Stored {
+    fn from(statistics: Statistics) -> Self {
+        let Statistics {
+            mean,
+            std,
+            range,
+            frames,
+            items,
+            rms_speed,
+            rms_acceleration,
+            jerk_p95,
+            root,
+        } = statistics;
+        let (min, max) = range.map(|[min, max]| (min, max)).unzip();
+        Self {
+            phrases: root.is_none().then_some(items),
+            clips: root.is_some().then_some(items),
+            rms_speed,
+            rms_acceleration,
+            jerk_p95,
+            root,
             mean,
             std,
             min,
             max,
-            ..
-        } = stored;
-        for (name, list) in [("mean", &mean), ("std", &std), ("min", &min), ("max", &max)] {
-            if list.len() != CHANNELS {
-                return invalid(format!("`{name}` has {} of {CHANNELS} values", list.len()));
-            }
-            if list.iter().any(|value| !value.is_finite()) {
-                return invalid(format!("`{name}` holds a value that is not finite"));
-            }
-        }
-        if std.iter().any(|deviation| *deviation <= 0.0) {
-            return invalid("`std` holds a value that is not positive".to_string());
-        }
-        let Stored {
             frames,
-            phrases,
-            rms_speed,
-            rms_acceleration,
-            jerk_p95,
-            ..
-        } = stored;
-        Ok(Self {
-            mean,
-            std,
-            min,
-            max,
-            frames,
-            phrases,
-            rms_speed,
-            rms_acceleration,
-            jerk_p95,
-        })
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
     use super::*;
-    use crate::phrase::STYLE;
-    use crate::wandering::wandering;
 
-    fn example() -> (Vec<Motion>, TrainingStatistics) {
-        let mut phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 20)).collect();
-        for motion in &mut phrases {
-            for t in 0..motion.frames() {
-                motion.frame_mut(t)[STYLE.start] = 0.3;
+    fn rows(frames: usize) -> Vec<f32> {
+        let value = |i: usize| {
+            if i % 4 == 3 {
+                0.3
+            } else {
+                ((i * 7919) % 101) as f32 - 40.0
             }
-        }
-        let statistics = TrainingStatistics::compute(&phrases).unwrap();
-        (phrases, statistics)
+        };
+        (0..4 * frames).map(value).collect()
+    }
+
+    fn example() -> (Vec<f32>, Statistics) {
+        let rows = rows(20);
+        let statistics = Statistics::standard(ChannelMoments::measure(4, [&rows[..]]));
+        (rows, statistics)
     }
 
     #[test]
-    fn normalised_training_phrases_have_zero_mean_and_unit_deviation() {
-        let (phrases, statistics) = example();
-        let normalized: Vec<Motion> = phrases
-            .iter()
-            .map(|motion| {
-                let mut values = motion.clone().into_vec();
-                statistics.normalize(&mut values);
-                Motion::new(values).unwrap()
-            })
-            .collect();
-        let moments = ChannelMoments::compute(&normalized).unwrap();
-        let constant = STYLE.start;
-        for channel in (0..CHANNELS).filter(|c| !QUATERNION.contains(c) && *c != PHASE) {
-            let deviation = if channel == constant { 0.0 } else { 1.0 };
-            assert!(
-                moments.mean[channel].abs() < 1e-6,
-                "{channel}: {}",
-                moments.mean[channel]
-            );
-            assert!((moments.std[channel] - deviation).abs() < 1e-6);
+    fn normalised_motion_has_zero_mean_and_unit_deviation() {
+        let (rows, statistics) = example();
+        for (channel, row) in statistics.normalize(&rows).chunks(20).enumerate() {
+            let mean = row.iter().map(|&v| f64::from(v)).sum::<f64>() / 20.0;
+            let square = row.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / 20.0;
+            let expected = if channel == 3 { 0.0 } else { 1.0 };
+            assert!(mean.abs() < 1e-6, "{channel}: {mean}");
+            assert!((square - expected).abs() < 1e-6, "{channel}: {square}");
         }
-        assert_eq!(statistics.std[constant], 1.0);
-        for (before, after) in phrases.iter().zip(&normalized) {
-            for t in 0..before.frames() {
-                assert_eq!(before.frame(t)[QUATERNION], after.frame(t)[QUATERNION]);
-                assert_eq!(after.frame(t)[PHASE], 2.0 * before.frame(t)[PHASE] - 1.0);
-            }
+        assert_eq!(statistics.std[3], 1.0);
+    }
+
+    #[test]
+    fn normalising_is_undone() {
+        let (rows, statistics) = example();
+        let normalized = statistics.normalize(&rows);
+        // Channel-major: the first channel's frames come first.
+        let first = (f64::from(rows[4]) - statistics.mean[0]) / statistics.std[0];
+        assert_eq!(normalized[1], first as f32);
+        for (a, b) in statistics.denormalize(&normalized).iter().zip(&rows) {
+            assert!((a - b).abs() <= 1e-5, "{a} {b}");
         }
     }
 
     #[test]
-    fn the_range_holds_the_training_phrases_and_touches_them() {
-        let (phrases, statistics) = example();
-        let (low, high) = statistics.normalized_range();
-        let mut touched = [false; 2 * CHANNELS];
-        for motion in &phrases {
-            let values = statistics.normalize_motion(motion);
-            for (channel, row) in values.chunks(motion.frames()).enumerate() {
-                for &value in row {
-                    assert!(low[channel] <= value && value <= high[channel], "{channel}");
-                    touched[channel] |= value == low[channel];
-                    touched[CHANNELS + channel] |= value == high[channel];
-                }
-            }
+    fn the_range_holds_the_training_motion_and_touches_it() {
+        let (rows, statistics) = example();
+        let [low, high] = statistics.normalized_range().unwrap();
+        for (channel, row) in statistics.normalize(&rows).chunks(20).enumerate() {
+            let within = row
+                .iter()
+                .all(|v| (low[channel]..=high[channel]).contains(v));
+            assert!(within && row.contains(&low[channel]) && row.contains(&high[channel]));
         }
-        assert!(touched.iter().all(|touch| *touch));
-    }
-
-    #[test]
-    fn scales_of_real_motion_are_those_of_the_vectors() {
-        let mut motion = Motion::new(vec![0.0; 4 * CHANNELS]).unwrap();
-        for (t, speed) in [1.0, 1.0, 5.0, 5.0].into_iter().enumerate() {
-            motion.set_vector(t, VELOCITY, [0.6 * speed, 0.0, -0.8 * speed]);
-            motion.set_vector(t, ACCELERATION, [0.0, 2.0 * t as f64, 0.0]);
-        }
-        let statistics = TrainingStatistics::compute([&motion]).unwrap();
-        assert!((statistics.rms_speed - 13.0f64.sqrt()).abs() < 1e-6);
-        assert!((statistics.rms_acceleration - 14.0f64.sqrt()).abs() < 1e-12);
-        assert_eq!(statistics.jerk_p95, 60.0);
     }
 
     #[test]
@@ -380,29 +362,19 @@ mod tests {
     fn statistics_survive_storage_and_unusable_ones_are_refused() {
         let (_, statistics) = example();
         let json = serde_json::to_value(&statistics).unwrap();
-        let read = |json| serde_json::from_value::<TrainingStatistics>(json);
+        let read = |json| serde_json::from_value::<Statistics>(json);
         assert_eq!(read(json.clone()).unwrap(), statistics);
         let spoil = |key: &str, value: serde_json::Value| {
             let mut json = json.clone();
             json[key] = value;
             read(json).unwrap_err().to_string()
         };
-        assert!(spoil("mean", vec![0.0; 24].into()).contains("24 of 25"));
-        assert!(spoil("std", vec![0.0; 25].into()).contains("not positive"));
+        assert!(spoil("std", vec![1.0; 3].into()).contains("`std` has 3 of 4"));
+        assert!(spoil("std", vec![1.0, 1.0, 0.0, 1.0].into()).contains("`std[2]`"));
         assert!(spoil("unheard_of", 1.into()).contains("unheard_of"));
-    }
-
-    proptest! {
-        #[test]
-        fn normalising_is_undone(seed: u64, frames in 1usize..30) {
-            let (_, statistics) = example();
-            let motion = wandering(seed, frames);
-            let normalized = statistics.normalize_motion(&motion);
-            let back = statistics.denormalize_channel_major(&normalized, frames);
-            for (channel, (a, b)) in back.as_slice().iter().zip(motion.as_slice()).enumerate() {
-                let scale = statistics.std[channel % CHANNELS] as f32;
-                prop_assert!((a - b).abs() <= 1e-6 * (scale * 20.0 + b.abs()));
-            }
-        }
+        let new = |mean, std| Statistics::new(mean, std, Some(Root::Relative));
+        assert!(new(vec![0.0; 263], vec![1.0; 263]).is_ok());
+        assert!(new(vec![0.0; 263], vec![1.0; 262]).is_err());
+        assert!(new(vec![f64::NAN; 263], vec![1.0; 263]).is_err());
     }
 }

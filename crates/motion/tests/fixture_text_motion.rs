@@ -3,7 +3,8 @@
 //! `data_fixtures/gmd/README.md` says what the file holds and how it was made.
 
 use kinegrad_golden::{Golden, bound, differences, workspace};
-use kinegrad_motion::humanml::{FeatureLayout, FeatureStatistics, Features, Root};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{
     EvaluatorWeights, NamedArrays, TextMotionError, TextMotionEvaluator, TextMotionReport, Token,
     WordVectors,
@@ -64,9 +65,9 @@ impl Fixture {
         }
     }
 
-    fn statistics(&self) -> FeatureStatistics {
+    fn statistics(&self) -> Statistics {
         let (mean, std) = (self.wide("in.mean"), self.wide("in.std"));
-        FeatureStatistics::new(mean, std, Root::Relative).expect("statistics")
+        Statistics::new(mean, std, Some(Root::Relative)).expect("statistics")
     }
 
     fn evaluator(&self) -> TextMotionEvaluator {
@@ -75,7 +76,8 @@ impl Fixture {
 
     fn clips(&self) -> Vec<Features> {
         let count = self.config["clips"].as_u64().expect("number of clips");
-        let layout = self.statistics().layout();
+        let channels = self.statistics().channels();
+        let layout = FeatureLayout::of_channels(channels).expect("a layout");
         (0..count)
             .map(|i| self.values(&format!("in.clip{i}")))
             .map(|values| Features::new(values, layout, Root::Relative).expect("features"))
@@ -192,11 +194,11 @@ fn parts_that_do_not_belong_together_are_refused() {
         "a movement is 5 numbers wide where `motion_encoder` takes 4"
     );
     let absolute = fixture.statistics();
-    let (mean, std) = (absolute.mean().to_vec(), absolute.std().to_vec());
-    let absolute = FeatureStatistics::new(mean, std, Root::Absolute).expect("statistics");
+    let (mean, std) = (absolute.mean, absolute.std);
+    let absolute = Statistics::new(mean, std, Some(Root::Absolute)).expect("statistics");
     let refused = TextMotionEvaluator::new(&fixture.weights(), absolute);
     assert!(matches!(refused, Err(TextMotionError::Features(_))));
-    let other = FeatureStatistics::new(vec![0.0; 263], vec![1.0; 263], Root::Relative);
+    let other = Statistics::new(vec![0.0; 263], vec![1.0; 263], Some(Root::Relative));
     let refused = TextMotionEvaluator::new(&fixture.weights(), other.expect("statistics"));
     let message = refused.unwrap_err().to_string();
     assert_eq!(

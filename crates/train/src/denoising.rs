@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::Batch;
+use kinegrad_data::{Batch, Samples};
 use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_models::DropoutKey;
 use kinegrad_random::{Key, Purpose};
@@ -17,9 +17,8 @@ use crate::recipe::{Loss, StepKey};
 pub struct Inputs {
     /// `[batch, channels, time]`, normalised.
     pub x_start: Tensor<3>,
-    /// What each sample is conditioned on, zeros where it is nothing: audio features
-    /// `[batch, 163, time]`, or a text's pooled feature `[batch, 512, 1]`.
-    pub cond: Tensor<3>,
+    /// What each sample is conditioned on.
+    pub cond: Conditions,
     /// `[batch, time]`, 1 where a frame is real.
     pub mask: Tensor<2>,
 }
@@ -31,11 +30,43 @@ impl Inputs {
         let on_device = |values: &[f32], shape: [usize; 3]| -> Tensor<3> {
             Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
         };
+        let named = batch.conditions.iter().map(|condition| {
+            let shape = [size, condition.channels, condition.frames];
+            (condition.name, on_device(&condition.values, shape))
+        });
         Self {
             x_start: on_device(&batch.x_start, [size, batch.channels, time]),
-            cond: on_device(&batch.cond, [size, batch.cond_channels, batch.cond_frames]),
+            cond: Conditions::new(named),
             mask: Tensor::from_data(TensorData::new(batch.mask.clone(), [size, time]), device),
         }
+    }
+}
+
+/// What the samples of a batch are conditioned on, by name: `[batch, channels, time]` each, time
+/// being 1 where it holds for all frames; zeros where a sample does not have it.
+#[derive(Clone, Debug)]
+pub struct Conditions(Vec<(&'static str, Tensor<3>)>);
+
+impl Conditions {
+    /// Conditions by their names.
+    pub fn new(named: impl IntoIterator<Item = (&'static str, Tensor<3>)>) -> Self {
+        Self(named.into_iter().collect())
+    }
+
+    /// The condition of that name.
+    ///
+    /// # Panics
+    /// Panics if there is none: a recipe asks for what its dataset's samples have.
+    pub fn get(&self, name: &str) -> &Tensor<3> {
+        let found = self.0.iter().find(|(known, _)| *known == name);
+        &found.unwrap_or_else(|| panic!("no condition `{name}`")).1
+    }
+
+    /// All of them times `keep`, `[batch, 1, 1]`, which is 0 where they are dropped.
+    #[must_use]
+    pub fn kept(self, keep: &Tensor<3>) -> Self {
+        let named = self.0.into_iter();
+        Self::new(named.map(|(name, cond)| (name, cond * keep.clone())))
     }
 }
 
@@ -100,7 +131,7 @@ pub fn denoising_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,
     draws: Draws,
-    network: impl FnOnce(Tensor<3>, &[Time], Tensor<3>, DropoutKey) -> Tensor<3>,
+    network: impl FnOnce(Tensor<3>, &[Time], &Conditions, DropoutKey) -> Tensor<3>,
     distance: impl FnOnce(Tensor<3>, Tensor<3>, Tensor<2>) -> Tensor<1>,
 ) -> Loss {
     let Inputs {
@@ -116,20 +147,19 @@ pub fn denoising_loss(
     } = draws;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
     let cond = match keep_cond {
-        Some(keep) => cond * keep,
+        Some(keep) => cond.kept(&keep),
         None => cond,
     };
-    let model_output = network(x_t.clone(), &Time::of(&timesteps), cond.clone(), dropout);
+    let model_output = network(x_t.clone(), &Time::of(&timesteps), &cond, dropout);
     let target = diffusion.target(x_start.clone(), noise, &timesteps);
     let total = distance(model_output.clone(), target, mask);
     Loss {
         terms: vec![("diffusion", total.clone())],
-        probes: vec![
-            ("x_start", x_start),
-            ("cond", cond),
-            ("x_t", x_t),
-            ("model_output", model_output),
-        ],
+        probes: [("x_start", x_start)]
+            .into_iter()
+            .chain(cond.0)
+            .chain([("x_t", x_t), ("model_output", model_output)])
+            .collect(),
         total,
         pending: (),
     }
@@ -145,17 +175,26 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// The items with these ids, whose batches `collate` makes.
-    pub fn new(
-        ids: Vec<String>,
-        validation: &ValidationConfig,
-        collate: impl Fn(Range<usize>) -> Batch + 'static,
-    ) -> Self {
+    /// The items of `samples`, which are in memory.
+    ///
+    /// # Panics
+    /// [`batches`](Self::batches) panics if they are not.
+    pub fn new(samples: impl Samples, validation: &ValidationConfig) -> Self {
         Self {
-            ids,
-            collate: Box::new(collate),
+            ids: samples.items().ids().map(String::from).collect(),
+            collate: Box::new(move |range| samples.collate(range).expect("items in memory")),
             draws: validation.draws,
             batch_size: validation.batch_size,
+        }
+    }
+
+    /// Nothing: a recipe that is never validated.
+    pub fn nothing() -> Self {
+        Self {
+            ids: Vec::new(),
+            collate: Box::new(|_| unreachable!("nothing is held out")),
+            draws: 1,
+            batch_size: 1,
         }
     }
 

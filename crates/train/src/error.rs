@@ -45,14 +45,22 @@ pub enum Error {
         /// The recipes of all systems.
         known: String,
     },
-    /// A run on clips where one on phrases is needed.
-    #[error("the run's recipe trains on clips of joint features, not on phrases")]
-    #[diagnostic(help("give a run of recipe `diffusion`, `decoder` or `e2e`"))]
-    NotPhrases,
-    /// A run on phrases where one on clips is needed.
-    #[error("the run's recipe trains on phrases, not on clips of joint features")]
-    #[diagnostic(help("give a run of recipe `gmd_motion` or `gmd_trajectory`"))]
-    NotClips,
+    /// The range of the training motion is not known.
+    #[error("the checkpoint does not hold the range of the motion it was trained on")]
+    #[diagnostic(help(
+        "its statistics came with the dataset, or it was written by an older version: set `clip` \
+         to \"six\", \"unit\" or \"none\""
+    ))]
+    NoRange,
+    /// A run on another representation of motion than is needed.
+    #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
+    #[diagnostic(help("give a run of a recipe that does"))]
+    OtherRepresentation {
+        /// The run's recipe.
+        recipe: String,
+        /// Name of the representation that is needed.
+        expected: String,
+    },
     /// A goal that cannot be followed.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -9,10 +9,9 @@ use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_data::{Digest, Loader};
 use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_motion::Statistics;
 
-use crate::checkpoint::{
-    Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State, Statistics,
-};
+use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
 use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;

@@ -5,8 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::{AUDIO, TEXT};
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
-use kinegrad_train::denoising::{Draws, Inputs};
+use kinegrad_train::denoising::{Conditions, Draws, Inputs};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::Result;
@@ -44,7 +45,7 @@ impl NamedTensors {
         let [batch, _, time] = x_start.dims();
         Ok(Inputs {
             mask: Tensor::ones([batch, time], &x_start.device()),
-            cond: self.tensor("cond")?,
+            cond: Conditions::new([(AUDIO, self.tensor("cond")?)]),
             x_start,
         })
     }
@@ -53,7 +54,7 @@ impl NamedTensors {
     pub fn clips(&self) -> Result<Inputs> {
         Ok(Inputs {
             x_start: self.tensor("motion")?,
-            cond: self.tensor("cond")?,
+            cond: Conditions::new([(TEXT, self.tensor("cond")?)]),
             mask: self.tensor("mask")?.squeeze_dim(1),
         })
     }

@@ -35,7 +35,7 @@ use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_models::{
     DecoderConfig, Initializer, ModelConfig, ModelKind, MotionModel, TextDenoiser, UNet1d,
 };
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::config::{EmaConfig, OptimConfig, ValidationConfig};
@@ -284,8 +284,8 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     };
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
     let weights = read_weights(&row.weights)?;
-    let statistics = Arc::new(TrainingStatistics::unit());
-    let held_out = nothing_held_out();
+    let statistics = Arc::new(Statistics::unit(25));
+    let held_out = HeldOut::nothing();
     Ok(match row.task {
         Task::Train {
             optim,
@@ -319,7 +319,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(model, weights)?;
             let last = diffusion.config.num_train_timesteps - 1;
-            let sampler = Sampler::new(diffusion, &rollout, statistics);
+            let sampler = Sampler::new(diffusion, &rollout, statistics)?;
             let recipe = E2eRecipe::new(sampler, &LossConfig::document(), held_out);
             let batch = inputs.batch()?;
             let draws = E2eDraws {
@@ -421,12 +421,4 @@ fn main() -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// What a recipe that is never validated is measured on.
-fn nothing_held_out() -> HeldOut {
-    let validation = ValidationConfig::default();
-    HeldOut::new(Vec::new(), &validation, |_| {
-        unreachable!("nothing is held out")
-    })
 }

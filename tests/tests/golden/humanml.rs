@@ -7,10 +7,9 @@ use std::path::{Path, PathBuf};
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::humanml::extract::{canonicalize, in_facing_frame, rescale};
 use kinegrad_motion::humanml::kinematics::{facing, inverse_kinematics, to_columns};
-use kinegrad_motion::humanml::{
-    Extraction, FeatureMoments, FeatureStatistics, Features, Heading, Joints, Root, Skeleton,
-};
+use kinegrad_motion::humanml::{Extraction, Features, Heading, Joints, Root, Skeleton};
 use kinegrad_motion::rotation::length;
+use kinegrad_motion::{JointFeatures, Measured, Statistics};
 use kinegrad_tests::golden::{Golden, compared, wide};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::{GoldenTest, Opened};
@@ -197,21 +196,23 @@ fn features_become_joints(file: File) {
 
 fn golden_statistics_share_deviations_within_groups(file: File) {
     let features = file.features("in.features_concat", Root::Relative);
-    let moments = FeatureMoments::measure(&features);
-    file.compare("out.mean", moments.mean(), 1e-5);
-    file.compare("out.std_per_dim", moments.std(), 1e-5);
-    let statistics = FeatureStatistics::from_moments(&moments);
-    file.compare("out.std_grouped", statistics.std(), 1e-5);
+    let representation = JointFeatures {
+        skeleton: Skeleton::humanml3d(),
+        root: features.root(),
+    };
+    let measured = Measured::of(&representation, features.as_slice());
+    file.compare("out.mean", &measured.moments().mean, 1e-5);
+    file.compare("out.std_per_dim", &measured.moments().std, 1e-5);
+    let statistics = measured.statistics(&representation);
+    file.compare("out.std_grouped", &statistics.std, 1e-5);
 
     let expected = file.0.get("out.normalised_first8");
     let (rows, channels) = (expected.shape[0], expected.shape[1]);
     // With the stored mean and deviation: those of one precision divided by a small deviation
     // leave the tolerance.
     let [mean, std] = ["out.mean", "out.std_grouped"].map(|key| file.0.get(key).values);
-    let stored = FeatureStatistics::new(mean, std, Root::Relative).expect("sound statistics");
-    let normalised = stored
-        .normalize(&features.slice(0..rows))
-        .expect("statistics of these features");
+    let stored = Statistics::new(mean, std, Some(Root::Relative)).expect("sound statistics");
+    let normalised = stored.normalize(features.slice(0..rows).as_slice());
     let row_major = (0..rows).flat_map(|t| (0..channels).map(move |c| c * rows + t));
     let found: Vec<f64> = row_major.map(|i| f64::from(normalised[i])).collect();
     file.compare("out.normalised_first8", &found, 1e-5);

@@ -6,9 +6,10 @@ use std::path::Path;
 
 use kinegrad_data::manifest::{Manifest, ManifestRow};
 use kinegrad_data::{
-    DataConfig, Dataset, Digest, Error, Loader, MANIFEST, Side, Store, StoreConfig, features_path,
-    motion_path, synthetic,
+    AUDIO, Batch, DataConfig, Dataset, Digest, Error, Loader, MANIFEST, Phrase, PhraseSamples,
+    Side, Store, StoreConfig, features_path, motion_path, synthetic,
 };
+use kinegrad_motion::Statistics;
 use kinegrad_tests::sandbox::contents;
 use kinegrad_tests::servers::{self, Emulator, Fault, FaultyServer, Upstream};
 use std::sync::Arc;
@@ -71,14 +72,24 @@ fn config(source: &str, cache: &Path, endpoint: Option<String>) -> DataConfig {
     config
 }
 
+fn loader(dataset: &Dataset<Phrase>, statistics: Arc<Statistics>, config: &DataConfig) -> Loader {
+    let samples = PhraseSamples::new(dataset.train.clone(), statistics, config, 7);
+    Loader::new(samples, config, 7, 0)
+}
+
+fn numbers(batch: Batch) -> Vec<f32> {
+    let audio = batch.condition(AUDIO).expect("phrases have audio");
+    [&batch.x_start[..], &audio.values].concat()
+}
+
 /// The first batches of a dataset, as their numbers.
-fn batches(dataset: &Dataset, config: &DataConfig) -> Result<Vec<Vec<f32>>, Error> {
-    let statistics = Arc::new(dataset.train.statistics()?);
-    let mut loader = Loader::new(dataset.train.clone(), statistics, config, 7, 0);
+fn batches(dataset: &Dataset<Phrase>, config: &DataConfig) -> Result<Vec<Vec<f32>>, Error> {
+    let statistics = Arc::new(dataset.statistics()?);
+    let mut loader = loader(dataset, statistics, config);
     (0..6)
         .map(|_| {
             let batch = loader.next()?;
-            Ok([batch.x_start, batch.cond].concat())
+            Ok(numbers(batch))
         })
         .collect()
 }
@@ -109,13 +120,13 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     );
 
     let local = config(&set.display().to_string(), &cache, None);
-    let expected = Dataset::open(&local).expect("the folder opens");
+    let expected = Dataset::<Phrase>::open(&local).expect("the folder opens");
     let expected_batches = batches(&expected, &local).expect("batches");
-    let cold = Dataset::open(&remote).expect("the bucket opens");
+    let cold = Dataset::<Phrase>::open(&remote).expect("the bucket opens");
     assert_eq!(cold.digest, expected.digest);
     assert_eq!(batches(&cold, &remote).expect("batches"), expected_batches);
     assert_eq!(cold.report().disk_hits, 0);
-    let warm = Dataset::open(&remote).expect("the bucket opens again");
+    let warm = Dataset::<Phrase>::open(&remote).expect("the bucket opens again");
     assert_eq!(batches(&warm, &remote).expect("batches"), expected_batches);
     let report = warm.report();
     assert_eq!(report.disk_hits, 2 * PHRASES as u64, "{report:?}");
@@ -123,7 +134,7 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     let mut bare = remote.clone();
     bare.cache.disk_mib = 0;
     bare.cache.memory_mib = 0;
-    let uncached = Dataset::open(&bare).expect("the bucket opens");
+    let uncached = Dataset::<Phrase>::open(&bare).expect("the bucket opens");
     assert_eq!(
         batches(&uncached, &bare).expect("batches"),
         expected_batches
@@ -131,7 +142,7 @@ fn bucket_equals_folder(emulator: &Emulator, scheme: &str, with_manifest: bool) 
     let report = uncached.report();
     assert_eq!((report.memory_hits, report.disk_hits), (0, 0));
     assert!(report.reads > 3 * PHRASES as u64, "{report:?}");
-    let ids = |dataset: &Dataset| {
+    let ids = |dataset: &Dataset<Phrase>| {
         dataset
             .validation
             .ids()
@@ -175,7 +186,11 @@ fn local_batches(folder: &tempfile::TempDir, remote: &DataConfig) -> Vec<Vec<f32
         source: Some(folder.path().join("set").display().to_string()),
         ..remote.clone()
     };
-    batches(&Dataset::open(&local).expect("the folder opens"), &local).expect("batches")
+    batches(
+        &Dataset::<Phrase>::open(&local).expect("the folder opens"),
+        &local,
+    )
+    .expect("batches")
 }
 
 #[test]
@@ -196,7 +211,7 @@ fn passing_faults_are_survived_and_no_wrong_byte_is_used() {
         );
         server.inject("synthetic_00003/trajectory.npy", fault, 2);
         server.inject("synthetic_00007/features.npz", fault, 2);
-        let dataset = Dataset::open(&config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
+        let dataset = Dataset::<Phrase>::open(&config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
         let found = batches(&dataset, &config).unwrap_or_else(|e| panic!("{fault:?}: {e}"));
         assert_eq!(found, local_batches(&folder, &config), "{fault:?}");
         let injected = server.injected();
@@ -213,7 +228,7 @@ fn passing_faults_are_survived_and_no_wrong_byte_is_used() {
 fn a_stalled_answer_is_given_up_and_tried_again() {
     let (folder, server, config) = web(true);
     server.inject("synthetic_00003/features.npz", Fault::Stall, 1);
-    let dataset = Dataset::open(&config).expect("the second try answers");
+    let dataset = Dataset::<Phrase>::open(&config).expect("the second try answers");
     assert_eq!(
         batches(&dataset, &config).expect("batches"),
         local_batches(&folder, &config)
@@ -235,7 +250,7 @@ fn lasting_faults_end_with_the_object_s_name() {
         config.store.max_retries = 1;
         config.store.timeout_seconds = 0.3;
         server.inject("synthetic_00005/features.npz", fault, usize::MAX);
-        let message = Dataset::open(&config)
+        let message = Dataset::<Phrase>::open(&config)
             .expect_err("it never works")
             .to_string();
         let object = format!(
@@ -255,7 +270,7 @@ fn forbidden_objects_are_not_tried_again() {
         Fault::Status(403),
         usize::MAX,
     );
-    let error = Dataset::open(&config).expect_err("forbidden");
+    let error = Dataset::<Phrase>::open(&config).expect_err("forbidden");
     let message = error.to_string();
     assert!(message.contains("access denied"), "{message}");
     assert_eq!(server.injected(), 1);
@@ -270,11 +285,11 @@ fn phrases_of_a_batch_that_are_far_away_are_read_at_once() {
     let most_with = |concurrency| {
         let mut config = config.clone();
         config.store.concurrency = concurrency;
-        let dataset = Dataset::open(&config).expect("all is there");
-        let statistics = Arc::new(dataset.train.statistics().expect("statistics"));
+        let dataset = Dataset::<Phrase>::open(&config).expect("all is there");
+        let statistics = Arc::new(dataset.statistics().expect("statistics"));
         server.take_most_under_way();
         server.inject("synthetic_", Fault::Slow, config.batch_size);
-        let mut loader = Loader::new(dataset.train.clone(), statistics, &config, 7, 0);
+        let mut loader = loader(&dataset, statistics, &config);
         loader.next().expect("all is there");
         drop(loader);
         server.take_most_under_way()
@@ -289,17 +304,17 @@ fn changed_under_way(change: impl Fn(&Path)) -> (String, Vec<Vec<f32>>) {
     let (folder, _server, mut config) = web(true);
     config.cache.memory_mib = 0;
     config.num_workers = 0;
-    let dataset = Dataset::open(&config).expect("all is there");
-    let statistics = Arc::new(dataset.train.statistics().expect("statistics"));
-    let mut loader = Loader::new(dataset.train.clone(), statistics, &config, 7, 0);
+    let dataset = Dataset::<Phrase>::open(&config).expect("all is there");
+    let statistics = Arc::new(dataset.statistics().expect("statistics"));
+    let mut loader = loader(&dataset, statistics, &config);
     let mut before = vec![];
     let batch = loader.next().expect("all is there");
-    before.push([batch.x_start, batch.cond].concat());
+    before.push(numbers(batch));
     let expected = local_batches(&folder, &config);
     change(&folder.path().join("set"));
     loop {
         match loader.next() {
-            Ok(batch) => before.push([batch.x_start, batch.cond].concat()),
+            Ok(batch) => before.push(numbers(batch)),
             Err(error) => {
                 let good = before.len();
                 assert_eq!(before, expected[..good], "until then all is right");
@@ -340,7 +355,9 @@ fn an_object_that_is_deleted_under_way_stops_the_run_by_name() {
 #[test]
 fn web_servers_need_a_manifest_and_take_no_files() {
     let (_folder, _server, config) = web(false);
-    let message = Dataset::open(&config).expect_err("no manifest").to_string();
+    let message = Dataset::<Phrase>::open(&config)
+        .expect_err("no manifest")
+        .to_string();
     assert!(
         message.contains("http cannot list") && message.contains("manifest.parquet"),
         "{message}"
@@ -356,7 +373,7 @@ fn a_damaged_cache_is_read_past() {
     let (folder, server, mut config) = web(true);
     config.cache.disk_mib = 100;
     let expected = local_batches(&folder, &config);
-    Dataset::open(&config).expect("cold");
+    Dataset::<Phrase>::open(&config).expect("cold");
     let cold = server.requests("features.npz");
     let objects = folder.path().join("cache/objects");
     for (name, mut bytes) in contents(&objects) {
@@ -364,7 +381,7 @@ fn a_damaged_cache_is_read_past() {
         bytes[100] ^= 4;
         fs::write(path, bytes).expect("written");
     }
-    let again = Dataset::open(&config).expect("warm, and damaged");
+    let again = Dataset::<Phrase>::open(&config).expect("warm, and damaged");
     assert_eq!(batches(&again, &config).expect("batches"), expected);
     assert_eq!(server.requests("features.npz"), 2 * cold);
     assert_eq!(again.report().disk_hits, 0);
@@ -391,7 +408,7 @@ fn faults_before_a_bucket_are_survived_too() {
     proxy.inject("list-type", Fault::Reset, 2);
     proxy.inject("trajectory", Fault::Truncate, 3);
     proxy.inject("features", Fault::Reset, 3);
-    let opened = Dataset::open(&remote).expect("the bucket opens");
+    let opened = Dataset::<Phrase>::open(&remote).expect("the bucket opens");
     assert_eq!(
         batches(&opened, &remote).expect("batches"),
         local_batches(&folder, &remote)
@@ -407,7 +424,9 @@ fn manifests_with_tricks_are_refused() {
     tricked[4].id = "../../outside".to_owned();
     let store = Store::open(&set.display().to_string(), &StoreConfig::default()).expect("a folder");
     Manifest::write(&store, tricked).expect("written");
-    let message = Dataset::open(&config).expect_err("a trick").to_string();
+    let message = Dataset::<Phrase>::open(&config)
+        .expect_err("a trick")
+        .to_string();
     assert!(
         message.contains(MANIFEST) && message.contains("../../outside"),
         "{message}"

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::{DataConfig, Dataset, read_motion};
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_data::{DataConfig, Dataset, Phrase, read_motion};
 use kinegrad_motion::sanity::{Profile, Report, check};
+use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::checkpoint::resolve_checkpoint;
 use serde_json::json;
@@ -56,10 +56,10 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
 }
 
 /// The statistics that `--run` or `--source` names.
-fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, Failure> {
+fn statistics(arguments: &CheckArguments) -> Result<Option<Statistics>, Failure> {
     if let Some(run) = &arguments.run {
         let path = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
-        return Ok(Some(State::read(&path)?.statistics.phrases()?.clone()));
+        return Ok(Some(State::read(&path)?.statistics_of(&Phrases)?.clone()));
     }
     let Some(source) = &arguments.source else {
         return Ok(None);
@@ -70,7 +70,7 @@ fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, 
     };
     // All of the phrases, whatever its manifest holds out.
     data.validation.fraction = Some(0.0);
-    Ok(Some(Dataset::open(&data)?.train.statistics()?))
+    Ok(Some(Dataset::<Phrase>::open(&data)?.statistics()?))
 }
 
 /// The files meant by `paths`, folders searched through.

@@ -3,17 +3,21 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use kinegrad_data::humanml::write_walks;
+use kinegrad_data::humanml::{SkeletonName, write_walks};
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
-    ChannelSummary, DataConfig, Inspection, MANIFEST, Problem, Store, StoreConfig, synthetic,
+    ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, Problem, Store, StoreConfig,
+    synthetic,
 };
 
-use crate::args::{InspectArguments, SynthArguments};
+use crate::args::{InspectArguments, SkeletonArgument, SynthArguments};
 use crate::failure::{Failure, UsageError};
 use crate::output::{grouped, table};
 use crate::picture::{Panel, draw};
 use crate::progress::reading;
+
+/// The shortest clips that KIT-ML is trained on.
+const KIT_MIN_FRAMES: usize = 24;
 
 /// Writes a synthetic dataset.
 pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
@@ -35,17 +39,21 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints what a dataset holds; exit code 1 if phrases cannot be used.
+/// Prints what a dataset holds; exit code 1 if items cannot be used.
 pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
     if arguments.condition.is_some() || arguments.plot.is_some() {
         return select(&arguments);
     }
-    let config = DataConfig {
+    let mut config = DataConfig {
         source: Some(arguments.source.clone()),
         ..Default::default()
     };
     if arguments.humanml3d {
-        return super::inspect_clips::run(&arguments, config);
+        config.kind = DataKind::Humanml3d;
+        if let SkeletonArgument::Kit = arguments.skeleton {
+            config.humanml3d.skeleton = SkeletonName::Kit;
+            config.humanml3d.min_frames = KIT_MIN_FRAMES;
+        }
     }
     let inspection = kinegrad_data::inspect(&config, &*reading())?;
     if arguments.json {
@@ -56,7 +64,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
     } else {
         print(&inspection);
     }
-    Ok(match inspection.bad_phrases {
+    Ok(match inspection.bad_items {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::from(1),
     })
@@ -155,54 +163,45 @@ fn plot(chosen: &Selection, out: &Path) -> Result<(), Failure> {
 }
 
 fn print(inspection: &Inspection) {
-    let Inspection {
-        phrases,
-        bad_phrases,
-        train,
-        validation,
-        frames,
-        hours,
-        fps,
-        ..
-    } = inspection;
+    let Inspection { kind, fps, .. } = inspection;
     let (shortest, longest) = (inspection.shortest_frames, inspection.longest_frames);
-    let facts = [
-        ("source", inspection.source.clone()),
-        ("phrases", grouped(*phrases)),
-        ("unusable phrases", grouped(*bad_phrases)),
-        (
-            "to train on, held out",
-            format!("{}, {}", grouped(*train), grouped(*validation)),
-        ),
-        (
+    let (train, held_out) = (grouped(inspection.train), grouped(inspection.validation));
+    let (frames, minutes) = (grouped(inspection.frames), inspection.hours * 60.0);
+    let row = |name: &str, value: String| vec![name.to_string(), value];
+    let mut facts = vec![
+        row("source", inspection.source.clone()),
+        row(&format!("{kind}s"), grouped(inspection.items)),
+        row(&format!("unusable {kind}s"), grouped(inspection.bad_items)),
+        row(&format!("{kind}s left out"), grouped(inspection.left_out)),
+        row("to train on, held out", format!("{train}, {held_out}")),
+        row(
             "frames",
+            format!("{frames} ({minutes:.2} minutes at {fps} fps)"),
+        ),
+        row(
+            &format!("frames a {kind}"),
+            format!("{shortest} to {longest}"),
+        ),
+        row(
+            "motion",
             format!(
-                "{} ({:.2} minutes at {fps} fps)",
-                grouped(*frames),
-                hours * 60.0
+                "[frames, {}], {}",
+                inspection.channels, inspection.representation
             ),
         ),
-        ("frames a phrase", format!("{shortest} to {longest}")),
-        (
-            "motion",
-            format!("[frames, {}]", inspection.motion_channels),
-        ),
-        (
-            "audio features",
-            format!("[{}, frames]", inspection.audio_channels),
-        ),
     ];
-    say!(
-        "{}\n",
-        table(facts.map(|(name, value)| vec![name.to_string(), value]))
-    );
-    say!("{}\n", channels(&inspection.motion));
-    say!("{}", channels(&inspection.audio));
+    let counts = inspection.counts.iter();
+    facts.extend(counts.map(|(name, count)| row(name, grouped(*count))));
+    say!("{}\n", table(facts));
+    say!("{}", channels(&inspection.motion));
+    if !inspection.conditions.is_empty() {
+        say!("\n{}", channels(&inspection.conditions));
+    }
     print_problems(&inspection.warnings, &inspection.problems);
 }
 
 /// What is odd about a dataset, and what is wrong with single items.
-pub fn print_problems(warnings: &[String], problems: &[Problem]) {
+fn print_problems(warnings: &[String], problems: &[Problem]) {
     for warning in warnings {
         say!("warning: {warning}");
     }
@@ -220,7 +219,7 @@ pub fn print_problems(warnings: &[String], problems: &[Problem]) {
 }
 
 /// Range, mean and deviation of channels, or of groups of them.
-pub fn channels(summaries: &[ChannelSummary]) -> String {
+fn channels(summaries: &[ChannelSummary]) -> String {
     let header = ["channel", "min", "max", "mean", "std"]
         .map(String::from)
         .to_vec();

@@ -7,7 +7,6 @@ pub mod data;
 pub mod devices;
 pub mod eval;
 pub mod import;
-pub mod inspect_clips;
 pub mod merge;
 pub mod plot;
 pub mod prepare;

@@ -1,7 +1,9 @@
 //! One clip: its features and its captions, read from the layout of HumanML3D.
 
+use std::borrow::Cow;
 use std::path::Path;
 
+use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_motion::metrics::text_motion::Token;
 
@@ -46,6 +48,8 @@ impl Clip {
 impl Item for Clip {
     const KIND: &'static str = "clip";
 
+    type Representation = JointFeatures;
+
     fn id(&self) -> &str {
         &self.id
     }
@@ -62,6 +66,33 @@ impl Item for Clip {
             .map(|caption| caption.text.len() + caption.tokens.iter().map(token).sum::<usize>());
         let captions = texts.sum::<usize>() + size_of_val(&self.captions[..]);
         size_of_val(self) + self.id.len() + 4 * self.features.as_slice().len() + captions
+    }
+
+    fn rows(&self, representation: &JointFeatures) -> Cow<'_, [f32]> {
+        match self.features.root() == representation.root {
+            true => Cow::Borrowed(self.features.as_slice()),
+            false => Cow::Owned(self.features.with_root(representation.root).into_vec()),
+        }
+    }
+
+    fn counts(&self) -> Vec<(&'static str, usize)> {
+        let of_passages = self
+            .captions
+            .iter()
+            .filter(|caption| caption.seconds.is_some());
+        let embedded = self
+            .captions
+            .iter()
+            .filter(|caption| caption.embedding.is_some());
+        vec![
+            ("captions", self.captions.len()),
+            ("captions of passages", of_passages.count()),
+            ("captions with an embedding", embedded.count()),
+            (
+                "clips without captions",
+                usize::from(self.captions.is_empty()),
+            ),
+        ]
     }
 }
 

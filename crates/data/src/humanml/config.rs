@@ -1,5 +1,6 @@
 //! The `data.humanml3d` table of a training config.
 
+use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Root, Skeleton};
 use serde::{Deserialize, Serialize};
 
@@ -98,6 +99,14 @@ pub enum CaptionRule {
 }
 
 impl Humanml3dConfig {
+    /// What the rows of a batch are.
+    pub fn representation(&self) -> JointFeatures {
+        JointFeatures {
+            skeleton: self.skeleton.skeleton(),
+            root: self.root,
+        }
+    }
+
     /// Checks the table, and what the rest of `data` says of clips.
     ///
     /// # Errors

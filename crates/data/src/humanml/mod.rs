@@ -6,29 +6,30 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use kinegrad_data::humanml::ClipDataset;
-//! use kinegrad_data::{DataConfig, DataKind, Loader};
+//! use kinegrad_data::humanml::ClipSamples;
+//! use kinegrad_data::{DataConfig, DataKind, Dataset, Loader};
 //!
 //! let mut config = DataConfig { kind: DataKind::SyntheticWalks, ..DataConfig::default() };
 //! config.batch_size = 4;
 //! config.synthetic.phrases = 6;
-//! let dataset = ClipDataset::open(&config)?;
-//! let statistics = Arc::new(dataset.statistics);
-//! let mut loader = Loader::clips(dataset.train, statistics, 0..263, &config, 7, 0);
+//! let dataset = Dataset::open(&config)?;
+//! let statistics = Arc::new(dataset.statistics()?);
+//! let (clips, representation) = (dataset.train, dataset.representation);
+//! let samples = ClipSamples::new(clips, representation, statistics, 263, &config, 7);
+//! let mut loader = Loader::new(samples, &config, 7, 0);
 //! let batch = loader.next()?;
 //! assert_eq!(batch.x_start.len(), 4 * 263 * 120);
-//! assert_eq!(batch.cond.len(), 4 * 512);
+//! assert_eq!(batch.conditions[0].values.len(), 4 * 512);
 //! # Ok::<(), kinegrad_data::Error>(())
 //! ```
 
 mod clip;
 mod config;
-mod dataset;
 mod embeddings;
-mod inspect;
 mod lists;
-mod maker;
+mod samples;
 mod statistics;
+mod survey;
 mod synthetic;
 mod texts;
 mod walk;
@@ -36,11 +37,8 @@ mod word_vectors;
 
 pub use clip::{Clip, ClipSet, parse_features, write_features};
 pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
-pub use dataset::ClipDataset;
 pub use embeddings::{EMBEDDING_CHANNELS, read_embedding};
-pub use inspect::{ClipInspection, inspect_clips};
-pub(crate) use maker::ClipMaker;
-pub use maker::collate_clips;
+pub use samples::ClipSamples;
 pub use synthetic::{synthetic_id, walk, write_walks};
 pub use texts::{Caption, parse_captions};
 pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -1,17 +1,17 @@
-//! Mean and deviation of each channel: read from the dataset, or taken from its training clips.
+//! Mean and deviation of each channel that a dataset brings along.
 
-use kinegrad_motion::humanml::{FeatureMoments, FeatureStatistics, Root, Skeleton};
+use kinegrad_motion::humanml::{Root, Skeleton};
+use kinegrad_motion::{JointFeatures, Statistics};
 
 use crate::files::Files;
 use crate::listing::Expected;
-use crate::{Digest, Error, FileError, ItemSet, StoreError, npy};
+use crate::{Digest, Error, FileError, StoreError, npy};
 
-use super::Clip;
 use super::clip::check_width;
 
 /// The statistics that a dataset brings along.
 pub(super) struct Given {
-    pub statistics: FeatureStatistics,
+    pub statistics: Statistics,
     /// Checksums of both files.
     pub digests: [Digest; 2],
 }
@@ -24,17 +24,14 @@ fn names(root: Root) -> [&'static str; 2] {
     }
 }
 
-/// Reads the statistics for `root`, if the dataset has them.
+/// Reads the statistics of clips in this representation, if the dataset has them.
 ///
 /// # Errors
 /// [`Error::File`] for one file without the other, for another layout, and for numbers that cannot
 /// be used; [`Error::Store`].
-pub(super) fn given(
-    files: &Files,
-    root: Root,
-    skeleton: &Skeleton,
-) -> Result<Option<Given>, Error> {
-    let [mean_file, std_file] = names(root);
+pub(super) fn given(files: &Files, representation: &JointFeatures) -> Result<Option<Given>, Error> {
+    let JointFeatures { skeleton, root } = representation;
+    let [mean_file, std_file] = names(*root);
     let (mean, std) = (
         read(files, mean_file, skeleton)?,
         read(files, std_file, skeleton)?,
@@ -54,7 +51,7 @@ pub(super) fn given(
         )
         .into());
     };
-    let statistics = FeatureStatistics::new(mean, std, root).map_err(|error| {
+    let statistics = Statistics::new(mean, std, Some(*root)).map_err(|error| {
         FileError::unexpected(
             format!("{} and {std_file}", files.store.name_of(mean_file)),
             error.to_string(),
@@ -83,26 +80,4 @@ fn read(
     check_width(&array.shape, 1, &name, skeleton)?;
     let values = array.values.into_iter().map(f64::from).collect();
     Ok(Some((values, digest)))
-}
-
-impl ItemSet<Clip> {
-    /// The statistics of their features, read with this `root`: whole clips, each from its own
-    /// first frame, with deviations averaged within the groups of the layout; some clips at a
-    /// time.
-    ///
-    /// # Errors
-    /// As [`get`](Self::get).
-    ///
-    /// # Panics
-    /// Panics if there are no clips: a dataset has at least one to train on.
-    pub fn statistics(&self, root: Root) -> Result<FeatureStatistics, Error> {
-        let mut all: Option<FeatureMoments> = None;
-        let measure = |clip: &Clip| Ok(FeatureMoments::measure(&clip.features.with_root(root)));
-        self.measure(measure, |of_clip| match &mut all {
-            Some(all) => all.merge(&of_clip).expect("clips of one layout"),
-            None => all = Some(of_clip),
-        })?;
-        let all = all.expect("a clip to train on");
-        Ok(FeatureStatistics::from_moments(&all))
-    }
 }

@@ -94,18 +94,6 @@ pub enum FeatureError {
         found: super::Root,
     },
 
-    /// Means and deviations cannot be used.
-    #[error("`{field}` of the feature statistics is {found}")]
-    #[diagnostic(help("allowed: {allowed}"))]
-    InvalidStatistics {
-        /// The field, with the place in it.
-        field: String,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
-
     /// A setting is out of range.
     #[error("`{key}` is {found}, which is out of range")]
     #[diagnostic(help("{allowed}"))]

@@ -8,7 +8,8 @@
 //! both as docs/sources.md reads them, sections 3 and 4.1.
 //!
 //! ```
-//! use kinegrad_motion::humanml::{Extraction, FeatureStatistics, Joints, Skeleton};
+//! use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
+//! use kinegrad_motion::{JointFeatures, representation};
 //! let skeleton = Skeleton::humanml3d();
 //! // Ten frames of a figure that walks along +x in the reference pose.
 //! let mut places = Vec::new();
@@ -23,9 +24,11 @@
 //! let joints = Joints::new(places, skeleton.joints())?;
 //! let features = Extraction::default().features(&skeleton, &joints)?;
 //! assert_eq!((features.frames(), features.layout().channels()), (9, 263));
-//! let statistics = FeatureStatistics::compute([&features])?;
-//! let seen = statistics.normalize(&features)?;
-//! let back = statistics.denormalize(&seen)?.to_absolute().joints();
+//! let kind = JointFeatures { skeleton: skeleton.clone(), root: Root::Relative };
+//! let statistics = representation::statistics_of(&kind, [features.as_slice()]).expect("a clip");
+//! let seen = statistics.normalize(features.as_slice());
+//! let rows = statistics.denormalize(&seen);
+//! let back = Features::new(rows, features.layout(), Root::Relative)?.to_absolute().joints();
 //! assert!((back.frame(8)[0][0] - 0.8).abs() < 1e-5);
 //! let text = back.to_bvh(&skeleton, 100.0)?.to_text();
 //! assert!(text.starts_with("HIERARCHY\nROOT pelvis\n"));
@@ -42,7 +45,6 @@ pub mod kinematics;
 mod layout;
 mod root;
 mod skeleton;
-mod statistics;
 mod validate;
 
 #[cfg(test)]
@@ -58,4 +60,3 @@ pub use kinematics::Heading;
 pub use layout::{FeatureChannel, FeatureLayout};
 pub use root::Root;
 pub use skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};
-pub use statistics::{FeatureMoments, FeatureStatistics};

@@ -3,12 +3,12 @@
 use kinegrad_random::{Key, Purpose};
 
 use super::TRAJECTORY;
-use crate::{Motion, TrainingStatistics};
+use crate::{Motion, Statistics};
 
 /// Root mean square over frames and [`TRAJECTORY`] channels of the difference of two phrases, in
 /// training standard deviations. Of phrases of different length the first frames are compared,
 /// as many as the shorter one has.
-pub fn trajectory_distance(a: &Motion, b: &Motion, training: &TrainingStatistics) -> f64 {
+pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;
     for t in 0..frames {
@@ -23,7 +23,7 @@ pub fn trajectory_distance(a: &Motion, b: &Motion, training: &TrainingStatistics
 
 /// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
 /// where a value is not finite.
-pub fn diversity(motions: &[&Motion], training: &TrainingStatistics) -> Option<f64> {
+pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
     let pairs = motions.iter().enumerate().flat_map(|(index, a)| {
         motions[index + 1..]
             .iter()
@@ -83,9 +83,9 @@ mod tests {
     use crate::CHANNELS;
     use crate::wandering::wandering;
 
-    fn training() -> TrainingStatistics {
+    fn training() -> Statistics {
         let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 40)).collect();
-        TrainingStatistics::compute(&phrases).unwrap()
+        crate::phrase_statistics(&phrases).unwrap()
     }
 
     /// A phrase with `value` in one channel of every frame, zero elsewhere.

@@ -3,11 +3,11 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::TRAJECTORY;
-use crate::{Motion, TrainingStatistics};
+use crate::{Motion, Statistics};
 
 /// Mean and (population) standard deviation over the frames of each [`TRAJECTORY`] channel, in
 /// training standard deviations: 9 means, then 9 deviations.
-pub fn trajectory_features(motion: &Motion, training: &TrainingStatistics) -> Vec<f64> {
+pub fn trajectory_features(motion: &Motion, training: &Statistics) -> Vec<f64> {
     let frames = motion.frames() as f64;
     let mut features = vec![0.0; 2 * TRAJECTORY.len()];
     for channel in TRAJECTORY {
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn features_are_means_then_deviations_in_training_units() {
-        let mut training = TrainingStatistics::compute([&wandering(0, 9)]).unwrap();
+        let mut training = crate::phrase_statistics([&wandering(0, 9)]).unwrap();
         training.std[..9].fill(1.0);
         training.std[4] = 0.5;
         let mut motion = Motion::new(vec![0.0; 2 * CHANNELS]).unwrap();

@@ -20,7 +20,7 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
-use crate::{Motion, TrainingStatistics};
+use crate::{Motion, Statistics};
 
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
@@ -33,7 +33,7 @@ type Frames = Vec<[f64; CHANNELS]>;
 pub fn process(
     motion: &Motion,
     config: &PostProcessConfig,
-    statistics: Option<&TrainingStatistics>,
+    statistics: Option<&Statistics>,
 ) -> Motion {
     let mut frames: Frames = motion
         .as_slice()
@@ -88,12 +88,9 @@ pub fn process(
     processed
 }
 
-fn clamp_values(
-    frames: &mut Frames,
-    config: &PostProcessConfig,
-    statistics: Option<&TrainingStatistics>,
-) {
-    let widest = statistics.filter(|_| config.widen_limits);
+fn clamp_values(frames: &mut Frames, config: &PostProcessConfig, statistics: Option<&Statistics>) {
+    let range = statistics.and_then(|training| training.range.as_ref());
+    let widest = range.filter(|_| config.widen_limits);
     let limits = &config.limits;
     let groups = [
         (POSITION, limits.position),
@@ -105,8 +102,8 @@ fn clamp_values(
         .into_iter()
         .flat_map(|(group, l)| group.map(move |c| (c, l)))
     {
-        let low = widest.map_or(-limit, |training| training.min[channel].min(-limit));
-        let high = widest.map_or(limit, |training| training.max[channel].max(limit));
+        let low = widest.map_or(-limit, |[min, _]| min[channel].min(-limit));
+        let high = widest.map_or(limit, |[_, max]| max[channel].max(limit));
         frames
             .iter_mut()
             .for_each(|frame| frame[channel] = clamp(frame[channel], low, high));
@@ -228,7 +225,7 @@ mod tests {
         let mut training = wandering(2, 3);
         training.set_vector(0, ANGULAR_VELOCITY, [0.0, 0.0, 20.0]);
         training.set_vector(1, ANGULAR_VELOCITY, [-30.0, 0.0, 0.0]);
-        let statistics = TrainingStatistics::compute([&training]).unwrap();
+        let statistics = crate::phrase_statistics([&training]).unwrap();
         let wide = process(&motion, &PostProcessConfig::default(), Some(&statistics));
         assert_eq!(wide.vector(1, ANGULAR_VELOCITY), [-12.0, 9.0, 20.0]);
         assert_eq!(wide.vector(1, VELOCITY), [49.0, 50.0, -50.0]);

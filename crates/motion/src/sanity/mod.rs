@@ -5,6 +5,7 @@
 //! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
 //! through. [`Profile::Strict`] looks at every frame and compares with the training phrases.
 
+pub(crate) mod body;
 mod document;
 mod report;
 mod strict;
@@ -16,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use document::SanityThresholds;
 pub use report::{Check, Report, Threshold, Value};
 
-use crate::{CHANNELS, Error, Motion, TrainingStatistics, channel_name};
+use crate::{CHANNELS, Error, Motion, Statistics, channel_name};
 
 /// Which checks are made.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
@@ -62,12 +63,12 @@ impl FromStr for Profile {
 pub fn check(
     motion: &Motion,
     profile: Profile,
-    statistics: Option<&TrainingStatistics>,
+    statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
     match profile {
         Profile::Document => Ok(SanityThresholds::default().check(motion)),
         Profile::Strict => statistics
-            .map(|training| strict::check(motion, training))
+            .and_then(|training| strict::check(motion, training))
             .ok_or(Error::StatisticsNeeded),
     }
 }
@@ -125,7 +126,7 @@ mod tests {
     #[test]
     fn one_bad_value_in_any_channel_fails_both_profiles() {
         let good = wandering(2, 6);
-        let statistics = TrainingStatistics::compute([&good]).unwrap();
+        let statistics = crate::phrase_statistics([&good]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             assert!(check(&good, profile, Some(&statistics)).unwrap().passed);
             for place in 0..6 * CHANNELS {
@@ -144,7 +145,7 @@ mod tests {
     fn nan_makes_the_measured_value_nan_and_the_check_fail() {
         let mut motion = wandering(2, 6);
         (0..CHANNELS).for_each(|channel| motion.frame_mut(3)[channel] = f32::NAN);
-        let statistics = TrainingStatistics::compute([&wandering(2, 6)]).unwrap();
+        let statistics = crate::phrase_statistics([&wandering(2, 6)]).unwrap();
         for profile in [Profile::Document, Profile::Strict] {
             let report = check(&motion, profile, Some(&statistics)).unwrap();
             assert!(
@@ -156,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_shortest_phrases_are_checked() {
-        let statistics = TrainingStatistics::compute([&wandering(2, 40)]).unwrap();
+        let statistics = crate::phrase_statistics([&wandering(2, 40)]).unwrap();
         for frames in [1, 2] {
             let motion = wandering(2, frames);
             for profile in [Profile::Document, Profile::Strict] {

@@ -3,7 +3,7 @@
 use super::{Check, Report, Threshold, Value, finite, range};
 use crate::kinematics::{acceleration_errors, mean_jerk_norm, mean_norm, velocity_errors};
 use crate::phrase::PHASE;
-use crate::{Motion, TrainingStatistics};
+use crate::{Motion, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -15,9 +15,10 @@ const COHERENCE_SHARE: f64 = 0.1;
 /// How many times the training phrases' 95th percentile the mean jerk may be.
 const JERK_FACTOR: f64 = 3.0;
 
-/// Makes the checks of [`Profile::Strict`](super::Profile::Strict).
-pub(super) fn check(motion: &Motion, training: &TrainingStatistics) -> Report {
-    Report::new(vec![
+/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
+/// not say how lively training motion is.
+pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
+    Some(Report::new(vec![
         finite(motion),
         quaternion_norm(motion),
         quaternion_sign(motion),
@@ -26,16 +27,16 @@ pub(super) fn check(motion: &Motion, training: &TrainingStatistics) -> Report {
             "velocity_coherence",
             "velocity error {error} m/s",
             &velocity_errors(motion),
-            training.rms_speed,
+            training.rms_speed?,
         ),
         coherence(
             "accel_coherence",
             "acceleration error {error} m/s^2",
             &acceleration_errors(motion),
-            training.rms_acceleration,
+            training.rms_acceleration?,
         ),
-        jerk(motion, training),
-    ])
+        jerk(motion, training.jerk_p95?),
+    ]))
 }
 
 fn quaternion_norm(motion: &Motion) -> Check {
@@ -87,12 +88,12 @@ fn coherence(name: &'static str, what: &str, errors: &[[f64; 3]], scale: f64) ->
     )
 }
 
-fn jerk(motion: &Motion, training: &TrainingStatistics) -> Check {
+fn jerk(motion: &Motion, jerk_p95: f64) -> Check {
     let mean = mean_jerk_norm(motion);
     Check::new(
         "jerk",
         Value::Number(mean),
-        Threshold::AtMost(JERK_FACTOR * training.jerk_p95),
+        Threshold::AtMost(JERK_FACTOR * jerk_p95),
         format!("mean jerk {mean:.1} m/s^3"),
     )
 }
@@ -103,16 +104,16 @@ mod tests {
     use crate::phrase::{ACCELERATION, VELOCITY};
     use crate::wandering::wandering;
 
-    fn training() -> TrainingStatistics {
+    fn training() -> Statistics {
         let phrases: Vec<Motion> = (0..20).map(|seed| wandering(seed, 60)).collect();
-        TrainingStatistics::compute(&phrases).unwrap()
+        crate::phrase_statistics(&phrases).unwrap()
     }
 
     /// Changes one frame of a good phrase, then names the checks that fail.
     fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
         let mut motion = wandering(7, 60);
         change(&mut motion);
-        let report = check(&motion, &training());
+        let report = check(&motion, &training()).unwrap();
         report
             .checks
             .iter()
@@ -135,7 +136,7 @@ mod tests {
     #[test]
     fn coherent_phrases_pass() {
         for seed in 0..20 {
-            let report = check(&wandering(seed, 60), &training());
+            let report = check(&wandering(seed, 60), &training()).unwrap();
             assert!(report.passed, "{report:#?}");
             assert_eq!(report.checks.len(), 7);
         }
@@ -162,13 +163,15 @@ mod tests {
         let statistics = training();
         // By its Euclidean norm, 0.6 / 0.8 of the offset along two axes.
         let offset = |share: f64, scale: f64| [0.6 * share * scale, 0.0, -0.8 * share * scale];
-        let velocity =
-            |share| failing(|m| add_everywhere(m, VELOCITY, offset(share, statistics.rms_speed)));
+        let (speed, rate) = (
+            statistics.rms_speed.unwrap(),
+            statistics.rms_acceleration.unwrap(),
+        );
+        let velocity = |share| failing(|m| add_everywhere(m, VELOCITY, offset(share, speed)));
         assert!(velocity(0.099).is_empty());
         assert_eq!(velocity(0.101), ["velocity_coherence"]);
-        let acceleration = |share| {
-            failing(|m| add_everywhere(m, ACCELERATION, offset(share, statistics.rms_acceleration)))
-        };
+        let acceleration =
+            |share| failing(|m| add_everywhere(m, ACCELERATION, offset(share, rate)));
         assert!(acceleration(0.099).is_empty());
         assert_eq!(acceleration(0.101), ["accel_coherence"]);
     }
@@ -176,7 +179,7 @@ mod tests {
     #[test]
     fn trembling_fails() {
         let zigzag = |times: f64| {
-            let size = times * training().jerk_p95 / 30.0;
+            let size = times * training().jerk_p95.unwrap() / 30.0;
             failing(move |m| {
                 (0..60)
                     .for_each(|t| m.set_vector(t, ACCELERATION, [0.0, size * (t % 2) as f64, 0.0]))

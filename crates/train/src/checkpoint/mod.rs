@@ -7,13 +7,11 @@ mod alone;
 mod folder;
 mod resolve;
 mod state;
-mod statistics;
 mod tensors;
 
 pub use folder::{Best, Checkpoints};
 pub use resolve::resolve_checkpoint;
 pub use state::{FORMAT, Progress, State};
-pub use statistics::Statistics;
 pub use tensors::{Weights, read_optimizer, read_weights};
 
 pub(crate) use alone::{must_be_free, write_weights};

@@ -4,7 +4,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{Best, Statistics};
+use kinegrad_motion::{Representation, Statistics};
+
+use super::Best;
 use crate::Error;
 use crate::config::Config;
 
@@ -68,6 +70,20 @@ impl State {
             .strip_suffix("\n}")
             .expect("a pretty JSON object ends so");
         format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
+    }
+
+    /// The statistics, if they are of this `representation`.
+    ///
+    /// # Errors
+    /// [`Error::OtherRepresentation`].
+    pub fn statistics_of(&self, representation: &dyn Representation) -> Result<&Statistics, Error> {
+        match self.statistics.channels() == representation.channels() {
+            true => Ok(&self.statistics),
+            false => Err(Error::OtherRepresentation {
+                recipe: self.config.train.recipe.clone(),
+                expected: representation.name(),
+            }),
+        }
     }
 
     /// Reads and verifies `state.json` of the checkpoint in `path`.

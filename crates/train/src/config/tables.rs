@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use kinegrad_diffusion::{Clip as ClipRange, SamplerConfig};
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::Statistics;
 use serde::{Deserialize, Serialize};
 
 use super::{Config, ConfigError, SteeringConfig};
+use crate::error::Error;
 use crate::systems::RecipeInfo;
 
 /// The table `run`.
@@ -204,23 +205,19 @@ pub enum Clip {
 
 impl Clip {
     /// The bounds in normalised units.
-    pub fn range(self, statistics: &TrainingStatistics) -> ClipRange {
-        match self {
+    ///
+    /// # Errors
+    /// [`Error::NoRange`] where the range of the training motion is asked for and not known.
+    pub fn range(self, statistics: &Statistics) -> Result<ClipRange, Error> {
+        Ok(match self {
             Self::TrainingRange => {
-                let (min, max) = statistics.normalized_range();
+                let [min, max] = statistics.normalized_range().ok_or(Error::NoRange)?;
                 ClipRange::PerChannel { min, max }
             }
-            Self::Unit | Self::Six | Self::None => self.fixed_range(),
-        }
-    }
-
-    /// The bounds of those that are the same for all data; none for the training range.
-    pub fn fixed_range(self) -> ClipRange {
-        match self {
             Self::Unit => ClipRange::Symmetric(1.0),
             Self::Six => ClipRange::Symmetric(6.0),
-            Self::TrainingRange | Self::None => ClipRange::None,
-        }
+            Self::None => ClipRange::None,
+        })
     }
 }
 

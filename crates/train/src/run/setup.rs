@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use kinegrad_data::{Digest, Loader};
 use kinegrad_models::parameters;
+use kinegrad_motion::Statistics;
 
 use super::Outcome;
 use super::folder::write_config;
-use crate::checkpoint::{Checkpoint, Checkpoints, Statistics};
+use crate::checkpoint::{Checkpoint, Checkpoints};
 use crate::config::Config;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};

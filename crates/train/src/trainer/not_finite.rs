@@ -12,8 +12,10 @@ pub(super) fn find_not_finite<M: Module, P>(model: &M, batch: &Batch, loss: Loss
     if broken(&batch.x_start) {
         return "the batch's motion".into();
     }
-    if broken(&batch.cond) {
-        return "the batch's condition".into();
+    for condition in &batch.conditions {
+        if broken(&condition.values) {
+            return format!("the batch's condition `{}`", condition.name);
+        }
     }
     for parameter in parameters::export(model) {
         if broken(&parameter.values) {

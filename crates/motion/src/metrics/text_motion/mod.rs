@@ -29,7 +29,8 @@ pub use words::{MAX_WORDS, PartOfSpeech, Token, WordVectors};
 use encoders::{MovementEncoder, SequenceEncoder, TextEncoder};
 use nalgebra::DMatrix;
 
-use crate::humanml::{FeatureError, FeatureStatistics, Features, Root};
+use crate::Statistics;
+use crate::humanml::{FeatureError, FeatureLayout, Features, Root};
 
 /// Frames of a movement: what is left over at a clip's end is no movement of its own.
 pub const UNIT_FRAMES: usize = 4;
@@ -49,7 +50,7 @@ pub struct TextMotionEvaluator {
     movement: MovementEncoder,
     motion: SequenceEncoder,
     text: TextEncoder,
-    statistics: FeatureStatistics,
+    statistics: Statistics,
 }
 
 impl TextMotionEvaluator {
@@ -62,7 +63,7 @@ impl TextMotionEvaluator {
     /// statistics of features with absolute root.
     pub fn new(
         weights: &EvaluatorWeights,
-        statistics: FeatureStatistics,
+        statistics: Statistics,
     ) -> Result<Self, TextMotionError> {
         let evaluator = Self {
             movement: MovementEncoder::new("movement_encoder", &weights.movement_encoder)?,
@@ -79,14 +80,14 @@ impl TextMotionEvaluator {
             ("a caption's embedding", evaluator.text.sequence.outputs()),
             ("comparison with a clip's", motion.outputs()),
         )?;
-        let layout = evaluator.statistics.layout();
+        let layout = FeatureLayout::of_channels(evaluator.statistics.channels())?;
         same_width(
             ("a frame without contact flags", layout.contacts().start),
             ("`movement_encoder`", movement.inputs()),
         )?;
-        match evaluator.statistics.root() {
-            Root::Relative => Ok(evaluator),
-            found => Err(FeatureError::WrongRoot {
+        match evaluator.statistics.root {
+            None | Some(Root::Relative) => Ok(evaluator),
+            Some(found) => Err(FeatureError::WrongRoot {
                 expected: Root::Relative,
                 found,
             }
@@ -149,7 +150,15 @@ impl TextMotionEvaluator {
     }
 
     fn movements(&self, clip: &Features) -> Result<DMatrix<f32>, FeatureError> {
-        let normalized = self.statistics.normalize(&clip.to_relative())?;
+        let (expected, found) = (self.statistics.channels(), clip.layout().channels());
+        if found != expected {
+            return Err(FeatureError::LengthMismatch {
+                what: "channels of a frame",
+                expected,
+                found,
+            });
+        }
+        let normalized = self.statistics.normalize(clip.to_relative().as_slice());
         let frames = clip.frames();
         let seen = &normalized[..self.movement.inputs() * frames];
         let seen = DMatrix::from_row_slice(self.movement.inputs(), frames, seen);

@@ -9,7 +9,7 @@ use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
-use kinegrad_motion::{Motion, TrainingStatistics};
+use kinegrad_motion::{Motion, Phrases, Statistics};
 use kinegrad_random::{Key, Purpose};
 
 use super::{CcMotionConfig, Trained};
@@ -34,7 +34,7 @@ pub struct Generator {
     unet: UNet1d,
     decoder: Option<MotionDecoder>,
     diffusion: GaussianDiffusion,
-    statistics: TrainingStatistics,
+    statistics: Statistics,
     state: State,
     device: Device,
 }
@@ -50,7 +50,7 @@ impl Generator {
             decoder,
             state,
         } = Trained::load(path, weights, device)?;
-        let statistics = state.statistics.phrases()?.clone();
+        let statistics = state.statistics_of(&Phrases)?.clone();
         let diffusion = GaussianDiffusion::new(&CcMotionConfig::of(&state.config)?.diffusion)?;
         Ok(Self {
             unet: unet.valid(),
@@ -68,7 +68,7 @@ impl Generator {
     }
 
     /// The statistics of its training phrases.
-    pub fn statistics(&self) -> &TrainingStatistics {
+    pub fn statistics(&self) -> &Statistics {
         &self.statistics
     }
 
@@ -112,7 +112,7 @@ impl Generator {
                 on_device(start.flatten().collect(), CHANNELS),
                 &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
                 &sampling.sampler,
-                &sampling.clip.range(self.statistics()),
+                &sampling.clip.range(self.statistics())?,
                 NoiseKeys::Samples(&of_steps),
                 &mut |step, total, _| on_step(done * total + step, all * total),
             )?;
@@ -124,7 +124,7 @@ impl Generator {
             for values in values.chunks(CHANNELS * frames) {
                 let raw = match &self.decoder {
                     Some(_) => Motion::from_channel_major(values, frames)?,
-                    None => self.statistics().denormalize_channel_major(values, frames),
+                    None => Motion::new(self.statistics().denormalize(values))?,
                 };
                 let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
                 samples.push(Sample { raw, motion });

@@ -6,8 +6,8 @@ use burn::tensor::Device;
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::Normalization;
 use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
-use kinegrad_motion::TrainingStatistics;
 use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_motion::{Phrases, Statistics};
 
 use super::{CcMotionConfig, rolls_out};
 use crate::checkpoint::{State, Weights, read_weights};
@@ -36,7 +36,7 @@ impl Trained {
         let (unet, decoder) = match rolls_out(config) {
             false => (parameters::load(denoiser(config, device)?, values)?, None),
             true => {
-                let fresh = networks(config, state.statistics.phrases()?, device)?;
+                let fresh = networks(config, state.statistics_of(&Phrases)?, device)?;
                 let MotionModel { unet, decoder } = parameters::load(fresh, values)?;
                 (unet.merge_adapters(), Some(decoder))
             }
@@ -65,7 +65,7 @@ pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error
 /// If it cannot be built.
 pub(crate) fn decoder(
     config: &Config,
-    statistics: &TrainingStatistics,
+    statistics: &Statistics,
     device: &Device,
 ) -> Result<MotionDecoder, Error> {
     let normalization = Normalization {
@@ -83,7 +83,7 @@ pub(crate) fn decoder(
 /// If one cannot be built.
 pub(crate) fn networks(
     config: &Config,
-    statistics: &TrainingStatistics,
+    statistics: &Statistics,
     device: &Device,
 ) -> Result<MotionModel, Error> {
     let model = MotionModel {

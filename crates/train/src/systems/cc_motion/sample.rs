@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use kinegrad_data::{AudioFeatures, DataKind, Dataset, load_audio};
-use kinegrad_motion::{CHANNELS, Motion, Profile, TrainingStatistics, check};
+use kinegrad_data::{AudioFeatures, DataKind, Dataset, Phrase, load_audio};
+use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
 
 use super::evaluate::phrase_seed;
 use super::generate::{Generator, Sample};
@@ -62,11 +62,8 @@ fn for_held_out(
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let dataset = Dataset::open(&subject.config.data)?;
-    let phrases = match dataset.validation.is_empty() {
-        true => &dataset.train,
-        false => &dataset.validation,
-    };
+    let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
+    let phrases = dataset.held_out();
     let chosen: Vec<_> = (0..count.min(phrases.len()))
         .map(|position| phrases.get(position))
         .collect::<Result<_, _>>()?;
@@ -86,11 +83,7 @@ fn for_held_out(
 }
 
 /// A line of both profiles' verdicts.
-fn checked(
-    name: &str,
-    motion: &Motion,
-    statistics: &TrainingStatistics,
-) -> Result<Vec<String>, Error> {
+fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<String>, Error> {
     let document = check(motion, Profile::Document, None)?;
     let strict = check(motion, Profile::Strict, Some(statistics))?;
     let checks = document.checks.iter().chain(&strict.checks);
@@ -191,7 +184,7 @@ fn of_phrases(
             return Err(Error::usage("`--source` without `--phrase`", hint));
         }
     }
-    let dataset = Dataset::open(&data)?;
+    let dataset = Dataset::<Phrase>::open(&data)?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         match &conditions.item {

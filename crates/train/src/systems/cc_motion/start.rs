@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_models::{MotionModel, parameters};
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::{Phrases, Statistics};
 use toml::Table;
 
 use super::networks::{Trained, decoder, denoiser, with_adapters};
@@ -68,8 +68,10 @@ impl Starts {
     ///
     /// # Errors
     /// If the checkpoint is damaged.
-    pub fn statistics(&self) -> Result<TrainingStatistics, Error> {
-        Ok(State::read(&self.diffusion)?.statistics.phrases()?.clone())
+    pub fn statistics(&self) -> Result<Statistics, Error> {
+        Ok(State::read(&self.diffusion)?
+            .statistics_of(&Phrases)?
+            .clone())
     }
 
     /// The networks with the start's averaged weights on an autodiff device.
@@ -80,7 +82,7 @@ impl Starts {
         let base = Trained::load(&self.diffusion, Weights::Ema, device)
             .map_err(|error| refused("init.diffusion", &self.diffusion, &error))?;
         must_agree::<CcMotionConfig>(config, &base.state.config, &["model", "diffusion"])?;
-        let statistics = base.state.statistics.phrases()?;
+        let statistics = base.state.statistics_of(&Phrases)?;
         // Networks of this config, whose dropout and coherence may be others, with the values of
         // the start.
         let unet = parameters::replace(denoiser(config, device)?, values(&base.unet));
@@ -95,7 +97,7 @@ impl Starts {
                     return Err(refused(&"its recipe is `diffusion`, it holds no decoder"));
                 };
                 must_agree::<CcMotionConfig>(config, &start.state.config, &["decoder"])?;
-                let found = start.state.statistics.phrases()?;
+                let found = start.state.statistics_of(&Phrases)?;
                 let same = found.mean == statistics.mean && found.std == statistics.std;
                 if !same {
                     return Err(refused(

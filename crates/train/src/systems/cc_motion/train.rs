@@ -4,12 +4,11 @@ use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use std::ops::Range;
-
-use kinegrad_data::{Dataset, Loader, collate_validation};
+use kinegrad_data::{Dataset, Loader, Phrase, PhraseSamples};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::MotionModel;
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
+use kinegrad_motion::{self as motion, Statistics};
 
 use super::networks::{denoiser, networks};
 use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Sampler};
@@ -47,7 +46,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         },
     };
     let statistics = match (&setup.checkpoint, &starts) {
-        (Some(checkpoint), _) => checkpoint.state.statistics.phrases()?.clone(),
+        (Some(checkpoint), _) => checkpoint.state.statistics_of(&motion::Phrases)?.clone(),
         (None, Some(starts)) => starts.statistics()?,
         (None, None) => statistics_of(&dataset, &config)?,
     };
@@ -85,27 +84,24 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
 struct Phrases {
     config: Config,
     own: CcMotionConfig,
-    dataset: Dataset,
-    statistics: Arc<TrainingStatistics>,
+    dataset: Dataset<Phrase>,
+    statistics: Arc<Statistics>,
     device: Device,
 }
 
 impl Phrases {
     /// The held-out phrases, in memory from now on.
     fn held_out(&self) -> Result<HeldOut, Error> {
-        let phrases = self.dataset.validation.load()?;
-        let ids = phrases.iter().map(|phrase| phrase.id.clone()).collect();
-        let statistics = self.statistics.clone();
-        let frames = self.config.data.target_frames;
-        let collate =
-            move |range: Range<usize>| collate_validation(&phrases[range], &statistics, frames);
-        Ok(HeldOut::new(ids, &self.config.validation, collate))
+        let phrases = self.dataset.validation.load()?.into();
+        let (statistics, data) = (self.statistics.clone(), &self.config.data);
+        let samples = PhraseSamples::new(phrases, statistics, data, self.config.run.seed);
+        Ok(HeldOut::new(samples, &self.config.validation))
     }
 
     fn sampler(&self) -> Result<Sampler, Error> {
         let diffusion = GaussianDiffusion::new(&self.own.diffusion)?;
         let statistics = self.statistics.clone();
-        Ok(Sampler::new(diffusion, &self.own.rollout, statistics))
+        Sampler::new(diffusion, &self.own.rollout, statistics)
     }
 
     /// Denoiser and decoder, with the weights of `starts`; without, those of a checkpoint will
@@ -136,20 +132,24 @@ impl Phrases {
             validation: dataset.validation.len(),
             skipped: dataset.skipped,
             digest: dataset.digest,
-            statistics: (*statistics).clone().into(),
+            statistics: (*statistics).clone(),
             loader: Box::new(move |config, first_batch| {
                 let (data, seed) = (&config.data, config.run.seed);
-                Loader::new(dataset.train, statistics, data, seed, first_batch)
+                let samples = PhraseSamples::new(dataset.train, statistics, data, seed);
+                Loader::new(samples, data, seed, first_batch)
             }),
         }
     }
 }
 
 /// Statistics of the training phrases as stored; augmentation widens their ranges only.
-fn statistics_of(dataset: &Dataset, config: &Config) -> Result<TrainingStatistics, Error> {
-    let mut statistics = dataset.train.statistics()?;
+fn statistics_of(dataset: &Dataset<Phrase>, config: &Config) -> Result<Statistics, Error> {
+    let mut statistics = dataset.statistics()?;
     if config.data.augment.rotate_yaw {
-        statistics.widen_ranges_for_yaw();
+        statistics.widen_range_for_yaw(
+            &[POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY],
+            QUATERNION,
+        );
     }
     Ok(statistics)
 }

@@ -14,6 +14,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_models::TextDenoiser;
 use kinegrad_models::gmd::TEXT_CHANNELS;
+use kinegrad_motion::Statistics;
 use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
@@ -67,6 +68,7 @@ pub struct ClipGenerator {
 struct TrainedParts {
     config: Config,
     step: u64,
+    statistics: Statistics,
     channels: usize,
     /// Frames that the network draws at most.
     longest: Option<usize>,
@@ -91,14 +93,15 @@ impl ClipGenerator {
             tracked: model.no_grad(),
             diffusion: GaussianDiffusion::new(&own.diffusion)?,
             space: FeatureSpace::new(
-                &statistics.mean()[..channels],
-                &statistics.std()[..channels],
+                &statistics.mean[..channels],
+                &statistics.std[..channels],
                 projection.as_ref(),
                 device,
             ),
             trained: TrainedParts {
                 step: state.step,
                 config: state.config,
+                statistics,
                 longest: own.model.resolved().padded_frames,
                 channels,
             },
@@ -228,7 +231,7 @@ impl ClipGenerator {
             },
             ..sampling.sampler.clone()
         };
-        let clip = sampling.clip.fixed_range();
+        let clip = sampling.clip.range(&self.trained.statistics)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
         if goals.is_empty() {
             let plain = &self.plain;

@@ -8,8 +8,9 @@ use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
 use kinegrad_models::{ModelSize, TextDenoiser};
+use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
-use kinegrad_motion::humanml::{FeatureStatistics, Root};
+use kinegrad_motion::humanml::Root;
 use pytorch_reader::Tensor;
 
 use super::networks::{MATRIX, channels_of, in_space_of, text_denoiser};
@@ -179,7 +180,7 @@ fn settings(
     mean_path: &Path,
     std_path: &Path,
     sizes: &Sizes,
-) -> Result<(Config, FeatureStatistics), Error> {
+) -> Result<(Config, Statistics), Error> {
     let recipe = &request.architecture;
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
     let mut config = config::parse(Systems(&[&Gmd]), &text, "the recipe's defaults", &[])?;
@@ -226,7 +227,7 @@ fn settings(
     if request.projection.is_none() {
         own.emphasis.kind = EmphasisKind::None;
     }
-    let statistics = FeatureStatistics::new(mean, std, Root::Absolute)?;
+    let statistics = Statistics::new(mean, std, Some(Root::Absolute))?;
     config.system = own.to_table();
     Ok((config, statistics))
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
-use kinegrad_motion::humanml::FeatureStatistics;
+use kinegrad_motion::{Representation, Statistics};
 use toml::Table;
 
 use super::recipes::motion::TRAJECTORY_CHANNELS;
@@ -76,7 +76,7 @@ pub struct TrainedClips {
     /// The space it works in, where that is a projected one.
     pub projection: Option<EmphasisProjection>,
     /// Statistics of its training clips.
-    pub statistics: FeatureStatistics,
+    pub statistics: Statistics,
     /// Config, step.
     pub state: State,
 }
@@ -89,7 +89,9 @@ impl TrainedClips {
     pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
         let state = State::read(path)?;
         if ![MOTION, TRAJECTORY].contains(&state.config.train.recipe.as_str()) {
-            return Err(Error::NotClips);
+            let expected = state.config.data.humanml3d.representation().name();
+            let recipe = state.config.train.recipe;
+            return Err(Error::OtherRepresentation { recipe, expected });
         }
         let values = read_weights(path, &state, weights)?;
         let channels = channels_of(&state.config);
@@ -113,10 +115,18 @@ impl TrainedClips {
         Ok(Self {
             model: parameters::load(model, values)?,
             projection,
-            statistics: state.statistics.features()?.clone(),
+            statistics: statistics_in(&state)?.clone(),
             state,
         })
     }
+}
+
+/// The statistics of a run on clips.
+///
+/// # Errors
+/// [`Error::OtherRepresentation`].
+pub(super) fn statistics_in(state: &State) -> Result<&Statistics, Error> {
+    state.statistics_of(&state.config.data.humanml3d.representation())
 }
 
 /// The checkpoint that `init.diffusion` names, for a run on clips.
@@ -136,8 +146,8 @@ impl ClipStart {
     ///
     /// # Errors
     /// If the checkpoint is damaged or is not of a recipe on clips.
-    pub fn statistics(&self) -> Result<FeatureStatistics, Error> {
-        Ok(State::read(&self.0)?.statistics.features()?.clone())
+    pub fn statistics(&self) -> Result<Statistics, Error> {
+        Ok(statistics_in(&State::read(&self.0)?)?.clone())
     }
 
     /// What the start's config says of network, process and space: it stands beneath the new one.

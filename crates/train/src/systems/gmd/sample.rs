@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use kinegrad_data::humanml::{Clip, ClipDataset, read_embedding};
+use kinegrad_data::Dataset;
+use kinegrad_data::humanml::{Clip, read_embedding};
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
@@ -103,11 +104,8 @@ fn for_held_out(
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
     let config = &subject.config;
-    let dataset = ClipDataset::open(&config.data)?;
-    let clips = match dataset.validation.is_empty() {
-        true => &dataset.train,
-        false => &dataset.validation,
-    };
+    let dataset = Dataset::<Clip>::open(&config.data)?;
+    let clips = dataset.held_out();
     let chosen: Vec<_> = (0..count.min(clips.len()))
         .map(|position| clips.get(position))
         .collect::<Result<_, _>>()?;
@@ -121,7 +119,12 @@ fn for_held_out(
     let mut told = |stage, done, all| receiver.stepped(name_of(stage), done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
     for (clip, sample) in chosen.iter().zip(&samples) {
-        receiver.drawn(drawn(clip.id.clone(), sample, frames, &dataset.skeleton)?)?;
+        receiver.drawn(drawn(
+            clip.id.clone(),
+            sample,
+            frames,
+            &dataset.representation.skeleton,
+        )?)?;
     }
     Ok(None)
 }

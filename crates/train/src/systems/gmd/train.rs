@@ -1,16 +1,15 @@
 //! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
 
-use std::ops::Range;
 use std::sync::Arc;
 
-use kinegrad_data::Loader;
-use kinegrad_data::humanml::{ClipDataset, collate_clips};
+use kinegrad_data::humanml::{Clip, ClipSamples};
+use kinegrad_data::{Dataset, Loader};
 use kinegrad_diffusion::GaussianDiffusion;
 
-use super::networks::{ClipStart, channels_of, model_in_space};
+use super::networks::{ClipStart, channels_of, model_in_space, statistics_in};
 use super::recipes::{GmdMotionRecipe, GmdTrajectoryRecipe};
 use super::{GmdConfig, TRAJECTORY};
-use crate::config::SystemTables;
+use crate::config::{Config, SystemTables};
 use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::Observer;
@@ -21,7 +20,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let config = setup.config.clone();
     let own = GmdConfig::of(&config)?;
     let setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = ClipDataset::open_with_progress(&config.data, &*observer.reading())?;
+    let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*observer.reading())?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
@@ -31,40 +30,36 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         None => ClipStart::named(&config)?,
     };
     let statistics = match (&setup.checkpoint, &start) {
-        (Some(checkpoint), _) => checkpoint.state.statistics.features()?.clone(),
+        (Some(checkpoint), _) => statistics_in(&checkpoint.state)?.clone(),
         (None, Some(start)) => start.statistics()?,
-        (None, None) => dataset.statistics.clone(),
+        (None, None) => dataset.statistics()?,
     };
-    let channels = 0..channels_of(&config);
+    let channels = channels_of(&config);
     let model = match start {
         Some(start) => start.model(&config, &setup.device)?,
         None => model_in_space(&config, &setup.device)?,
     };
+    let kept = statistics.clone();
     let statistics = Arc::new(statistics);
-    let held_out = dataset.validation.load()?;
-    let ids = held_out.iter().map(|clip| clip.id.clone()).collect();
-    let collate = {
-        let (statistics, channels) = (statistics.clone(), channels.clone());
-        let data = config.data.clone();
-        move |range: Range<usize>| {
-            collate_clips(&held_out[range], &statistics, channels.clone(), &data)
-        }
+    let representation = dataset.representation.clone();
+    let samples = move |clips, config: &Config| {
+        let (data, seed) = (&config.data, config.run.seed);
+        let (representation, statistics) = (representation.clone(), statistics.clone());
+        ClipSamples::new(clips, representation, statistics, channels, data, seed)
     };
-    let held_out = HeldOut::new(ids, &config.validation, collate);
+    let clips = dataset.validation.load()?.into();
+    let held_out = HeldOut::new(samples(clips, &config), &config.validation);
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let material = Material {
         train: dataset.train.len(),
         validation: dataset.validation.len(),
         skipped: dataset.skipped,
         digest: dataset.digest,
-        statistics: (*statistics).clone().into(),
-        loader: {
-            let (train, channels) = (dataset.train, channels.clone());
-            Box::new(move |config, first_batch| {
-                let (data, seed) = (&config.data, config.run.seed);
-                Loader::clips(train, statistics, channels, data, seed, first_batch)
-            })
-        },
+        statistics: kept,
+        loader: Box::new(move |config, first_batch| {
+            let samples = samples(dataset.train, config);
+            Loader::new(samples, &config.data, config.run.seed, first_batch)
+        }),
     };
     match setup.recipe.name {
         TRAJECTORY => {
@@ -73,7 +68,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         }
         _ => {
             let scale = own.loss.trajectory_scale;
-            let recipe = GmdMotionRecipe::new(diffusion, channels.len(), scale, held_out);
+            let recipe = GmdMotionRecipe::new(diffusion, channels, scale, held_out);
             setup.train(material, recipe, model, observer)
         }
     }

@@ -9,7 +9,7 @@ use kinegrad_motion::metrics::{
     FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats,
     trajectory_features,
 };
-use kinegrad_motion::{Motion, Profile, Report, TrainingStatistics, Value, check};
+use kinegrad_motion::{Motion, Profile, Report, Statistics, Value, check};
 use serde::Serialize;
 
 use super::terms::{LossTerm, loss_terms};
@@ -107,7 +107,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
 
 /// What motions are measured against.
 pub(super) struct Reference<'a> {
-    statistics: &'a TrainingStatistics,
+    statistics: &'a Statistics,
     phrases: &'a [Arc<Phrase>],
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
@@ -120,7 +120,7 @@ impl<'a> Reference<'a> {
     pub fn new(
         held_out: &'a [Arc<Phrase>],
         training: &[Arc<Phrase>],
-        statistics: &'a TrainingStatistics,
+        statistics: &'a Statistics,
     ) -> Self {
         let moments = |phrases: &[Arc<Phrase>]| {
             let motions = phrases.iter().map(|phrase| &phrase.motion);
@@ -186,7 +186,7 @@ impl<'a> Reference<'a> {
 
 fn feature_moments<'a>(
     motions: impl Iterator<Item = &'a Motion>,
-    statistics: &TrainingStatistics,
+    statistics: &Statistics,
 ) -> Option<FeatureMoments> {
     let features: Vec<_> = motions
         .map(|motion| trajectory_features(motion, statistics))
@@ -221,8 +221,8 @@ mod tests {
             .collect()
     }
 
-    fn statistics(phrases: &[Arc<Phrase>]) -> TrainingStatistics {
-        TrainingStatistics::compute(phrases.iter().map(|phrase| &phrase.motion)).unwrap()
+    fn statistics(phrases: &[Arc<Phrase>]) -> Statistics {
+        kinegrad_motion::phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap()
     }
 
     /// The phrase moved by `metres` along x, in every frame.

@@ -1,6 +1,6 @@
 //! The evaluation of a trained model on its held-out phrases.
 
-use kinegrad_data::{DataKind, Dataset};
+use kinegrad_data::{DataKind, Dataset, Phrase};
 
 use super::report::evaluated;
 use super::{CondSource, EvaluationSettings, evaluate};
@@ -38,7 +38,7 @@ pub fn prepare<'a>(
         data.kind = DataKind::Phrases;
         data.source = Some(source.clone());
     }
-    let dataset = Dataset::open(&data)?;
+    let dataset = Dataset::<Phrase>::open(&data)?;
     if dataset.validation.is_empty() {
         let message = format!(
             "no phrase is held out for {}: all {} are trained on",

@@ -9,7 +9,7 @@
 //! `diffusion.cond_drop_prob`, so that classifier-free guidance has a null condition it knows.
 
 use burn::tensor::Device;
-use kinegrad_data::Batch;
+use kinegrad_data::{AUDIO, Batch};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
 use kinegrad_models::UNet1d;
 
@@ -68,7 +68,7 @@ pub(super) fn denoising_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, cond, dropout| unet.forward(x_t, time, cond, dropout),
+        |x_t, time, cond, dropout| unet.forward(x_t, time, cond.get(AUDIO).clone(), dropout),
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             diffusion_loss(

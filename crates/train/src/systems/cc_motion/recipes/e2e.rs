@@ -18,7 +18,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use kinegrad_data::Batch;
+use kinegrad_data::{AUDIO, Batch};
 use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
@@ -99,14 +99,14 @@ impl E2eRecipe {
                 &model.unet,
                 &model.unet.valid(),
                 self.sampler.start(&inputs.x_start, start_noise, &starts),
-                &inputs.cond,
+                inputs.cond.get(AUDIO),
                 &rollout_timesteps(&starts, self.sampler.config.steps),
                 self.sampler.config.graph(),
             )
             .expect("bounds of 25 channels");
         let pending = output.trace.map(|trace| PendingRollout {
             trace,
-            cond: inputs.cond.clone(),
+            cond: inputs.cond.get(AUDIO).clone(),
         });
 
         // 3. Its latent decoded, compared with the ground truth, and with itself.

@@ -3,34 +3,39 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
-use kinegrad_motion::TrainingStatistics;
+use kinegrad_motion::Statistics;
 use kinegrad_random::Key;
 
 use crate::denoising::Inputs;
+use crate::error::Error;
 use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.
 pub struct Sampler {
     pub(super) rollout: Rollout,
     pub(super) config: RolloutConfig,
-    pub(super) statistics: Arc<TrainingStatistics>,
+    pub(super) statistics: Arc<Statistics>,
 }
 
 impl Sampler {
     /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
+    ///
+    /// # Errors
+    /// [`Error::NoRange`].
     pub fn new(
         diffusion: GaussianDiffusion,
         config: &RolloutConfig,
-        statistics: Arc<TrainingStatistics>,
-    ) -> Self {
-        let clip = config.clip.range(&statistics);
+        statistics: Arc<Statistics>,
+    ) -> Result<Self, Error> {
+        let clip = config.clip.range(&statistics)?;
         let clip = match config.straight_through {
             true => kinegrad_diffusion::Clip::StraightThrough(Box::new(clip)),
             false => clip,
         };
-        Self {
+        Ok(Self {
             rollout: Rollout {
                 diffusion,
                 clip,
@@ -39,7 +44,7 @@ impl Sampler {
             },
             config: config.clone(),
             statistics,
-        }
+        })
     }
 
     /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
@@ -93,7 +98,7 @@ impl Sampler {
             unet,
             unet,
             self.start(&inputs.x_start, noise, starts),
-            &inputs.cond,
+            inputs.cond.get(AUDIO),
             &rollout_timesteps(starts, self.config.steps),
             RolloutMode::LastK(0),
         );

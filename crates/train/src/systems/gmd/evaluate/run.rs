@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use kinegrad_data::humanml::ClipDataset;
-use kinegrad_data::{DataKind, ValidationSplit};
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
@@ -48,7 +48,7 @@ pub fn prepare<'a>(
         // The dataset's own lists say what is held out.
         data.validation = ValidationSplit::default();
     }
-    let dataset = ClipDataset::open(&data)?;
+    let dataset = Dataset::<Clip>::open(&data)?;
     if dataset.validation.is_empty() {
         let message = format!("no clip is held out for {}", subject.checkpoint.display());
         let hint = "goals are taken from held-out clips: give a dataset that holds out some with \

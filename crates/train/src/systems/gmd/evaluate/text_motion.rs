@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use kinegrad_data::humanml::{Clip, read_word_vectors};
-use kinegrad_motion::humanml::{FeatureStatistics, Features, Root};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_motion::metrics::text_motion::{
     EvaluatorWeights, NamedArrays, TextMotionEvaluator, TextMotionReport, Token, WordVectors,
 };
@@ -67,7 +68,7 @@ impl TextMotion {
             text_encoder: part("text_encoder")?,
         };
         let (mean, std) = (vector(&files.mean)?, vector(&files.std)?);
-        let statistics = FeatureStatistics::new(mean, std, Root::Relative)?;
+        let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
         Ok(Self {
             evaluator: TextMotionEvaluator::new(&weights, statistics)?,
             words: read_word_vectors(&files.word_vectors)?,

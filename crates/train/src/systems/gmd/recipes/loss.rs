@@ -1,6 +1,7 @@
 //! The loss of both models.
 
 use burn::tensor::{Tensor, TensorData};
+use kinegrad_data::TEXT;
 use kinegrad_diffusion::loss::elementwise;
 use kinegrad_diffusion::{GaussianDiffusion, LossType};
 use kinegrad_models::TextDenoiser;
@@ -32,7 +33,7 @@ pub fn clip_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, text, _| model.forward(x_t, time, text),
+        |x_t, time, cond, _| model.forward(x_t, time, cond.get(TEXT).clone()),
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             weighted_masked_loss(

@@ -3,11 +3,13 @@
 use std::fs;
 use std::path::Path;
 
+use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::{Features, Root};
+use kinegrad_motion::representation::statistics_of;
 
 use super::*;
 use crate::humanml::{SkeletonName, parse_features, walk, write_features, write_walks};
-use crate::{OnBadPhrase, npy};
+use crate::{Dataset, OnBadPhrase, npy};
 
 fn dataset(clips: usize) -> (tempfile::TempDir, DataConfig) {
     let folder = tempfile::tempdir().unwrap();
@@ -21,7 +23,7 @@ fn dataset(clips: usize) -> (tempfile::TempDir, DataConfig) {
 }
 
 fn message(config: &DataConfig) -> String {
-    ClipDataset::open(config).unwrap_err().to_string()
+    Dataset::<Clip>::open(config).unwrap_err().to_string()
 }
 
 fn id(index: usize) -> String {
@@ -45,7 +47,7 @@ fn write_array(path: &Path, shape: &[usize]) {
 #[test]
 fn written_walks_are_those_made_in_memory() {
     let (folder, config) = dataset(14);
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     let mut made = config.clone();
     made.kind = DataKind::SyntheticWalks;
     made.synthetic = crate::SyntheticConfig {
@@ -53,15 +55,18 @@ fn written_walks_are_those_made_in_memory() {
         frames: 80,
         seed: 5,
     };
-    let made = ClipDataset::open(&made).unwrap();
+    let made = Dataset::<Clip>::open(&made).unwrap();
     assert_eq!(read.train.load().unwrap(), made.train.load().unwrap());
     let held_out = read.validation.load().unwrap();
     assert_eq!(held_out, made.validation.load().unwrap());
     assert_eq!(read.train.len() + read.validation.len(), 14);
-    assert_eq!(read.statistics, made.statistics);
-    assert!(read.conditional && read.skipped.is_empty() && read.left_out.is_empty());
+    assert_eq!(read.statistics().unwrap(), made.statistics().unwrap());
+    assert!(read.skipped.is_empty() && read.left_out.is_empty());
     assert_eq!(
-        (read.layout().channels(), read.statistics.clips()),
+        (
+            read.representation.channels(),
+            read.statistics().unwrap().items
+        ),
         (263, read.train.len())
     );
     assert_eq!(read.find(&id(3)).unwrap().unwrap().id, id(3));
@@ -95,7 +100,7 @@ fn another_width_names_file_and_both_widths() {
         "{found}"
     );
     config.on_bad_phrase = OnBadPhrase::Skip;
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     assert_eq!(read.skipped[0].0, id(2));
     assert!(read.skipped[0].1.contains("found 251 channels"));
     write_array(&features_file(folder.path(), 2), &[60]);
@@ -122,18 +127,18 @@ fn numbers_that_are_not_finite_are_named() {
 #[test]
 fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     let (folder, mut config) = dataset(6);
-    let absolute = ClipDataset::open(&config).unwrap();
+    let absolute = Dataset::<Clip>::open(&config).unwrap();
     for name in ["Mean.npy", "Std.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
     // Those files are for the relative root and say nothing of the absolute one.
-    let again = ClipDataset::open(&config).unwrap();
-    assert_eq!(again.statistics, absolute.statistics);
+    let again = Dataset::<Clip>::open(&config).unwrap();
+    assert_eq!(again.statistics().unwrap(), absolute.statistics().unwrap());
     assert_eq!(again.digest, absolute.digest);
     config.humanml3d.root = Root::Relative;
-    let given = ClipDataset::open(&config).unwrap();
-    assert_eq!(given.statistics.mean(), [0.5; 263]);
-    assert_eq!(given.statistics.root(), Root::Relative);
+    let given = Dataset::<Clip>::open(&config).unwrap();
+    assert_eq!(given.statistics().unwrap().mean, [0.5; 263]);
+    assert_eq!(given.statistics().unwrap().root, Some(Root::Relative));
     assert_ne!(given.digest, absolute.digest);
 
     write_array(&folder.path().join("Std.npy"), &[251]);
@@ -150,21 +155,20 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     for name in ["Mean_abs_3d.npy", "Std_abs_3d.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
-    let given = ClipDataset::open(&config).unwrap();
-    assert_eq!(
-        (given.statistics.std()[0], given.statistics.root()),
-        (0.5, Root::Absolute)
-    );
+    let given = Dataset::<Clip>::open(&config).unwrap();
+    let given = given.statistics().unwrap();
+    assert_eq!((given.std[0], given.root), (0.5, Some(Root::Absolute)));
 }
 
 #[test]
 fn statistics_are_those_of_the_converted_training_clips() {
     let (_folder, config) = dataset(8);
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     let clips = read.train.load().unwrap();
     let converted: Vec<Features> = clips.iter().map(|c| c.features.to_absolute()).collect();
-    let expected = FeatureStatistics::compute(&converted).unwrap();
-    assert_eq!(read.statistics, expected);
+    let rows = converted.iter().map(Features::as_slice);
+    let expected = statistics_of(&read.representation, rows).unwrap();
+    assert_eq!(read.statistics().unwrap(), expected);
 }
 
 #[test]
@@ -177,7 +181,7 @@ fn captions_are_needed_where_there_are_embeddings() {
         "{found}"
     );
     config.humanml3d.captions = Some(CaptionRule::Optional);
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     assert!(read.find(&id(3)).unwrap().unwrap().captions.is_empty());
     fs::write(texts_file(folder.path(), 3), "one#two\n").unwrap();
     assert!(message(&config).contains("walk_00003.txt, line 1: found `one#two`"));
@@ -193,10 +197,10 @@ fn captions_are_needed_where_there_are_embeddings() {
 
     config.humanml3d.text_embeddings = "none.safetensors".into();
     config.humanml3d.captions = None;
-    let read = ClipDataset::open(&config).unwrap();
-    assert!(!read.conditional && read.warnings[0].contains("none.safetensors: not found"));
+    let read = Dataset::<Clip>::open(&config).unwrap();
+    assert!(!read.warnings[0].contains("none.safetensors: not found"));
     config.humanml3d.text_embeddings.clear();
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     assert!(read.warnings.is_empty(), "{:?}", read.warnings);
 }
 
@@ -212,7 +216,7 @@ fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
     write(2, 199);
     fs::write(texts_file(folder.path(), 4), "a b#a/X#1.0#2.0\n").unwrap();
     config.humanml3d.text_embeddings.clear();
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     let expected = [
         (id(0), "too short: 39 frames"),
         (id(1), "too long: 200 frames"),
@@ -224,7 +228,7 @@ fn passages_too_short_are_dropped_and_clips_of_other_lengths_left_out() {
     assert!(read.find(&id(4)).unwrap().unwrap().captions.is_empty());
     assert!(read.warnings[0].contains("clip `walk_00004`: 1 caption(s)"));
     config.humanml3d.captions = Some(CaptionRule::Required);
-    assert_eq!(ClipDataset::open(&config).unwrap().left_out[2].0, id(4));
+    assert_eq!(Dataset::<Clip>::open(&config).unwrap().left_out[2].0, id(4));
     config.humanml3d.max_frames = 60;
     config.num_phrases = Some(2);
     let found = message(&config);
@@ -237,7 +241,7 @@ fn lists_decide_and_what_is_wrong_with_them_is_said() {
     let list = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     list("train.txt", "walk_00001\nwalk_00000\nwalk_00001\n");
     list("val.txt", "walk_00004\n");
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     assert_eq!(read.train.ids().collect::<Vec<_>>(), [id(0), id(1)]);
     assert_eq!(read.validation.ids().collect::<Vec<_>>(), [id(4)]);
     assert!(
@@ -248,7 +252,7 @@ fn lists_decide_and_what_is_wrong_with_them_is_said() {
     let digest = read.digest;
     list("train.txt", "walk_00000\n");
     list("val.txt", "walk_00004\nwalk_00001\n");
-    assert_ne!(ClipDataset::open(&config).unwrap().digest, digest);
+    assert_ne!(Dataset::<Clip>::open(&config).unwrap().digest, digest);
     list("val.txt", "walk_00000\n");
     let found = message(&config);
     assert!(
@@ -256,7 +260,12 @@ fn lists_decide_and_what_is_wrong_with_them_is_said() {
         "{found}"
     );
     list("val.txt", "");
-    assert!(ClipDataset::open(&config).unwrap().validation.is_empty());
+    assert!(
+        Dataset::<Clip>::open(&config)
+            .unwrap()
+            .validation
+            .is_empty()
+    );
     list("train.txt", "\n");
     assert!(message(&config).contains("train.txt: found no id"));
     config.humanml3d.train_list = "other.txt".into();
@@ -266,7 +275,7 @@ fn lists_decide_and_what_is_wrong_with_them_is_said() {
 #[test]
 fn the_digest_knows_texts_and_embeddings_and_not_the_place() {
     let (folder, config) = dataset(4);
-    let digest = |config: &DataConfig| ClipDataset::open(config).unwrap().digest;
+    let digest = |config: &DataConfig| Dataset::<Clip>::open(config).unwrap().digest;
     let first = digest(&config);
     let (_other, elsewhere) = dataset(4);
     assert_eq!(digest(&elsewhere), first);
@@ -289,7 +298,7 @@ fn the_digest_knows_texts_and_embeddings_and_not_the_place() {
 fn a_clip_that_changes_under_a_run_is_refused() {
     let (folder, mut config) = dataset(4);
     config.cache.memory_mib = 0;
-    let read = ClipDataset::open(&config).unwrap();
+    let read = Dataset::<Clip>::open(&config).unwrap();
     let text = texts_file(folder.path(), 1);
     fs::write(
         &text,
@@ -325,8 +334,11 @@ fn kit_clips_have_251_channels_and_their_own_rate() {
         "{error}"
     );
     config.humanml3d.skeleton = SkeletonName::Kit;
-    let read = ClipDataset::open(&config).unwrap();
-    assert_eq!((read.layout().channels(), read.train.frames(0)), (251, 60));
+    let read = Dataset::<Clip>::open(&config).unwrap();
+    assert_eq!(
+        (read.representation.channels(), read.train.frames(0)),
+        (251, 60)
+    );
     let clip = read.train.get(0).unwrap();
     let fps = skeleton.description().fps;
     assert_eq!(clip.captions[0].frames(60, fps), 10..50);
@@ -340,7 +352,9 @@ fn kit_clips_have_251_channels_and_their_own_rate() {
 #[test]
 fn datasets_of_phrases_and_of_clips_are_told_apart() {
     let (_folder, config) = dataset(3);
-    let found = crate::Dataset::open(&config).unwrap_err().to_string();
+    let found = Dataset::<crate::Phrase>::open(&config)
+        .unwrap_err()
+        .to_string();
     assert!(
         found.contains("data.kind = \"humanml3d\": \"phrases\""),
         "{found}"

@@ -1,0 +1,314 @@
+//! From clips to samples: caption, passage, crop, root, normalisation.
+
+use std::sync::Arc;
+
+use kinegrad_motion::{JointFeatures, Representation, Statistics};
+use kinegrad_random::{Key, Purpose};
+
+use crate::batch::{ConditionRows, SampleShape, TEXT};
+use crate::loader::Samples;
+use crate::{Batch, Crop, DataConfig, Error};
+
+use super::clip::NO_EMBEDDING;
+use super::{Clip, ClipSet, EMBEDDING_CHANNELS};
+
+/// Samples of clips, conditioned on the embedding of a caption: as long as whole units of
+/// `data.humanml3d.unit_frames` allow.
+#[derive(Clone, Debug)]
+pub struct ClipSamples {
+    clips: ClipSet,
+    representation: JointFeatures,
+    statistics: Arc<Statistics>,
+    channels: usize,
+    target_frames: usize,
+    unit_frames: usize,
+    crop: Crop,
+    seed: u64,
+}
+
+impl ClipSamples {
+    /// Samples of the first `channels` of the features of `clips`, normalised by `statistics`, cut
+    /// as `config` says with draws of this `seed`.
+    ///
+    /// # Panics
+    /// Panics if `statistics` or `channels` are not of the `representation`.
+    pub fn new(
+        clips: ClipSet,
+        representation: JointFeatures,
+        statistics: Arc<Statistics>,
+        channels: usize,
+        config: &DataConfig,
+        seed: u64,
+    ) -> Self {
+        let all = representation.channels();
+        assert_eq!(statistics.channels(), all, "another skeleton");
+        assert_eq!(statistics.root, Some(representation.root), "another root");
+        assert!(
+            (1..=all).contains(&channels),
+            "{channels} of {all} channels"
+        );
+        Self {
+            clips,
+            representation,
+            statistics,
+            channels,
+            target_frames: config.target_frames,
+            unit_frames: config.humanml3d.unit_frames,
+            crop: config.crop,
+            seed,
+        }
+    }
+}
+
+impl Samples for ClipSamples {
+    type Item = Clip;
+    type Read = Arc<Clip>;
+
+    fn items(&self) -> &ClipSet {
+        &self.clips
+    }
+
+    fn shape(&self) -> SampleShape {
+        SampleShape {
+            channels: self.channels,
+            frames: self.target_frames,
+            conditions: vec![(TEXT, EMBEDDING_CHANNELS, 1)],
+        }
+    }
+
+    fn read(&self, position: usize) -> Result<Arc<Clip>, Error> {
+        self.clips.get(position)
+    }
+
+    /// Validation takes the first caption and the leading crop. The relative features are cut and
+    /// then converted, so that every sample begins at the origin facing +z.
+    fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
+        let below = |bound, purpose| {
+            number.map_or(0, |n| {
+                Key::new(self.seed, purpose).at(n).integers(1, bound)[0]
+            })
+        };
+        let caption = match clip.captions.len() {
+            0 => None,
+            captions => Some(&clip.captions[below(captions, Purpose::Caption)]),
+        };
+        let frames = clip.features.frames();
+        let passage = caption.map_or(0..frames, |caption| {
+            caption.frames(frames, self.representation.fps())
+        });
+        // The reader has left shorter passages out; held clips may be of any length.
+        let passage = match passage.is_empty() {
+            true => 0..frames,
+            false => passage,
+        };
+        let most = passage.len().min(self.target_frames);
+        let length = match most - most % self.unit_frames {
+            0 => most,
+            length => length,
+        };
+        let first = passage.start
+            + match self.crop {
+                Crop::Random => below(passage.len() - length + 1, Purpose::Crop),
+                Crop::Leading => 0,
+            };
+        let features = clip.features.slice(first..first + length);
+        let features = features.with_root(self.representation.root);
+        let embedding = caption.and_then(|caption| caption.embedding.as_deref());
+        let text = ConditionRows {
+            values: embedding.unwrap_or(&NO_EMBEDDING),
+            frames: 1,
+            range: 0..1,
+        };
+        batch.push(&clip.id, features.as_slice(), &self.statistics, &[text]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::humanml::walk;
+    use crate::{DataKind, Dataset, Loader};
+    use kinegrad_motion::humanml::{Features, Root};
+    use kinegrad_motion::representation::statistics_of;
+    use std::collections::BTreeSet;
+
+    fn config() -> DataConfig {
+        let mut config = DataConfig {
+            kind: DataKind::SyntheticWalks,
+            target_frames: 50,
+            batch_size: 3,
+            num_workers: 0,
+            ..DataConfig::default()
+        };
+        config.synthetic.phrases = 7;
+        config.synthetic.frames = 90;
+        config
+    }
+
+    fn samples(config: &DataConfig, channels: usize) -> ClipSamples {
+        let dataset = Dataset::open(config).unwrap();
+        let statistics = Arc::new(dataset.statistics().unwrap());
+        let Dataset {
+            train,
+            representation,
+            ..
+        } = dataset;
+        ClipSamples::new(train, representation, statistics, channels, config, 1)
+    }
+
+    fn batches(config: &DataConfig, channels: usize, first: u64, n: usize) -> Vec<Batch> {
+        let mut loader = Loader::new(samples(config, channels), config, 1, first);
+        (0..n).map(|_| loader.next().unwrap()).collect()
+    }
+
+    #[test]
+    fn batches_are_the_same_with_any_number_of_workers_and_from_any_start() {
+        let with = |num_workers, memory_mib| {
+            let mut config = config();
+            config.num_workers = num_workers;
+            config.cache.memory_mib = memory_mib;
+            config
+        };
+        let expected = batches(&with(0, 1024), 263, 0, 9);
+        assert_eq!(batches(&with(3, 1024), 263, 0, 9), expected);
+        assert_eq!(batches(&with(1, 1024), 263, 5, 4), expected[5..]);
+        assert_eq!(batches(&with(0, 0), 263, 5, 4), expected[5..]);
+        assert!(expected.iter().zip(&expected[1..]).all(|(a, b)| a != b));
+    }
+
+    #[test]
+    fn samples_are_whole_units_and_the_rest_is_padding() {
+        let batch = &batches(&config(), 263, 0, 1)[0];
+        assert_eq!((batch.channels, batch.frames), (263, 50));
+        assert_eq!(batch.conditions[0].values.len(), 3 * 512);
+        for sample in 0..3 {
+            let mask = &batch.mask[50 * sample..][..50];
+            assert!(mask[..48].iter().all(|&value| value == 1.0));
+            assert_eq!(mask[48..], [0.0, 0.0]);
+            for channel in 0..263 {
+                let row = &batch.x_start[(sample * 263 + channel) * 50..][..50];
+                assert_eq!(row[48..], [0.0, 0.0]);
+            }
+            let condition = &batch.conditions[0].values[512 * sample..][..512];
+            let square: f32 = condition.iter().map(|value| value * value).sum();
+            assert!((square - 1.0).abs() < 1e-4, "{square}");
+        }
+    }
+
+    #[test]
+    fn crops_are_anchored_at_the_origin_and_are_those_of_their_clip() {
+        for root in [Root::Absolute, Root::Relative] {
+            let mut config = config();
+            config.humanml3d.root = root;
+            let dataset = Dataset::<Clip>::open(&config).unwrap();
+            let statistics = dataset.statistics().unwrap();
+            let mut starts = BTreeSet::new();
+            for batch in batches(&config, 263, 0, 6) {
+                for sample in 0..3 {
+                    // A passage may be shorter than the crop.
+                    let mask = &batch.mask[50 * sample..][..50];
+                    let valid = mask.iter().filter(|&&value| value == 1.0).count();
+                    assert!(valid >= 40 && valid % 4 == 0, "{valid}");
+                    let rows = &batch.x_start[sample * 263 * 50..][..263 * 50];
+                    let values = rows.chunks(50).flat_map(|row| &row[..valid]).copied();
+                    let values: Vec<f32> = values.collect();
+                    let found = statistics.denormalize(&values);
+                    if root == Root::Absolute {
+                        let first = &found[..3];
+                        assert!(first.iter().all(|value| value.abs() < 1e-6), "{first:?}");
+                    }
+                    let clip = dataset.find(&batch.ids[sample]).unwrap().unwrap();
+                    let normalized = |start: usize| {
+                        let part = clip.features.slice(start..start + valid);
+                        statistics.normalize(part.with_root(root).as_slice())
+                    };
+                    let start = (0..=90 - valid).find(|&start| normalized(start) == values);
+                    starts.insert(start.expect("a window of the clip"));
+                }
+            }
+            assert!(starts.len() > 8, "{starts:?}");
+        }
+    }
+
+    #[test]
+    fn the_first_channels_alone_are_those_of_all() {
+        let (all, few) = (batches(&config(), 263, 0, 2), batches(&config(), 4, 0, 2));
+        for (all, few) in all.iter().zip(&few) {
+            assert_eq!((few.channels, few.x_start.len()), (4, 3 * 4 * 50));
+            for sample in 0..3 {
+                let part = &all.x_start[sample * 263 * 50..][..4 * 50];
+                assert_eq!(&few.x_start[sample * 4 * 50..][..4 * 50], part);
+            }
+            assert_eq!((&all.conditions, &all.mask), (&few.conditions, &few.mask));
+        }
+    }
+
+    #[test]
+    fn every_caption_comes_up_with_its_own_passage() {
+        let mut config = config();
+        config.batch_size = 64;
+        let clip = (0..40).map(|index| walk(index, 90, 3));
+        let mut clip = clip.filter(|clip| clip.captions.len() == 4);
+        let mut clip = clip.next().expect("a walk that turns");
+        // Passages that leave one start each tell the crops of captions apart.
+        for (caption, seconds) in clip.captions.iter_mut().zip([
+            None,
+            Some((0.0, 2.0)),
+            Some((1.0, 3.0)),
+            Some((2.0, 4.0)),
+        ]) {
+            caption.seconds = seconds;
+        }
+        let features: Vec<_> = [(0, 40), (20, 60), (40, 80)]
+            .map(|(from, to)| clip.features.slice(from..to).to_absolute())
+            .to_vec();
+        let representation = samples(&config, 263).representation;
+        let rows = features.iter().map(Features::as_slice);
+        let statistics = Arc::new(statistics_of(&representation, rows).unwrap());
+        let clips = ClipSet::from(vec![Arc::new(clip.clone())]);
+        let samples = ClipSamples::new(clips, representation, statistics.clone(), 263, &config, 1);
+        let mut loader = Loader::new(samples, &config, 1, 0);
+        let batch = loader.next().unwrap();
+        let mut seen = [0; 4];
+        for sample in 0..64 {
+            let condition = &batch.conditions[0].values[512 * sample..][..512];
+            let caption = clip
+                .captions
+                .iter()
+                .position(|caption| caption.embedding.as_deref() == Some(condition));
+            let caption = caption.expect("an embedding of the clip");
+            seen[caption] += 1;
+            if let Some(part) = caption.checked_sub(1) {
+                let expected = statistics.normalize(features[part].as_slice());
+                let rows = &batch.x_start[sample * 263 * 50..][..263 * 50];
+                let found: Vec<f32> = rows.chunks(50).flat_map(|row| row[..40].to_vec()).collect();
+                assert_eq!(found, expected);
+            }
+        }
+        assert!(seen.iter().all(|&count| count > 6), "{seen:?}");
+    }
+
+    #[test]
+    fn validation_takes_the_first_caption_and_the_leading_crop() {
+        let config = config();
+        let all = samples(&config, 263);
+        let clips = all.clips.load().unwrap();
+        let batch = all.collate(0..clips.len()).unwrap();
+        assert_eq!(batch.batch_size, clips.len());
+        let first = clips[1].features.slice(0..48).to_absolute();
+        let rows = &batch.x_start[263 * 50..][..263 * 50];
+        let found: Vec<f32> = rows.chunks(50).flat_map(|row| row[..48].to_vec()).collect();
+        assert_eq!(found, all.statistics.normalize(first.as_slice()));
+        let embedding = clips[1].captions[0].embedding.as_deref();
+        assert_eq!(Some(&batch.conditions[0].values[512..1024]), embedding);
+
+        let mut bare = (*clips[0]).clone();
+        bare.captions.clear();
+        let one = ClipSamples {
+            clips: vec![Arc::new(bare)].into(),
+            ..all
+        };
+        let batch = one.collate(0..1).unwrap();
+        assert_eq!(batch.conditions[0].values, [0.0; 512]);
+    }
+}

@@ -1,0 +1,338 @@
+//! Bodies: joint features such as HumanML3D's, and plain joint positions.
+
+use std::ops::Range;
+
+use super::{Curves, Representation};
+use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
+use crate::kinematics::differences;
+use crate::metrics::JointTracks;
+use crate::rotation::length;
+use crate::sanity::body;
+use crate::statistics::{CONSTANT, percentile};
+use crate::{ChannelMoments, Error, Profile, Report, Statistics};
+
+/// How far the columns of a rotation may be from unit length.
+const COLUMN_TOLERANCE: f32 = 0.05;
+
+/// Joint features of a skeleton, `[frames, 12 J - 1]` for J joints (docs/sources.md, section 3.1).
+///
+/// Normalisation averages deviations within the seven groups of the layout, so that the parts of a
+/// position keep their proportions (docs/sources.md, section 3.5).
+#[derive(Clone, Debug)]
+pub struct JointFeatures {
+    /// Whose joints they are of.
+    pub skeleton: Skeleton,
+    /// How their first channels say where the root is.
+    pub root: Root,
+}
+
+impl JointFeatures {
+    fn layout(&self) -> FeatureLayout {
+        self.skeleton.layout()
+    }
+
+    /// Their channels, in groups.
+    fn features(&self, rows: &[f32]) -> Option<Features> {
+        Features::new(rows.to_vec(), self.layout(), self.root).ok()
+    }
+}
+
+/// Names of the groups of [`FeatureLayout::groups`].
+const GROUPS: [&str; 7] = [
+    "root rotation",
+    "root ground velocity",
+    "root height",
+    "joint positions",
+    "joint rotations",
+    "joint velocities",
+    "foot contacts",
+];
+
+impl Representation for JointFeatures {
+    fn name(&self) -> String {
+        let skeleton = &self.skeleton.description().name;
+        format!("joint features of `{skeleton}`, {} root", self.root)
+    }
+
+    fn channels(&self) -> usize {
+        self.layout().channels()
+    }
+
+    fn fps(&self) -> f64 {
+        self.skeleton.description().fps
+    }
+
+    fn channel_name(&self, channel: usize) -> String {
+        self.layout().channel_name(channel)
+    }
+
+    fn groups(&self) -> Vec<(String, Range<usize>)> {
+        let names = GROUPS.map(String::from).into_iter();
+        names.zip(self.layout().groups()).collect()
+    }
+
+    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
+        let velocity = self.layout().velocities().start;
+        let squares =
+            (velocity..velocity + 3).map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
+        let rms_speed = self.fps() * squares.sum::<f64>().sqrt();
+        let measured = moments.std.clone();
+        let mut statistics = Statistics::standard(moments);
+        for group in self.layout().groups() {
+            let average = measured[group.clone()].iter().sum::<f64>() / group.len() as f64;
+            statistics.std[group].fill(if average < CONSTANT { 1.0 } else { average });
+        }
+        Statistics {
+            root: Some(self.root),
+            rms_speed: Some(rms_speed),
+            jerk_p95: Some(percentile(jerks, 95.0)),
+            ..statistics
+        }
+    }
+
+    fn mean_jerk(&self, rows: &[f32]) -> f64 {
+        let joints = self.joints(rows);
+        joints.map_or(0.0, |joints| mean_jerk(&joints, self.fps()))
+    }
+
+    fn joints(&self, rows: &[f32]) -> Option<Joints> {
+        Some(self.features(rows)?.joints())
+    }
+
+    fn bones(&self) -> Vec<[usize; 2]> {
+        self.skeleton.chains().flatten().collect()
+    }
+
+    /// Where the first rotation stands that is none: features that were normalised, or of another
+    /// layout.
+    fn implausible(&self, rows: &[f32]) -> Option<String> {
+        let frames = rows.chunks_exact(self.channels()).enumerate();
+        frames.into_iter().find_map(|(t, frame)| {
+            let (columns, _) = frame[self.layout().rotations()].as_chunks::<3>();
+            let length = |column: &[f32; 3]| column.iter().map(|v| v * v).sum::<f32>().sqrt();
+            let odd = |column: &[f32; 3]| (length(column) - 1.0).abs() > COLUMN_TOLERANCE;
+            let place = columns.iter().position(odd)?;
+            Some(format!(
+                "joint rotations are none in frame {t}: a column of joint {} has length {:.3}, 1 \
+                 expected (are the features normalised already?)",
+                1 + place / 2,
+                length(&columns[place])
+            ))
+        })
+    }
+
+    fn check(
+        &self,
+        rows: &[f32],
+        profile: Profile,
+        statistics: Option<&Statistics>,
+    ) -> Result<Report, Error> {
+        let body = body::Body {
+            bones: &self.bones(),
+            feet: &self.skeleton.contact_joints(),
+            fps: self.fps(),
+        };
+        body.check(rows, self.joints(rows).as_ref(), profile, statistics)
+    }
+
+    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
+        let mut curves = body_curves(
+            self.joints(rows).as_ref(),
+            &self.skeleton.contact_joints(),
+            self.fps(),
+        );
+        let names = ["left ankle", "left foot", "right ankle", "right foot"];
+        let contacts = self.layout().contacts();
+        let width = self.channels();
+        curves.push(Curves::channels(
+            "foot contacts",
+            rows,
+            width,
+            contacts,
+            &names,
+        ));
+        curves
+    }
+}
+
+/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up.
+#[derive(Clone, Debug)]
+pub struct JointPositions {
+    /// Whose joints they are.
+    pub skeleton: Skeleton,
+}
+
+impl Representation for JointPositions {
+    fn name(&self) -> String {
+        format!("joint positions of `{}`", self.skeleton.description().name)
+    }
+
+    fn channels(&self) -> usize {
+        3 * self.skeleton.joints()
+    }
+
+    fn fps(&self) -> f64 {
+        self.skeleton.description().fps
+    }
+
+    fn channel_name(&self, channel: usize) -> String {
+        format!("joint_{}.{}", channel / 3, ["x", "y", "z"][channel % 3])
+    }
+
+    fn accepts(&self, shape: &[usize]) -> bool {
+        matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
+    }
+
+    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
+        Statistics {
+            jerk_p95: Some(percentile(jerks, 95.0)),
+            ..Statistics::standard(moments)
+        }
+    }
+
+    fn mean_jerk(&self, rows: &[f32]) -> f64 {
+        let joints = self.joints(rows);
+        joints.map_or(0.0, |joints| mean_jerk(&joints, self.fps()))
+    }
+
+    fn joints(&self, rows: &[f32]) -> Option<Joints> {
+        Joints::from_f32(rows, self.skeleton.joints()).ok()
+    }
+
+    fn bones(&self) -> Vec<[usize; 2]> {
+        self.skeleton.chains().flatten().collect()
+    }
+
+    fn check(
+        &self,
+        rows: &[f32],
+        profile: Profile,
+        statistics: Option<&Statistics>,
+    ) -> Result<Report, Error> {
+        let body = body::Body {
+            bones: &self.bones(),
+            feet: &self.skeleton.contact_joints(),
+            fps: self.fps(),
+        };
+        body.check(rows, self.joints(rows).as_ref(), profile, statistics)
+    }
+
+    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
+        let feet = self.skeleton.contact_joints();
+        body_curves(self.joints(rows).as_ref(), &feet, self.fps())
+    }
+}
+
+fn mean_jerk(joints: &Joints, fps: f64) -> f64 {
+    let tracks = JointTracks::new(joints.as_slice(), joints.joints(), fps);
+    tracks.mean_jerk().unwrap_or_default()
+}
+
+/// What is worth drawing of a body: heights and speeds of root and feet, and how jerky it is.
+/// `feet` are two joints of the left foot, then of the right.
+fn body_curves(joints: Option<&Joints>, feet: &[usize; 4], fps: f64) -> Vec<Curves> {
+    let Some(joints) = joints else {
+        return Vec::new();
+    };
+    let track = |joint: usize| -> Vec<[f64; 3]> {
+        (0..joints.frames())
+            .map(|t| joints.frame(t)[joint])
+            .collect()
+    };
+    let heights = |joint| track(joint).into_iter().map(|[_, y, _]| y).collect();
+    let speeds = |joint| {
+        let velocity = differences(&track(joint), fps).into_iter();
+        velocity.map(|[x, _, z]| x.hypot(z)).collect()
+    };
+    let named = |of: &dyn Fn(usize) -> Vec<f64>| {
+        let [left, right] = [feet[1], feet[3]];
+        vec![
+            ("left foot".to_owned(), of(left)),
+            ("right foot".to_owned(), of(right)),
+        ]
+    };
+    let jerks: Vec<Vec<f64>> = (0..joints.joints())
+        .map(|joint| {
+            let derive = |values: Vec<_>| differences(&values, fps);
+            let jerk = derive(derive(derive(track(joint))));
+            jerk.into_iter().map(length).collect()
+        })
+        .collect();
+    let steps = jerks.first().map_or(0, Vec::len);
+    let mean = |t: usize| jerks.iter().map(|jerk| jerk[t]).sum::<f64>() / jerks.len() as f64;
+    vec![
+        Curves::new("height of the root (m)", vec![("root".into(), heights(0))]),
+        Curves::new(
+            "speed of the root on the ground (m/s)",
+            vec![("root".into(), speeds(0))],
+        ),
+        Curves::new("height of the feet (m)", named(&heights)),
+        Curves::new("speed of the feet on the ground (m/s)", named(&speeds)),
+        Curves::new(
+            "jerk, mean over joints (m/s³)",
+            vec![("|jerk|".into(), (0..steps).map(mean).collect())],
+        ),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::representation::{Measured, statistics_of};
+
+    fn representation() -> JointFeatures {
+        JointFeatures {
+            skeleton: Skeleton::humanml3d(),
+            root: Root::Relative,
+        }
+    }
+
+    /// A clip whose values wander by channel and frame; the contact flags stay 1.
+    fn clip(frames: usize, scale: f32) -> Vec<f32> {
+        let layout = representation().layout();
+        let channels = layout.channels();
+        let value = |i: usize| match layout.contacts().contains(&(i % channels)) {
+            true => 1.0,
+            false => scale * ((i * 7919) % 101) as f32 - 3.0,
+        };
+        (0..frames * channels).map(value).collect()
+    }
+
+    #[test]
+    fn a_group_shares_its_deviation_and_a_constant_group_has_one() {
+        let (clip, layout) = (clip(30, 0.3), representation().layout());
+        let statistics = statistics_of(&representation(), [&clip[..]]).unwrap();
+        for group in layout.groups() {
+            let std = &statistics.std[group];
+            assert!(std.iter().all(|value| *value == std[0]));
+        }
+        assert_eq!(statistics.std[layout.contacts()], [1.0; 4]);
+        assert_eq!(
+            (statistics.root, statistics.items),
+            (Some(Root::Relative), 1)
+        );
+    }
+
+    #[test]
+    fn merged_clips_are_measured_as_one() {
+        let clips = [clip(5, 0.01), clip(40, 1.0), clip(9, -2.0)];
+        let of = |rows: &[f32]| Measured::of(&representation(), rows);
+        let mut merged = of(&clips[0]);
+        clips[1..].iter().for_each(|clip| merged.merge(of(clip)));
+        let whole = of(&clips.concat());
+        for channel in 0..263 {
+            let (a, b) = (merged.moments(), whole.moments());
+            assert!((a.mean[channel] - b.mean[channel]).abs() < 1e-12);
+            assert!((a.std[channel] - b.std[channel]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn normalised_features_are_implausible() {
+        let problem = representation().implausible(&clip(3, 0.01)).unwrap();
+        assert!(
+            problem.contains("joint rotations are none in frame 0"),
+            "{problem}"
+        );
+    }
+}

@@ -1,0 +1,169 @@
+//! Representations: what a row of numbers is.
+//!
+//! A [`Representation`] says of the rows of a motion how many numbers they have and what each is,
+//! how many of them make a second, how they are normalised, where they put the joints of a body,
+//! which checks they must pass and what is worth drawing. [`Phrases`] and [`JointFeatures`] are
+//! those that models here are trained on; [`JointPositions`] is what most programs read.
+
+mod joints;
+mod phrases;
+
+use std::fmt::Debug;
+use std::ops::Range;
+
+pub use joints::{JointFeatures, JointPositions};
+pub use phrases::{Phrases, phrase_statistics};
+
+use crate::humanml::Joints;
+use crate::{ChannelMoments, Error, Profile, Report, Statistics};
+
+/// What a row of numbers is. Rows are `[frames, channels]`, row by row, in the units of the
+/// dataset; they may hold anything, NaN included, unless a method says otherwise.
+pub trait Representation: Debug + Send + Sync {
+    /// Its name, for messages.
+    fn name(&self) -> String;
+
+    /// Numbers of a row.
+    fn channels(&self) -> usize;
+
+    /// Rows of a second.
+    fn fps(&self) -> f64;
+
+    /// Name of a channel, such as `position.x`; for messages and tables.
+    fn channel_name(&self, channel: usize) -> String;
+
+    /// Whether an array of this `shape` holds such rows.
+    fn accepts(&self, shape: &[usize]) -> bool {
+        matches!(shape, [frames, channels] if *frames > 0 && *channels == self.channels())
+    }
+
+    /// Channels that are summed up together, by name; each on its own where nothing else is said.
+    fn groups(&self) -> Vec<(String, Range<usize>)> {
+        let channels = 0..self.channels();
+        channels.map(|c| (self.channel_name(c), c..c + 1)).collect()
+    }
+
+    /// How training motion with these `moments` is normalised; `jerks` has the mean jerk of each
+    /// item ([`mean_jerk`](Self::mean_jerk)), at least one.
+    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics;
+
+    /// Mean norm of the third derivative of position, metres per second cubed; of finite rows.
+    fn mean_jerk(&self, rows: &[f32]) -> f64;
+
+    /// Positions of the joints, `[frames, joints, 3]`, metres, the root being joint 0; none where
+    /// a value is not finite.
+    fn joints(&self, rows: &[f32]) -> Option<Joints>;
+
+    /// The bones between joints: parent and child.
+    fn bones(&self) -> Vec<[usize; 2]> {
+        Vec::new()
+    }
+
+    /// Why finite rows cannot be of this representation, where that can be seen.
+    fn implausible(&self, _rows: &[f32]) -> Option<String> {
+        None
+    }
+
+    /// Checks whether rows are plausible motion; `statistics` are those of training motion.
+    ///
+    /// # Errors
+    /// [`Error::StatisticsNeeded`] if the profile compares with training motion and there are
+    /// none. Motion that fails is no error: see [`Report::passed`].
+    fn check(
+        &self,
+        rows: &[f32],
+        profile: Profile,
+        statistics: Option<&Statistics>,
+    ) -> Result<Report, Error>;
+
+    /// What is worth drawing over time.
+    fn curves(&self, rows: &[f32]) -> Vec<Curves>;
+}
+
+/// Numbers over the frames of a motion that belong into one chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curves {
+    /// What they are, with their unit.
+    pub title: String,
+    /// Each with its name, `[frames]` or a little fewer.
+    pub series: Vec<(String, Vec<f64>)>,
+}
+
+impl Curves {
+    fn new(title: &str, series: Vec<(String, Vec<f64>)>) -> Self {
+        Self {
+            title: title.to_owned(),
+            series,
+        }
+    }
+
+    /// Channels of the rows as they are.
+    fn channels(
+        title: &str,
+        rows: &[f32],
+        width: usize,
+        channels: Range<usize>,
+        names: &[&str],
+    ) -> Self {
+        let column = |channel: usize| {
+            let frames = rows.chunks_exact(width);
+            frames.map(|frame| f64::from(frame[channel])).collect()
+        };
+        let named = channels.zip(names);
+        Self::new(
+            title,
+            named
+                .map(|(channel, name)| ((*name).to_owned(), column(channel)))
+                .collect(),
+        )
+    }
+}
+
+/// The moments and mean jerks of items, measured one after the other.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    moments: ChannelMoments,
+    jerks: Vec<f64>,
+}
+
+impl Measured {
+    /// Measures the finite rows of one item.
+    ///
+    /// # Panics
+    /// Panics if there are none.
+    pub fn of(representation: &dyn Representation, rows: &[f32]) -> Self {
+        Self {
+            moments: ChannelMoments::measure(representation.channels(), [rows]),
+            jerks: vec![representation.mean_jerk(rows)],
+        }
+    }
+
+    /// Takes in further items.
+    pub fn merge(&mut self, other: Self) {
+        self.moments.merge(&other.moments);
+        self.jerks.extend(other.jerks);
+    }
+
+    /// What was measured of the channels.
+    pub fn moments(&self) -> &ChannelMoments {
+        &self.moments
+    }
+
+    /// The statistics that normalise such motion.
+    pub fn statistics(self, representation: &dyn Representation) -> Statistics {
+        representation.statistics(self.moments, self.jerks)
+    }
+}
+
+/// The statistics of whole items; none of no items.
+pub fn statistics_of<'a>(
+    representation: &dyn Representation,
+    items: impl IntoIterator<Item = &'a [f32]>,
+) -> Option<Statistics> {
+    let mut items = items
+        .into_iter()
+        .map(|rows| Measured::of(representation, rows));
+    let mut all = items.next()?;
+    items.for_each(|measured| all.merge(measured));
+    Some(all.statistics(representation))
+}

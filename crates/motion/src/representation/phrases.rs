@@ -1,0 +1,139 @@
+//! Phrases: the 25 channels of CC-MotionGen.
+
+use super::{Curves, Representation};
+use crate::humanml::Joints;
+use crate::kinematics::{jerk, mean_jerk_norm};
+use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
+use crate::rotation::length;
+use crate::statistics::percentile;
+use crate::{
+    CHANNELS, ChannelMoments, Error, FPS, Motion, Profile, Report, Statistics, channel_name, sanity,
+};
+
+/// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
+///
+/// Normalisation leaves the quaternion as it is (its norm would no longer be 1) and brings the
+/// phase from [0, 1] to [-1, 1].
+#[derive(Clone, Copy, Debug)]
+pub struct Phrases;
+
+/// The statistics of whole phrases that are finite; none of no phrases.
+pub fn phrase_statistics<'a>(phrases: impl IntoIterator<Item = &'a Motion>) -> Option<Statistics> {
+    super::statistics_of(&Phrases, phrases.into_iter().map(Motion::as_slice))
+}
+
+fn motion(rows: &[f32]) -> Motion {
+    Motion::new(rows.to_vec()).expect("whole frames of 25 channels")
+}
+
+impl Representation for Phrases {
+    fn name(&self) -> String {
+        "phrase".to_owned()
+    }
+
+    fn channels(&self) -> usize {
+        CHANNELS
+    }
+
+    fn fps(&self) -> f64 {
+        FPS
+    }
+
+    fn channel_name(&self, channel: usize) -> String {
+        channel_name(channel)
+    }
+
+    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
+        // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
+        let rms = |channels: std::ops::Range<usize>| {
+            let squares = channels.map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
+            squares.sum::<f64>().sqrt()
+        };
+        let (rms_speed, rms_acceleration) = (rms(VELOCITY), rms(ACCELERATION));
+        let mut statistics = Statistics::standard(moments);
+        statistics.mean[QUATERNION].fill(0.0);
+        statistics.std[QUATERNION].fill(1.0);
+        (statistics.mean[PHASE], statistics.std[PHASE]) = (0.5, 0.5);
+        Statistics {
+            rms_speed: Some(rms_speed),
+            rms_acceleration: Some(rms_acceleration),
+            jerk_p95: Some(percentile(jerks, 95.0)),
+            ..statistics
+        }
+    }
+
+    fn mean_jerk(&self, rows: &[f32]) -> f64 {
+        mean_jerk_norm(&motion(rows))
+    }
+
+    /// The root alone.
+    fn joints(&self, rows: &[f32]) -> Option<Joints> {
+        let motion = motion(rows);
+        let places = (0..motion.frames()).map(|t| motion.vector(t, POSITION));
+        Joints::new(places.collect(), 1).ok()
+    }
+
+    fn check(
+        &self,
+        rows: &[f32],
+        profile: Profile,
+        statistics: Option<&Statistics>,
+    ) -> Result<Report, Error> {
+        sanity::check(&motion(rows), profile, statistics)
+    }
+
+    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
+        let motion = motion(rows);
+        let channels =
+            |title, range, names: &[&str]| Curves::channels(title, rows, CHANNELS, range, names);
+        let frames = 0..motion.frames();
+        let norms = frames.map(|t| motion.quaternion(t).norm()).collect();
+        let jerks = jerk(&motion).into_iter().map(length).collect();
+        let xyz = ["x", "y", "z"];
+        vec![
+            channels("position (m)", POSITION, &xyz),
+            channels("velocity (m/s)", VELOCITY, &xyz),
+            channels("acceleration (m/s²)", ACCELERATION, &xyz),
+            channels("quaternion", QUATERNION, &["w", "x", "y", "z"]),
+            channels("angular velocity (rad/s)", ANGULAR_VELOCITY, &xyz),
+            channels("phase", PHASE..PHASE + 1, &["phase"]),
+            channels("style", STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
+            Curves::new("quaternion norm", vec![("|q|".into(), norms)]),
+            Curves::new("jerk (m/s³)", vec![("|jerk|".into(), jerks)]),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wandering::wandering;
+
+    #[test]
+    fn quaternions_stay_and_the_phase_is_centred() {
+        let phrases: Vec<Motion> = (0..5).map(|seed| wandering(seed, 20)).collect();
+        let statistics = phrase_statistics(&phrases).unwrap();
+        assert_eq!((statistics.items, statistics.frames), (5, 100));
+        for phrase in &phrases {
+            let normalized = statistics.normalize(phrase.as_slice());
+            let seen = Motion::from_channel_major(&normalized, 20).unwrap();
+            for t in 0..20 {
+                assert_eq!(phrase.frame(t)[QUATERNION], seen.frame(t)[QUATERNION]);
+                assert_eq!(seen.frame(t)[PHASE], 2.0 * phrase.frame(t)[PHASE] - 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn scales_of_real_motion_are_those_of_the_vectors() {
+        let mut motion = Motion::new(vec![0.0; 4 * CHANNELS]).unwrap();
+        for (t, speed) in [1.0, 1.0, 5.0, 5.0].into_iter().enumerate() {
+            motion.set_vector(t, VELOCITY, [0.6 * speed, 0.0, -0.8 * speed]);
+            motion.set_vector(t, ACCELERATION, [0.0, 2.0 * t as f64, 0.0]);
+        }
+        let statistics = phrase_statistics([&motion]).unwrap();
+        assert!((statistics.rms_speed.unwrap() - 13.0f64.sqrt()).abs() < 1e-6);
+        assert!((statistics.rms_acceleration.unwrap() - 14.0f64.sqrt()).abs() < 1e-12);
+        assert_eq!(statistics.jerk_p95, Some(60.0));
+    }
+}
