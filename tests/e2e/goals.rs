@@ -139,7 +139,11 @@ fn a_dataset_on_disk_trains_and_is_looked_at() {
         .run("train c.toml --set train.max_steps=30")
         .succeeded();
     let said = sandbox.run("data inspect walks --humanml3d").succeeded();
-    assert!(said.stdout.contains("text embeddings"), "{}", said.stdout);
+    assert!(
+        said.stdout.contains("captions with an embedding"),
+        "{}",
+        said.stdout
+    );
     let listed = fs::read_to_string(sandbox.path("walks/train.txt")).expect("a list");
     let key = listed.lines().next().expect("a clip");
     let embedding = format!("walks/text_embeddings.safetensors#{key}");

@@ -45,6 +45,17 @@ pub enum Error {
         /// The recipes of all systems.
         known: String,
     },
+    /// An array whose rows are no motion that a system knows.
+    #[error("{}: an array of shape {shape:?} is no motion that is known", path.display())]
+    #[diagnostic(help("known are: {known}"))]
+    UnknownMotion {
+        /// Its file.
+        path: PathBuf,
+        /// Its shape.
+        shape: Vec<usize>,
+        /// Names of the representations that are known.
+        known: String,
+    },
     /// The range of the training motion is not known.
     #[error("the checkpoint does not hold the range of the motion it was trained on")]
     #[diagnostic(help(

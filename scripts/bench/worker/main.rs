@@ -38,7 +38,7 @@ use kinegrad_models::{
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
-use kinegrad_train::config::{EmaConfig, OptimConfig, ValidationConfig};
+use kinegrad_train::config::{EmaConfig, OptimConfig};
 use kinegrad_train::denoising::HeldOut;
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};

@@ -5,11 +5,9 @@ use std::ops::Range;
 use super::{Curves, Representation};
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
 use crate::kinematics::differences;
-use crate::metrics::JointTracks;
 use crate::rotation::length;
-use crate::sanity::body;
 use crate::statistics::{CONSTANT, percentile};
-use crate::{ChannelMoments, Error, Profile, Report, Statistics};
+use crate::{ChannelMoments, Statistics};
 
 /// How far the columns of a rotation may be from unit length.
 const COLUMN_TOLERANCE: f32 = 0.05;
@@ -31,9 +29,25 @@ impl JointFeatures {
         self.skeleton.layout()
     }
 
-    /// Their channels, in groups.
     fn features(&self, rows: &[f32]) -> Option<Features> {
         Features::new(rows.to_vec(), self.layout(), self.root).ok()
+    }
+
+    /// How far the root's way, read with `root`, is from what the features say of joint 0's
+    /// displacements: squared metres over all frames.
+    fn mismatch(&self, rows: &[f32], root: Root) -> f64 {
+        let Ok(features) = Features::new(rows.to_vec(), self.layout(), root) else {
+            return 0.0;
+        };
+        let way = features.root_positions();
+        let displacement = self.layout().velocities().start;
+        let steps = way.windows(2).enumerate().map(|(t, pair)| {
+            let [x, _, z] = [0, 1, 2].map(|axis| pair[1][axis] - pair[0][axis]);
+            let stated = &features.frame(t)[displacement..displacement + 3];
+            let stated = f64::from(stated[0]).hypot(f64::from(stated[2]));
+            (x.hypot(z) - stated).powi(2)
+        });
+        steps.sum()
     }
 }
 
@@ -90,17 +104,27 @@ impl Representation for JointFeatures {
         }
     }
 
-    fn mean_jerk(&self, rows: &[f32]) -> f64 {
-        let joints = self.joints(rows);
-        joints.map_or(0.0, |joints| mean_jerk(&joints, self.fps()))
-    }
-
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
         Some(self.features(rows)?.joints())
     }
 
-    fn bones(&self) -> Vec<[usize; 2]> {
-        self.skeleton.chains().flatten().collect()
+    fn skeleton(&self) -> Option<&Skeleton> {
+        Some(&self.skeleton)
+    }
+
+    /// Both readings of the root have as many channels: the one counts that fits the displacements
+    /// of joint 0.
+    fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
+        let fits =
+            matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();
+        let other = match self.root {
+            Root::Relative => Root::Absolute,
+            Root::Absolute => Root::Relative,
+        };
+        let (own, other) = (self.mismatch(values, self.root), || {
+            self.mismatch(values, other)
+        });
+        fits && (own < other() || self.root == Root::Relative && own == other())
     }
 
     /// Where the first rotation stands that is none: features that were normalised, or of another
@@ -121,29 +145,13 @@ impl Representation for JointFeatures {
         })
     }
 
-    fn check(
-        &self,
-        rows: &[f32],
-        profile: Profile,
-        statistics: Option<&Statistics>,
-    ) -> Result<Report, Error> {
-        let body = body::Body {
-            bones: &self.bones(),
-            feet: &self.skeleton.contact_joints(),
-            fps: self.fps(),
-        };
-        body.check(rows, self.joints(rows).as_ref(), profile, statistics)
-    }
-
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
-        let mut curves = body_curves(
-            self.joints(rows).as_ref(),
-            &self.skeleton.contact_joints(),
-            self.fps(),
-        );
+        let Some(joints) = self.joints(rows) else {
+            return Vec::new();
+        };
+        let mut curves = curves(&joints, Some(&self.skeleton), self.fps());
         let names = ["left ankle", "left foot", "right ankle", "right foot"];
-        let contacts = self.layout().contacts();
-        let width = self.channels();
+        let (contacts, width) = (self.layout().contacts(), self.channels());
         curves.push(Curves::channels(
             "foot contacts",
             rows,
@@ -179,77 +187,29 @@ impl Representation for JointPositions {
         format!("joint_{}.{}", channel / 3, ["x", "y", "z"][channel % 3])
     }
 
-    fn accepts(&self, shape: &[usize]) -> bool {
-        matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
-    }
-
-    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
-        Statistics {
-            jerk_p95: Some(percentile(jerks, 95.0)),
-            ..Statistics::standard(moments)
-        }
-    }
-
-    fn mean_jerk(&self, rows: &[f32]) -> f64 {
-        let joints = self.joints(rows);
-        joints.map_or(0.0, |joints| mean_jerk(&joints, self.fps()))
-    }
-
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
         Joints::from_f32(rows, self.skeleton.joints()).ok()
     }
 
-    fn bones(&self) -> Vec<[usize; 2]> {
-        self.skeleton.chains().flatten().collect()
+    fn skeleton(&self) -> Option<&Skeleton> {
+        Some(&self.skeleton)
     }
 
-    fn check(
-        &self,
-        rows: &[f32],
-        profile: Profile,
-        statistics: Option<&Statistics>,
-    ) -> Result<Report, Error> {
-        let body = body::Body {
-            bones: &self.bones(),
-            feet: &self.skeleton.contact_joints(),
-            fps: self.fps(),
-        };
-        body.check(rows, self.joints(rows).as_ref(), profile, statistics)
+    fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
+        matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
     }
-
-    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
-        let feet = self.skeleton.contact_joints();
-        body_curves(self.joints(rows).as_ref(), &feet, self.fps())
-    }
-}
-
-fn mean_jerk(joints: &Joints, fps: f64) -> f64 {
-    let tracks = JointTracks::new(joints.as_slice(), joints.joints(), fps);
-    tracks.mean_jerk().unwrap_or_default()
 }
 
 /// What is worth drawing of a body: heights and speeds of root and feet, and how jerky it is.
-/// `feet` are two joints of the left foot, then of the right.
-fn body_curves(joints: Option<&Joints>, feet: &[usize; 4], fps: f64) -> Vec<Curves> {
-    let Some(joints) = joints else {
-        return Vec::new();
-    };
+pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Vec<Curves> {
     let track = |joint: usize| -> Vec<[f64; 3]> {
-        (0..joints.frames())
-            .map(|t| joints.frame(t)[joint])
-            .collect()
+        let frames = 0..joints.frames();
+        frames.map(|t| joints.frame(t)[joint]).collect()
     };
-    let heights = |joint| track(joint).into_iter().map(|[_, y, _]| y).collect();
-    let speeds = |joint| {
+    let heights = |joint| -> Vec<f64> { track(joint).iter().map(|[_, y, _]| *y).collect() };
+    let speeds = |joint| -> Vec<f64> {
         let velocity = differences(&track(joint), fps).into_iter();
         velocity.map(|[x, _, z]| x.hypot(z)).collect()
-    };
-    let named = |of: &dyn Fn(usize) -> Vec<f64>| {
-        let [left, right] = [feet[1], feet[3]];
-        vec![
-            ("left foot".to_owned(), of(left)),
-            ("right foot".to_owned(), of(right)),
-        ]
     };
     let jerks: Vec<Vec<f64>> = (0..joints.joints())
         .map(|joint| {
@@ -258,19 +218,25 @@ fn body_curves(joints: Option<&Joints>, feet: &[usize; 4], fps: f64) -> Vec<Curv
             jerk.into_iter().map(length).collect()
         })
         .collect();
-    let steps = jerks.first().map_or(0, Vec::len);
+    let steps = 0..jerks[0].len();
     let mean = |t: usize| jerks.iter().map(|jerk| jerk[t]).sum::<f64>() / jerks.len() as f64;
+    let mut named = vec![("root", 0)];
+    if let Some(skeleton) = skeleton {
+        let [_, left, _, right] = skeleton.contact_joints();
+        named.extend([("left foot", left), ("right foot", right)]);
+    }
+    let of = |numbers: &dyn Fn(usize) -> Vec<f64>| {
+        let named = named.iter();
+        named
+            .map(|(name, joint)| ((*name).to_owned(), numbers(*joint)))
+            .collect()
+    };
     vec![
-        Curves::new("height of the root (m)", vec![("root".into(), heights(0))]),
-        Curves::new(
-            "speed of the root on the ground (m/s)",
-            vec![("root".into(), speeds(0))],
-        ),
-        Curves::new("height of the feet (m)", named(&heights)),
-        Curves::new("speed of the feet on the ground (m/s)", named(&speeds)),
+        Curves::new("height (m)", of(&heights)),
+        Curves::new("speed on the ground (m/s)", of(&speeds)),
         Curves::new(
             "jerk, mean over joints (m/s³)",
-            vec![("|jerk|".into(), (0..steps).map(mean).collect())],
+            vec![("|jerk|".into(), steps.map(mean).collect())],
         ),
     ]
 }

@@ -14,7 +14,9 @@ use std::ops::Range;
 pub use joints::{JointFeatures, JointPositions};
 pub use phrases::{Phrases, phrase_statistics};
 
-use crate::humanml::Joints;
+use crate::humanml::{Joints, Skeleton};
+use crate::sanity::body;
+use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
 /// What a row of numbers is. Rows are `[frames, channels]`, row by row, in the units of the
@@ -32,8 +34,17 @@ pub trait Representation: Debug + Send + Sync {
     /// Name of a channel, such as `position.x`; for messages and tables.
     fn channel_name(&self, channel: usize) -> String;
 
-    /// Whether an array of this `shape` holds such rows.
-    fn accepts(&self, shape: &[usize]) -> bool {
+    /// Positions of the joints, `[frames, joints, 3]`, metres, the root being joint 0; none where
+    /// a value is not finite.
+    fn joints(&self, rows: &[f32]) -> Option<Joints>;
+
+    /// Whose joints they are, where that is known.
+    fn skeleton(&self) -> Option<&Skeleton> {
+        None
+    }
+
+    /// Whether an array of this `shape` with these values holds such rows.
+    fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, channels] if *frames > 0 && *channels == self.channels())
     }
 
@@ -45,18 +56,18 @@ pub trait Representation: Debug + Send + Sync {
 
     /// How training motion with these `moments` is normalised; `jerks` has the mean jerk of each
     /// item ([`mean_jerk`](Self::mean_jerk)), at least one.
-    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics;
+    fn statistics(&self, moments: ChannelMoments, jerks: Vec<f64>) -> Statistics {
+        Statistics {
+            jerk_p95: Some(percentile(jerks, 95.0)),
+            ..Statistics::standard(moments)
+        }
+    }
 
     /// Mean norm of the third derivative of position, metres per second cubed; of finite rows.
-    fn mean_jerk(&self, rows: &[f32]) -> f64;
-
-    /// Positions of the joints, `[frames, joints, 3]`, metres, the root being joint 0; none where
-    /// a value is not finite.
-    fn joints(&self, rows: &[f32]) -> Option<Joints>;
-
-    /// The bones between joints: parent and child.
-    fn bones(&self) -> Vec<[usize; 2]> {
-        Vec::new()
+    fn mean_jerk(&self, rows: &[f32]) -> f64 {
+        let joints = self.joints(rows);
+        let jerk = joints.and_then(|joints| body::tracks(&joints, self.fps()).mean_jerk());
+        jerk.unwrap_or_default()
     }
 
     /// Why finite rows cannot be of this representation, where that can be seen.
@@ -74,10 +85,24 @@ pub trait Representation: Debug + Send + Sync {
         rows: &[f32],
         profile: Profile,
         statistics: Option<&Statistics>,
-    ) -> Result<Report, Error>;
+    ) -> Result<Report, Error> {
+        body::check(
+            rows,
+            self.joints(rows).as_ref(),
+            self.skeleton(),
+            self.fps(),
+            profile,
+            statistics,
+        )
+    }
 
     /// What is worth drawing over time.
-    fn curves(&self, rows: &[f32]) -> Vec<Curves>;
+    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
+        let joints = self.joints(rows);
+        joints.map_or_else(Vec::new, |joints| {
+            joints::curves(&joints, self.skeleton(), self.fps())
+        })
+    }
 }
 
 /// Numbers over the frames of a motion that belong into one chart.

@@ -10,6 +10,7 @@ pub mod gmd;
 
 use std::path::{Path, PathBuf};
 
+use kinegrad_motion::Representation;
 use toml::Table;
 
 use crate::config::{Config, ConfigError};
@@ -36,6 +37,9 @@ pub trait System: Sync {
 
     /// Its kinds of training.
     fn recipes(&self) -> &'static [RecipeInfo];
+
+    /// What the rows of motion files are that its models are trained on or draw.
+    fn representations(&self) -> Vec<Box<dyn Representation>>;
 
     /// What the recipe says where a config is silent, beneath `given`, the config as written.
     fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
@@ -149,6 +153,28 @@ impl<'a> Systems<'a> {
     /// The recipes of all systems.
     pub fn recipes(self) -> impl Iterator<Item = &'static RecipeInfo> + use<'a> {
         self.0.iter().flat_map(|system| system.recipes())
+    }
+
+    /// What the rows of an array of this `shape` with these values are.
+    ///
+    /// # Errors
+    /// [`Error::UnknownMotion`] if no system knows; `path` is where they were read.
+    pub fn representation_of(
+        self,
+        path: &Path,
+        shape: &[usize],
+        values: &[f32],
+    ) -> Result<Box<dyn Representation>, Error> {
+        let known = || self.0.iter().flat_map(|system| system.representations());
+        let found = known().find(|representation| representation.accepts(shape, values));
+        found.ok_or_else(|| Error::UnknownMotion {
+            path: path.to_path_buf(),
+            shape: shape.to_vec(),
+            known: known()
+                .map(|known| known.name())
+                .collect::<Vec<_>>()
+                .join("; "),
+        })
     }
 
     /// The system with a recipe of that name, and the recipe.

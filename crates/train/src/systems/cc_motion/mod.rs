@@ -21,6 +21,7 @@ use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_models::{DecoderConfig, Initializer};
 use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
 
 pub use config::{
@@ -71,6 +72,10 @@ impl System for CcMotion {
                 groups: &["unet", "decoder"],
             },
         ]
+    }
+
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        vec![Box::new(Phrases)]
     }
 
     fn complete(

@@ -17,6 +17,8 @@ mod train;
 
 use burn::tensor::Device;
 use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_motion::humanml::{Root, Skeleton};
+use kinegrad_motion::{JointFeatures, JointPositions, Representation};
 use toml::Table;
 
 pub use config::{GmdConfig, GmdInitConfig, GmdLossConfig};
@@ -57,6 +59,18 @@ impl System for Gmd {
                 groups: &["unet"],
             },
         ]
+    }
+
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        let mut all: Vec<Box<dyn Representation>> = Vec::new();
+        for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
+            for root in [Root::Relative, Root::Absolute] {
+                let skeleton = skeleton.clone();
+                all.push(Box::new(JointFeatures { skeleton, root }));
+            }
+            all.push(Box::new(JointPositions { skeleton }));
+        }
+        all
     }
 
     fn defaults(&self, recipe: &RecipeInfo, given: &Table) -> Table {
