@@ -5,40 +5,30 @@ use std::process::ExitCode;
 
 use kinegrad_data::{DataConfig, Dataset, read_motion};
 use kinegrad_motion::TrainingStatistics;
-use kinegrad_motion::sanity::{Profile, Report, check};
+use kinegrad_motion::sanity::{Report, check};
+use kinegrad_report::table;
+use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::checkpoint::resolve_checkpoint;
 use serde_json::json;
 
-use crate::args::{CheckArguments, ProfileName};
-use crate::failure::{Failure, UsageError};
-use crate::output::table;
+use super::sample::checkpoint;
+use crate::args::CheckArguments;
+use crate::output;
 
 /// Checks each file; exit code 1 if any fails.
-pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
+pub fn run(arguments: CheckArguments) -> Result<ExitCode, Error> {
     let statistics = statistics(&arguments)?;
-    let profile = match arguments.profile {
-        ProfileName::Document => Profile::Document,
-        ProfileName::Strict => Profile::Strict,
-    };
     let mut reports = Vec::new();
     for path in motion_files(&arguments.paths)? {
-        let report = check(&read_motion(&path)?, profile, statistics.as_ref())?;
+        let report = check(&read_motion(&path)?, arguments.profile, statistics.as_ref())?;
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
     let rate = passed as f64 / reports.len() as f64;
     if arguments.json {
-        let files: Vec<_> = reports
-            .iter()
-            .map(|(path, report)| {
-                json!({ "path": path, "passed": report.passed, "checks": report.checks })
-            })
-            .collect();
-        say!(
-            "{}",
-            json!({ "files": files, "passed": passed, "pass_rate": rate })
-        );
+        let file = |(path, report): &(String, Report)| json!({ "path": path, "passed": report.passed, "checks": report.checks });
+        let files: Vec<_> = reports.iter().map(file).collect();
+        output::json(&json!({ "files": files, "passed": passed, "pass_rate": rate }));
     } else {
         for (path, report) in &reports {
             say!("{path}\n{}\n", report_table(report));
@@ -48,18 +38,14 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
             say!("{}", rates_table(reports.iter().map(|(_, report)| report)));
         }
     }
-    Ok(if passed == reports.len() {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(1)
-    })
+    Ok(ExitCode::from(u8::from(passed < reports.len())))
 }
 
 /// The statistics that `--run` or `--source` names.
-fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, Failure> {
+fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, Error> {
     if let Some(run) = &arguments.run {
-        let path = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
-        return Ok(Some(State::read(&path)?.statistics.phrases()?.clone()));
+        let state = State::read(&checkpoint(run)?)?;
+        return Ok(Some(state.statistics.phrases()?.clone()));
     }
     let Some(source) = &arguments.source else {
         return Ok(None);
@@ -74,7 +60,7 @@ fn statistics(arguments: &CheckArguments) -> Result<Option<TrainingStatistics>, 
 }
 
 /// The files meant by `paths`, folders searched through.
-fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
         let before = files.len();
@@ -82,7 +68,7 @@ fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         if files.len() == before {
             let message = format!("there is no motion file at {}", path.display());
             let hint = "give a .npy file of [T, 25] float32, or a folder of them";
-            return Err(UsageError::new(message, hint).into());
+            return Err(Error::usage(message, hint));
         }
     }
     Ok(files)
@@ -103,24 +89,13 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-fn verdict(passed: bool) -> String {
-    if passed { "ok" } else { "FAIL" }.to_string()
-}
-
 fn report_table(report: &Report) -> String {
     let rows = report.checks.iter().map(|check| {
+        let result = if check.passed { "ok" } else { "FAIL" };
         let (value, threshold) = (check.value.to_string(), check.threshold.to_string());
-        vec![
-            check.name.to_string(),
-            verdict(check.passed),
-            value,
-            threshold,
-        ]
+        [check.name.to_string(), result.into(), value, threshold]
     });
-    let header = ["check", "result", "value", "allowed"]
-        .map(String::from)
-        .to_vec();
-    table(std::iter::once(header).chain(rows))
+    table(["check", "result", "value", "allowed"], rows)
 }
 
 /// Share of the reports that pass each check.
@@ -133,12 +108,9 @@ fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
             None => counts.push((check.name, 1, passed)),
         }
     }
-    let header = ["check", "pass"].map(String::from).to_vec();
     let rows = counts.into_iter().map(|(name, all, good)| {
-        vec![
-            name.to_string(),
-            format!("{:.0} %", 100.0 * good as f64 / all as f64),
-        ]
+        let rate = format!("{:.0} %", 100.0 * good as f64 / all as f64);
+        [name.to_string(), rate]
     });
-    table(std::iter::once(header).chain(rows))
+    table(["check", "pass"], rows)
 }

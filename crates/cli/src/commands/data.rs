@@ -8,15 +8,15 @@ use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
     ChannelSummary, DataConfig, Inspection, MANIFEST, Problem, Store, StoreConfig, synthetic,
 };
+use kinegrad_report::{Panel, facts, grouped, table};
+use kinegrad_train::Error;
 
 use crate::args::{InspectArguments, SynthArguments};
-use crate::failure::{Failure, UsageError};
-use crate::output::{grouped, table};
-use crate::picture::{Panel, draw};
+use crate::output::{self, draw};
 use crate::progress::reading;
 
 /// Writes a synthetic dataset.
-pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
+pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
     let SynthArguments {
         out,
         walks,
@@ -36,7 +36,7 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
 }
 
 /// Prints what a dataset holds; exit code 1 if phrases cannot be used.
-pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
+pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     if arguments.condition.is_some() || arguments.plot.is_some() {
         return select(&arguments);
     }
@@ -49,21 +49,15 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
     }
     let inspection = kinegrad_data::inspect(&config, &*reading())?;
     if arguments.json {
-        say!(
-            "{}",
-            serde_json::to_string(&inspection).expect("plain data")
-        );
+        output::json(&inspection);
     } else {
         print(&inspection);
     }
-    Ok(match inspection.bad_phrases {
-        0 => ExitCode::SUCCESS,
-        _ => ExitCode::from(1),
-    })
+    Ok(ExitCode::from(u8::from(inspection.bad_phrases > 0)))
 }
 
 /// Lists or draws the rows of a dataset's manifest.
-fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
+fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {
         let is_there = store.is_remote() || Path::new(&store.uri()).is_dir();
@@ -73,14 +67,14 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
         };
         let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
                     writes";
-        return Err(UsageError::new(message, hint).into());
+        return Err(Error::usage(message, hint));
     };
     let chosen = match &arguments.condition {
         None => all.clone(),
         Some(condition) => all.filter(condition).map_err(|problem| {
             let hint = "as in `tempo > 100 and split = train`; =, !=, <, <=, >, >=, like, and, or, \
                         not and brackets are known";
-            UsageError::new(format!("`--where {condition}`: {problem}"), hint)
+            Error::usage(format!("`--where {condition}`: {problem}"), hint)
         })?,
     };
     if let Some(out) = &arguments.plot {
@@ -88,10 +82,7 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
         tell!("{}", out.display());
     }
     if arguments.json {
-        say!(
-            "{}",
-            serde_json::to_string(&chosen.texts("id").unwrap_or_default()).expect("plain data")
-        );
+        output::json(&chosen.texts("id").unwrap_or_default());
     } else if arguments.condition.is_some() {
         print_selection(&chosen, all.len());
     }
@@ -100,25 +91,16 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
 
 fn print_selection(chosen: &Selection, all: usize) {
     const COLUMNS: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
-    let columns = COLUMNS.map(|name| {
-        let texts = chosen.texts(name).unwrap_or_default();
-        let numbers = chosen
-            .numbers(name)
-            .filter(|_| name == "tempo" || name == "beats");
-        match numbers {
-            Some(numbers) => numbers
-                .iter()
-                .map(|number| number.map_or(String::new(), |number| format!("{number:.1}")))
-                .collect(),
-            None => texts,
-        }
+    let shown = |number: Option<f64>| number.map_or(String::new(), |n| format!("{n:.1}"));
+    let columns = COLUMNS.map(|name| match (name, chosen.numbers(name)) {
+        ("tempo" | "beats", Some(numbers)) => numbers.into_iter().map(shown).collect(),
+        _ => chosen.texts(name).unwrap_or_default(),
     });
-    let header = COLUMNS.map(String::from).to_vec();
     let rows = (0..chosen.len()).map(|row| {
         let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
-        columns.iter().map(cell).collect()
+        columns.each_ref().map(cell)
     });
-    say!("{}", table(std::iter::once(header).chain(rows)));
+    say!("{}", table(COLUMNS, rows));
     let frames = chosen.numbers("frames").unwrap_or_default();
     // A sum of nothing is minus zero.
     let frames = frames.into_iter().flatten().fold(0.0, |sum, f| sum + f);
@@ -130,20 +112,12 @@ fn print_selection(chosen: &Selection, all: usize) {
     );
 }
 
-fn plot(chosen: &Selection, out: &Path) -> Result<(), Failure> {
+fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
     let histogram = |title: &str, label, column: &str| {
-        let values: Vec<f64> = chosen
-            .numbers(column)
-            .unwrap_or_default()
-            .into_iter()
-            .flatten()
-            .collect();
-        Panel::histogram(
-            format!("{title} of {} phrases", values.len()),
-            label,
-            &values,
-            24,
-        )
+        let values = chosen.numbers(column).unwrap_or_default();
+        let values: Vec<f64> = values.into_iter().flatten().collect();
+        let title = format!("{title} of {} phrases", values.len());
+        Panel::histogram(title, label, &values, 24)
     };
     let panels = [
         histogram("tempo", "beats per minute", "tempo"),
@@ -156,46 +130,35 @@ fn plot(chosen: &Selection, out: &Path) -> Result<(), Failure> {
 
 fn print(inspection: &Inspection) {
     let Inspection {
-        phrases,
-        bad_phrases,
         train,
         validation,
         frames,
         hours,
         fps,
+        shortest_frames,
+        longest_frames,
+        motion_channels,
+        audio_channels,
         ..
     } = inspection;
-    let (shortest, longest) = (inspection.shortest_frames, inspection.longest_frames);
-    let facts = [
+    let minutes = format!("{:.2} minutes at {fps} fps", hours * 60.0);
+    let shown = facts([
         ("source", inspection.source.clone()),
-        ("phrases", grouped(*phrases)),
-        ("unusable phrases", grouped(*bad_phrases)),
+        ("phrases", grouped(inspection.phrases)),
+        ("unusable phrases", grouped(inspection.bad_phrases)),
         (
             "to train on, held out",
             format!("{}, {}", grouped(*train), grouped(*validation)),
         ),
+        ("frames", format!("{} ({minutes})", grouped(*frames))),
         (
-            "frames",
-            format!(
-                "{} ({:.2} minutes at {fps} fps)",
-                grouped(*frames),
-                hours * 60.0
-            ),
+            "frames a phrase",
+            format!("{shortest_frames} to {longest_frames}"),
         ),
-        ("frames a phrase", format!("{shortest} to {longest}")),
-        (
-            "motion",
-            format!("[frames, {}]", inspection.motion_channels),
-        ),
-        (
-            "audio features",
-            format!("[{}, frames]", inspection.audio_channels),
-        ),
-    ];
-    say!(
-        "{}\n",
-        table(facts.map(|(name, value)| vec![name.to_string(), value]))
-    );
+        ("motion", format!("[frames, {motion_channels}]")),
+        ("audio features", format!("[{audio_channels}, frames]")),
+    ]);
+    say!("{shown}\n");
     say!("{}\n", channels(&inspection.motion));
     say!("{}", channels(&inspection.audio));
     print_problems(&inspection.warnings, &inspection.problems);
@@ -221,19 +184,15 @@ pub fn print_problems(warnings: &[String], problems: &[Problem]) {
 
 /// Range, mean and deviation of channels, or of groups of them.
 pub fn channels(summaries: &[ChannelSummary]) -> String {
-    let header = ["channel", "min", "max", "mean", "std"]
-        .map(String::from)
-        .to_vec();
     let rows = summaries.iter().map(|channel| {
-        let ChannelSummary {
-            name,
-            min,
-            max,
-            mean,
-            std,
-        } = channel;
-        let numbers = [min, max, mean, std].map(|number| format!("{number:.4}"));
-        std::iter::once(name.clone()).chain(numbers).collect()
+        let number = |number: f64| format!("{number:.4}");
+        [
+            channel.name.clone(),
+            number(channel.min),
+            number(channel.max),
+            number(channel.mean),
+            number(channel.std),
+        ]
     });
-    table(std::iter::once(header).chain(rows))
+    table(["channel", "min", "max", "mean", "std"], rows)
 }

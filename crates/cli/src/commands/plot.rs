@@ -10,16 +10,17 @@ use kinegrad_motion::phrase::{
 };
 use kinegrad_motion::rotation::length;
 use kinegrad_motion::{FPS, Motion};
+use kinegrad_report::{Panel, Series, check_ending};
+use kinegrad_train::Error;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
-use crate::failure::{Failure, UsageError};
-use crate::picture::{Panel, Series, check_ending, draw};
+use crate::output::{draw, no_picture};
 
 /// Draws a motion file or a run.
-pub fn run(arguments: PlotArguments) -> Result<ExitCode, Failure> {
+pub fn run(arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments { input, out } = arguments;
-    check_ending(&out)?;
+    check_ending(&out).map_err(no_picture)?;
     let panels = if input.join("metrics.jsonl").exists() {
         loss_panels(&read_metrics(&input)?)
     } else if input.is_file() {
@@ -30,84 +31,59 @@ pub fn run(arguments: PlotArguments) -> Result<ExitCode, Failure> {
             input.display()
         );
         let hint = "give a .npy file of [T, 25], or a folder such as runs/quickstart";
-        return Err(UsageError::new(message, hint).into());
+        return Err(Error::usage(message, hint));
     };
     draw(&panels, 2, (520, 250), &out)?;
     say!("{}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
-fn over_time(title: &str, series: Vec<Series>) -> Panel {
-    Panel::lines(title, "s", series)
-}
-
 fn motion_panels(motion: &Motion) -> Vec<Panel> {
-    let seconds = |t: usize| t as f64 / FPS;
-    let curve = |name: String, value: &dyn Fn(usize) -> f64| -> Series {
-        (
-            name,
-            (0..motion.frames())
-                .map(|t| (seconds(t), value(t)))
-                .collect(),
-        )
-    };
-    let channels = |range: Range<usize>, names: &[&str]| -> Vec<Series> {
-        range
-            .zip(names)
-            .map(|(channel, name)| {
-                curve(name.to_string(), &|t| f64::from(motion.frame(t)[channel]))
-            })
-            .collect()
+    let frames = || 0..motion.frames();
+    let channels = |title, range: Range<usize>, names: &[&'static str]| {
+        let track = |channel: usize| frames().map(move |t| f64::from(motion.frame(t)[channel]));
+        let tracks = range.zip(names);
+        let tracks = tracks.map(|(channel, name)| (*name, track(channel).collect()));
+        Panel::over_time(title, FPS, tracks)
     };
     let xyz = ["x", "y", "z"];
-    let path: Vec<(f64, f64)> = (0..motion.frames())
-        .map(|t| motion.vector(t, POSITION))
-        // Seen from above, with +z, towards the viewer, downwards.
-        .map(|[x, _, z]| (x, -z))
-        .collect();
-    let jerk: Vec<(f64, f64)> = jerk(motion)
-        .into_iter()
-        .enumerate()
-        .map(|(t, j)| (seconds(t), length(j)))
-        .collect();
-    let norm = curve("|q|".into(), &|t| motion.quaternion(t).norm());
+    // Seen from above, with +z, towards the viewer, downwards.
+    let above = |[x, _, z]: [f64; 3]| (x, -z);
+    let path = frames().map(|t| above(motion.vector(t, POSITION)));
+    let norm = frames().map(|t| motion.quaternion(t).norm());
+    let jerk = jerk(motion).into_iter().map(length);
     vec![
         Panel::map(
             "path from above (m; x right, z down)",
             "m",
-            vec![("path".into(), path)],
+            vec![("path".into(), path.collect())],
         ),
-        over_time("position (m)", channels(POSITION, &xyz)),
-        over_time("velocity (m/s)", channels(VELOCITY, &xyz)),
-        over_time("acceleration (m/s²)", channels(ACCELERATION, &xyz)),
-        over_time("quaternion", channels(QUATERNION, &["w", "x", "y", "z"])),
-        over_time("angular velocity (rad/s)", channels(ANGULAR_VELOCITY, &xyz)),
-        over_time("phase", channels(PHASE..PHASE + 1, &["phase"])),
-        over_time(
-            "style",
-            channels(STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
-        ),
-        over_time("quaternion norm", vec![norm]),
-        over_time("jerk (m/s³)", vec![("|jerk|".into(), jerk)]),
+        channels("position (m)", POSITION, &xyz),
+        channels("velocity (m/s)", VELOCITY, &xyz),
+        channels("acceleration (m/s²)", ACCELERATION, &xyz),
+        channels("quaternion", QUATERNION, &["w", "x", "y", "z"]),
+        channels("angular velocity (rad/s)", ANGULAR_VELOCITY, &xyz),
+        channels("phase", PHASE..PHASE + 1, &["phase"]),
+        channels("style", STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
+        Panel::over_time("quaternion norm", FPS, [("|q|", norm.collect())]),
+        Panel::over_time("jerk (m/s³)", FPS, [("|jerk|", jerk.collect())]),
     ]
 }
 
 fn loss_panels(records: &[Record]) -> Vec<Panel> {
-    let curve = |name: &str| -> Series {
-        let points = records
-            .iter()
-            .filter_map(|r| Some((r.step as f64, r.get(name)?)));
-        (name.to_string(), points.collect())
+    let panel = |title, names: &[&str]| {
+        let curves = names.iter().map(|name| -> Series {
+            let points = records
+                .iter()
+                .filter_map(|r| Some((r.step as f64, r.get(name)?)));
+            (name.to_string(), points.collect())
+        });
+        let measured = curves.filter(|(_, points)| !points.is_empty());
+        Panel::lines(title, "step", measured.collect())
     };
-    let losses: Vec<Series> = ["loss", "val_loss"]
-        .map(curve)
-        .into_iter()
-        .filter(|(_, points)| !points.is_empty())
-        .collect();
-    let panel = |title, series| Panel::lines(title, "step", series);
     vec![
-        panel("loss", losses),
-        panel("gradient norm", vec![curve("grad_norm")]),
-        panel("learning rate", vec![curve("lr")]),
+        panel("loss", &["loss", "val_loss"]),
+        panel("gradient norm", &["grad_norm"]),
+        panel("learning rate", &["lr"]),
     ]
 }

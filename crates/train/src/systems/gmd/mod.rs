@@ -19,7 +19,7 @@ use burn::tensor::Device;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use toml::Table;
 
-pub use config::{GmdConfig, GmdInitConfig, GmdLossConfig};
+pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundGoal};
