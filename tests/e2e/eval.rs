@@ -131,7 +131,9 @@ fn a_run_is_measured_beside_the_real_phrases() {
 fn sample_draws_what_eval_measures_with_another_noise_for_each_phrase() {
     let sandbox = trained();
     let settings = "--steps 4 --seed 5";
-    let finished = sandbox.run(&format!("eval runs/smallest --seeds 1 --json {settings}"));
+    let finished = sandbox.run(&format!(
+        "eval runs/smallest --set evaluation.seeds=1 --json {settings}"
+    ));
     let evaluation = &evaluations(&finished.succeeded().stdout)[0];
     sandbox
         .run(&format!(
@@ -166,7 +168,10 @@ fn runs_stand_side_by_side() {
     let sandbox = trained();
     train(&sandbox, "other", "--set run.seed=7");
     let finished = sandbox
-        .run("eval runs/smallest runs/other --steps 3 --seeds 1 --phrases 3 --out both")
+        .run(
+            "eval runs/smallest runs/other --steps 3 --set evaluation.seeds=1 \
+             --set evaluation.phrases=3 --out both",
+        )
         .succeeded();
     let header = finished.stdout.lines().next().expect("a header");
     let places = ["smallest", "other", "real"].map(|name| header.find(name).expect(name));
@@ -188,7 +193,7 @@ fn runs_stand_side_by_side() {
     let step = steps.iter().find(|name| name.starts_with("step-"));
     let step = format!("runs/smallest/checkpoints/{}", step.expect("a checkpoint"));
     let finished = sandbox.run(&format!(
-        "eval runs/other {step} {step} --steps 1 --phrases 1"
+        "eval runs/other {step} {step} --steps 1 --set evaluation.phrases=1"
     ));
     let header = finished.succeeded().stdout;
     assert!(
@@ -206,7 +211,7 @@ fn noise_in_place_of_music_is_another_report() {
     let sandbox = trained();
     let evaluate = |cond: &str| {
         let finished = sandbox.run(&format!(
-            "eval runs/smallest --steps 3 --json --cond {cond}"
+            "eval runs/smallest --steps 3 --json --set evaluation.cond={cond}"
         ));
         evaluations(&finished.succeeded().stdout).remove(0)
     };
@@ -226,7 +231,9 @@ fn noise_in_place_of_music_is_another_report() {
 #[test]
 fn one_phrase_has_no_metric_of_many() {
     let sandbox = trained();
-    let finished = sandbox.run("eval runs/smallest --steps 2 --seeds 1 --phrases 1 --json");
+    let finished = sandbox.run(
+        "eval runs/smallest --steps 2 --set evaluation.seeds=1 --set evaluation.phrases=1 --json",
+    );
     let evaluation = &evaluations(&finished.succeeded().stdout)[0];
     for metric in ["diversity", "frechet_held_out", "frechet_training"] {
         assert!(evaluation["raw"][metric].is_null(), "{metric}");
@@ -247,8 +254,17 @@ fn bad_input_is_refused_before_anything_is_written() {
     refused("", &["RUN"]);
     refused("runs/nowhere", &["runs/nowhere", "hint:"]);
     refused("runs/smallest runs/nowhere", &["runs/nowhere", "hint:"]);
-    refused("runs/smallest --seeds 0", &["`--seeds` is 0", "hint:"]);
-    refused("runs/smallest --phrases 0", &["`--phrases` is 0", "hint:"]);
+    for key in ["evaluation.seeds", "evaluation.phrases"] {
+        let is_none = format!("`{key}` is 0");
+        refused(
+            &format!("runs/smallest --set {key}=0"),
+            &[is_none.as_str(), "1 or more", "hint:"],
+        );
+    }
+    refused(
+        "runs/smallest --set evaluation.goals=2",
+        &["evaluation.goals", "seeds, phrases, cond", "hint:"],
+    );
     refused(
         "runs/smallest --steps 0",
         &["num_inference_steps", "0", "hint:"],
@@ -257,7 +273,15 @@ fn bad_input_is_refused_before_anything_is_written() {
         "runs/smallest --guidance-scale=-1",
         &["guidance_scale", "-1"],
     );
-    refused("runs/smallest --cond silence", &["silence", "noise"]);
+    refused(
+        "runs/smallest --set evaluation.cond=silence",
+        &["evaluation.cond", "silence", "noise"],
+    );
+    refused(
+        "runs/smallest --seeds 4",
+        &["`--seeds`", "hint: use `--set evaluation.seeds=N`"],
+    );
+    refused("runs/smallest --sheds 4", &["'--sheds'"]);
     refused("runs/smallest --source nowhere", &["nowhere", "hint:"]);
     refused("runs/smallest --device abacus", &["abacus", "hint:"]);
     sandbox.write("file", "");

@@ -79,7 +79,10 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
 fn runs_are_measured_on_goals_of_held_out_clips() {
     let sandbox = trained();
     let said = sandbox
-        .run("eval runs/gmd_motion --goals 2 --keyframes 3 --trajectory-run runs/gmd_trajectory")
+        .run(
+            "eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3 \
+             --trajectory-run runs/gmd_trajectory",
+        )
         .succeeded();
     assert!(said.stdout.contains("real"), "{}", said.stdout);
     let report = sandbox.path("runs/gmd_motion/reports/eval-goals.json");
@@ -88,8 +91,14 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
     sandbox
-        .run("eval runs/gmd_trajectory --goals 2 --obstacles 1 --set sampling.steering.scale=0")
+        .run(
+            "eval runs/gmd_trajectory --set evaluation.goals=2 --set evaluation.obstacles=1 \
+             --set sampling.steering.scale=0",
+        )
         .succeeded();
+    sandbox
+        .run("eval runs/gmd_motion --set evaluation.evaluator.weights=finest.tar")
+        .failed(2, &["evaluation.evaluator.mean", "word_vectors"]);
 }
 
 #[test]
@@ -358,7 +367,7 @@ fn published_weights_become_a_run() {
     assert_eq!(shape(&sandbox.path("path.npy")), [16, 2]);
     write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
     sandbox
-        .run("eval runs/gmd --source walks --goals 1 --steps 3")
+        .run("eval runs/gmd --source walks --set evaluation.goals=1 --steps 3")
         .succeeded();
     let tune = "train c.toml --name tuned --set train.recipe=gmd_trajectory \
                 --set init.diffusion=runs/gmd --set train.max_steps=2";

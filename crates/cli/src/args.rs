@@ -2,7 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Args, Parser, Subcommand};
+use kinegrad_data::humanml::SkeletonName;
+use kinegrad_motion::sanity::Profile;
+use kinegrad_train::Error;
+use serde::de::value::Error as ValueError;
+use serde::de::{DeserializeOwned, IntoDeserializer};
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -149,7 +155,8 @@ pub struct SampleArguments {
 /// How motion is drawn from a trained model.
 #[derive(Debug, Args)]
 pub struct DrawArguments {
-    /// Override a key of the run's `sampling` table, for example sampling.sampler.kind=dpmpp_2m
+    /// Override a key of the run's tables `sampling` and `evaluation`, for example
+    /// sampling.sampler.kind=dpmpp_2m
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
     /// Denoising steps [default: the run's]
@@ -216,14 +223,6 @@ pub struct MergeArguments {
     pub out: PathBuf,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ProfileName {
-    /// CC-MotionGen's five checks, on means over all frames
-    Document,
-    /// Checks on every frame, with bounds from the training phrases
-    Strict,
-}
-
 /// PATH is a motion file, or a folder whose motion files are all checked. The `strict` profile
 /// needs the training phrases' statistics: give the run (`--run`) or the dataset (`--source`).
 #[derive(Debug, Args)]
@@ -236,9 +235,10 @@ pub struct CheckArguments {
     /// Motion files (.npy, [T, 25]) or folders of them
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// Which checks
-    #[arg(long, value_enum, default_value_t = ProfileName::Document)]
-    pub profile: ProfileName,
+    /// Which checks: `document`, CC-MotionGen's five on means over all frames, or `strict`, on every
+    /// frame with bounds from the training phrases
+    #[arg(long, value_parser = named::<Profile>, default_value = "document")]
+    pub profile: Profile,
     /// Run or checkpoint whose training statistics `strict` uses
     #[arg(long, value_name = "RUN", conflicts_with = "source")]
     pub run: Option<PathBuf>,
@@ -250,18 +250,10 @@ pub struct CheckArguments {
     pub json: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum CondName {
-    /// The held-out phrases' audio features
-    Phrases,
-    /// Standard normal noise in their place
-    Noise,
-}
-
 /// Draws samples for the held-out phrases of each run's dataset and prints their metrics beside
-/// those of the real phrases; docs/evaluation.md defines them. Writes eval.json and eval.csv, or
-/// eval-noise.json and eval-noise.csv with `--cond noise`. Sampler settings are those of the
-/// run's config, or as `--set` says.
+/// those of the real phrases; docs/evaluation.md defines them. What is drawn, and how, say the tables
+/// `evaluation` and `sampling` of each run's config, or `--set`. Writes eval.json and eval.csv, with
+/// evaluation.cond=noise eval-noise.json and eval-noise.csv.
 ///
 /// A run of recipe `gmd_motion` or `gmd_trajectory` is led to goals on the way of held-out clips,
 /// and measured by how near it comes; the reports are eval-goals.json and eval-goals.csv.
@@ -269,53 +261,22 @@ pub enum CondName {
 #[command(after_help = "\
 Examples:
   kinegrad eval runs/phrases
-  kinegrad eval runs/one runs/two --seeds 4 --out comparison
-  kinegrad eval runs/phrases --cond noise --json")]
+  kinegrad eval runs/one runs/two --set evaluation.seeds=4 --out comparison
+  kinegrad eval runs/phrases --set evaluation.cond=noise --json
+  kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
 pub struct EvalArguments {
     /// Folders of runs (the best checkpoint of each is taken) or of checkpoints
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
-    /// Samples per phrase [default: 2]
-    #[arg(long, value_name = "N")]
-    pub seeds: Option<usize>,
-    /// Draw for the first N held-out phrases only [default: all]
-    #[arg(long, value_name = "N")]
-    pub phrases: Option<usize>,
     /// Run of recipe `gmd_trajectory` that draws the ground paths to the goals first
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Held-out clips with a goal each, of runs on clips [default: 20]
-    #[arg(long, value_name = "N", conflicts_with = "phrases")]
-    pub goals: Option<usize>,
-    /// Key frames of each goal [default: 5]
-    #[arg(long, value_name = "N")]
-    pub keyframes: Option<usize>,
-    /// Obstacles on the way of each goal, of which then the last key frame alone is asked for
-    /// [default: 0]
-    #[arg(long, value_name = "N")]
-    pub obstacles: Option<usize>,
-    /// Weights of the published text-motion evaluator, for R-precision and FID of runs on clips;
-    /// needs the three files below
-    #[arg(long, value_name = "FINEST.tar", requires_all = ["evaluator_mean", "evaluator_std", "word_vectors"])]
-    pub evaluator: Option<PathBuf>,
-    /// Mean that the evaluator normalises by
-    #[arg(long, value_name = "M.npy", requires = "evaluator")]
-    pub evaluator_mean: Option<PathBuf>,
-    /// Deviation that the evaluator normalises by
-    #[arg(long, value_name = "S.npy", requires = "evaluator")]
-    pub evaluator_std: Option<PathBuf>,
-    /// Word vectors of the evaluator; docs/dataset.md says how to make the file
-    #[arg(long, value_name = "W.safetensors", requires = "evaluator")]
-    pub word_vectors: Option<PathBuf>,
-    /// What the model hears [default: phrases]
-    #[arg(long, value_enum, value_name = "COND")]
-    pub cond: Option<CondName>,
     #[command(flatten)]
     pub draw: DrawArguments,
     /// Seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Dataset with the phrases, split as the run's config says [default: the run's own]
+    /// Dataset with the held-out motion, split as the run's config says [default: the run's own]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
     /// Print JSON
@@ -444,18 +405,12 @@ pub struct InspectArguments {
     /// The dataset is one in the layout of HumanML3D
     #[arg(long, conflicts_with_all = ["condition", "plot"])]
     pub humanml3d: bool,
-    /// Whose joints it has
-    #[arg(long, value_enum, default_value_t = SkeletonArgument::Humanml3d, requires = "humanml3d")]
-    pub skeleton: SkeletonArgument,
+    /// Whose joints it has: humanml3d or kit
+    #[arg(long, value_parser = named::<SkeletonName>, default_value = "humanml3d", requires = "humanml3d")]
+    pub skeleton: SkeletonName,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum SkeletonArgument {
-    Humanml3d,
-    Kit,
 }
 
 #[derive(Debug, Subcommand)]
@@ -474,4 +429,39 @@ pub struct ShowArguments {
     /// Override a key of the config
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
+}
+
+/// Options that `kinegrad eval` had, and the keys that say the same.
+const REPLACED: [(&str, &str); 10] = [
+    ("--seeds", "seeds=N"),
+    ("--phrases", "phrases=N"),
+    ("--cond", "cond=noise"),
+    ("--goals", "goals=N"),
+    ("--keyframes", "keyframes=N"),
+    ("--obstacles", "obstacles=N"),
+    ("--evaluator", "evaluator.weights=FILE"),
+    ("--evaluator-mean", "evaluator.mean=FILE"),
+    ("--evaluator-std", "evaluator.std=FILE"),
+    ("--word-vectors", "evaluator.word_vectors=FILE"),
+];
+
+/// What to say of an option that has become a key of the config.
+pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
+    let found = error.get(ContextKind::InvalidArg);
+    let (ErrorKind::UnknownArgument, "eval", Some(ContextValue::String(found))) =
+        (error.kind(), command, found)
+    else {
+        return None;
+    };
+    let (option, key) = REPLACED.iter().find(|(option, _)| option == found)?;
+    let message = format!("`{option}` is no option any more: it is a key of the config");
+    Some(Error::usage(
+        message,
+        format!("use `--set evaluation.{key}`"),
+    ))
+}
+
+/// A choice of the config by its name there.
+fn named<T: DeserializeOwned>(name: &str) -> Result<T, ValueError> {
+    T::deserialize(name.into_deserializer())
 }

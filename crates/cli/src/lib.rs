@@ -19,19 +19,16 @@ mod output;
 
 mod args;
 mod commands;
-mod comparison;
-mod failure;
-mod picture;
 mod progress;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
+use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand};
-use failure::Failure;
 
 /// Does what the command line says, with these systems, and returns the exit code.
 pub fn run(
@@ -39,28 +36,29 @@ pub fn run(
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
 ) -> ExitCode {
     kinegrad_kernels::memory::keep_freed();
-    let arguments = match Arguments::try_parse_from(arguments) {
-        Ok(arguments) => arguments,
-        Err(error) => error.exit(),
-    };
-    match execute(systems, arguments.command) {
-        Ok(code) => code,
-        Err(failure) => {
-            tell!("{failure}");
-            ExitCode::from(failure.exit_code)
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    let done = match Arguments::try_parse_from(&arguments) {
+        Ok(arguments) => execute(systems, arguments.command),
+        Err(error) => {
+            let command = arguments.get(1).and_then(|name| name.to_str());
+            Err(args::replaced(command.unwrap_or_default(), &error).unwrap_or_else(|| error.exit()))
         }
-    }
+    };
+    done.unwrap_or_else(|error| {
+        output::failure(&error);
+        ExitCode::from(error.exit_code())
+    })
 }
 
-fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Failure> {
+fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
     match command {
         Command::Train(arguments) => commands::train::run(systems, arguments),
         Command::Sample(arguments) => commands::sample::run(systems, arguments),
         Command::Import(arguments) => commands::import::run(systems, arguments),
         Command::Merge(arguments) => commands::merge::run(systems, arguments),
-        Command::Check(arguments) => commands::check::run(arguments),
+        Command::Check(arguments) => commands::check::run(systems, arguments),
         Command::Eval(arguments) => commands::eval::run(systems, arguments),
-        Command::Plot(arguments) => commands::plot::run(arguments),
+        Command::Plot(arguments) => commands::plot::run(systems, arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
         Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),

@@ -1,10 +1,13 @@
-//! Lines, tables and counts for people.
+//! How results and errors reach the user.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
+use std::path::Path;
 
-use tabled::builder::Builder;
-use tabled::settings::{Alignment, Style, object::Columns};
+use kinegrad_report::{Panel, PictureError};
+use kinegrad_train::Error;
+use miette::Diagnostic;
+use serde::Serialize;
 
 /// Prints a line of results to standard output.
 ///
@@ -36,46 +39,26 @@ pub fn remark(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
-/// A plain table: the first row is the header, columns after the first are aligned right.
-pub fn table(rows: impl IntoIterator<Item = Vec<String>>) -> String {
-    let mut builder = Builder::default();
-    for row in rows {
-        builder.push_record(row);
-    }
-    let mut table = builder.build();
-    table
-        .with(Style::psql())
-        .modify(Columns::new(1..), Alignment::right());
-    table.to_string()
+/// Prints results as JSON.
+pub fn json(results: &impl Serialize) {
+    say!("{}", serde_json::to_string(results).expect("plain data"));
 }
 
-/// `16342361` as `16,342,361`.
-pub fn grouped(n: usize) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
+/// Prints an error with its hint.
+pub fn failure(error: &Error) {
+    tell!("error: {error}");
+    if let Some(hint) = error.help() {
+        tell!("\nhint: {hint}");
     }
-    out
 }
 
-#[cfg(test)]
-mod tests {
-    use super::grouped;
+/// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
+pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Error> {
+    kinegrad_report::draw(panels, columns, size, out).map_err(no_picture)
+}
 
-    #[test]
-    fn thousands_are_grouped() {
-        let cases = [
-            (0, "0"),
-            (999, "999"),
-            (1000, "1,000"),
-            (16_342_361, "16,342,361"),
-        ];
-        for (n, text) in cases {
-            assert_eq!(grouped(n), text);
-        }
-    }
+/// An error of a picture.
+pub fn no_picture(error: PictureError) -> Error {
+    let hint = error.help().map(|hint| hint.to_string());
+    Error::usage(error.to_string(), hint.unwrap_or_default())
 }

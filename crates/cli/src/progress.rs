@@ -1,15 +1,13 @@
 //! How training shows itself: a bar on a terminal, lines elsewhere.
 
-use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use kinegrad_report::grouped;
 use kinegrad_train::{Observer, RunSummary, StepReport};
-
-use crate::output::grouped;
 
 /// Share of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
@@ -22,7 +20,8 @@ const LINE_INTERVAL: Duration = Duration::from_secs(20);
 
 /// Shows a training on standard error.
 pub struct TrainProgress {
-    bar: Option<ProgressBar>,
+    /// Hidden where standard error is no terminal.
+    bar: ProgressBar,
     smoothed: Option<f64>,
     started: Instant,
     steps_here: u64,
@@ -40,7 +39,7 @@ impl TrainProgress {
         let stop = stop_on_ctrl_c(message, trains.clone());
         Self {
             trains,
-            bar: None,
+            bar: ProgressBar::hidden(),
             smoothed: None,
             started: Instant::now(),
             steps_here: 0,
@@ -50,17 +49,12 @@ impl TrainProgress {
 
     /// A line that stays, above the bar.
     pub fn line(&self, text: &str) {
-        match &self.bar {
-            Some(bar) => bar.suspend(|| tell!("{text}")),
-            None => tell!("{text}"),
-        }
+        self.bar.suspend(|| tell!("{text}"));
     }
 
     /// Takes the bar away.
-    pub fn finish(&mut self) {
-        if let Some(bar) = self.bar.take() {
-            bar.finish_and_clear();
-        }
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
     }
 }
 
@@ -82,30 +76,23 @@ impl Observer for TrainProgress {
             }
         }
         if summary.step > 0 {
-            tell!(
-                "continuing after step {} of {}",
-                summary.step,
-                summary.max_steps
-            );
+            let RunSummary {
+                step, max_steps, ..
+            } = summary;
+            tell!("continuing after step {step} of {max_steps}");
         }
         self.started = Instant::now();
         (self.smoothed, self.steps_here) = (None, 0);
-        if std::io::stderr().is_terminal() {
-            let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
-            let style = ProgressStyle::with_template(template).expect("a valid template");
-            let bar = ProgressBar::new(summary.max_steps);
-            let bar = bar.with_style(style).with_position(summary.step);
-            bar.reset_eta();
-            self.finish();
-            self.bar = Some(bar);
-        }
+        self.finish();
+        let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
+        self.bar = bar(template).with_position(summary.step);
+        self.bar.set_length(summary.max_steps);
+        self.bar.reset_eta();
     }
 
     fn stepped(&mut self, report: &StepReport) {
-        let smoothed = match self.smoothed {
-            Some(old) => SMOOTHING * old + (1.0 - SMOOTHING) * report.loss,
-            None => report.loss,
-        };
+        let old = self.smoothed.unwrap_or(report.loss);
+        let smoothed = SMOOTHING * old + (1.0 - SMOOTHING) * report.loss;
         self.smoothed = Some(smoothed);
         self.steps_here += 1;
         let seconds = self.started.elapsed().as_secs_f64();
@@ -114,19 +101,14 @@ impl Observer for TrainProgress {
             "loss {:.4} (smoothed {smoothed:.4})  lr {:.2e}  {speed:.2} it/s",
             report.loss, report.learning_rate
         );
-        match &self.bar {
-            Some(bar) => {
-                bar.set_position(report.step);
-                bar.set_message(message);
-            }
-            None => {
-                let every = (report.max_steps / LINES).max(1);
-                if report.step.is_multiple_of(every) || report.step == report.max_steps {
-                    let left = (report.max_steps - report.step) as f64 / speed;
-                    let (step, max) = (report.step, report.max_steps);
-                    tell!("step {step}/{max}  {message}  ETA {}", duration(left));
-                }
-            }
+        let (step, max) = (report.step, report.max_steps);
+        let every = (max / LINES).max(1);
+        if !self.bar.is_hidden() {
+            self.bar.set_position(step);
+            self.bar.set_message(message);
+        } else if step.is_multiple_of(every) || step == max {
+            let left = duration((max - step) as f64 / speed);
+            tell!("step {step}/{max}  {message}  ETA {left}");
         }
     }
 
@@ -194,10 +176,8 @@ impl Count {
     /// Shows nothing yet.
     pub fn new(what: &'static str) -> Self {
         let template = format!("{{bar:24}} {{pos}}/{{len}} {what}  {{elapsed}}<{{eta}}");
-        let style = ProgressStyle::with_template(&template).expect("a valid template");
-        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
         Self {
-            bar: bar.with_style(style),
+            bar: bar(&template),
             what,
             told: Mutex::new(Instant::now()),
         }
@@ -225,10 +205,40 @@ pub fn reading() -> Box<dyn Fn(usize, usize) + Sync> {
     Box::new(move |read, total| count.show(read, total))
 }
 
-/// A bar for the drawing of samples, whose length is set by its user. Draws nothing where standard
-/// error is no terminal.
-pub fn denoising_bar() -> ProgressBar {
-    let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+/// A bar for the drawing of samples. Shows nothing where standard error is no terminal.
+pub struct Denoising(ProgressBar);
+
+impl Denoising {
+    /// Shows nothing yet; `run` stands before the bar, where several are drawn from.
+    pub fn of(run: &str) -> Self {
+        let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+        Self(bar(template).with_prefix(spaced(run)))
+    }
+
+    /// So many of so many steps are done, of a stage if there are several.
+    pub fn show(&self, stage: &str, done: usize, all: usize) {
+        self.0.set_message(spaced(stage));
+        self.0.set_length(all as u64);
+        self.0.set_position(done as u64);
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) {
+        self.0.finish_and_clear();
+    }
+}
+
+/// A word with room behind it, or nothing.
+fn spaced(word: &str) -> String {
+    if word.is_empty() {
+        String::new()
+    } else {
+        format!("{word}  ")
+    }
+}
+
+/// A bar on standard error, if that is a terminal.
+fn bar(template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).expect("a valid template");
     ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
 }

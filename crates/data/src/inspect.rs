@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation};
+use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation, Statistics};
 use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
 use crate::survey::{Gathered, Listable, OpenProgress, Sides};
-use crate::{DataConfig, DataKind, Error, OnBadPhrase, Phrase};
+use crate::{DataConfig, DataKind, Dataset, Error, OnBadPhrase, Phrase};
 
 /// The contents of a dataset. Numbers describe the items that can be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -138,13 +138,26 @@ impl Contents {
 /// statistics of the training items (of all items, where none is left to train on).
 ///
 /// # Errors
-/// As [`Dataset::open`](crate::Dataset::open), but never for a single bad item or for a side of
+/// As [`Dataset::open`], but never for a single bad item or for a side of
 /// the split that is empty.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind {
         DataKind::Phrases | DataKind::Synthetic => inspect_items::<Phrase>(config, progress),
         DataKind::Humanml3d | DataKind::SyntheticWalks => inspect_items::<Clip>(config, progress),
+    }
+}
+
+/// The statistics of the motion to train on of the dataset that `config` describes.
+///
+/// # Errors
+/// As [`Dataset::open`].
+pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
+    match config.kind {
+        DataKind::Phrases | DataKind::Synthetic => Dataset::<Phrase>::open(config)?.statistics(),
+        DataKind::Humanml3d | DataKind::SyntheticWalks => {
+            Dataset::<Clip>::open(config)?.statistics()
+        }
     }
 }
 

@@ -63,7 +63,7 @@ pub use digest::Digest;
 pub use error::{Error, FileError};
 pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
-pub use inspect::{ChannelSummary, Inspection, Problem, inspect};
+pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::{Item, ItemSet};
 pub use layout::{MANIFEST, check_id, features_path, motion_path};
 pub use loader::{Loader, Samples};

@@ -55,12 +55,4 @@ pub enum Error {
         /// What is allowed, in words.
         allowed: &'static str,
     },
-
-    /// A profile of that name does not exist.
-    #[error("there is no profile `{found}`")]
-    #[diagnostic(help("choose `document` or `strict`"))]
-    UnknownProfile {
-        /// The name given.
-        found: String,
-    },
 }

@@ -6,25 +6,14 @@ use serde_json::Value;
 
 use crate::error::Error;
 
-/// What is measured. A system refuses what does not apply to its models.
+/// What is measured, beside what the system's own tables say of it. A system refuses what does not
+/// apply to its models.
 #[derive(Clone, Debug, Default)]
 pub struct EvaluationRequest {
     /// Dataset whose held-out items are drawn for, in place of the run's own.
     pub source: Option<String>,
-    /// Samples of each item.
-    pub seeds: Option<usize>,
-    /// Held-out items at most.
-    pub items: Option<usize>,
-    /// Whether conditions are replaced by noise.
-    pub noise: Option<bool>,
-    /// Key frames of each goal.
-    pub keyframes: Option<usize>,
-    /// Obstacles on the way of each goal.
-    pub obstacles: Option<usize>,
     /// Checkpoint of the model that draws the ground paths to the goals first.
     pub trajectory: Option<PathBuf>,
-    /// Files of the text-motion evaluator: weights, mean, deviation, word vectors.
-    pub evaluator: Option<[PathBuf; 4]>,
     /// Seed of the noise.
     pub seed: u64,
 }
@@ -69,8 +58,17 @@ pub struct Group {
     pub key: &'static str,
     /// Its heading in tables; empty where there is only one.
     pub title: &'static str,
-    /// Every number by its name in files; nothing where it cannot be computed.
-    pub numbers: Vec<(String, Option<f64>)>,
-    /// Lines of a table: what is shown, and its number as text.
-    pub rows: Vec<(String, Option<String>)>,
+    /// The numbers.
+    pub numbers: Vec<Number>,
+}
+
+/// A number.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Number {
+    /// Its name in files.
+    pub name: String,
+    /// Nothing where it cannot be computed.
+    pub value: Option<f64>,
+    /// Its line in tables, a title and the number as text; nothing where files alone have it.
+    pub line: Option<(String, Option<String>)>,
 }

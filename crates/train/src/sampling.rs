@@ -22,8 +22,8 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// The model of the checkpoint in `path`, with `overrides` of its run's table `sampling`, on
-    /// `device` or else on that of its run.
+    /// The model of the checkpoint in `path`, with `overrides` of its run's tables
+    /// `sampling` and `evaluation`, on `device` or else on that of its run.
     ///
     /// # Errors
     /// If the checkpoint is damaged, an override is wrong, or the device cannot be used.
@@ -35,7 +35,7 @@ impl Subject {
         device: Option<&str>,
     ) -> Result<Self, Error> {
         let saved = systems.completed(&State::read(path)?.config)?;
-        let config = config::override_sampling(systems, &saved, overrides)?;
+        let config = config::override_trained(systems, &saved, overrides)?;
         let (system, _) = systems.of(&config)?;
         system.validate(&config)?;
         let (device, _) = crate::device::open(device.unwrap_or(&config.run.device))?;

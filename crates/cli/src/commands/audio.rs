@@ -1,16 +1,17 @@
 //! `kinegrad audio`
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_audio::{Features, decode, extract};
 use kinegrad_data::{check_id, write_song_features};
+use kinegrad_report::{Panel, table};
+use kinegrad_train::Error;
 use rayon::prelude::*;
 
 use crate::args::FeaturesArguments;
-use crate::failure::{Failure, UsageError};
-use crate::output::table;
-use crate::picture::{Panel, draw};
+use crate::output::{self, draw};
 
 /// A song on its way to features.
 struct Song {
@@ -20,35 +21,29 @@ struct Song {
 
 /// Computes the features of each song and writes them; exit code 2 if a song cannot be used, after
 /// the others have been done.
-pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Failure> {
+pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     let songs = songs(&arguments)?;
-    let rows: Vec<Result<Vec<String>, Failure>> = songs
-        .par_iter()
-        .map(|song| one(song, arguments.plot))
-        .collect();
-    let mut printed = vec![
-        ["song", "seconds", "frames", "tempo", "beats", "file"]
-            .map(String::from)
-            .to_vec(),
-    ];
+    let each = songs.par_iter().map(|song| one(song, arguments.plot));
     let mut code = 0;
-    for row in rows {
+    let mut rows = Vec::new();
+    for row in each.collect::<Vec<_>>() {
         match row {
-            Ok(row) => printed.push(row),
-            Err(failure) => {
-                tell!("{failure}");
-                code = failure.exit_code;
+            Ok(row) => rows.push(row),
+            Err(error) => {
+                output::failure(&error);
+                code = error.exit_code();
             }
         }
     }
-    if printed.len() > 1 {
-        say!("{}", table(printed));
+    if !rows.is_empty() {
+        let header = ["song", "seconds", "frames", "tempo", "beats", "file"];
+        say!("{}", table(header, rows));
     }
     Ok(ExitCode::from(code))
 }
 
 /// The songs and where each one's features go.
-fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, UsageError> {
+fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     let mut songs: Vec<Song> = Vec::new();
     for path in &arguments.songs {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -57,12 +52,12 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, UsageError> {
                 "{}: its folder would be no plain name: {error}",
                 path.display()
             );
-            return Err(UsageError::new(message, "rename the song"));
+            return Err(Error::usage(message, "rename the song"));
         }
         let folder = arguments.out.join(&*name);
         if songs.iter().any(|song| song.folder == folder) {
             let message = format!("two songs would be written to {}", folder.display());
-            return Err(UsageError::new(
+            return Err(Error::usage(
                 message,
                 "rename one of them, or give each its own --out",
             ));
@@ -75,12 +70,15 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, UsageError> {
     Ok(songs)
 }
 
-fn one(song: &Song, plot: bool) -> Result<Vec<String>, Failure> {
+fn one(song: &Song, plot: bool) -> Result<[String; 6], Error> {
     let waveform = decode(&song.path)?;
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
-    let features = extract(&waveform.samples).map_err(|error| unusable(&song.path, &error))?;
+    let features = extract(&waveform.samples).map_err(|error| {
+        let message = format!("{}: {error}", song.path.display());
+        Error::usage(message, "write the song again from its source")
+    })?;
     let target = song.folder.join("features.npz");
     let beats = features.beats();
     write_song_features(&target, &features)?;
@@ -88,7 +86,7 @@ fn one(song: &Song, plot: bool) -> Result<Vec<String>, Failure> {
         picture(&features, &song.folder.join("features.png"))?;
     }
     let seconds = waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE);
-    Ok(vec![
+    Ok([
         song.path.display().to_string(),
         format!("{seconds:.2}"),
         features.frames().to_string(),
@@ -98,43 +96,29 @@ fn one(song: &Song, plot: bool) -> Result<Vec<String>, Failure> {
     ])
 }
 
-/// An error about a song's samples, with its name.
-pub fn unusable(song: &Path, error: &kinegrad_audio::Error) -> UsageError {
-    let message = format!("{}: {error}", song.display());
-    UsageError::new(message, "write the song again from its source")
-}
-
 /// All features over time, with the beats.
-fn picture(features: &Features, out: &Path) -> Result<(), Failure> {
+fn picture(features: &Features, out: &Path) -> Result<(), Error> {
     use kinegrad_audio::features::{CENTROID, CHROMA, MEL, MFCC, ONSET, RMS};
     let seconds = features.frames() as f64 / kinegrad_audio::FPS;
     let beats = features.beats().times();
-    let rows = |range: std::ops::Range<usize>| -> Vec<Vec<f64>> {
-        let row = |row: usize| {
-            features
-                .rows(row..row + 1)
-                .iter()
-                .map(|&v| f64::from(v))
-                .collect()
-        };
-        range.map(row).collect()
+    let row = |row: usize| -> Vec<f64> {
+        let values = features.rows(row..row + 1).iter();
+        values.map(|&value| f64::from(value)).collect()
     };
-    let curve = |name: &str, row: usize| {
-        let values = features.rows(row..row + 1).iter().enumerate();
-        let points = values.map(|(t, &v)| (t as f64 / kinegrad_audio::FPS, f64::from(v)));
-        (name.to_owned(), points.collect())
+    let heat = |title, rows: Range<usize>| Panel::heat(title, rows.map(row).collect(), seconds);
+    let curves = |title, tracks: &[(&'static str, usize)]| {
+        let tracks = tracks.iter().map(|&(name, index)| (name, row(index)));
+        Panel::over_time(title, kinegrad_audio::FPS, tracks)
     };
     let panels = [
-        Panel::heat("mel", rows(MEL), seconds),
-        Panel::heat("chroma (C at the bottom)", rows(CHROMA), seconds).with_marks(&beats),
-        Panel::heat("mfcc", rows(MFCC), seconds),
-        Panel::lines(
+        heat("mel", MEL),
+        heat("chroma (C at the bottom)", CHROMA).with_marks(&beats),
+        heat("mfcc", MFCC),
+        curves(
             "rms and spectral centroid",
-            "s",
-            vec![curve("rms", RMS), curve("centroid", CENTROID)],
+            &[("rms", RMS), ("centroid", CENTROID)],
         ),
-        Panel::lines("onset strength and beats", "s", vec![curve("onset", ONSET)])
-            .with_marks(&beats),
+        curves("onset strength and beats", &[("onset", ONSET)]).with_marks(&beats),
     ];
     let panels = panels.map(|panel| panel.spanning(0.0..seconds));
     draw(&panels, 1, (1100, 200), out)

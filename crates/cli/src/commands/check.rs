@@ -3,42 +3,35 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::{DataConfig, Dataset, Phrase, read_motion};
-use kinegrad_motion::sanity::{Profile, Report, check};
-use kinegrad_motion::{Phrases, Statistics};
+use kinegrad_data::humanml::SkeletonName;
+use kinegrad_data::{DataConfig, DataKind, read_array};
+use kinegrad_motion::{Profile, Report, Representation, Statistics};
+use kinegrad_report::table;
+use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::checkpoint::resolve_checkpoint;
+use kinegrad_train::systems::Systems;
 use serde_json::json;
 
-use crate::args::{CheckArguments, ProfileName};
-use crate::failure::{Failure, UsageError};
-use crate::output::table;
+use super::sample::checkpoint;
+use crate::args::CheckArguments;
+use crate::output;
 
 /// Checks each file; exit code 1 if any fails.
-pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
-    let statistics = statistics(&arguments)?;
-    let profile = match arguments.profile {
-        ProfileName::Document => Profile::Document,
-        ProfileName::Strict => Profile::Strict,
-    };
+pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
     for path in motion_files(&arguments.paths)? {
-        let report = check(&read_motion(&path)?, profile, statistics.as_ref())?;
+        let array = read_array(&path)?;
+        let representation = systems.representation_of(&path, &array.shape, &array.values)?;
+        let statistics = statistics(&arguments, &*representation)?;
+        let report = representation.check(&array.values, arguments.profile, statistics.as_ref())?;
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
     let rate = passed as f64 / reports.len() as f64;
     if arguments.json {
-        let files: Vec<_> = reports
-            .iter()
-            .map(|(path, report)| {
-                json!({ "path": path, "passed": report.passed, "checks": report.checks })
-            })
-            .collect();
-        say!(
-            "{}",
-            json!({ "files": files, "passed": passed, "pass_rate": rate })
-        );
+        let file = |(path, report): &(String, Report)| json!({ "path": path, "passed": report.passed, "checks": report.checks });
+        let files: Vec<_> = reports.iter().map(file).collect();
+        output::json(&json!({ "files": files, "passed": passed, "pass_rate": rate }));
     } else {
         for (path, report) in &reports {
             say!("{path}\n{}\n", report_table(report));
@@ -48,18 +41,20 @@ pub fn run(arguments: CheckArguments) -> Result<ExitCode, Failure> {
             say!("{}", rates_table(reports.iter().map(|(_, report)| report)));
         }
     }
-    Ok(if passed == reports.len() {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(1)
-    })
+    Ok(ExitCode::from(u8::from(passed < reports.len())))
 }
 
-/// The statistics that `--run` or `--source` names.
-fn statistics(arguments: &CheckArguments) -> Result<Option<Statistics>, Failure> {
+/// The statistics that `--run` or `--source` names, of motion in this `representation`.
+fn statistics(
+    arguments: &CheckArguments,
+    representation: &dyn Representation,
+) -> Result<Option<Statistics>, Error> {
+    if arguments.profile == Profile::Document {
+        return Ok(None);
+    }
     if let Some(run) = &arguments.run {
-        let path = resolve_checkpoint(run, |damaged| tell!("warning: {damaged}"))?;
-        return Ok(Some(State::read(&path)?.statistics_of(&Phrases)?.clone()));
+        let state = State::read(&checkpoint(run)?)?;
+        return Ok(Some(state.statistics_of(representation)?.clone()));
     }
     let Some(source) = &arguments.source else {
         return Ok(None);
@@ -68,21 +63,27 @@ fn statistics(arguments: &CheckArguments) -> Result<Option<Statistics>, Failure>
         source: Some(source.clone()),
         ..Default::default()
     };
-    // All of the phrases, whatever its manifest holds out.
-    data.validation.fraction = Some(0.0);
-    Ok(Some(Dataset::<Phrase>::open(&data)?.statistics()?))
+    match SkeletonName::of_channels(representation.channels()) {
+        Some(skeleton) => {
+            data.kind = DataKind::Humanml3d;
+            data.humanml3d.skeleton = skeleton;
+        }
+        // All of the phrases, whatever its manifest holds out.
+        None => data.validation.fraction = Some(0.0),
+    }
+    Ok(Some(kinegrad_data::statistics(&data)?))
 }
 
 /// The files meant by `paths`, folders searched through.
-fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
         let before = files.len();
         collect(path, &mut files);
         if files.len() == before {
             let message = format!("there is no motion file at {}", path.display());
-            let hint = "give a .npy file of [T, 25] float32, or a folder of them";
-            return Err(UsageError::new(message, hint).into());
+            let hint = "give a .npy file such as `kinegrad sample` writes, or a folder of them";
+            return Err(Error::usage(message, hint));
         }
     }
     Ok(files)
@@ -103,24 +104,13 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-fn verdict(passed: bool) -> String {
-    if passed { "ok" } else { "FAIL" }.to_string()
-}
-
 fn report_table(report: &Report) -> String {
     let rows = report.checks.iter().map(|check| {
+        let result = if check.passed { "ok" } else { "FAIL" };
         let (value, threshold) = (check.value.to_string(), check.threshold.to_string());
-        vec![
-            check.name.to_string(),
-            verdict(check.passed),
-            value,
-            threshold,
-        ]
+        [check.name.to_string(), result.into(), value, threshold]
     });
-    let header = ["check", "result", "value", "allowed"]
-        .map(String::from)
-        .to_vec();
-    table(std::iter::once(header).chain(rows))
+    table(["check", "result", "value", "allowed"], rows)
 }
 
 /// Share of the reports that pass each check.
@@ -133,12 +123,9 @@ fn rates_table<'a>(reports: impl Iterator<Item = &'a Report>) -> String {
             None => counts.push((check.name, 1, passed)),
         }
     }
-    let header = ["check", "pass"].map(String::from).to_vec();
     let rows = counts.into_iter().map(|(name, all, good)| {
-        vec![
-            name.to_string(),
-            format!("{:.0} %", 100.0 * good as f64 / all as f64),
-        ]
+        let rate = format!("{:.0} %", 100.0 * good as f64 / all as f64);
+        [name.to_string(), rate]
     });
-    table(std::iter::once(header).chain(rows))
+    table(["check", "pass"], rows)
 }

@@ -2,15 +2,14 @@
 
 use std::process::ExitCode;
 
+use kinegrad_report::grouped;
 use kinegrad_train::systems::Systems;
-use kinegrad_train::{config, run};
+use kinegrad_train::{Error, config, run};
 
 use crate::args::ShowArguments;
-use crate::failure::Failure;
-use crate::output::grouped;
 
 /// Prints the resolved config, and the model's size as a comment, so that the output is a config.
-pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Failure> {
+pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
     let config = run::load_config(
         systems,
         &arguments.config,

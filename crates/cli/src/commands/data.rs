@@ -9,18 +9,18 @@ use kinegrad_data::{
     ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, Problem, Store, StoreConfig,
     synthetic,
 };
+use kinegrad_report::{Panel, facts, grouped, table};
+use kinegrad_train::Error;
 
-use crate::args::{InspectArguments, SkeletonArgument, SynthArguments};
-use crate::failure::{Failure, UsageError};
-use crate::output::{grouped, table};
-use crate::picture::{Panel, draw};
+use crate::args::{InspectArguments, SynthArguments};
+use crate::output::{self, draw};
 use crate::progress::reading;
 
 /// The shortest clips that KIT-ML is trained on.
 const KIT_MIN_FRAMES: usize = 24;
 
 /// Writes a synthetic dataset.
-pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
+pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
     let SynthArguments {
         out,
         walks,
@@ -40,7 +40,7 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Failure> {
 }
 
 /// Prints what a dataset holds; exit code 1 if items cannot be used.
-pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
+pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     if arguments.condition.is_some() || arguments.plot.is_some() {
         return select(&arguments);
     }
@@ -50,28 +50,22 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Failure> {
     };
     if arguments.humanml3d {
         config.kind = DataKind::Humanml3d;
-        if let SkeletonArgument::Kit = arguments.skeleton {
-            config.humanml3d.skeleton = SkeletonName::Kit;
+        config.humanml3d.skeleton = arguments.skeleton;
+        if config.humanml3d.skeleton == SkeletonName::Kit {
             config.humanml3d.min_frames = KIT_MIN_FRAMES;
         }
     }
     let inspection = kinegrad_data::inspect(&config, &*reading())?;
     if arguments.json {
-        say!(
-            "{}",
-            serde_json::to_string(&inspection).expect("plain data")
-        );
+        output::json(&inspection);
     } else {
         print(&inspection);
     }
-    Ok(match inspection.bad_items {
-        0 => ExitCode::SUCCESS,
-        _ => ExitCode::from(1),
-    })
+    Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
 }
 
 /// Lists or draws the rows of a dataset's manifest.
-fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
+fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {
         let is_there = store.is_remote() || Path::new(&store.uri()).is_dir();
@@ -81,14 +75,14 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
         };
         let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
                     writes";
-        return Err(UsageError::new(message, hint).into());
+        return Err(Error::usage(message, hint));
     };
     let chosen = match &arguments.condition {
         None => all.clone(),
         Some(condition) => all.filter(condition).map_err(|problem| {
             let hint = "as in `tempo > 100 and split = train`; =, !=, <, <=, >, >=, like, and, or, \
                         not and brackets are known";
-            UsageError::new(format!("`--where {condition}`: {problem}"), hint)
+            Error::usage(format!("`--where {condition}`: {problem}"), hint)
         })?,
     };
     if let Some(out) = &arguments.plot {
@@ -96,10 +90,7 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
         tell!("{}", out.display());
     }
     if arguments.json {
-        say!(
-            "{}",
-            serde_json::to_string(&chosen.texts("id").unwrap_or_default()).expect("plain data")
-        );
+        output::json(&chosen.texts("id").unwrap_or_default());
     } else if arguments.condition.is_some() {
         print_selection(&chosen, all.len());
     }
@@ -108,25 +99,16 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Failure> {
 
 fn print_selection(chosen: &Selection, all: usize) {
     const COLUMNS: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
-    let columns = COLUMNS.map(|name| {
-        let texts = chosen.texts(name).unwrap_or_default();
-        let numbers = chosen
-            .numbers(name)
-            .filter(|_| name == "tempo" || name == "beats");
-        match numbers {
-            Some(numbers) => numbers
-                .iter()
-                .map(|number| number.map_or(String::new(), |number| format!("{number:.1}")))
-                .collect(),
-            None => texts,
-        }
+    let shown = |number: Option<f64>| number.map_or(String::new(), |n| format!("{n:.1}"));
+    let columns = COLUMNS.map(|name| match (name, chosen.numbers(name)) {
+        ("tempo" | "beats", Some(numbers)) => numbers.into_iter().map(shown).collect(),
+        _ => chosen.texts(name).unwrap_or_default(),
     });
-    let header = COLUMNS.map(String::from).to_vec();
     let rows = (0..chosen.len()).map(|row| {
         let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
-        columns.iter().map(cell).collect()
+        columns.each_ref().map(cell)
     });
-    say!("{}", table(std::iter::once(header).chain(rows)));
+    say!("{}", table(COLUMNS, rows));
     let frames = chosen.numbers("frames").unwrap_or_default();
     // A sum of nothing is minus zero.
     let frames = frames.into_iter().flatten().fold(0.0, |sum, f| sum + f);
@@ -138,20 +120,12 @@ fn print_selection(chosen: &Selection, all: usize) {
     );
 }
 
-fn plot(chosen: &Selection, out: &Path) -> Result<(), Failure> {
+fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
     let histogram = |title: &str, label, column: &str| {
-        let values: Vec<f64> = chosen
-            .numbers(column)
-            .unwrap_or_default()
-            .into_iter()
-            .flatten()
-            .collect();
-        Panel::histogram(
-            format!("{title} of {} phrases", values.len()),
-            label,
-            &values,
-            24,
-        )
+        let values = chosen.numbers(column).unwrap_or_default();
+        let values: Vec<f64> = values.into_iter().flatten().collect();
+        let title = format!("{title} of {} phrases", values.len());
+        Panel::histogram(title, label, &values, 24)
     };
     let panels = [
         histogram("tempo", "beats per minute", "tempo"),
@@ -167,32 +141,25 @@ fn print(inspection: &Inspection) {
     let (shortest, longest) = (inspection.shortest_frames, inspection.longest_frames);
     let (train, held_out) = (grouped(inspection.train), grouped(inspection.validation));
     let (frames, minutes) = (grouped(inspection.frames), inspection.hours * 60.0);
-    let row = |name: &str, value: String| vec![name.to_string(), value];
-    let mut facts = vec![
-        row("source", inspection.source.clone()),
-        row(&format!("{kind}s"), grouped(inspection.items)),
-        row(&format!("unusable {kind}s"), grouped(inspection.bad_items)),
-        row(&format!("{kind}s left out"), grouped(inspection.left_out)),
-        row("to train on, held out", format!("{train}, {held_out}")),
-        row(
-            "frames",
-            format!("{frames} ({minutes:.2} minutes at {fps} fps)"),
-        ),
-        row(
-            &format!("frames a {kind}"),
-            format!("{shortest} to {longest}"),
-        ),
-        row(
-            "motion",
-            format!(
-                "[frames, {}], {}",
-                inspection.channels, inspection.representation
-            ),
-        ),
+    let (items, unusable, left_out, lengths) = (
+        format!("{kind}s"),
+        format!("unusable {kind}s"),
+        format!("{kind}s left out"),
+        format!("frames a {kind}"),
+    );
+    let shown = [
+        ("source", inspection.source.clone()),
+        (&items, grouped(inspection.items)),
+        (&unusable, grouped(inspection.bad_items)),
+        (&left_out, grouped(inspection.left_out)),
+        ("to train on, held out", format!("{train}, {held_out}")),
+        ("frames", format!("{frames} ({minutes:.2} minutes at {fps} fps)")),
+        (&lengths, format!("{shortest} to {longest}")),
+        ("motion", inspection.representation.clone()),
+        ("channels", grouped(inspection.channels)),
     ];
-    let counts = inspection.counts.iter();
-    facts.extend(counts.map(|(name, count)| row(name, grouped(*count))));
-    say!("{}\n", table(facts));
+    let counts = inspection.counts.iter().map(|(name, count)| (*name, grouped(*count)));
+    say!("{}\n", facts(shown.into_iter().chain(counts)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {
         say!("\n{}", channels(&inspection.conditions));
@@ -220,19 +187,15 @@ fn print_problems(warnings: &[String], problems: &[Problem]) {
 
 /// Range, mean and deviation of channels, or of groups of them.
 fn channels(summaries: &[ChannelSummary]) -> String {
-    let header = ["channel", "min", "max", "mean", "std"]
-        .map(String::from)
-        .to_vec();
     let rows = summaries.iter().map(|channel| {
-        let ChannelSummary {
-            name,
-            min,
-            max,
-            mean,
-            std,
-        } = channel;
-        let numbers = [min, max, mean, std].map(|number| format!("{number:.4}"));
-        std::iter::once(name.clone()).chain(numbers).collect()
+        let number = |number: f64| format!("{number:.4}");
+        [
+            channel.name.clone(),
+            number(channel.min),
+            number(channel.max),
+            number(channel.mean),
+            number(channel.std),
+        ]
     });
-    table(std::iter::once(header).chain(rows))
+    table(["channel", "min", "max", "mean", "std"], rows)
 }

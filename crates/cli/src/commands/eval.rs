@@ -3,67 +3,67 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_train::evaluation::{Evaluated, EvaluationRequest};
+use kinegrad_report::{Column, Section, columns_csv, columns_table};
+use kinegrad_train::Error;
+use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest, Group};
 use kinegrad_train::sampling::Subject;
 use kinegrad_train::systems::Systems;
+use serde_json::json;
 
 use super::sample::{checkpoint, subject};
-use crate::args::{CondName, EvalArguments};
-use crate::comparison::Comparison;
-use crate::failure::{Failure, UsageError};
-use crate::progress::denoising_bar;
+use crate::args::EvalArguments;
+use crate::progress::Denoising;
 
 /// Evaluates each run, writes the reports and prints them.
-pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Failure> {
-    let subjects: Vec<Subject> = arguments
-        .runs
+pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
+    let runs = &arguments.runs;
+    let subjects: Vec<Subject> = runs
         .iter()
         .map(|run| subject(systems, run, &arguments.draw))
         .collect::<Result<_, _>>()?;
     must_compare(systems, &subjects)?;
-    let request = request(&arguments)?;
+    let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
+    let request = EvaluationRequest {
+        source: arguments.source,
+        trajectory: trajectory.transpose()?,
+        seed: arguments.seed,
+    };
     // Whatever is wrong with any run is said before the first one costs minutes.
     let mut evaluations = Vec::with_capacity(subjects.len());
     for subject in &subjects {
         let (system, _) = systems.of(&subject.config)?;
         evaluations.push(system.evaluate(subject, &request)?);
     }
-    let folders: Vec<PathBuf> = subjects
-        .iter()
-        .map(|subject| match &arguments.out {
-            Some(out) => out.clone(),
-            None => run_folder(&subject.checkpoint).join("reports"),
-        })
-        .collect();
+    let own = |subject: &Subject| run_folder(&subject.checkpoint).join("reports");
+    let folders: Vec<PathBuf> = match arguments.out {
+        Some(out) => vec![out],
+        None => subjects.iter().map(own).collect(),
+    };
     folders.iter().try_for_each(|folder| make_folder(folder))?;
 
     let mut evaluated = Vec::with_capacity(subjects.len());
     for (subject, evaluate) in subjects.iter().zip(evaluations) {
-        let bar = denoising_bar().with_prefix(format!("{}  ", subject.config.run.name));
+        let bar = Denoising::of(&subject.config.run.name);
         evaluated.push(evaluate(&mut |stage, done, all| {
-            if !stage.is_empty() {
-                bar.set_message(format!("{stage}  "));
-            }
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
+            bar.show(stage, done, all)
         })?);
-        bar.finish_and_clear();
+        bar.finish();
     }
-    let all = Comparison::new(&arguments.runs, &evaluated);
+    // One folder for all runs, or one for each.
     let mut written = Vec::new();
-    match &arguments.out {
-        Some(out) => written.extend(write(out, &evaluated[0], &all)?),
-        None => {
-            for (folder, alone) in folders.iter().zip(&evaluated) {
-                let comparison = Comparison::new(&arguments.runs, std::slice::from_ref(alone));
-                written.extend(write(folder, alone, &comparison)?);
-            }
-        }
+    for (folder, each) in folders
+        .iter()
+        .zip(evaluated.chunks(subjects.len() / folders.len()))
+    {
+        written.extend(write(folder, runs, each)?);
     }
     if arguments.json {
-        say!("{}", all.json());
+        say!("{}", report(&evaluated));
     } else {
-        say!("{}", all.table());
+        say!(
+            "{}",
+            columns_table(&columns(runs, &evaluated, table_sections))
+        );
         for remark in evaluated.iter().flat_map(|each| &each.remarks) {
             say!("\n{remark}");
         }
@@ -75,7 +75,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, F
 }
 
 /// Refuses runs that have no measure in common.
-fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Failure> {
+fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Error> {
     let mut names = Vec::with_capacity(subjects.len());
     for subject in subjects {
         names.push(systems.of(&subject.config)?.0.name());
@@ -85,33 +85,7 @@ fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Failur
     }
     let message = format!("the runs are of several systems: {}", names.join(", "));
     let hint = "they have no measure in common: evaluate them apart";
-    Err(UsageError::new(message, hint).into())
-}
-
-fn request(arguments: &EvalArguments) -> Result<EvaluationRequest, Failure> {
-    let evaluator = [
-        &arguments.evaluator,
-        &arguments.evaluator_mean,
-        &arguments.evaluator_std,
-        &arguments.word_vectors,
-    ];
-    // The command line takes them together only.
-    let evaluator = evaluator.map(|path| path.clone().unwrap_or_default());
-    Ok(EvaluationRequest {
-        source: arguments.source.clone(),
-        seeds: arguments.seeds,
-        items: arguments.phrases.or(arguments.goals),
-        noise: arguments.cond.map(|cond| matches!(cond, CondName::Noise)),
-        keyframes: arguments.keyframes,
-        obstacles: arguments.obstacles,
-        trajectory: arguments
-            .trajectory_run
-            .as_deref()
-            .map(checkpoint)
-            .transpose()?,
-        evaluator: arguments.evaluator.is_some().then_some(evaluator),
-        seed: arguments.seed,
-    })
+    Err(Error::usage(message, hint))
 }
 
 /// The run that a checkpoint belongs to; a checkpoint that was moved away stands for itself.
@@ -122,28 +96,102 @@ fn run_folder(checkpoint: &Path) -> &Path {
     inside.and_then(Path::parent).unwrap_or(checkpoint)
 }
 
-fn make_folder(folder: &Path) -> Result<(), Failure> {
+fn make_folder(folder: &Path) -> Result<(), Error> {
     std::fs::create_dir_all(folder).map_err(|error| {
         let message = format!("cannot create the folder {}: {error}", folder.display());
-        let hint = "give a folder that can be written with `--out DIR`";
-        UsageError::new(message, hint).into()
+        Error::usage(
+            message,
+            "give a folder that can be written with `--out DIR`",
+        )
     })
 }
 
 /// Writes the report in both forms and returns where.
-fn write(
-    folder: &Path,
-    first: &Evaluated,
-    comparison: &Comparison<'_>,
-) -> Result<[PathBuf; 2], Failure> {
-    let stem = first.report;
+fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf; 2], Error> {
+    let stem = all[0].report;
     let [json, csv] = ["json", "csv"].map(|ending| folder.join(format!("{stem}.{ending}")));
-    for (path, text) in [(&json, comparison.json() + "\n"), (&csv, comparison.csv())] {
+    let columns = columns(runs, all, csv_sections);
+    let texts = [
+        report(all) + "\n",
+        columns_csv(["samples", "measure"], &columns),
+    ];
+    for (path, text) in [&json, &csv].into_iter().zip(texts) {
         // A crash between the two leaves the report that was there.
         let temporary = path.with_extension("partial");
         std::fs::write(&temporary, text)
             .and_then(|()| std::fs::rename(&temporary, path))
-            .map_err(kinegrad_train::Error::io("write", path))?;
+            .map_err(Error::io("write", path))?;
     }
     Ok([json, csv])
+}
+
+/// All numbers as JSON.
+fn report(all: &[Evaluated]) -> String {
+    let all: Vec<_> = all.iter().map(|each| &each.json).collect();
+    serde_json::to_string_pretty(&json!({ "evaluations": all })).expect("plain data")
+}
+
+/// A column for each run and one for real motion. They are named after the runs or, where two have
+/// the same name, as the user named them in `paths`.
+fn columns<'a>(
+    paths: &[PathBuf],
+    all: &'a [Evaluated],
+    sections: fn(&evaluation::Column) -> Vec<Section<'_>>,
+) -> Vec<Column<'a>> {
+    let named_twice = |(index, each): (usize, &Evaluated)| {
+        all[..index].iter().any(|earlier| earlier.run == each.run)
+    };
+    let by_path = all.iter().enumerate().any(named_twice);
+    let same = all.iter().all(|each| each.real == all[0].real);
+    let column = |label: String, column: &'a evaluation::Column| Column {
+        label,
+        sections: sections(column),
+    };
+    let mut columns = Vec::new();
+    for (path, each) in paths.iter().zip(all) {
+        let label = match by_path {
+            true => path.display().to_string(),
+            false => each.run.clone(),
+        };
+        // Runs with other held-out motion, or other training motion to measure in units of.
+        let real = (!same).then(|| column(format!("real ({label})"), &each.real));
+        columns.push(column(label, &each.drawn));
+        columns.extend(real);
+    }
+    if same {
+        columns.push(column("real".into(), &all[0].real));
+    }
+    columns
+}
+
+/// Every number in full.
+fn csv_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
+    sections(column, |group| {
+        let cells = group.numbers.iter().map(|number| {
+            let value = number.value.map(|value| value.to_string());
+            (number.name.as_str(), value)
+        });
+        (group.key, cells.collect())
+    })
+}
+
+/// What people want to see.
+fn table_sections(column: &evaluation::Column) -> Vec<Section<'_>> {
+    sections(column, |group| {
+        let lines = group.numbers.iter().filter_map(|n| n.line.as_ref());
+        let cells = lines.map(|(title, shown)| (title.as_str(), shown.clone()));
+        (group.title, cells.collect())
+    })
+}
+
+/// Facts, then the groups.
+fn sections<'a>(
+    column: &'a evaluation::Column,
+    group: impl Fn(&'a Group) -> Section<'a>,
+) -> Vec<Section<'a>> {
+    let facts = column.facts.iter();
+    let facts = facts.map(|(name, count)| (*name, count.map(|count| count.to_string())));
+    let facts = ("", facts.collect());
+    let groups = column.groups.iter().map(group);
+    [facts].into_iter().chain(groups).collect()
 }

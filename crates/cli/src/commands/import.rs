@@ -2,21 +2,24 @@
 
 use std::process::ExitCode;
 
+use kinegrad_report::grouped;
+use kinegrad_train::Error;
 use kinegrad_train::import::ImportRequest;
 use kinegrad_train::systems::Systems;
 
 use crate::args::ImportArguments;
-use crate::failure::{Failure, UsageError};
-use crate::output::grouped;
 
 /// Writes a run of published weights.
-pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode, Error> {
     let name = &arguments.arch;
     let all = || systems.0.iter();
     let Some(system) = all().find(|system| system.architectures().contains(&name.as_str())) else {
         let known: Vec<&str> = all().flat_map(|s| s.architectures()).copied().collect();
         let message = format!("`--arch {name}` is no network whose weights can be imported");
-        return Err(UsageError::new(message, format!("they are {}", known.join(", "))).into());
+        return Err(Error::usage(
+            message,
+            format!("they are {}", known.join(", ")),
+        ));
     };
     let imported = system.import(&ImportRequest {
         weights: arguments.weights.clone(),

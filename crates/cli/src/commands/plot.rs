@@ -1,113 +1,73 @@
 //! `kinegrad plot`
 
-use std::ops::Range;
 use std::process::ExitCode;
 
-use kinegrad_data::read_motion;
-use kinegrad_motion::kinematics::jerk;
-use kinegrad_motion::phrase::{
-    ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY,
-};
-use kinegrad_motion::rotation::length;
-use kinegrad_motion::{FPS, Motion};
+use kinegrad_data::read_array;
+use kinegrad_motion::Representation;
+use kinegrad_report::{Panel, Series, check_ending};
+use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
-use crate::failure::{Failure, UsageError};
-use crate::picture::{Panel, Series, check_ending, draw};
+use crate::output::{draw, no_picture};
 
 /// Draws a motion file or a run.
-pub fn run(arguments: PlotArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments { input, out } = arguments;
-    check_ending(&out)?;
+    check_ending(&out).map_err(no_picture)?;
     let panels = if input.join("metrics.jsonl").exists() {
         loss_panels(&read_metrics(&input)?)
     } else if input.is_file() {
-        motion_panels(&read_motion(&input)?)
+        let array = read_array(&input)?;
+        let representation = systems.representation_of(&input, &array.shape, &array.values)?;
+        motion_panels(&*representation, &array.values)
     } else {
         let message = format!(
             "there is neither a motion file nor a run at {}",
             input.display()
         );
-        let hint = "give a .npy file of [T, 25], or a folder such as runs/quickstart";
-        return Err(UsageError::new(message, hint).into());
+        let hint = "give a .npy file such as `kinegrad sample` writes, or a folder such as \
+                    runs/quickstart";
+        return Err(Error::usage(message, hint));
     };
     draw(&panels, 2, (520, 250), &out)?;
     say!("{}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
-fn over_time(title: &str, series: Vec<Series>) -> Panel {
-    Panel::lines(title, "s", series)
-}
-
-fn motion_panels(motion: &Motion) -> Vec<Panel> {
-    let seconds = |t: usize| t as f64 / FPS;
-    let curve = |name: String, value: &dyn Fn(usize) -> f64| -> Series {
-        (
-            name,
-            (0..motion.frames())
-                .map(|t| (seconds(t), value(t)))
-                .collect(),
-        )
-    };
-    let channels = |range: Range<usize>, names: &[&str]| -> Vec<Series> {
-        range
-            .zip(names)
-            .map(|(channel, name)| {
-                curve(name.to_string(), &|t| f64::from(motion.frame(t)[channel]))
-            })
-            .collect()
-    };
-    let xyz = ["x", "y", "z"];
-    let path: Vec<(f64, f64)> = (0..motion.frames())
-        .map(|t| motion.vector(t, POSITION))
-        // Seen from above, with +z, towards the viewer, downwards.
-        .map(|[x, _, z]| (x, -z))
-        .collect();
-    let jerk: Vec<(f64, f64)> = jerk(motion)
-        .into_iter()
-        .enumerate()
-        .map(|(t, j)| (seconds(t), length(j)))
-        .collect();
-    let norm = curve("|q|".into(), &|t| motion.quaternion(t).norm());
-    vec![
-        Panel::map(
-            "path from above (m; x right, z down)",
-            "m",
-            vec![("path".into(), path)],
-        ),
-        over_time("position (m)", channels(POSITION, &xyz)),
-        over_time("velocity (m/s)", channels(VELOCITY, &xyz)),
-        over_time("acceleration (m/s²)", channels(ACCELERATION, &xyz)),
-        over_time("quaternion", channels(QUATERNION, &["w", "x", "y", "z"])),
-        over_time("angular velocity (rad/s)", channels(ANGULAR_VELOCITY, &xyz)),
-        over_time("phase", channels(PHASE..PHASE + 1, &["phase"])),
-        over_time(
-            "style",
-            channels(STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
-        ),
-        over_time("quaternion norm", vec![norm]),
-        over_time("jerk (m/s³)", vec![("|jerk|".into(), jerk)]),
-    ]
+/// The path of the root seen from above, and what the representation says is worth drawing.
+fn motion_panels(representation: &dyn Representation, rows: &[f32]) -> Vec<Panel> {
+    let path = representation.joints(rows).map(|joints| {
+        // With +z, towards the viewer, downwards.
+        let root = (0..joints.frames()).map(|t| joints.frame(t)[0]);
+        let above = root.map(|[x, _, z]| (x, -z)).collect();
+        let series = vec![("path".to_string(), above)];
+        Panel::map("path from above (m; x right, z down)", "m", series)
+    });
+    let fps = representation.fps();
+    let curves = representation.curves(rows).into_iter().map(|curves| {
+        let series = curves.series.iter();
+        let tracks = series.map(|(name, values)| (name.as_str(), values.clone()));
+        Panel::over_time(curves.title.clone(), fps, tracks)
+    });
+    path.into_iter().chain(curves).collect()
 }
 
 fn loss_panels(records: &[Record]) -> Vec<Panel> {
-    let curve = |name: &str| -> Series {
-        let points = records
-            .iter()
-            .filter_map(|r| Some((r.step as f64, r.get(name)?)));
-        (name.to_string(), points.collect())
+    let panel = |title, names: &[&str]| {
+        let curves = names.iter().map(|name| -> Series {
+            let points = records
+                .iter()
+                .filter_map(|r| Some((r.step as f64, r.get(name)?)));
+            (name.to_string(), points.collect())
+        });
+        let measured = curves.filter(|(_, points)| !points.is_empty());
+        Panel::lines(title, "step", measured.collect())
     };
-    let losses: Vec<Series> = ["loss", "val_loss"]
-        .map(curve)
-        .into_iter()
-        .filter(|(_, points)| !points.is_empty())
-        .collect();
-    let panel = |title, series| Panel::lines(title, "step", series);
     vec![
-        panel("loss", losses),
-        panel("gradient norm", vec![curve("grad_norm")]),
-        panel("learning rate", vec![curve("lr")]),
+        panel("loss", &["loss", "val_loss"]),
+        panel("gradient norm", &["grad_norm"]),
+        panel("learning rate", &["lr"]),
     ]
 }

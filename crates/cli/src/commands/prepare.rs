@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_data::prepare::{Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare};
+use kinegrad_report::{grouped, rows as table};
+use kinegrad_train::Error;
 
 use crate::args::PrepareArguments;
-use crate::failure::Failure;
-use crate::output::{grouped, table};
 use crate::progress::{Count, stop_on_ctrl_c};
 
 /// Bar and stop flag of a preparation.
@@ -28,7 +28,7 @@ impl PrepareObserver for Progress {
 }
 
 /// Makes a dataset; exit code 1 if nothing could be made of a take.
-pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Failure> {
+pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     let mut plan = Plan::read(&arguments.plan)?;
     if let Some(out) = arguments.out {
         plan.output = match out.contains("://") {

@@ -3,24 +3,26 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use indicatif::ProgressBar;
 use kinegrad_data::write_values;
+use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
 use kinegrad_train::systems::Systems;
 
 use crate::args::{DrawArguments, SampleArguments};
-use crate::failure::{Failure, UsageError};
-use crate::output::table;
-use crate::progress::denoising_bar;
+use crate::progress::Denoising;
 
 /// Draws motion and writes it.
-pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
     if arguments.count == 0 {
-        return Err(UsageError::new("`--count` is 0", "ask for at least one sample").into());
+        return Err(Error::usage(
+            "`--count` is 0",
+            "ask for at least one sample",
+        ));
     }
     let subject = subject(systems, &arguments.run, &arguments.draw)?;
+    let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = Request {
         conditions: Conditions {
             source: arguments.source,
@@ -29,11 +31,7 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
             song: arguments.audio,
             start: arguments.start,
             goals: arguments.goal,
-            trajectory: arguments
-                .trajectory_run
-                .as_deref()
-                .map(checkpoint)
-                .transpose()?,
+            trajectory: trajectory.transpose()?,
             text_embedding: arguments.text_embedding,
             held_out: None,
         },
@@ -49,10 +47,8 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
 }
 
 /// The checkpoint that a path means.
-pub fn checkpoint(path: &Path) -> Result<PathBuf, Failure> {
-    Ok(resolve_checkpoint(path, |damaged| {
-        tell!("warning: {damaged}")
-    })?)
+pub fn checkpoint(path: &Path) -> Result<PathBuf, Error> {
+    resolve_checkpoint(path, |damaged| tell!("warning: {damaged}"))
 }
 
 /// The model of a run or checkpoint, with the settings of the command line.
@@ -60,7 +56,7 @@ pub fn subject(
     systems: Systems<'_>,
     run: &Path,
     arguments: &DrawArguments,
-) -> Result<Subject, Failure> {
+) -> Result<Subject, Error> {
     let DrawArguments {
         overrides,
         steps,
@@ -76,16 +72,20 @@ pub fn subject(
         true => Weights::Model,
         false => Weights::Ema,
     };
-    let path = checkpoint(run)?;
-    let subject = Subject::open(systems, &path, &overrides, weights, device.as_deref())?;
-    Ok(subject)
+    Subject::open(
+        systems,
+        &checkpoint(run)?,
+        &overrides,
+        weights,
+        device.as_deref(),
+    )
 }
 
 /// Prints what is to be said of all motions.
 pub fn say_remark(remark: Option<Remark>) {
     match remark {
         Some(Remark::Text(text)) => say!("{text}"),
-        Some(Remark::Table(rows)) => say!("{}", table(rows)),
+        Some(Remark::Table(table)) => say!("{}", rows(table)),
         None => {}
     }
 }
@@ -93,7 +93,7 @@ pub fn say_remark(remark: Option<Remark>) {
 /// Writes motion to files of one stem.
 pub struct Files {
     stem: String,
-    bar: Option<ProgressBar>,
+    bar: Option<Denoising>,
     says: bool,
     written: usize,
 }
@@ -128,17 +128,13 @@ impl Files {
 
 impl Receiver for Files {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
-        let bar = self.bar.get_or_insert_with(denoising_bar);
-        if !stage.is_empty() {
-            bar.set_message(format!("{stage}  "));
-        }
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
+        let bar = self.bar.get_or_insert_with(|| Denoising::of(""));
+        bar.show(stage, done, all);
     }
 
     fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
         if let Some(bar) = self.bar.take() {
-            bar.finish_and_clear();
+            bar.finish();
         }
         let stem = format!("{}{}", self.stem, drawn.name);
         for (ending, contents) in &drawn.files {

@@ -3,20 +3,19 @@
 use std::process::ExitCode;
 use std::time::Instant;
 
-use kinegrad_train::Ending;
+use kinegrad_report::facts;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, TrainRequest};
 use kinegrad_train::sampling::{Conditions, Request, Subject};
 use kinegrad_train::systems::Systems;
+use kinegrad_train::{Ending, Error};
 
 use super::sample::{Files, checkpoint, say_remark};
 use crate::args::TrainArguments;
-use crate::failure::Failure;
-use crate::output::table;
 use crate::progress::{TrainProgress, duration};
 
 /// Trains, then draws the samples that the config asks for.
-pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Failure> {
+pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
     let mut overrides = arguments.overrides;
     for (key, value) in [
         ("run.name", arguments.name),
@@ -55,26 +54,21 @@ fn summarise(outcome: &Outcome, started: Instant) {
         Some(Ending::EarlyStopped) => "stopped early: the validation loss no longer falls",
         Some(Ending::Interrupted) => "stopped; `--resume` continues",
     };
-    let mut rows = vec![
-        vec!["run".to_string(), outcome.folder.display().to_string()],
-        vec!["ended".to_string(), ending.to_string()],
-        vec!["steps".to_string(), outcome.step.to_string()],
+    let progress = &outcome.progress;
+    let best = progress.best_step.zip(progress.best_val_loss);
+    let best = best.map(|(step, loss)| ("best val_loss", format!("{loss:.5} at step {step}")));
+    let rows = [
+        Some(("run", outcome.folder.display().to_string())),
+        Some(("ended", ending.to_string())),
+        Some(("steps", outcome.step.to_string())),
+        best,
+        Some(("time", duration(started.elapsed().as_secs_f64()))),
     ];
-    if let (Some(step), Some(loss)) = (outcome.progress.best_step, outcome.progress.best_val_loss) {
-        rows.push(vec![
-            "best val_loss".to_string(),
-            format!("{loss:.5} at step {step}"),
-        ]);
-    }
-    rows.push(vec![
-        "time".to_string(),
-        duration(started.elapsed().as_secs_f64()),
-    ]);
-    say!("{}", table(rows));
+    say!("{}", facts(rows.into_iter().flatten()));
 }
 
 /// Draws samples for the first held-out items into the run's folder.
-fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Failure> {
+fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = Subject::open(systems, &path, &[], Weights::Ema, None)?;
     let request = Request {

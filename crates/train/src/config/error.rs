@@ -1,4 +1,5 @@
 use std::fmt::Display;
+use std::ops::RangeBounds;
 use std::path::PathBuf;
 
 use miette::Diagnostic;
@@ -63,7 +64,9 @@ pub enum ConfigError {
         allowed: String,
     },
     /// An override of what a trained model has been trained with.
-    #[error("`--set {argument}`: the model is trained, only keys of `sampling` can be set")]
+    #[error(
+        "`--set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
+    )]
     #[diagnostic(help(
         "for example `--set sampling.sampler.num_inference_steps=50`; other settings are for \
          `kinegrad train`"
@@ -89,5 +92,37 @@ impl ConfigError {
             found: found.to_string(),
             allowed: allowed.to_string(),
         }
+    }
+
+    /// Refuses a number that is not finite or not in `range`, which `allowed` says in words.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`].
+    pub fn unless(
+        range: impl RangeBounds<f64>,
+        key: impl Display,
+        found: f64,
+        allowed: &str,
+    ) -> Result<(), Self> {
+        if found.is_finite() && range.contains(&found) {
+            return Ok(());
+        }
+        Err(Self::range(key, found, allowed))
+    }
+
+    /// [`ConfigError::unless`] the number is 0 or more.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`].
+    pub fn unless_at_least_zero(key: impl Display, found: f64) -> Result<(), Self> {
+        Self::unless(0.0.., key, found, "0 or more")
+    }
+
+    /// [`ConfigError::unless`] the number is above 0.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`].
+    pub fn unless_positive(key: impl Display, found: f64) -> Result<(), Self> {
+        Self::unless(f64::MIN_POSITIVE.., key, found, "more than 0")
     }
 }

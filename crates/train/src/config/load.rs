@@ -83,12 +83,14 @@ pub fn parse(
     Ok(config)
 }
 
-/// A run's config with `overrides` of keys of the table `sampling`: what may change once a model is
-/// trained.
+/// Tables whose keys may change once a model is trained.
+const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
+
+/// A trained run's config with `overrides` of how it is drawn from and evaluated.
 ///
 /// # Errors
 /// Names the override that is wrong, or whose key is of another table.
-pub fn override_sampling(
+pub fn override_trained(
     systems: Systems<'_>,
     config: &Config,
     overrides: &[String],
@@ -96,7 +98,8 @@ pub fn override_sampling(
     let mut table = Table::try_from(config).expect("plain data");
     let mut changed = config.clone();
     for argument in overrides {
-        if !argument.trim_start().starts_with("sampling.") {
+        let key = argument.trim_start();
+        if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
             return Err(ConfigError::Trained {
                 argument: argument.clone(),
             });

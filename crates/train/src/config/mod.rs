@@ -16,7 +16,7 @@ mod tables;
 pub use difference::{Difference, difference};
 pub use error::ConfigError;
 pub(crate) use load::lay_over;
-pub use load::{load, load_over, override_sampling, parse, to_toml};
+pub use load::{load, load_over, override_trained, parse, to_toml};
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;

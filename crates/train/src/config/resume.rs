@@ -5,11 +5,12 @@ use crate::Error;
 
 /// Keys that may differ, or the tables whose every key may. Where motion lies and how it is fetched
 /// and kept changes no batch: that it is the same is checked by itself.
-const FREE: [&str; 8] = [
+const FREE: [&str; 9] = [
     "train.max_steps",
     "run.device",
     "checkpoint.*",
     "validation.*",
+    "evaluation.*",
     "data.source",
     "data.num_workers",
     "data.cache.*",

@@ -37,10 +37,7 @@ impl SteeringConfig {
     /// # Errors
     /// Names the first key with a bad value.
     pub fn validate(&self) -> Result<(), Error> {
-        if !(self.scale >= 0.0 && self.scale.is_finite()) {
-            let key = "sampling.steering.scale";
-            return Err(ConfigError::range(key, self.scale, "0 or more").into());
-        }
+        ConfigError::unless_at_least_zero("sampling.steering.scale", self.scale)?;
         if self.guidance.frame_limit == Some(0) {
             let key = "sampling.steering.guidance.frame_limit";
             return Err(ConfigError::range(key, 0, "1 or more, or no such key").into());

@@ -8,9 +8,6 @@ use super::{Config, ConfigError, load};
 
 /// The tables of a system as a struct: one field a table.
 pub trait SystemTables: Serialize + DeserializeOwned {
-    /// Names of the tables.
-    const NAMES: &'static [&'static str];
-
     /// TOML of keys that kinegrad 0.1 wrote into every config, whatever its recipe, with the values
     /// that they had where nobody set them: such a key with such a value is passed over.
     const PASSED_OVER: &'static str = "";

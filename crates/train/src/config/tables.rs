@@ -257,63 +257,20 @@ pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Confi
             return Err(ConfigError::range(key, value, "1 or more"));
         }
     }
-    let unit = 0.0..1.0;
-    let ranges: [(&str, f64, bool, &str); 9] = [
-        (
-            "optim.learning_rate",
-            optim.learning_rate,
-            optim.learning_rate >= 0.0,
-            "0 or more",
-        ),
-        (
-            "optim.weight_decay",
-            optim.weight_decay,
-            optim.weight_decay >= 0.0,
-            "0 or more",
-        ),
-        ("optim.eps", optim.eps, optim.eps > 0.0, "more than 0"),
-        (
-            "optim.betas",
-            optim.betas[0],
-            unit.contains(&optim.betas[0]),
-            "0 to below 1",
-        ),
-        (
-            "optim.betas",
-            optim.betas[1],
-            unit.contains(&optim.betas[1]),
-            "0 to below 1",
-        ),
-        (
-            "train.max_grad_norm",
-            train.max_grad_norm,
-            train.max_grad_norm >= 0.0,
-            "0 or more",
-        ),
-        (
-            "ema.decay",
-            config.ema.decay,
-            (0.0..=1.0).contains(&config.ema.decay),
-            "0 to 1",
-        ),
-        (
-            "ema.inv_gamma",
-            config.ema.inv_gamma,
-            config.ema.inv_gamma >= 0.0,
-            "0 or more",
-        ),
-        (
-            "ema.power",
-            config.ema.power,
-            config.ema.power > 0.0,
-            "more than 0",
-        ),
-    ];
-    for (key, value, allowed, range) in ranges {
-        if !allowed || !value.is_finite() {
-            return Err(ConfigError::range(key, value, range));
-        }
+    for (key, value) in [
+        ("optim.learning_rate", optim.learning_rate),
+        ("optim.weight_decay", optim.weight_decay),
+        ("train.max_grad_norm", train.max_grad_norm),
+        ("ema.inv_gamma", config.ema.inv_gamma),
+    ] {
+        ConfigError::unless_at_least_zero(key, value)?;
     }
+    ConfigError::unless_positive("optim.eps", optim.eps)?;
+    ConfigError::unless_positive("ema.power", config.ema.power)?;
+    for beta in optim.betas {
+        ConfigError::unless(0.0..1.0, "optim.betas", beta, "0 to below 1")?;
+    }
+    ConfigError::unless(0.0..=1.0, "ema.decay", config.ema.decay, "0 to 1")?;
     let groups = recipe.groups;
     for (name, &rate) in &optim.groups {
         let key = format!("optim.groups.{name}");
@@ -321,9 +278,7 @@ pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Confi
             let allowed = format!("groups of this recipe: {}", groups.join(", "));
             return Err(ConfigError::range(key, rate, allowed));
         }
-        if !(rate >= 0.0 && rate.is_finite()) {
-            return Err(ConfigError::range(key, rate, "0 or more"));
-        }
+        ConfigError::unless_at_least_zero(key, rate)?;
     }
     let name = &config.run.name;
     if name.contains(['/', '\\']) || name.starts_with('.') {

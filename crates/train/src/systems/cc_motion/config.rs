@@ -8,6 +8,7 @@ use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
 use kinegrad_motion::phrase::CHANNELS;
 use serde::{Deserialize, Serialize};
 
+use super::evaluate::CondSource;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::{E2E, rolls_out};
 use crate::config::{Clip, Config, ConfigError, SystemTables};
@@ -33,19 +34,11 @@ pub struct CcMotionConfig {
     pub rollout: RolloutConfig,
     /// The losses on decoded motion, in recipes `decoder` and `e2e`.
     pub loss: LossConfig,
+    /// What an evaluation draws.
+    pub evaluation: EvaluationConfig,
 }
 
 impl SystemTables for CcMotionConfig {
-    const NAMES: &'static [&'static str] = &[
-        "init",
-        "model",
-        "decoder",
-        "lora",
-        "diffusion",
-        "rollout",
-        "loss",
-    ];
-
     const PASSED_OVER: &'static str = include_str!("passed_over.toml");
 
     fn resolved(self) -> Self {
@@ -235,6 +228,29 @@ impl Default for LossConfig {
     }
 }
 
+/// The table `evaluation`: what `kinegrad eval` draws and measures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Samples for each held-out phrase; two tell how much they differ.
+    pub seeds: usize,
+    /// Draw for the first so many held-out phrases; without this key for all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub phrases: Option<usize>,
+    /// What the model hears.
+    pub cond: CondSource,
+}
+
+impl Default for EvaluationConfig {
+    fn default() -> Self {
+        Self {
+            seeds: 2,
+            phrases: None,
+            cond: CondSource::default(),
+        }
+    }
+}
+
 /// Refuses what this system cannot work with.
 ///
 /// # Errors
@@ -250,6 +266,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
     let timesteps = own.diffusion.num_train_timesteps;
     config.sampling.sampler.validate(timesteps)?;
+    if own.evaluation.seeds == 0 {
+        return Err(ConfigError::range("evaluation.seeds", 0, "1 or more").into());
+    }
+    if own.evaluation.phrases == Some(0) {
+        let allowed = "1 or more, or no such key for all that are held out";
+        return Err(ConfigError::range("evaluation.phrases", 0, allowed).into());
+    }
     if rolls_out(config) {
         own.decoder.validate()?;
         own.validate_fine_tuning(config)?;
@@ -310,13 +333,6 @@ impl CcMotionConfig {
                 allowed,
             ));
         }
-        let at_least_zero = |key: String, value: f64| {
-            if value >= 0.0 && value.is_finite() {
-                Ok(())
-            } else {
-                Err(ConfigError::range(key, value, "0 or more"))
-            }
-        };
         let loss = &self.loss;
         let named = [
             ("loss.w_diff", loss.w_diff),
@@ -334,23 +350,16 @@ impl CcMotionConfig {
             ),
         ];
         for (key, value) in named {
-            at_least_zero(key.to_string(), value)?;
+            ConfigError::unless_at_least_zero(key, value)?;
         }
         for (key, value) in loss.temporal.numbers() {
             let key = format!("loss.temporal.{key}");
-            if key.contains(".target_") && !(value > 0.0 && value.is_finite()) {
-                return Err(ConfigError::range(key, value, "more than 0"));
+            match key.contains(".target_") {
+                true => ConfigError::unless_positive(key, value)?,
+                false => ConfigError::unless_at_least_zero(key, value)?,
             }
-            at_least_zero(key, value)?;
         }
-        if !(0.0..=1.0).contains(&rollout.gradient_decay) {
-            let found = rollout.gradient_decay;
-            return Err(ConfigError::range(
-                "rollout.gradient_decay",
-                found,
-                "0 to 1",
-            ));
-        }
-        Ok(())
+        let decay = rollout.gradient_decay;
+        ConfigError::unless(0.0..=1.0, "rollout.gradient_decay", decay, "0 to 1")
     }
 }

@@ -25,8 +25,8 @@ use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
 
 pub use config::{
-    CcMotionConfig, InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig,
-    RolloutMode, RolloutStart,
+    CcMotionConfig, EvaluationConfig, InitConfig, LossConfig, PretrainConfig,
+    ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
 pub use networks::Trained;
 

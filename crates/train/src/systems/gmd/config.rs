@@ -27,6 +27,8 @@ pub struct GmdConfig {
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
+    /// What an evaluation asks for.
+    pub evaluation: GmdEvaluationConfig,
 }
 
 /// The table `init`: what a fine-tuning starts from.
@@ -55,9 +57,64 @@ impl Default for GmdLossConfig {
     }
 }
 
-impl SystemTables for GmdConfig {
-    const NAMES: &'static [&'static str] = &["init", "model", "emphasis", "diffusion", "loss"];
+/// The table `evaluation`: what `kinegrad eval` asks of the model, on the way of held-out clips.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdEvaluationConfig {
+    /// Held-out clips with a goal each.
+    pub goals: usize,
+    /// Key frames of each goal.
+    pub keyframes: usize,
+    /// Obstacles on the way of each goal, of which then the last key frame alone is asked for.
+    pub obstacles: usize,
+    /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
+    pub evaluator: EvaluatorFiles,
+}
 
+impl Default for GmdEvaluationConfig {
+    fn default() -> Self {
+        Self {
+            goals: 20,
+            keyframes: 5,
+            obstacles: 0,
+            evaluator: EvaluatorFiles::default(),
+        }
+    }
+}
+
+/// The table `evaluation.evaluator`: where the evaluator's parts lie; empty where there is none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvaluatorFiles {
+    /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
+    pub weights: PathBuf,
+    /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
+    pub mean: PathBuf,
+    /// See `mean`.
+    pub std: PathBuf,
+    /// Word vectors as safetensors (docs/dataset.md).
+    pub word_vectors: PathBuf,
+}
+
+impl EvaluatorFiles {
+    /// Whether any file is named.
+    pub fn is_given(&self) -> bool {
+        self.named()
+            .iter()
+            .any(|(_, path)| !path.as_os_str().is_empty())
+    }
+
+    fn named(&self) -> [(&'static str, &PathBuf); 4] {
+        [
+            ("weights", &self.weights),
+            ("mean", &self.mean),
+            ("std", &self.std),
+            ("word_vectors", &self.word_vectors),
+        ]
+    }
+}
+
+impl SystemTables for GmdConfig {
     const PASSED_OVER: &'static str = include_str!("passed_over.toml");
 
     fn resolved(self) -> Self {
@@ -107,9 +164,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         other => Error::from(other),
     })?;
     let scale = own.loss.trajectory_scale;
-    if !(scale > 0.0 && scale.is_finite()) {
-        return Err(ConfigError::range("loss.trajectory_scale", scale, "more than 0").into());
-    }
+    ConfigError::unless_positive("loss.trajectory_scale", scale)?;
     let projects = own.emphasis.kind != EmphasisKind::None;
     if recipe == TRAJECTORY && projects {
         let allowed = "\"none\": the trajectory model's four channels are not projected";
@@ -119,6 +174,17 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let allowed = "1 in a projected space, where no channel is the trajectory's, and in recipe \
                        `gmd_trajectory`, where all are";
         return Err(ConfigError::range("loss.trajectory_scale", scale, allowed).into());
+    }
+    let evaluation = &own.evaluation;
+    if evaluation.goals == 0 {
+        return Err(ConfigError::range("evaluation.goals", 0, "1 or more").into());
+    }
+    let files = evaluation.evaluator.named();
+    let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
+    if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {
+        let key = format!("evaluation.evaluator.{name}");
+        let allowed = "a file: the evaluator needs weights, mean, std and word_vectors";
+        return Err(ConfigError::range(key, "empty", allowed).into());
     }
     config.sampling.steering.validate()
 }

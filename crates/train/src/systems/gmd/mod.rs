@@ -21,7 +21,7 @@ use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, JointPositions, Representation};
 use toml::Table;
 
-pub use config::{GmdConfig, GmdInitConfig, GmdLossConfig};
+pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundGoal};

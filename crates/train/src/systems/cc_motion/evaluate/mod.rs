@@ -10,7 +10,7 @@ use std::sync::Arc;
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
 use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub(super) use run::prepare;
 
@@ -23,7 +23,7 @@ use crate::error::Error;
 use measures::Reference;
 
 /// What the model hears while it draws.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CondSource {
     /// The audio features of the held-out phrases.

@@ -4,52 +4,29 @@ use kinegrad_motion::Value;
 use serde_json::to_value;
 
 use super::{CondSource, Evaluation, Measures, ProfileRates};
-use crate::evaluation::{Column, Evaluated, Group};
+use crate::evaluation::{Column, Evaluated, Group, Number};
 
-struct Metric {
-    key: &'static str,
-    title: &'static str,
-    decimals: usize,
-    of: fn(&Measures) -> Option<f64>,
-}
+/// Name in files and in tables, decimals in tables.
+type Metric = (
+    &'static str,
+    &'static str,
+    usize,
+    fn(&Measures) -> Option<f64>,
+);
 
 const METRICS: [Metric; 6] = [
-    Metric {
-        key: "diversity",
-        title: "diversity",
-        decimals: 3,
-        of: |measures| measures.diversity,
-    },
-    Metric {
-        key: "same_phrase_diversity",
-        title: "same-phrase diversity",
-        decimals: 3,
-        of: |measures| measures.same_phrase_diversity,
-    },
-    Metric {
-        key: "frechet_held_out",
-        title: "Fréchet to held-out",
-        decimals: 4,
-        of: |measures| measures.frechet_held_out,
-    },
-    Metric {
-        key: "frechet_training",
-        title: "Fréchet to training",
-        decimals: 4,
-        of: |measures| measures.frechet_training,
-    },
-    Metric {
-        key: "beat_alignment",
-        title: "beat alignment",
-        decimals: 3,
-        of: |measures| measures.beat_alignment,
-    },
-    Metric {
-        key: "mean_jerk",
-        title: "mean jerk, m/s^3",
-        decimals: 1,
-        of: |measures| measures.mean_jerk,
-    },
+    ("diversity", "diversity", 3, |m| m.diversity),
+    ("same_phrase_diversity", "same-phrase diversity", 3, |m| {
+        m.same_phrase_diversity
+    }),
+    ("frechet_held_out", "Fréchet to held-out", 4, |m| {
+        m.frechet_held_out
+    }),
+    ("frechet_training", "Fréchet to training", 4, |m| {
+        m.frechet_training
+    }),
+    ("beat_alignment", "beat alignment", 3, |m| m.beat_alignment),
+    ("mean_jerk", "mean jerk, m/s^3", 1, |m| m.mean_jerk),
 ];
 
 type Rates = fn(&Measures) -> &ProfileRates;
@@ -66,8 +43,16 @@ pub fn evaluated(evaluation: &Evaluation) -> Evaluated {
         Column {
             facts: vec![("step", step), ("phrases", phrases), ("seeds", seeds)],
             groups: vec![
-                group("processed", "POST-PROCESSED", processed),
-                group("raw", "RAW", raw),
+                Group {
+                    key: "processed",
+                    title: "POST-PROCESSED",
+                    numbers: numbers(processed),
+                },
+                Group {
+                    key: "raw",
+                    title: "RAW",
+                    numbers: numbers(raw),
+                },
             ],
         }
     };
@@ -90,70 +75,46 @@ pub fn evaluated(evaluation: &Evaluation) -> Evaluated {
     }
 }
 
-fn group(key: &'static str, title: &'static str, measures: &Measures) -> Group {
-    Group {
-        key,
-        title,
-        numbers: numbers(measures),
-        rows: rows(measures),
+/// Every number by its path in the JSON; one that is not finite counts as missing. People see of
+/// checks the share that passes and the mean value.
+fn numbers(measures: &Measures) -> Vec<Number> {
+    let mut numbers = Vec::new();
+    let mut add = |name: String, value: Option<f64>, line| {
+        let value = value.filter(|value| value.is_finite());
+        numbers.push(Number { name, value, line });
+    };
+    let line = |title: String, shown: String| Some((title, Some(shown)));
+    for (key, title, decimals, of) in METRICS {
+        let value = of(measures);
+        let shown = value.map(|value| format!("{value:.decimals$}"));
+        add(key.to_string(), value, Some((title.to_string(), shown)));
     }
-}
-
-/// Every number by its path in the JSON; a value that is not finite counts as missing.
-fn numbers(measures: &Measures) -> Vec<(String, Option<f64>)> {
-    let mut numbers: Vec<(String, Option<f64>)> = METRICS
-        .iter()
-        .map(|metric| (metric.key.to_string(), (metric.of)(measures)))
-        .collect();
     for loss in &measures.losses {
-        let value = loss.value.is_finite().then_some(loss.value);
-        numbers.push((format!("loss.{}", loss.name), value));
+        let shown = line(
+            format!("loss: {}", loss.name),
+            format!("{:.3e}", loss.value),
+        );
+        add(format!("loss.{}", loss.name), Some(loss.value), shown);
     }
     for (profile, rates) in PROFILES {
         let rates = rates(measures);
-        let mut add = |name: String, value: f64| {
-            let name = format!("{profile}.{name}");
-            numbers.push((name, value.is_finite().then_some(value)));
-        };
-        add("pass_rate".to_string(), rates.pass_rate);
+        let shown = line(format!("{profile}: all"), percent(rates.pass_rate));
+        add(format!("{profile}.pass_rate"), Some(rates.pass_rate), shown);
         for check in &rates.checks {
-            let name = check.name;
-            add(format!("{name}.pass_rate"), check.pass_rate);
+            let name = format!("{profile}.{}", check.name);
+            let shown = format!("{} ({})", percent(check.pass_rate), check.value);
+            let shown = line(format!("{profile}: {}", check.name), shown);
+            add(format!("{name}.pass_rate"), Some(check.pass_rate), shown);
             match check.value {
-                Value::Number(value) => add(format!("{name}.value"), value),
+                Value::Number(value) => add(format!("{name}.value"), Some(value), None),
                 Value::Range([low, high]) => {
-                    add(format!("{name}.min"), low);
-                    add(format!("{name}.max"), high);
+                    add(format!("{name}.min"), Some(low), None);
+                    add(format!("{name}.max"), Some(high), None);
                 }
             }
         }
     }
     numbers
-}
-
-/// The numbers for people: of checks the share that passes and the mean value.
-fn rows(measures: &Measures) -> Vec<(String, Option<String>)> {
-    let mut rows: Vec<(String, Option<String>)> = METRICS
-        .iter()
-        .map(|metric| {
-            let value = (metric.of)(measures);
-            let shown = value.map(|value| format!("{value:.*}", metric.decimals));
-            (metric.title.to_string(), shown)
-        })
-        .collect();
-    for loss in &measures.losses {
-        let shown = format!("{:.3e}", loss.value);
-        rows.push((format!("loss: {}", loss.name), Some(shown)));
-    }
-    for (profile, rates) in PROFILES {
-        let rates = rates(measures);
-        rows.push((format!("{profile}: all"), Some(percent(rates.pass_rate))));
-        for check in &rates.checks {
-            let shown = format!("{} ({})", percent(check.pass_rate), check.value);
-            rows.push((format!("{profile}: {}", check.name), Some(shown)));
-        }
-    }
-    rows
 }
 
 fn percent(share: f64) -> String {

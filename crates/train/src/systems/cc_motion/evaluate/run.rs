@@ -3,10 +3,12 @@
 use kinegrad_data::{DataKind, Dataset, Phrase};
 
 use super::report::evaluated;
-use super::{CondSource, EvaluationSettings, evaluate};
+use super::{EvaluationSettings, evaluate};
+use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::sampling::Subject;
+use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::Generator;
 
 /// An evaluation that draws for the held-out phrases and measures.
@@ -17,22 +19,7 @@ pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    for (name, value, hint) in [
-        (
-            "--seeds",
-            request.seeds,
-            "draw at least one sample for each phrase; 2 tell how much two of them differ",
-        ),
-        (
-            "--phrases",
-            request.items,
-            "ask for at least one phrase, or leave it out for all that are held out",
-        ),
-    ] {
-        if value == Some(0) {
-            return Err(Error::usage(format!("`{name}` is 0"), hint));
-        }
-    }
+    let wanted = CcMotionConfig::of(&subject.config)?.evaluation;
     let mut data = subject.config.data.clone();
     if let Some(source) = &request.source {
         data.kind = DataKind::Phrases;
@@ -50,14 +37,11 @@ pub fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let mut held_out = dataset.validation.load()?;
-    held_out.truncate(request.items.unwrap_or(usize::MAX));
+    held_out.truncate(wanted.phrases.unwrap_or(usize::MAX));
     let settings = EvaluationSettings {
-        seeds: request.seeds.unwrap_or(2),
+        seeds: wanted.seeds,
         seed: request.seed,
-        cond: match request.noise {
-            Some(true) => CondSource::Noise,
-            _ => CondSource::Phrases,
-        },
+        cond: wanted.cond,
         sampling: subject.config.sampling.clone(),
     };
     let training = dataset.train.load()?;

@@ -7,18 +7,13 @@ use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{EvaluatorFiles, GoalSettings, GoalTask, TextMotion, evaluate_goals};
+use super::{GoalSettings, GoalTask, TextMotion, evaluate_goals};
+use crate::config::SystemTables;
 use crate::error::Error;
-use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group};
+use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::sampling::Subject;
-use crate::systems::gmd::ClipGenerator;
 use crate::systems::gmd::sample::{must_draw_paths, name_of};
-
-/// Goals without `--goals`.
-const GOALS: usize = 20;
-
-/// Key frames of a goal without `--keyframes`.
-const KEYFRAMES: usize = 5;
+use crate::systems::gmd::{ClipGenerator, GmdConfig};
 
 /// An evaluation that leads the model to goals and measures.
 ///
@@ -28,19 +23,7 @@ pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    if request.items == Some(0) {
-        return Err(Error::usage("`--goals` is 0", "ask for at least one goal"));
-    }
-    for (name, given) in [
-        ("--seeds", request.seeds.is_some()),
-        ("--cond", request.noise.is_some()),
-    ] {
-        if given {
-            let message = format!("`{name}` with runs on clips of joint features");
-            let hint = "they are measured on goals: `--goals`, `--keyframes`, `--obstacles`";
-            return Err(Error::usage(message, hint));
-        }
-    }
+    let asked = GmdConfig::of(&subject.config)?.evaluation;
     let mut data = subject.config.data.clone();
     if let Some(source) = &request.source {
         data.kind = DataKind::Humanml3d;
@@ -55,7 +38,7 @@ pub fn prepare<'a>(
                     `--source URI`";
         return Err(Error::usage(message, hint));
     }
-    let wanted = request.items.unwrap_or(GOALS);
+    let wanted = asked.goals;
     let held_out = (0..dataset.validation.len().min(wanted))
         .map(|position| dataset.validation.get(position))
         .collect::<Result<Vec<_>, _>>()?;
@@ -71,19 +54,12 @@ pub fn prepare<'a>(
         must_draw_paths(path)?;
     }
     let trajectory = request.trajectory.clone();
-    let evaluator = match &request.evaluator {
-        Some([weights, mean, std, word_vectors]) => Some(TextMotion::read(&EvaluatorFiles {
-            weights: weights.clone(),
-            mean: mean.clone(),
-            std: std.clone(),
-            word_vectors: word_vectors.clone(),
-        })?),
-        None => None,
-    };
+    let files = asked.evaluator.is_given().then_some(&asked.evaluator);
+    let evaluator = files.map(TextMotion::read).transpose()?;
     let settings = GoalSettings {
         task: GoalTask {
-            keyframes: request.keyframes.unwrap_or(KEYFRAMES),
-            obstacles: request.obstacles.unwrap_or(0),
+            keyframes: asked.keyframes,
+            obstacles: asked.obstacles,
             frames: data.target_frames,
         },
         sampling: subject.config.sampling.clone(),
@@ -117,23 +93,20 @@ pub fn prepare<'a>(
 }
 
 fn column(step: Option<u64>, report: &GoalReport) -> Column {
-    let rows = report.rows();
+    let numbers = report.rows().into_iter().map(|(name, value, unit)| Number {
+        name: name.to_string(),
+        value,
+        line: Some((
+            format!("{name}{unit}"),
+            value.map(|value| format!("{value:.4}")),
+        )),
+    });
     Column {
         facts: vec![("step", step)],
         groups: vec![Group {
             key: "goals",
             title: "",
-            numbers: rows
-                .iter()
-                .map(|(name, value, _)| (name.to_string(), *value))
-                .collect(),
-            rows: rows
-                .iter()
-                .map(|(name, value, unit)| {
-                    let shown = value.map(|value| format!("{value:.4}"));
-                    (format!("{name}{unit}"), shown)
-                })
-                .collect(),
+            numbers: numbers.collect(),
         }],
     }
 }

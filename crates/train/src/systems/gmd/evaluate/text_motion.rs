@@ -1,7 +1,5 @@
 //! The published text-motion evaluator from its files.
 
-use std::path::PathBuf;
-
 use kinegrad_data::humanml::{Clip, read_word_vectors};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Root};
@@ -13,19 +11,7 @@ use serde::Serialize;
 
 use crate::error::Error;
 use crate::published::{part_of, read_tensors, values_of, vector};
-
-/// Where the evaluator's parts lie.
-#[derive(Clone, Debug)]
-pub struct EvaluatorFiles {
-    /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
-    pub weights: PathBuf,
-    /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
-    pub mean: PathBuf,
-    /// See `mean`.
-    pub std: PathBuf,
-    /// Word vectors as safetensors (docs/dataset.md).
-    pub word_vectors: PathBuf,
-}
+use crate::systems::gmd::EvaluatorFiles;
 
 /// The evaluator, ready to measure.
 pub struct TextMotion {

@@ -2,16 +2,38 @@
 
 use std::error::Error;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use miette::Diagnostic;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::{FontStyle, register_font};
 
-use crate::failure::{Failure, UsageError};
-
 /// Most cells of a heat map along each axis: what a panel has pixels for.
 const HEAT_CELLS: (usize, usize) = (480, 64);
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum PictureError {
+    /// A file name that ends as no picture's does.
+    #[error("`{}`: ending `{ending}` found", path.display())]
+    #[diagnostic(help("pictures are .svg or .png"))]
+    Ending {
+        /// The file.
+        path: PathBuf,
+        /// Its ending.
+        ending: String,
+    },
+    /// It cannot be drawn or written.
+    #[error("cannot draw {}: {reason}", path.display())]
+    #[diagnostic(help("check that its folder exists and can be written"))]
+    Drawing {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        reason: String,
+    },
+}
 
 /// A named curve.
 pub type Series = (String, Vec<(f64, f64)>);
@@ -46,6 +68,20 @@ impl Panel {
         Self::of(title, x_label, Kind::Lines(series))
     }
 
+    /// Values at so many a second, over time.
+    pub fn over_time<'a>(
+        title: impl Into<String>,
+        fps: f64,
+        tracks: impl IntoIterator<Item = (&'a str, Vec<f64>)>,
+    ) -> Self {
+        let series = tracks.into_iter().map(|(name, values)| {
+            let values = values.into_iter().enumerate();
+            let points = values.map(|(t, value)| (t as f64 / fps, value));
+            (name.to_string(), points.collect())
+        });
+        Self::lines(title, "s", series.collect())
+    }
+
     /// A path on the floor.
     pub fn map(title: impl Into<String>, x_label: &'static str, series: Vec<Series>) -> Self {
         Self::of(title, x_label, Kind::Map(series))
@@ -53,11 +89,8 @@ impl Panel {
 
     /// Rows of values over time, darker where they are larger; the last column ends at `seconds`.
     pub fn heat(title: impl Into<String>, rows: Vec<Vec<f64>>, seconds: f64) -> Self {
-        let kind = Kind::Heat {
-            rows,
-            width: seconds,
-        };
-        Self::of(title, "s", kind)
+        let width = seconds;
+        Self::of(title, "s", Kind::Heat { rows, width })
     }
 
     /// A histogram of at most `bins` bars.
@@ -67,12 +100,11 @@ impl Panel {
         values: &[f64],
         bins: usize,
     ) -> Self {
-        let values: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
-        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let values = || values.iter().copied().filter(|value| value.is_finite());
+        let (low, high) = extremes(values());
         let width = ((high - low) / bins as f64).max(1e-9 * high.abs().max(1.0));
         let mut counts = vec![0; bins];
-        for value in &values {
+        for value in values() {
             let bin = ((value - low) / width) as usize;
             counts[bin.min(bins - 1)] += 1;
         }
@@ -80,12 +112,8 @@ impl Panel {
             let from = low + bin as f64 * width;
             (from..from + width, count)
         });
-        let bars = if values.is_empty() {
-            Vec::new()
-        } else {
-            bars.collect()
-        };
-        Self::of(title, x_label, Kind::Bars(bars))
+        let bars = bars.filter(|(range, _)| range.start.is_finite());
+        Self::of(title, x_label, Kind::Bars(bars.collect()))
     }
 
     /// The same with upright lines.
@@ -123,42 +151,51 @@ impl Panel {
 /// Refuses an ending that no picture has.
 ///
 /// # Errors
-/// [`UsageError`].
-pub fn check_ending(out: &Path) -> Result<(), UsageError> {
+/// [`PictureError::Ending`].
+pub fn check_ending(out: &Path) -> Result<(), PictureError> {
     let ending = out.extension().unwrap_or_default().to_string_lossy();
-    match ending.to_ascii_lowercase().as_str() {
-        "svg" | "png" => Ok(()),
-        other => Err(UsageError::new(
-            format!("`{}`: ending `{other}` found", out.display()),
-            "pictures are .svg or .png",
-        )),
+    if ["svg", "png"]
+        .iter()
+        .any(|known| ending.eq_ignore_ascii_case(known))
+    {
+        return Ok(());
     }
+    Err(PictureError::Ending {
+        path: out.to_path_buf(),
+        ending: ending.to_ascii_lowercase(),
+    })
 }
 
 /// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
 ///
 /// # Errors
-/// If the file cannot be written.
-pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Failure> {
+/// [`PictureError`].
+pub fn draw(
+    panels: &[Panel],
+    columns: usize,
+    size: (u32, u32),
+    out: &Path,
+) -> Result<(), PictureError> {
     check_ending(out)?;
     let columns = columns.min(panels.len()).max(1);
     let grid = (panels.len().div_ceil(columns), columns);
     let size = (size.0 * grid.1 as u32, size.1 * grid.0 as u32);
-    let is_png = out
-        .extension()
-        .is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
     // With its own font a picture is the same on every machine; registering it again is harmless.
     let font = epaint_default_fonts::UBUNTU_LIGHT;
     let registered = register_font("sans-serif", FontStyle::Normal, font);
     debug_assert!(registered.is_ok(), "the built-in font is one");
-    let drawn = if is_png {
-        png(panels, grid, size, out)
+    let is_svg = out
+        .extension()
+        .is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
+    let drawn = if is_svg {
+        svg(panels, grid, size)
     } else {
-        svg(panels, grid, size, out)
+        png(panels, grid, size)
     };
-    drawn.map_err(|error| {
-        let message = format!("cannot draw {}: {error}", out.display());
-        UsageError::new(message, "check that its folder exists and can be written").into()
+    let written = drawn.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
+    written.map_err(|error| PictureError::Drawing {
+        path: out.to_path_buf(),
+        reason: error.to_string(),
     })
 }
 
@@ -166,34 +203,25 @@ fn svg(
     panels: &[Panel],
     grid: (usize, usize),
     size: (u32, u32),
-    out: &Path,
-) -> Result<(), Box<dyn Error>> {
+) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut text = String::new();
-    draw_all(
-        panels,
-        grid,
-        &SVGBackend::with_string(&mut text, size).into_drawing_area(),
-        2,
-    )?;
-    std::fs::write(out, text)?;
-    Ok(())
+    let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+    draw_all(panels, grid, &root, 2)?;
+    drop(root);
+    Ok(text.into_bytes())
 }
 
 fn png(
     panels: &[Panel],
     grid: (usize, usize),
     size: (u32, u32),
-    out: &Path,
-) -> Result<(), Box<dyn Error>> {
+) -> Result<Vec<u8>, Box<dyn Error>> {
     let (width, height) = size;
     let mut pixels = vec![0; 3 * width as usize * height as usize];
-    draw_all(
-        panels,
-        grid,
-        &BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area(),
-        // Wider strokes of a bitmap have spikes where a curve turns back.
-        1,
-    )?;
+    let root = BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area();
+    // Wider strokes of a bitmap have spikes where a curve turns back.
+    draw_all(panels, grid, &root, 1)?;
+    drop(root);
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
@@ -201,8 +229,7 @@ fn png(
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&pixels)?;
     writer.finish()?;
-    std::fs::write(out, bytes)?;
-    Ok(())
+    Ok(bytes)
 }
 
 fn draw_all<B>(
@@ -322,8 +349,7 @@ where
 fn cells(rows: &[Vec<f64>], width: f64) -> impl Iterator<Item = Rectangle<(f64, f64)>> + '_ {
     let columns = rows.first().map_or(0, Vec::len);
     let values = || rows.iter().flatten().copied().filter(|v| v.is_finite());
-    let low = values().fold(f64::INFINITY, f64::min);
-    let high = values().fold(f64::NEG_INFINITY, f64::max);
+    let (low, high) = extremes(values());
     let scale = 1.0 / (high - low).max(1e-9);
     let (across, up) = (columns.min(HEAT_CELLS.0), rows.len().min(HEAT_CELLS.1));
     let span = move |index: usize, parts: usize, whole: usize| {
@@ -351,11 +377,15 @@ fn cells(rows: &[Vec<f64>], width: f64) -> impl Iterator<Item = Rectangle<(f64, 
         .map(cell)
 }
 
+/// The lowest and the highest of the values.
+fn extremes(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    values.fold(none, |(low, high), value| (low.min(value), high.max(value)))
+}
+
 /// The range of the values with a small margin; never empty.
 fn bounds(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
-        (l.min(v), h.max(v))
-    });
+    let (low, high) = extremes(values);
     if low > high {
         return 0.0..1.0;
     }

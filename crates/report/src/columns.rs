@@ -1,0 +1,139 @@
+//! Columns of named values side by side.
+
+use crate::table::rows;
+
+/// Stands in tables for a value that there is none of.
+const MISSING: &str = "-";
+
+/// Values that belong together: their heading, and each by its name; nothing where one cannot be
+/// computed or does not apply.
+pub type Section<'a> = (&'a str, Vec<(&'a str, Option<String>)>);
+
+/// Values of one thing, such as a run.
+pub struct Column<'a> {
+    /// What it is of.
+    pub label: String,
+    /// The same sections in every column; their names may differ.
+    pub sections: Vec<Section<'a>>,
+}
+
+/// A line across all columns: its section's place and heading, its name, its values.
+struct Line<'a> {
+    section: usize,
+    heading: &'a str,
+    name: &'a str,
+    values: Vec<Option<&'a str>>,
+}
+
+/// All columns with a line for each value, for people.
+pub fn columns_table(columns: &[Column<'_>]) -> String {
+    let mut all = vec![vec![String::new()]];
+    all[0].extend(columns.iter().map(|column| column.label.clone()));
+    let mut section = None;
+    for line in lines(columns) {
+        if section.replace(line.section) != Some(line.section) && !line.heading.is_empty() {
+            let mut heading = vec![line.heading.to_string()];
+            heading.resize(columns.len() + 1, String::new());
+            all.push(heading);
+        }
+        let cells = line.values.iter().map(|value| value.unwrap_or(MISSING));
+        all.push(
+            [line.name]
+                .into_iter()
+                .chain(cells)
+                .map(String::from)
+                .collect(),
+        );
+    }
+    rows(all)
+}
+
+/// All columns as CSV with a line for each value: the section's heading and the value's name, under
+/// the names of `heads`, then the values. One that is missing leaves its field empty.
+pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let labels = columns.iter().map(|column| column.label.as_str());
+    let written = csv.write_record(heads.into_iter().chain(labels));
+    written.expect("written to memory");
+    for line in lines(columns) {
+        let fields = line.values.iter().map(|value| value.unwrap_or_default());
+        let written = csv.write_record([line.heading, line.name].into_iter().chain(fields));
+        written.expect("written to memory");
+    }
+    let bytes = csv.into_inner().expect("written to memory");
+    String::from_utf8(bytes).expect("text")
+}
+
+/// Each name of a section once, in the order in which they first come.
+fn lines<'a>(columns: &'a [Column<'a>]) -> Vec<Line<'a>> {
+    let mut lines = Vec::new();
+    let sections = columns.first().map_or(0, |column| column.sections.len());
+    for section in 0..sections {
+        let first = lines.len();
+        for (place, column) in columns.iter().enumerate() {
+            let (heading, values) = &column.sections[section];
+            for (name, value) in values {
+                let known = lines[first..]
+                    .iter()
+                    .position(|line: &Line<'_>| line.name == *name);
+                let index = known.map_or(lines.len(), |known| first + known);
+                if known.is_none() {
+                    lines.push(Line {
+                        section,
+                        heading,
+                        name,
+                        values: vec![None; columns.len()],
+                    });
+                }
+                lines[index].values[place] = value.as_deref();
+            }
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn columns() -> [Column<'static>; 2] {
+        let value = |name, value: &str| (name, Some(value.to_string()));
+        let sections = |counts, numbers| vec![("", counts), ("RAW", numbers)];
+        [
+            Column {
+                label: "one".into(),
+                sections: sections(vec![value("step", "7")], vec![value("b", "1"), ("a", None)]),
+            },
+            Column {
+                label: "real".into(),
+                sections: sections(vec![("step", None)], vec![value("b", "3"), value("c", "4")]),
+            },
+        ]
+    }
+
+    #[test]
+    fn names_keep_their_first_place_and_missing_values_are_marked() {
+        let shown = columns_table(&columns());
+        let lines: Vec<&str> = shown.lines().map(str::trim_end).collect();
+        assert_eq!(
+            lines,
+            [
+                "      | one | real",
+                "------+-----+------",
+                " step |   7 |    -",
+                " RAW  |     |",
+                " b    |   1 |    3",
+                " a    |   - |    -",
+                " c    |   - |    4",
+            ]
+        );
+    }
+
+    #[test]
+    fn csv_names_the_section_of_each_line() {
+        assert_eq!(
+            columns_csv(["samples", "measure"], &columns()),
+            "samples,measure,one,real\n,step,7,\nRAW,b,1,3\nRAW,a,,\nRAW,c,,4\n"
+        );
+    }
+}
