@@ -37,6 +37,18 @@ impl From<kinegrad_data::Error> for Failure {
     }
 }
 
+impl From<kinegrad_capture::Error> for Failure {
+    fn from(error: kinegrad_capture::Error) -> Self {
+        match error {
+            kinegrad_capture::Error::Data(error) => error.into(),
+            error => Self {
+                exit_code: 2,
+                diagnostic: Box::new(error),
+            },
+        }
+    }
+}
+
 impl From<kinegrad_data::FileError> for Failure {
     fn from(error: kinegrad_data::FileError) -> Self {
         Self {

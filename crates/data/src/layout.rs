@@ -3,16 +3,16 @@
 use crate::StoreError;
 
 /// The folder of all motion, and the file in each phrase's folder below it.
-pub(crate) const MOTION: (&str, &str) = ("motion", "trajectory.npy");
+pub const MOTION: (&str, &str) = ("motion", "trajectory.npy");
 
 /// The folder of all audio features, and the file in each phrase's folder below it.
-pub(crate) const AUDIO: (&str, &str) = ("audio_features", "features.npz");
+pub const AUDIO: (&str, &str) = ("audio_features", "features.npz");
 
 /// The table of all phrases.
 pub const MANIFEST: &str = "manifest.parquet";
 
 /// The report of the preparation that wrote the dataset, there from its beginning.
-pub(crate) const PREPARATION: &str = "prepare/report.json";
+pub const PREPARATION: &str = "prepare/report.json";
 
 /// The longest id; file systems take 255 bytes for a name.
 const MAX_ID_BYTES: usize = 200;

@@ -44,7 +44,6 @@ mod passage;
 mod phrase;
 mod phrase_set;
 mod prefetch;
-pub mod prepare;
 mod split;
 mod store;
 mod summary;
@@ -64,15 +63,19 @@ pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{Inspection, Problem, inspect};
 pub use item::{Item, ItemSet};
-pub use layout::{MANIFEST, check_id, features_path, motion_path};
+pub use layout::{AUDIO, MANIFEST, MOTION, PREPARATION, check_id, features_path, motion_path};
 pub use loader::Loader;
 pub use npy::{
-    Array, MAX_FRAMES, parse_motion, read_array, read_motion, write_motion, write_values,
+    Array, MAX_FRAMES, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion,
+    write_motion, write_values,
 };
-pub use npz::{parse_features, read_features, write_features, write_song_features};
+pub use npz::{
+    features_bytes, parse_arrays, parse_features, read_features, write_features,
+    write_song_features,
+};
 pub use phrase::{Phrase, load_audio};
 pub use phrase_set::PhraseSet;
 pub use split::{Side, matches};
-pub use store::{Store, StoreError};
+pub use store::{Object, Store, StoreError};
 pub use summary::ChannelSummary;
 pub use survey::OpenProgress;

@@ -113,23 +113,13 @@ fn manifest(store: &Store) -> Result<Manifest, Error> {
 
 #[cfg(not(feature = "manifest"))]
 fn manifest(store: &Store) -> Result<Manifest, Error> {
-    match store.read(crate::MANIFEST, crate::manifest::MAX_BYTES) {
-        Ok(_) => Ok(Manifest::Unread),
-        Err(StoreError::Missing { .. }) => Ok(Manifest::None),
-        Err(error) => Err(error.into()),
-    }
+    let found = store.find(crate::MANIFEST, crate::manifest::MAX_BYTES)?;
+    Ok(found.map_or(Manifest::None, |_| Manifest::Unread))
 }
 
 /// Whether `kinegrad data prepare` has begun to write here.
 fn prepared(store: &Store) -> Result<bool, Error> {
-    if !store.is_writable() {
-        return Ok(false);
-    }
-    match store.read(PREPARATION, u64::MAX - 1) {
-        Ok(_) => Ok(true),
-        Err(StoreError::Missing { .. }) => Ok(false),
-        Err(error) => Err(error.into()),
-    }
+    Ok(store.is_writable() && store.find(PREPARATION, u64::MAX - 1)?.is_some())
 }
 
 fn list(store: &Store) -> Result<Listing, Error> {

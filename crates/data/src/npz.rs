@@ -71,7 +71,10 @@ pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileErr
 }
 
 /// Parses the named arrays of an archive: `[frames, width]` each, all of the same length.
-pub(crate) fn parse_arrays(
+///
+/// # Errors
+/// [`FileError`] as [`read_features`], for what is missing or of another shape.
+pub fn parse_arrays(
     bytes: &[u8],
     file: &str,
     wanted: &[(&'static str, usize)],
@@ -124,7 +127,7 @@ pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error
 }
 
 /// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
-pub(crate) fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
+pub fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
     archive(features, &[], METHOD)
 }
 

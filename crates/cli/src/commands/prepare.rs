@@ -4,7 +4,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_data::prepare::{Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare};
+use kinegrad_capture::prepare::{
+    Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
+};
 
 use crate::args::PrepareArguments;
 use crate::failure::Failure;

@@ -4,16 +4,21 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use indicatif::ProgressBar;
+use kinegrad_capture::Bvh;
 use kinegrad_data::write_values;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
 use kinegrad_train::systems::Systems;
+use miette::Diagnostic;
 
 use crate::args::{DrawArguments, SampleArguments};
 use crate::failure::{Failure, UsageError};
 use crate::output::table;
 use crate::progress::denoising_bar;
+
+/// Units of a BVH file in a metre.
+const CENTIMETRES: f64 = 100.0;
 
 /// Draws motion and writes it.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Failure> {
@@ -145,8 +150,12 @@ impl Receiver for Files {
             let path = PathBuf::from(format!("{stem}{ending}"));
             match contents {
                 Contents::Array { shape, values } => write_values(&path, shape, values)?,
-                Contents::Text(text) => {
-                    std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+                Contents::Figure { joints, skeleton } => {
+                    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(|error| {
+                        let hint = error.help().map(|hint| hint.to_string());
+                        Error::usage(error.to_string(), hint.unwrap_or_default())
+                    })?;
+                    std::fs::write(&path, bvh.to_text()).map_err(Error::io("write", &path))?;
                 }
             }
         }

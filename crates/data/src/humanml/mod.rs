@@ -31,7 +31,6 @@ mod maker;
 mod statistics;
 mod synthetic;
 mod texts;
-mod walk;
 mod word_vectors;
 
 pub use clip::{Clip, ClipSet, parse_features, write_features};

@@ -27,13 +27,10 @@
 //! let seen = statistics.normalize(&features)?;
 //! let back = statistics.denormalize(&seen)?.to_absolute().joints();
 //! assert!((back.frame(8)[0][0] - 0.8).abs() < 1e-5);
-//! let text = back.to_bvh(&skeleton, 100.0)?.to_text();
-//! assert!(text.starts_with("HIERARCHY\nROOT pelvis\n"));
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
 mod builtin;
-mod bvh;
 mod error;
 pub mod extract;
 mod features;
@@ -44,6 +41,7 @@ mod root;
 mod skeleton;
 mod statistics;
 mod validate;
+pub mod walk;
 
 #[cfg(test)]
 mod moving;
