@@ -38,18 +38,19 @@ impl TryFrom<toml::Value> for Units {
     type Error = String;
 
     fn try_from(value: toml::Value) -> Result<Self, String> {
-        let named = match &value {
-            toml::Value::Float(metres) => return Ok(Self::Metres(*metres)),
-            toml::Value::Integer(metres) => return Ok(Self::Metres(*metres as f64)),
-            value => NamedUnit::deserialize(value.clone()),
+        if let Ok(name) = NamedUnit::deserialize(value.clone()) {
+            return Ok(Self::Named(name));
+        }
+        let found = match value {
+            toml::Value::Float(metres) => return Ok(Self::Metres(metres)),
+            toml::Value::Integer(metres) => return Ok(Self::Metres(metres as f64)),
+            toml::Value::String(name) => format!("value: string {name:?}"),
+            other => format!("type: {} `{other}`", other.type_str()),
         };
-        named.map(Self::Named).map_err(|_| {
-            format!(
-                "invalid value: {} {value}, expected units: \"m\", \"cm\", \"mm\", \"inch\", \
-                 \"cmu\", or a number of metres",
-                value.type_str()
-            )
-        })
+        Err(format!(
+            "invalid {found}, expected units: \"m\", \"cm\", \"mm\", \"inch\", \"cmu\", or a \
+             number of metres"
+        ))
     }
 }
 
