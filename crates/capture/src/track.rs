@@ -5,8 +5,8 @@ use std::ops::RangeInclusive;
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::kinematics::make_sign_continuous;
 
-use crate::Error;
 use crate::error::require;
+use crate::{Error, MarkerGaps};
 
 /// Rates of tracks in frames per second. The lower bound keeps the resampled track within a few
 /// hundred times the length of the original.
@@ -35,6 +35,11 @@ pub trait RootSource {
     /// The root at a fractional frame, counted from 0, in metres and y-up. None beyond the first
     /// and last frame and where a neighbouring frame is not valid.
     fn sample(&self, frame: f64) -> Option<RootPose>;
+
+    /// What was missing of each marker that was not seen throughout.
+    fn gaps(&self) -> &[MarkerGaps] {
+        &[]
+    }
 }
 
 /// The way of a root, frame by frame: metres, +y up, unit quaternions whose sign is continuous in

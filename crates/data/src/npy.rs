@@ -70,7 +70,7 @@ pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
 }
 
 /// The bytes of the file at `path`, at most one more than `limit`.
-fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
+pub(crate) fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     let mut bytes = Vec::new();
     File::open(path)
         .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))

@@ -66,11 +66,6 @@ impl MarkerRoot {
             levelling: Quaternion::from_rotation_vector([turn, 0.0, 0.0]),
         })
     }
-
-    /// What was missing of each marker of the map that was not seen throughout.
-    pub fn gaps(&self) -> &[MarkerGaps] {
-        &self.gaps
-    }
 }
 
 impl RootSource for MarkerRoot {
@@ -80,6 +75,10 @@ impl RootSource for MarkerRoot {
 
     fn rate(&self) -> f64 {
         self.rate
+    }
+
+    fn gaps(&self) -> &[MarkerGaps] {
+        &self.gaps
     }
 
     fn sample(&self, frame: f64) -> Option<RootPose> {

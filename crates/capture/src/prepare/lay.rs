@@ -8,7 +8,7 @@ use std::path::Path;
 use kinegrad_data::MAX_FRAMES;
 use kinegrad_motion::FPS;
 
-use super::motion::{self, Capture};
+use super::motion;
 use super::plan::Plan;
 use super::report::Rejection;
 use super::resolve::Take;
@@ -83,13 +83,13 @@ impl Laid {
 
     /// A capture file from one moment to another, laid on the song from a third.
     pub fn whole(take: &Take, path: &Path, song: Option<&Song>) -> Result<Self, String> {
-        let Capture { source, gaps } = motion::read(path, &take.plan)?;
+        let source = motion::read(path, &take.plan)?;
         let rate = source.rate();
         let last_frame = (source.frames() - 1) as f64;
         let from = take.plan.motion_start_seconds;
         let ends = last_frame / rate;
         let to = take.plan.motion_end_seconds.unwrap_or(ends);
-        let mut notes = gap_notes(&take.name, &gaps);
+        let mut notes = gap_notes(&take.name, &*source);
         // The last frame of a recording lasts as long as the others.
         if to > ends + 1.0 / rate {
             let file = take.plan.motion.as_deref().unwrap_or_default();
@@ -122,7 +122,7 @@ impl Laid {
             borders: Vec::new(),
             sources: vec![Some(0); frames],
             files: vec![take.plan.motion.clone().unwrap_or_default()],
-            filled_gaps: filled(&gaps),
+            filled_gaps: filled(&*source),
             span: ((start * FPS).ceil() as usize).min(wanted)..wanted,
             missing: Vec::new(),
             notes,
@@ -167,19 +167,19 @@ impl Laid {
         }
         let wanted = frame_at(start_seconds).max(1);
         let frames = frames_until(wanted, song)?;
-        let sources: Vec<&dyn RootSource> = captures.iter().map(|c| c.source.as_ref()).collect();
+        let sources: Vec<&dyn RootSource> = captures.iter().map(Box::as_ref).collect();
         let laid = assemble(&sources, &segments, frames);
         let laid = laid.and_then(|laid| Ok((join(&laid, &plan.joining)?, laid.moments)));
         let ((track, borders), moments) = laid.map_err(|error| error.with_hint())?;
-        let gaps = files.iter().zip(&captures);
-        let mut notes: Vec<String> = gaps.flat_map(|(f, c)| gap_notes(f, &c.gaps)).collect();
+        let named = files.iter().zip(&sources);
+        let mut notes: Vec<String> = named.flat_map(|(f, s)| gap_notes(f, *s)).collect();
         notes.extend(height_note(&track));
         Ok(Self {
             track,
             borders,
             sources: moments.iter().map(|m| m.map(|m| m.take)).collect(),
             files,
-            filled_gaps: captures.iter().any(|c| filled(&c.gaps)),
+            filled_gaps: sources.iter().any(|source| filled(*source)),
             span: frame_at(grid.start_seconds).min(wanted)..wanted,
             missing,
             notes,
@@ -216,17 +216,16 @@ fn frames_until(wanted: usize, song: Option<&Song>) -> Result<usize, String> {
 }
 
 /// Whether any marker was interpolated.
-fn filled(gaps: &[MarkerGaps]) -> bool {
-    gaps.iter().any(|gap| gap.filled_frames > 0)
+fn filled(source: &dyn RootSource) -> bool {
+    source.gaps().iter().any(|gap| gap.filled_frames > 0)
 }
 
-fn gap_notes(file: &str, gaps: &[MarkerGaps]) -> Vec<String> {
-    gaps.iter()
-        .map(|gap| {
-            format!(
-                "{file}: marker {} missing in {} frames, {} of them filled, longest gap {}",
-                gap.marker, gap.missing_frames, gap.filled_frames, gap.longest_gap_frames
-            )
-        })
-        .collect()
+fn gap_notes(file: &str, source: &dyn RootSource) -> Vec<String> {
+    let note = |gap: &MarkerGaps| {
+        format!(
+            "{file}: marker {} missing in {} frames, {} of them filled, longest gap {}",
+            gap.marker, gap.missing_frames, gap.filled_frames, gap.longest_gap_frames
+        )
+    };
+    source.gaps().iter().map(note).collect()
 }

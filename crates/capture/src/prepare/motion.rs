@@ -7,22 +7,16 @@ use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use kinegrad_motion::{CHANNELS, Quaternion};
 
 use super::plan::TakePlan;
-use crate::{Bvh, C3d, Error, MarkerGaps, RootPose, RootSource, RootTrack};
+use crate::{Bvh, C3d, Error, RootPose, RootSource, RootTrack};
 
 /// The longest capture file: an hour of full-body marker data.
 const MAX_BYTES: u64 = 2 << 30;
-
-/// A take's root, with what was found missing.
-pub(super) struct Capture {
-    pub source: Box<dyn RootSource>,
-    pub gaps: Vec<MarkerGaps>,
-}
 
 /// Reads a capture file of any known kind, as the take says.
 ///
 /// # Errors
 /// What is wrong with the file, in words that name it.
-pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Capture, String> {
+pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, String> {
     let file = path.display().to_string();
     let bytes = bytes(path)?;
     let in_file = |error: Error| {
@@ -38,11 +32,7 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Capture, String> {
         "c3d" => {
             let markers = take.markers.clone().unwrap_or_default();
             let root = C3d::parse(&bytes, &file).and_then(|c3d| markers.root(&c3d));
-            let root = root.map_err(in_file)?;
-            return Ok(Capture {
-                gaps: root.gaps().to_vec(),
-                source: Box::new(root),
-            });
+            return Ok(Box::new(root.map_err(in_file)?));
         }
         "npy" => array(&bytes, &file, take).map_err(|error| error.to_string())?,
         "npz" => arrays(&bytes, &file, take).map_err(|error| error.to_string())?,
@@ -52,10 +42,7 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Capture, String> {
             ));
         }
     };
-    Ok(Capture {
-        source: Box::new(track),
-        gaps: Vec::new(),
-    })
+    Ok(Box::new(track))
 }
 
 /// The bytes of a file that may be as long as [`MAX_BYTES`].
