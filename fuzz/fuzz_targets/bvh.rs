@@ -2,8 +2,8 @@
 
 #![no_main]
 
+use kinegrad_capture::{Bvh, RootSource, UpAxis};
 use kinegrad_fuzz::{MIB, bounded};
-use kinegrad_motion::capture::{Bvh, RootSource, UpAxis};
 use libfuzzer_sys::fuzz_target;
 
 // A joint takes six bytes of text at least and 150 bytes here, and a list of them three times that

@@ -2,8 +2,8 @@
 
 #![no_main]
 
+use kinegrad_capture::{C3d, MarkerMap, RootSource};
 use kinegrad_fuzz::{MIB, bounded};
-use kinegrad_motion::capture::{C3d, MarkerMap, RootSource};
 use libfuzzer_sys::fuzz_target;
 
 // A parameter takes four bytes at least, since the next may begin behind its name, and 100 bytes
@@ -23,7 +23,7 @@ fuzz_target!(|bytes: &[u8]| {
         }
     }
     assert!(seen <= bytes.len() / 8);
-    assert!(take.labels().len() <= take.points_per_frame());
+    assert!(take.labels.len() <= take.points_per_frame());
     if let Ok(root) = bounded(limit, || MarkerMap::default().root(&take)) {
         assert_eq!(root.frames(), take.frames());
         for frame in 0..root.frames() {

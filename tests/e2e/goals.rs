@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::Path;
 
+use kinegrad_capture::Bvh;
 use kinegrad_data::humanml::write_walks;
 use kinegrad_data::{read_array, write_values};
-use kinegrad_motion::capture::Bvh;
 use kinegrad_tests::golden::workspace;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, contents};
 use serde_json::Value;

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
-use kinegrad_report::{Panel, PictureError};
+use kinegrad_report::Panel;
 use kinegrad_train::Error;
 use miette::Diagnostic;
 use serde::Serialize;
@@ -54,11 +54,11 @@ pub fn failure(error: &Error) {
 
 /// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
 pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Error> {
-    kinegrad_report::draw(panels, columns, size, out).map_err(no_picture)
+    kinegrad_report::draw(panels, columns, size, out).map_err(unusable)
 }
 
-/// An error of a picture.
-pub fn no_picture(error: PictureError) -> Error {
+/// The error of something that was given and cannot be used.
+pub fn unusable(error: impl Diagnostic) -> Error {
     let hint = error.help().map(|hint| hint.to_string());
     Error::usage(error.to_string(), hint.unwrap_or_default())
 }

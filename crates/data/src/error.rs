@@ -177,15 +177,6 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Store(#[from] StoreError),
-    /// A plan, or a file it names, cannot be followed.
-    #[error("{file}: {problem}")]
-    #[diagnostic(help("docs/dataset.md describes plans; configs/prepare.toml is one"))]
-    Plan {
-        /// The plan, or the file.
-        file: String,
-        /// What is wrong with it.
-        problem: String,
-    },
     /// The manifest is not one.
     #[error("{object}: {problem}")]
     #[diagnostic(help(
@@ -304,13 +295,6 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
-    /// Another preparation is writing the same dataset.
-    #[error("{output}: another preparation is writing there")]
-    #[diagnostic(help("wait until it has ended, or write to another place with `--out`"))]
-    Busy {
-        /// The dataset.
-        output: String,
-    },
 }
 
 impl FileError {
@@ -379,11 +363,7 @@ impl Error {
     }
 
     /// An [`Error::Io`]: `action` is a verb ("read", "write").
-    pub(crate) fn io(
-        action: &'static str,
-        path: impl Into<PathBuf>,
-        reason: std::io::Error,
-    ) -> Self {
+    pub fn io(action: &'static str, path: impl Into<PathBuf>, reason: std::io::Error) -> Self {
         Self::Io {
             action,
             path: path.into(),

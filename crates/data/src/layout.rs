@@ -3,28 +3,28 @@
 use crate::StoreError;
 
 /// The folder of all motion, and the file in each phrase's folder below it.
-pub(crate) const MOTION: (&str, &str) = ("motion", "trajectory.npy");
+pub const MOTION_FILE: (&str, &str) = ("motion", "trajectory.npy");
 
 /// The folder of all audio features, and the file in each phrase's folder below it.
-pub(crate) const AUDIO: (&str, &str) = ("audio_features", "features.npz");
+pub const AUDIO_FILE: (&str, &str) = ("audio_features", "features.npz");
 
 /// The table of all phrases.
 pub const MANIFEST: &str = "manifest.parquet";
 
 /// The report of the preparation that wrote the dataset, there from its beginning.
-pub(crate) const PREPARATION: &str = "prepare/report.json";
+pub const PREPARATION: &str = "prepare/report.json";
 
 /// The longest id; file systems take 255 bytes for a name.
 const MAX_ID_BYTES: usize = 200;
 
 /// Where the motion of phrase `id` lies within its dataset.
 pub fn motion_path(id: &str) -> String {
-    format!("{}/{id}/{}", MOTION.0, MOTION.1)
+    format!("{}/{id}/{}", MOTION_FILE.0, MOTION_FILE.1)
 }
 
 /// Where the audio features of phrase `id` lie within its dataset.
 pub fn features_path(id: &str) -> String {
-    format!("{}/{id}/{}", AUDIO.0, AUDIO.1)
+    format!("{}/{id}/{}", AUDIO_FILE.0, AUDIO_FILE.1)
 }
 
 /// Refuses ids that are no plain name.

@@ -46,7 +46,6 @@ mod phrase;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
-pub mod prepare;
 mod split;
 mod store;
 mod survey;
@@ -65,15 +64,21 @@ pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::{Item, ItemSet};
-pub use layout::{MANIFEST, check_id, features_path, motion_path};
+pub use layout::{
+    AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
+};
 pub use loader::{Loader, Samples};
 pub use npy::{
-    Array, MAX_FRAMES, parse_motion, read_array, read_motion, write_motion, write_values,
+    Array, MAX_FRAMES, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion,
+    write_motion, write_values,
 };
-pub use npz::{parse_features, read_features, write_features, write_song_features};
+pub use npz::{
+    features_bytes, parse_arrays, parse_features, read_features, write_features,
+    write_song_features,
+};
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::PhraseSamples;
 pub use phrase_set::PhraseSet;
 pub use split::{Side, matches};
-pub use store::{Store, StoreError};
+pub use store::{Object, Store, StoreError};
 pub use survey::OpenProgress;

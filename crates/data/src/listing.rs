@@ -1,7 +1,7 @@
 //! Which phrases a dataset holds: from its manifest, else by listing its folders.
 
 use crate::digest::Digest;
-use crate::layout::{AUDIO, MOTION, PREPARATION};
+use crate::layout::{AUDIO_FILE, MOTION_FILE, PREPARATION};
 use crate::split::Side;
 use crate::store::{Object, Store};
 use crate::{Error, StoreError};
@@ -113,23 +113,13 @@ fn manifest(store: &Store) -> Result<Manifest, Error> {
 
 #[cfg(not(feature = "manifest"))]
 fn manifest(store: &Store) -> Result<Manifest, Error> {
-    match store.read(crate::MANIFEST, crate::manifest::MAX_BYTES) {
-        Ok(_) => Ok(Manifest::Unread),
-        Err(StoreError::Missing { .. }) => Ok(Manifest::None),
-        Err(error) => Err(error.into()),
-    }
+    let found = store.find(crate::MANIFEST, crate::manifest::MAX_BYTES)?;
+    Ok(found.map_or(Manifest::None, |_| Manifest::Unread))
 }
 
 /// Whether `kinegrad data prepare` has begun to write here.
 fn prepared(store: &Store) -> Result<bool, Error> {
-    if !store.is_writable() {
-        return Ok(false);
-    }
-    match store.read(PREPARATION, u64::MAX - 1) {
-        Ok(_) => Ok(true),
-        Err(StoreError::Missing { .. }) => Ok(false),
-        Err(error) => Err(error.into()),
-    }
+    Ok(store.is_writable() && store.find(PREPARATION, u64::MAX - 1)?.is_some())
 }
 
 fn list(store: &Store) -> Result<Listing, Error> {
@@ -140,7 +130,7 @@ fn list(store: &Store) -> Result<Listing, Error> {
         }),
         Err(error) => Err(error.into()),
     };
-    let (motion, audio) = (objects(MOTION)?, objects(AUDIO)?);
+    let (motion, audio) = (objects(MOTION_FILE)?, objects(AUDIO_FILE)?);
     let (mut motion, mut audio) = (motion.into_iter().peekable(), audio.into_iter().peekable());
     let mut listing = Listing::default();
     loop {

@@ -70,7 +70,7 @@ pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
 }
 
 /// The bytes of the file at `path`, at most one more than `limit`.
-fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
+pub(crate) fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     let mut bytes = Vec::new();
     File::open(path)
         .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
@@ -110,7 +110,7 @@ pub fn write_motion(path: &Path, motion: &Motion) -> Result<(), Error> {
 }
 
 /// The bytes of the `.npy` file that holds `motion`.
-pub(crate) fn motion_bytes(motion: &Motion) -> Vec<u8> {
+pub fn motion_bytes(motion: &Motion) -> Vec<u8> {
     let mut bytes = Vec::new();
     write_array(&mut bytes, &[motion.frames(), CHANNELS], motion.as_slice())
         .expect("memory takes every byte");
@@ -132,7 +132,10 @@ pub(crate) fn write_array(
 }
 
 /// Parses the bytes of a `.npy` file; `file` names it in errors.
-pub(crate) fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
+///
+/// # Errors
+/// [`FileError`] for bytes that are no array of float32 or float64 numbers.
+pub fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
     let mut values = Vec::new();
     let shape = parse_onto(&mut values, bytes, file)?;
     Ok(Array { shape, values })

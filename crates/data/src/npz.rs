@@ -1,7 +1,6 @@
 //! `features.npz`: reading and writing the six audio features of a phrase.
 
-use std::fs::File;
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use kinegrad_audio::Features;
@@ -30,15 +29,8 @@ const MOST_UNPACKED: usize = 1032;
 /// dtype or shape, members of unequal length. Numbers that are not finite pass: see
 /// [`crate::load_audio`].
 pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
-    let file = path.display().to_string();
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|opened| opened.take(MAX_FEATURES_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(|e| FileError::Read {
-            file: file.clone(),
-            reason: e.to_string(),
-        })?;
-    parse_features(&bytes, &file)
+    let bytes = npy::read_bounded(path, MAX_FEATURES_BYTES)?;
+    parse_features(&bytes, &path.display().to_string())
 }
 
 /// Parses the bytes of a `features.npz`; `file` names it in errors.
@@ -71,7 +63,10 @@ pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileErr
 }
 
 /// Parses the named arrays of an archive: `[frames, width]` each, all of the same length.
-pub(crate) fn parse_arrays(
+///
+/// # Errors
+/// [`FileError`] as [`read_features`], for what is missing or of another shape.
+pub fn parse_arrays(
     bytes: &[u8],
     file: &str,
     wanted: &[(&'static str, usize)],
@@ -124,7 +119,7 @@ pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error
 }
 
 /// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
-pub(crate) fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
+pub fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
     archive(features, &[], METHOD)
 }
 

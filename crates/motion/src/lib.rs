@@ -1,7 +1,6 @@
 //! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
-//! phrases' statistics, motion capture, augmentation, post-processing, sanity checks and metrics;
-//! and the features of HumanML3D and its like ([`humanml`]), which have rates and skeletons of
-//! their own.
+//! phrases' statistics, augmentation, post-processing, sanity checks and metrics; and the features
+//! of HumanML3D and its like ([`humanml`]), which have rates and skeletons of their own.
 //!
 //! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
 //! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen,
@@ -19,7 +18,6 @@
 //! ```
 
 pub mod augment;
-pub mod capture;
 pub mod coherence;
 pub mod emphasis;
 pub mod error;

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use kinegrad_motion::humanml::{Joints, Skeleton};
 
 use crate::checkpoint::{State, Weights};
 use crate::config::{self, Config};
@@ -126,8 +127,13 @@ pub enum Contents {
         /// The numbers.
         values: Vec<f32>,
     },
-    /// Text.
-    Text(String),
+    /// A body that moves, for other programs.
+    Figure {
+        /// Places of its joints.
+        joints: Joints,
+        /// What they are the joints of.
+        skeleton: Box<Skeleton>,
+    },
 }
 
 /// What is to be said of all motions of a request.

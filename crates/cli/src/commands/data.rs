@@ -153,12 +153,18 @@ fn print(inspection: &Inspection) {
         (&unusable, grouped(inspection.bad_items)),
         (&left_out, grouped(inspection.left_out)),
         ("to train on, held out", format!("{train}, {held_out}")),
-        ("frames", format!("{frames} ({minutes:.2} minutes at {fps} fps)")),
+        (
+            "frames",
+            format!("{frames} ({minutes:.2} minutes at {fps} fps)"),
+        ),
         (&lengths, format!("{shortest} to {longest}")),
         ("motion", inspection.representation.clone()),
         ("channels", grouped(inspection.channels)),
     ];
-    let counts = inspection.counts.iter().map(|(name, count)| (*name, grouped(*count)));
+    let counts = inspection
+        .counts
+        .iter()
+        .map(|(name, count)| (*name, grouped(*count)));
     say!("{}\n", facts(shown.into_iter().chain(counts)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {

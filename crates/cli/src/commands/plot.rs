@@ -10,12 +10,12 @@ use kinegrad_train::systems::Systems;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
-use crate::output::{draw, no_picture};
+use crate::output::{draw, unusable};
 
 /// Draws a motion file or a run.
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments { input, out } = arguments;
-    check_ending(&out).map_err(no_picture)?;
+    check_ending(&out).map_err(unusable)?;
     let panels = if input.join("metrics.jsonl").exists() {
         loss_panels(&read_metrics(&input)?)
     } else if input.is_file() {

@@ -4,11 +4,14 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_data::prepare::{Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare};
+use kinegrad_capture::prepare::{
+    Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
+};
 use kinegrad_report::{grouped, rows as table};
 use kinegrad_train::Error;
 
 use crate::args::PrepareArguments;
+use crate::output::unusable;
 use crate::progress::{Count, stop_on_ctrl_c};
 
 /// Bar and stop flag of a preparation.
@@ -29,7 +32,7 @@ impl PrepareObserver for Progress {
 
 /// Makes a dataset; exit code 1 if nothing could be made of a take.
 pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
-    let mut plan = Plan::read(&arguments.plan)?;
+    let mut plan = Plan::read(&arguments.plan).map_err(failed)?;
     if let Some(out) = arguments.out {
         plan.output = match out.contains("://") {
             true => out,
@@ -50,7 +53,7 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         again: arguments.again,
         prune: arguments.prune,
     };
-    let report = prepare(&plan, &arguments.plan, options, &progress)?;
+    let report = prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
     let Some(report) = report else {
         return Ok(ExitCode::from(130));
     };
@@ -61,6 +64,13 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         print(&report);
     }
     Ok(ExitCode::from(u8::from(failed)))
+}
+
+fn failed(error: kinegrad_capture::Error) -> Error {
+    match error {
+        kinegrad_capture::Error::Data(error) => error.into(),
+        error => unusable(error),
+    }
 }
 
 fn print(report: &Report) {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use kinegrad_capture::Bvh;
 use kinegrad_data::write_values;
 use kinegrad_report::rows;
 use kinegrad_train::Error;
@@ -11,7 +12,11 @@ use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Re
 use kinegrad_train::systems::Systems;
 
 use crate::args::{DrawArguments, SampleArguments};
+use crate::output::unusable;
 use crate::progress::Denoising;
+
+/// Units of a BVH file in a metre.
+const CENTIMETRES: f64 = 100.0;
 
 /// Draws motion and writes it.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
@@ -141,8 +146,9 @@ impl Receiver for Files {
             let path = PathBuf::from(format!("{stem}{ending}"));
             match contents {
                 Contents::Array { shape, values } => write_values(&path, shape, values)?,
-                Contents::Text(text) => {
-                    std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+                Contents::Figure { joints, skeleton } => {
+                    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
+                    std::fs::write(&path, bvh.to_text()).map_err(Error::io("write", &path))?;
                 }
             }
         }

@@ -32,7 +32,6 @@ mod statistics;
 mod survey;
 mod synthetic;
 mod texts;
-mod walk;
 mod word_vectors;
 
 pub use clip::{Clip, ClipSet, parse_features, write_features};

@@ -5,6 +5,7 @@
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
+use kinegrad_motion::humanml::walk::{self, Course};
 use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
 use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
@@ -20,7 +21,6 @@ use crate::{
 };
 
 use super::clip::{self, features_path, texts_path, write_features};
-use super::walk::{self, Course};
 use super::{Caption, Clip, EMBEDDING_CHANNELS, embeddings};
 
 /// Id of synthetic walk number `index`: `walk_00007`.

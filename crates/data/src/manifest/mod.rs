@@ -24,7 +24,7 @@ pub use parquet::{Manifest, Selection};
 pub use row::{Flag, ManifestRow};
 
 /// The longest manifest that is read: some millions of phrases.
-pub(crate) const MAX_BYTES: u64 = 1 << 30;
+pub const MAX_BYTES: u64 = 1 << 30;
 
 /// Whether this build reads and writes manifests.
 pub const SUPPORTED: bool = cfg!(feature = "manifest");

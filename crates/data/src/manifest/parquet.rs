@@ -13,7 +13,7 @@ use super::footer;
 use super::row::ManifestRow;
 use super::table::{rows, table};
 use crate::layout::MANIFEST;
-use crate::{Error, Store, StoreError};
+use crate::{Error, Store};
 
 /// The columns that kinegrad writes.
 const COLUMNS: [&str; 14] = [
@@ -63,7 +63,7 @@ impl Manifest {
     /// [`Error::Store`]; [`Error::Manifest`] for a file that is none, a missing column, an id that
     /// is no plain name or occurs twice, a checksum that is none.
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        let Some(bytes) = bytes_of(store)? else {
+        let Some(bytes) = store.find(MANIFEST, super::MAX_BYTES)? else {
             return Ok(None);
         };
         Self::from_bytes(bytes, &store.name_of(MANIFEST)).map(Some)
@@ -109,7 +109,7 @@ impl Selection {
     /// # Errors
     /// [`Error::Store`]; [`Error::Manifest`] for a file that is none.
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        let Some(bytes) = bytes_of(store)? else {
+        let Some(bytes) = store.find(MANIFEST, super::MAX_BYTES)? else {
             return Ok(None);
         };
         let frame = decode(bytes, None).map_err(|problem| Error::Manifest {
@@ -158,15 +158,6 @@ impl Selection {
         let column = self.frame.column(column).ok()?;
         let numbers = column.cast(&DataType::Float64).ok()?;
         Some(numbers.f64().ok()?.iter().collect())
-    }
-}
-
-/// The file of the manifest of `store`.
-fn bytes_of(store: &Store) -> Result<Option<Vec<u8>>, Error> {
-    match store.read(MANIFEST, super::MAX_BYTES) {
-        Ok(bytes) => Ok(Some(bytes)),
-        Err(StoreError::Missing { .. }) => Ok(None),
-        Err(error) => Err(error.into()),
     }
 }
 

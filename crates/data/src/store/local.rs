@@ -30,12 +30,7 @@ impl Folder {
         // Opening a pipe would wait for somebody to write into it.
         let is_file = fs::metadata(&full).is_ok_and(|data| data.is_file());
         if !is_file {
-            return Err(StoreError::Failed {
-                object,
-                action: "read",
-                attempts: 1,
-                reason: "it is no file".to_owned(),
-            });
+            return Err(broken(&object, "read", "it is no file"));
         }
         let found = File::open(&full)
             .and_then(|file| {
@@ -60,12 +55,7 @@ impl Folder {
         let full = self.place(path)?;
         atomic::write(&full, |writer| writer.write_all(bytes)).map_err(|error| match error {
             Error::Io { reason, .. } => failed(&full.display().to_string(), "write", &reason),
-            other => StoreError::Failed {
-                object: full.display().to_string(),
-                action: "write",
-                attempts: 1,
-                reason: other.to_string(),
-            },
+            other => broken(&full.display().to_string(), "write", other),
         })
     }
 
@@ -131,19 +121,12 @@ impl Folder {
             // As in a checkout whose large files were not fetched.
             let dangling = fs::symlink_metadata(&full).is_ok_and(|data| data.is_symlink());
             match dangling {
-                true => StoreError::Failed {
-                    object: object.clone(),
-                    action: "read",
-                    attempts: 1,
-                    reason: "a symbolic link to nothing".to_owned(),
-                },
+                true => broken(&object, "read", "a symbolic link to nothing"),
                 false => failed(&object, "read", &reason),
             }
         })?;
-        let root = self
-            .root
-            .canonicalize()
-            .map_err(|reason| failed(&object, "read", &reason))?;
+        let root = self.root.canonicalize();
+        let root = root.map_err(|reason| failed(&object, "read", &reason))?;
         if !real.starts_with(&root) {
             return Err(StoreError::Outside {
                 object,
@@ -155,19 +138,24 @@ impl Folder {
 }
 
 fn failed(object: &str, action: &'static str, reason: &std::io::Error) -> StoreError {
-    let object = object.to_owned();
     match reason.kind() {
-        ErrorKind::NotFound => StoreError::Missing { object },
+        ErrorKind::NotFound => StoreError::Missing {
+            object: object.to_owned(),
+        },
         ErrorKind::PermissionDenied => StoreError::Denied {
-            object,
+            object: object.to_owned(),
             reason: reason.to_string(),
         },
-        _ => StoreError::Failed {
-            object,
-            action,
-            attempts: 1,
-            reason: reason.to_string(),
-        },
+        _ => broken(object, action, reason),
+    }
+}
+
+fn broken(object: &str, action: &'static str, reason: impl ToString) -> StoreError {
+    StoreError::Failed {
+        object: object.to_owned(),
+        action,
+        attempts: 1,
+        reason: reason.to_string(),
     }
 }
 

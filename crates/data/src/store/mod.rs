@@ -38,7 +38,7 @@ enum Kind {
 
 /// What a store's listing tells of one object.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Object {
+pub struct Object {
     /// Its path within the store.
     pub path: String,
     /// Its length in bytes.
@@ -95,7 +95,7 @@ impl Store {
     }
 
     /// Whether it can be written to.
-    pub(crate) fn is_writable(&self) -> bool {
+    pub fn is_writable(&self) -> bool {
         match &self.kind {
             Kind::Local(_) => true,
             #[cfg(feature = "cloud")]
@@ -123,6 +123,17 @@ impl Store {
     /// [`StoreError`]: [`StoreError::Missing`] where there is none, [`StoreError::TooLarge`].
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         Ok(self.read_version(path, limit)?.0)
+    }
+
+    /// Reads the object at `path` whole, if there is one.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), but for [`StoreError::Missing`].
+    pub fn find(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        match self.read(path, limit) {
+            Err(StoreError::Missing { .. }) => Ok(None),
+            read => read.map(Some),
+        }
     }
 
     /// [`read`](Self::read), with the version of what was read, as a listing tells it.
@@ -156,7 +167,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::ReadOnly`] for a web server.
-    pub(crate) fn remove(&self, path: &str) -> Result<(), StoreError> {
+    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
         match &self.kind {
             Kind::Local(folder) => folder.remove(path),
             #[cfg(feature = "cloud")]
@@ -168,7 +179,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Outside`] where a link leads out of the folder.
-    pub(crate) fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
+    pub fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
         match &self.kind {
             Kind::Local(folder) => folder.place(path).map(Some),
             #[cfg(feature = "cloud")]
@@ -180,7 +191,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
-    pub(crate) fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
+    pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
         let mut objects = match &self.kind {
             Kind::Local(root) => root.list(folder, file)?,
             #[cfg(feature = "cloud")]

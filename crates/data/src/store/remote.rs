@@ -6,7 +6,7 @@
 //! connection cut in the middle of an object is a retry like any other.
 
 use std::sync::{Arc, Once};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, UNIX_EPOCH};
 
 use futures_util::TryStreamExt;
 use object_store::aws::AmazonS3Builder;
@@ -104,12 +104,16 @@ impl Remote {
     /// The object's bytes and version.
     pub fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
         let (object, key) = self.key(path)?;
-        let bytes = self.try_often(&object, "read", || async {
+        self.try_often(&object, "read", || async {
             let found = self.store.get(&key).await.map_err(Failure::Request)?;
             let length = found.meta.size;
             let version = version(&found.meta);
             if length > limit {
-                return Err(Failure::TooLarge(length));
+                return Err(Failure::Final(StoreError::TooLarge {
+                    object: object.clone(),
+                    found: length,
+                    limit,
+                }));
             }
             let bytes = found.bytes().await.map_err(Failure::Request)?;
             if bytes.len() as u64 != length {
@@ -118,49 +122,39 @@ impl Remote {
                     length,
                 });
             }
-            Ok((bytes, version))
-        });
-        let (bytes, version) = bytes.map_err(|error| match error {
-            Stopped::TooLarge(found) => StoreError::TooLarge {
-                object: object.clone(),
-                found,
-                limit,
-            },
-            Stopped::Store(error) => error,
-        })?;
-        Ok((bytes.into(), version))
+            Ok((bytes.into(), version))
+        })
     }
 
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
-        if !self.can_list {
-            return Err(StoreError::ReadOnly {
-                uri: self.uri.clone(),
-            });
-        }
+        self.must_be_writable()?;
         let (object, key) = self.key(path)?;
         let payload = PutPayload::from(bytes);
-        let written = self.try_often(&object, "write", || async {
+        self.try_often(&object, "write", || async {
             let put = self.store.put(&key, payload.clone()).await;
             put.map(drop).map_err(Failure::Request)
-        });
-        written.map_err(Stopped::into_store)
+        })
+    }
+
+    fn must_be_writable(&self) -> Result<(), StoreError> {
+        if self.is_writable() {
+            return Ok(());
+        }
+        Err(StoreError::ReadOnly {
+            uri: self.uri.clone(),
+        })
     }
 
     /// Removes the object, if it is there.
     pub fn remove(&self, path: &str) -> Result<(), StoreError> {
-        if !self.can_list {
-            return Err(StoreError::ReadOnly {
-                uri: self.uri.clone(),
-            });
-        }
+        self.must_be_writable()?;
         let (object, key) = self.key(path)?;
-        let removed = self.try_often(&object, "remove", || async {
+        self.try_often(&object, "remove", || async {
             match self.store.delete(&key).await {
                 Err(object_store::Error::NotFound { .. }) => Ok(()),
                 removed => removed.map_err(Failure::Request),
             }
-        });
-        removed.map_err(Stopped::into_store)
+        })
     }
 
     /// The objects below `folder` whose paths `keep` picks.
@@ -175,14 +169,10 @@ impl Remote {
             });
         }
         let (object, key) = self.key(folder)?;
-        let found = self.try_often(&object, "list", || async {
-            let listing = self.store.list(Some(&key));
-            listing
-                .try_collect::<Vec<_>>()
-                .await
-                .map_err(Failure::Request)
-        });
-        let found = found.map_err(Stopped::into_store)?;
+        let found: Vec<ObjectMeta> = self.try_often(&object, "list", || async {
+            let listing = self.store.list(Some(&key)).try_collect().await;
+            listing.map_err(Failure::Request)
+        })?;
         let objects = found.into_iter().filter_map(|meta| {
             let location = meta.location.to_string();
             let path = match self.prefix.as_str() {
@@ -219,7 +209,7 @@ impl Remote {
         object: &str,
         action: &'static str,
         request: impl Fn() -> F,
-    ) -> Result<T, Stopped>
+    ) -> Result<T, StoreError>
     where
         F: Future<Output = Result<T, Failure>>,
     {
@@ -231,23 +221,19 @@ impl Remote {
                 let permit = self.requests.acquire().await.expect("never closed");
                 let outcome = request().await;
                 drop(permit);
-                let failure = match outcome {
+                let reason = match outcome {
                     Ok(value) => return Ok(value),
-                    Err(failure) => failure,
-                };
-                let reason = match failure {
-                    Failure::TooLarge(length) => return Err(Stopped::TooLarge(length)),
-                    Failure::Request(error) => match final_error(&error, object, action) {
-                        Some(error) => return Err(Stopped::Store(error)),
+                    Err(Failure::Final(error)) => return Err(error),
+                    Err(Failure::Request(error)) => match final_error(&error, object, action) {
+                        Some(error) => return Err(error),
                         None => in_short(&error),
                     },
-                    Failure::CutOff { found, length } => {
+                    Err(Failure::CutOff { found, length }) => {
                         format!("{found} of {length} bytes came")
                     }
                 };
                 if attempts > self.max_retries {
-                    let error = failed(object, action, attempts, reason);
-                    return Err(Stopped::Store(error));
+                    return Err(failed(object, action, attempts, reason));
                 }
                 self.counters.retry();
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
@@ -259,7 +245,7 @@ impl Remote {
 
 /// A factor from 0.75 to 1.25, so that those who failed together do not come back together.
 fn jitter() -> f64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    let now = UNIX_EPOCH.elapsed();
     0.75 + 0.5 * f64::from(now.unwrap_or_default().subsec_nanos() % 1000) / 1000.0
 }
 
@@ -274,23 +260,12 @@ fn version(meta: &ObjectMeta) -> String {
 /// Why one attempt failed.
 enum Failure {
     Request(object_store::Error),
-    CutOff { found: u64, length: u64 },
-    TooLarge(u64),
-}
-
-/// Why no further attempt is made.
-enum Stopped {
-    Store(StoreError),
-    TooLarge(u64),
-}
-
-impl Stopped {
-    fn into_store(self) -> StoreError {
-        match self {
-            Self::Store(error) => error,
-            Self::TooLarge(_) => unreachable!("only reads are bounded"),
-        }
-    }
+    CutOff {
+        found: u64,
+        length: u64,
+    },
+    /// No further attempt would change it.
+    Final(StoreError),
 }
 
 /// What has failed for good. Services that tell a machine who it is fail like any other address:

@@ -34,15 +34,25 @@ pub(super) fn check_number(
     allowed: &'static str,
     hint: &'static str,
 ) -> Result<(), GoalError> {
-    if number.is_finite() && admits(number) {
-        return Ok(());
+    match number.is_finite() && admits(number) {
+        true => Ok(()),
+        false => Err(invalid(key(), number, allowed, hint)),
     }
-    Err(GoalError::Invalid {
-        key: key(),
-        found: number.to_string(),
-        allowed: allowed.to_owned(),
+}
+
+/// A [`GoalError::Invalid`].
+pub(super) fn invalid(
+    key: impl Into<String>,
+    found: impl ToString,
+    allowed: impl Into<String>,
+    hint: &'static str,
+) -> GoalError {
+    GoalError::Invalid {
+        key: key.into(),
+        found: found.to_string(),
+        allowed: allowed.into(),
         hint,
-    })
+    }
 }
 
 /// Refuses a ground position that is not finite; `key` is that of its two numbers' parent.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::error::invalid;
 use super::{Goal, GoalError, GroundTargets, Obstacle};
 
 /// How the distance from a target counts.
@@ -66,22 +67,15 @@ impl GuidanceLoss {
     /// the limit of frames is 0.
     pub fn new(config: &GuidanceConfig, goals: &[Goal], frames: usize) -> Result<Self, GoalError> {
         if config.frame_limit == Some(0) {
-            return Err(GoalError::Invalid {
-                key: "frame_limit".to_owned(),
-                found: "0".to_owned(),
-                allowed: "1 or more".to_owned(),
-                hint: "leave it out to guide all frames",
-            });
+            let hint = "leave it out to guide all frames";
+            return Err(invalid("frame_limit", 0, "1 or more", hint));
         }
         for goal in goals {
             goal.validate()?;
             if goal.frames > frames {
-                return Err(GoalError::Invalid {
-                    key: "frames".to_owned(),
-                    found: goal.frames.to_string(),
-                    allowed: format!("at most {frames}, the length of the motion"),
-                    hint: "shorten the goal, or sample a longer motion",
-                });
+                let allowed = format!("at most {frames}, the length of the motion");
+                let hint = "shorten the goal, or sample a longer motion";
+                return Err(invalid("frames", goal.frames, allowed, hint));
             }
         }
         let samples: Vec<Sample> = goals.iter().map(Sample::new).collect();

@@ -48,7 +48,7 @@ pub use targets::{GROUND_X, GROUND_Z, GroundTargets, TRAJECTORY_CHANNELS};
 
 use serde::{Deserialize, Serialize};
 
-use error::{check_number, check_position};
+use error::{check_number, check_position, invalid};
 
 /// Where the root shall be in one frame.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
@@ -144,12 +144,8 @@ impl Goal {
     /// there is none.
     pub fn validate(&self) -> Result<(), GoalError> {
         if self.frames == 0 {
-            return Err(GoalError::Invalid {
-                key: "frames".to_owned(),
-                found: "0".to_owned(),
-                allowed: "1 or more".to_owned(),
-                hint: "`frames` is the length of the clip",
-            });
+            let hint = "`frames` is the length of the clip";
+            return Err(invalid("frames", 0, "1 or more", hint));
         }
         let not_negative = |key: &str, number: f64| {
             check_number(
@@ -184,12 +180,10 @@ impl Goal {
             }
             let same = |other: &Keyframe| other.frame == keyframe.frame;
             if let Some(earlier) = self.keyframes[..index].iter().position(same) {
-                return Err(GoalError::Invalid {
-                    key: format!("{}.frame", key()),
-                    found: format!("{}, like that of `keyframe[{earlier}]`", keyframe.frame),
-                    allowed: "one key frame for each frame".to_owned(),
-                    hint: "leave out one of the two",
-                });
+                let key = format!("{}.frame", key());
+                let found = format!("{}, like that of `keyframe[{earlier}]`", keyframe.frame);
+                let allowed = "one key frame for each frame";
+                return Err(invalid(key, found, allowed, "leave out one of the two"));
             }
             check_position(key, keyframe.position())?;
         }
@@ -198,36 +192,25 @@ impl Goal {
 
     fn check_trajectory(&self, trajectory: &Trajectory) -> Result<(), GoalError> {
         if !self.keyframes.is_empty() {
-            return Err(GoalError::Invalid {
-                key: "trajectory".to_owned(),
-                found: format!("given beside {} key frames", self.keyframes.len()),
-                allowed: "one of the two".to_owned(),
-                hint: "write the key frames into the trajectory, or leave the trajectory out",
-            });
+            let found = format!("given beside {} key frames", self.keyframes.len());
+            let hint = "write the key frames into the trajectory, or leave the trajectory out";
+            return Err(invalid("trajectory", found, "one of the two", hint));
         }
         if trajectory.points.is_empty() {
-            return Err(GoalError::Invalid {
-                key: "trajectory.points".to_owned(),
-                found: "empty".to_owned(),
-                allowed: "one or more positions `[x, z]`".to_owned(),
-                hint: "leave out `[trajectory]` if there is none",
-            });
+            let allowed = "one or more positions `[x, z]`";
+            let hint = "leave out `[trajectory]` if there is none";
+            return Err(invalid("trajectory.points", "empty", allowed, hint));
         }
         if trajectory.first_frame >= self.frames {
-            let key = "trajectory.first_frame".to_owned();
-            return Err(self.outside(key, trajectory.first_frame));
+            return Err(self.outside("trajectory.first_frame", trajectory.first_frame));
         }
         let longest = self.frames - trajectory.first_frame;
         if trajectory.points.len() > longest {
-            return Err(GoalError::Invalid {
-                key: "trajectory.points".to_owned(),
-                found: format!("a list of {} positions", trajectory.points.len()),
-                allowed: format!(
-                    "at most {longest} (from frame {} of {})",
-                    trajectory.first_frame, self.frames
-                ),
-                hint: "give one position for each frame, or raise `frames`",
-            });
+            let found = format!("a list of {} positions", trajectory.points.len());
+            let (first, frames) = (trajectory.first_frame, self.frames);
+            let allowed = format!("at most {longest} (from frame {first} of {frames})");
+            let hint = "give one position for each frame, or raise `frames`";
+            return Err(invalid("trajectory.points", found, allowed, hint));
         }
         for (index, &point) in trajectory.points.iter().enumerate() {
             check_position(|| format!("trajectory.points[{index}]"), point)?;
@@ -235,17 +218,11 @@ impl Goal {
         Ok(())
     }
 
-    fn outside(&self, key: String, frame: usize) -> GoalError {
-        GoalError::Invalid {
-            key,
-            found: frame.to_string(),
-            allowed: format!(
-                "0 to {} (the goal has {} frames)",
-                self.frames - 1,
-                self.frames
-            ),
-            hint: "frames count from 0; raise `frames` for a longer clip",
-        }
+    fn outside(&self, key: impl Into<String>, frame: usize) -> GoalError {
+        let (last, frames) = (self.frames - 1, self.frames);
+        let allowed = format!("0 to {last} (the goal has {frames} frames)");
+        let hint = "frames count from 0; raise `frames` for a longer clip";
+        invalid(key, frame, allowed, hint)
     }
 
     /// The positions that are asked for: the key frames, or the trajectory.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::GoalError;
+use super::error::invalid;
 
 /// Which frames of a goal act.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
@@ -59,12 +60,9 @@ impl GuidanceSchedule {
         if self.dense_until >= self.points_until {
             return Ok(());
         }
-        Err(GoalError::Invalid {
-            key: "dense_until".to_owned(),
-            found: self.dense_until.to_string(),
-            allowed: format!("{} (`points_until`) or more", self.points_until),
-            hint: "timesteps count down: the line between key frames ends before they do",
-        })
+        let allowed = format!("{} (`points_until`) or more", self.points_until);
+        let hint = "timesteps count down: the line between key frames ends before they do";
+        Err(invalid("dense_until", self.dense_until, allowed, hint))
     }
 }
 

@@ -105,9 +105,4 @@ pub enum FeatureError {
         /// What is allowed, in words.
         allowed: &'static str,
     },
-
-    /// A capture file cannot be made.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Capture(#[from] crate::capture::CaptureError),
 }

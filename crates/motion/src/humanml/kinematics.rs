@@ -29,7 +29,7 @@ pub enum Heading {
 /// The direction from the right side to the left or the other way round, and so forward or
 /// backward: what is added up of hips and shoulders.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub(super) enum Across {
+pub enum Across {
     /// Both from left to right.
     Consistent,
     /// Shoulders from left to right, hips from right to left: so the published data set was made.
@@ -37,7 +37,7 @@ pub(super) enum Across {
 }
 
 /// The horizontal direction that the joints of one frame face, not of length 1.
-pub(super) fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
+pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
     let FaceJoints {
         right_hip,
         left_hip,
@@ -191,7 +191,7 @@ pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
 /// The shortest rotation from the direction of `from` to that of `to`: the quaternion normalised
 /// from (|u||v| + u.v, u x v). Opposite vectors are half a turn apart, about +y where possible; a
 /// vector without length is not turned.
-pub(super) fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
+pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
     let (scalar, axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
     if scalar == 0.0 && axis.norm() == 0.0 && u.norm() > 0.0 && v.norm() > 0.0 {
@@ -217,11 +217,13 @@ fn unit(vector: [f64; 3]) -> [f64; 3] {
     }
 }
 
-pub(super) fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+/// `a + b`.
+pub fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + b[i])
 }
 
-pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+/// `a - b`.
+pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] - b[i])
 }
 

@@ -30,13 +30,10 @@
 //! let rows = statistics.denormalize(&seen);
 //! let back = Features::new(rows, features.layout(), Root::Relative)?.to_absolute().joints();
 //! assert!((back.frame(8)[0][0] - 0.8).abs() < 1e-5);
-//! let text = back.to_bvh(&skeleton, 100.0)?.to_text();
-//! assert!(text.starts_with("HIERARCHY\nROOT pelvis\n"));
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
 mod builtin;
-mod bvh;
 mod error;
 pub mod extract;
 mod features;
@@ -46,6 +43,7 @@ mod layout;
 mod root;
 mod skeleton;
 mod validate;
+pub mod walk;
 
 #[cfg(test)]
 mod moving;

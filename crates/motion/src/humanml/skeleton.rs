@@ -209,7 +209,10 @@ impl Skeleton {
     }
 
     /// Refuses joints of another skeleton.
-    pub(super) fn accept(&self, joints: &Joints) -> Result<(), FeatureError> {
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] for another number of joints.
+    pub fn accept(&self, joints: &Joints) -> Result<(), FeatureError> {
         if joints.joints() == self.joints() {
             return Ok(());
         }

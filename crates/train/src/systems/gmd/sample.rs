@@ -16,9 +16,6 @@ use crate::checkpoint::State;
 use crate::error::Error;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
 
-/// Units of a BVH file in a metre.
-const CENTIMETRES: f64 = 100.0;
-
 /// Draws what is asked for, as one batch: joints, features and BVH of a motion model, the path of a
 /// trajectory model. Returns how near the goals the clips have come.
 ///
@@ -90,7 +87,7 @@ pub(super) fn sample(
             _ => format!("-{index:03}"),
         };
         let frames = request.goal.as_ref().map_or(frames, |goal| goal.frames);
-        receiver.drawn(drawn(name, sample, frames, &skeleton)?)?;
+        receiver.drawn(drawn(name, sample, frames, &skeleton))?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
 }
@@ -119,12 +116,8 @@ fn for_held_out(
     let mut told = |stage, done, all| receiver.stepped(name_of(stage), done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
     for (clip, sample) in chosen.iter().zip(&samples) {
-        receiver.drawn(drawn(
-            clip.id.clone(),
-            sample,
-            frames,
-            &dataset.representation.skeleton,
-        )?)?;
+        let skeleton = &dataset.representation.skeleton;
+        receiver.drawn(drawn(clip.id.clone(), sample, frames, skeleton))?;
     }
     Ok(None)
 }
@@ -171,15 +164,10 @@ fn requests(count: usize, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipReque
     }
 }
 
-fn drawn(
-    name: String,
-    sample: &ClipSample,
-    frames: usize,
-    skeleton: &Skeleton,
-) -> Result<Drawn, Error> {
+fn drawn(name: String, sample: &ClipSample, frames: usize, skeleton: &Skeleton) -> Drawn {
     let Some(features) = &sample.features else {
         let files = vec![(".npy", path(&sample.ground[..frames]))];
-        return Ok(Drawn { name, files });
+        return Drawn { name, files };
     };
     let features = features.slice(0..frames);
     let joints = features.joints();
@@ -200,13 +188,16 @@ fn drawn(
         ),
         (
             ".bvh",
-            Contents::Text(joints.to_bvh(skeleton, CENTIMETRES)?.to_text()),
+            Contents::Figure {
+                joints,
+                skeleton: Box::new(skeleton.clone()),
+            },
         ),
     ];
     if let Some(drawn) = &sample.path {
         files.push((".path.npy", path(&drawn[..frames])));
     }
-    Ok(Drawn { name, files })
+    Drawn { name, files }
 }
 
 /// `[frames, 2]`, x and z.

@@ -1,0 +1,228 @@
+//! Laying pieces of takes on a music time line.
+
+use std::ops::Range;
+
+use kinegrad_motion::FPS;
+
+use crate::{Error, RootSource, RootTrack};
+
+/// Two times closer than this are the same, in seconds: what sums of durations lose to rounding.
+const SAME_TIME: f64 = 1e-6;
+
+/// A piece of a take and when it is danced. It is stretched evenly to its length in music.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Segment {
+    /// Index of the take.
+    pub take: usize,
+    /// Fractional frames of the take, counted from 0: played from the first to just before the
+    /// last.
+    pub capture_frames: Range<f64>,
+    /// Seconds of music from its beginning to the segment.
+    pub start_seconds: f64,
+    /// Length in seconds of music, positive.
+    pub seconds: f64,
+}
+
+impl Segment {
+    fn end_seconds(&self) -> f64 {
+        self.start_seconds + self.seconds
+    }
+}
+
+/// A root track at 30 frames per second and where each frame comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Assembly {
+    /// The track. Frame `t` is at `t / 30` seconds of music; frames that no segment covers or
+    /// whose capture is missing are not valid.
+    pub track: RootTrack,
+    /// What each frame plays, `[frames]`; none outside the segments.
+    pub moments: Vec<Option<Moment>>,
+}
+
+/// A moment of a take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// Index of the segment that plays it.
+    pub segment: usize,
+    /// Index of the take.
+    pub take: usize,
+    /// Seconds from the take's beginning.
+    pub seconds: f64,
+}
+
+/// Plays segments of `takes` on a time line of `frames` frames at 30 per second. Coordinates stay
+/// those of the capture: [`super::join`] removes the jumps.
+///
+/// Segments follow each other in time; what lies between them is a gap. A missing capture file is
+/// a segment left out. A frame on the border of two segments belongs to the later one.
+///
+/// # Errors
+/// [`Error::InvalidSegment`] for a take that does not exist, a number that is not finite,
+/// a length that is not positive or a segment that begins before the one before it ends;
+/// [`Error::InvalidSetting`] for no frames.
+pub fn assemble(
+    takes: &[&dyn RootSource],
+    segments: &[Segment],
+    frames: usize,
+) -> Result<Assembly, Error> {
+    check(takes, segments)?;
+    let play = |t: usize| match playing(segments, t as f64 / FPS) {
+        None => (None, None),
+        Some(index) => {
+            let segment = &segments[index];
+            let take = takes[segment.take];
+            let done = (t as f64 / FPS - segment.start_seconds) / segment.seconds;
+            let Range { start, end } = segment.capture_frames;
+            let capture_frame = start + done.clamp(0.0, 1.0) * (end - start);
+            let moment = Moment {
+                segment: index,
+                take: segment.take,
+                seconds: capture_frame / take.rate(),
+            };
+            (take.sample(capture_frame), Some(moment))
+        }
+    };
+    let (poses, moments) = (0..frames).map(play).unzip();
+    Ok(Assembly {
+        track: RootTrack::from_poses(poses, FPS)?,
+        moments,
+    })
+}
+
+/// The segment that plays at a moment.
+fn playing(segments: &[Segment], seconds: f64) -> Option<usize> {
+    let begun = segments.partition_point(|s| s.start_seconds <= seconds + SAME_TIME);
+    let index = begun.checked_sub(1)?;
+    (seconds < segments[index].end_seconds() - SAME_TIME).then_some(index)
+}
+
+fn check(takes: &[&dyn RootSource], segments: &[Segment]) -> Result<(), Error> {
+    let mut end_of_last = f64::NEG_INFINITY;
+    for (index, segment) in segments.iter().enumerate() {
+        let fail = |key, found: String, allowed| {
+            Err(Error::InvalidSegment {
+                index,
+                key,
+                found,
+                allowed,
+            })
+        };
+        if segment.take >= takes.len() {
+            let found = format!("{} of {} takes", segment.take, takes.len());
+            return fail("take", found, "the index of a take, counted from 0");
+        }
+        let Range { start, end } = segment.capture_frames;
+        if !(start.is_finite() && end.is_finite() && start <= end) {
+            let found = format!("{start} to {end}");
+            let allowed = "two frame numbers, the first not larger";
+            return fail("capture_frames", found, allowed);
+        }
+        if !(segment.seconds.is_finite() && segment.seconds > 0.0) {
+            let found = segment.seconds.to_string();
+            return fail("seconds", found, "a positive number of seconds");
+        }
+        let start = segment.start_seconds;
+        if !(start >= end_of_last - SAME_TIME && start.is_finite()) {
+            let found = format!("{start} while the one before ends at {end_of_last}");
+            let allowed = "a moment at or after the end of the segment before";
+            return fail("start_seconds", found, allowed);
+        }
+        end_of_last = segment.end_seconds();
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kinegrad_motion::Quaternion;
+
+    /// x is the frame number.
+    fn counting(frames: usize, rate: f64) -> RootTrack {
+        let positions = (0..frames).map(|t| [t as f64, 1.0, 0.0]).collect();
+        RootTrack::new(positions, vec![Quaternion::IDENTITY; frames], rate).unwrap()
+    }
+
+    fn segment(capture_frames: Range<f64>, start_seconds: f64, seconds: f64) -> Segment {
+        Segment {
+            take: 0,
+            capture_frames,
+            start_seconds,
+            seconds,
+        }
+    }
+
+    #[test]
+    fn a_piece_is_stretched_to_its_length_in_music() {
+        let take = counting(100, 80.0);
+        let plan = [segment(10.5..50.5, 0.1, 0.4)];
+        let assembly = assemble(&[&take], &plan, 20).unwrap();
+        for t in 0..20 {
+            let pose = assembly.track.pose(t);
+            assert_eq!(pose.is_some(), (3..15).contains(&t), "{t}");
+            let moment = assembly.moments[t];
+            assert_eq!(moment.is_some(), pose.is_some());
+            if let Some(pose) = pose {
+                let expected = 10.5 + (t as f64 / FPS - 0.1) / 0.4 * 40.0;
+                assert!((pose.position[0] - expected).abs() < 1e-9);
+                assert!((moment.unwrap().seconds - expected / 80.0).abs() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn rounding_leaves_no_hole_between_pieces() {
+        let take = counting(200, 30.0);
+        // Ends 0.1 + 0.2 are not 0.3.
+        let plan: Vec<Segment> = (0..30)
+            .map(|k| segment(0.0..3.0, f64::from(k) * 0.1, 0.1))
+            .collect();
+        let assembly = assemble(&[&take], &plan, 90).unwrap();
+        for (t, moment) in assembly.moments.iter().enumerate() {
+            assert_eq!(moment.unwrap().segment, t / 3);
+        }
+        assert!(assembly.track.valid().iter().all(|valid| *valid));
+    }
+
+    #[test]
+    fn what_the_capture_lacks_is_not_valid() {
+        let assembly =
+            assemble(&[&counting(10, 30.0)], &[segment(5.0..20.0, 0.0, 0.5)], 15).unwrap();
+        let valid: Vec<bool> = (0..15).map(|t| t < 5).collect();
+        assert_eq!(assembly.track.valid(), valid);
+        assert!(
+            assembly
+                .moments
+                .iter()
+                .all(|moment| moment.unwrap().take == 0)
+        );
+    }
+
+    #[test]
+    fn plans_that_make_no_sense_are_refused() {
+        let take = counting(10, 30.0);
+        let good = segment(0.0..5.0, 1.0, 1.0);
+        let bad = [
+            (
+                "take",
+                Segment {
+                    take: 1,
+                    ..good.clone()
+                },
+            ),
+            ("capture_frames", segment(5.0..4.0, 2.0, 1.0)),
+            ("capture_frames", segment(0.0..f64::NAN, 2.0, 1.0)),
+            ("seconds", segment(0.0..5.0, 2.0, 0.0)),
+            ("seconds", segment(0.0..5.0, 2.0, f64::INFINITY)),
+            ("start_seconds", segment(0.0..5.0, 1.9, 1.0)),
+            ("start_seconds", segment(0.0..5.0, f64::NAN, 1.0)),
+        ];
+        for (expected, wrong) in bad {
+            let error = assemble(&[&take], &[good.clone(), wrong], 90).unwrap_err();
+            assert!(
+                matches!(error, Error::InvalidSegment { index: 1, key, .. } if key == expected),
+                "{error:?}"
+            );
+        }
+    }
+}

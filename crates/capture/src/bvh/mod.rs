@@ -1,0 +1,93 @@
+//! Biovision hierarchies (BVH): a tree of joints and their channels, frame by frame, as text.
+//!
+//! Format: "Biovision BVH", M. Meredith and S. Maddock, Motion Capture File Formats Explained
+//! (2001), section 2.2, with what exporters make of it: any channel order, position channels on
+//! any joint, rotations before positions, joints without channels or End Site.
+
+mod figure;
+mod parse;
+mod pose;
+#[cfg(test)]
+mod tests;
+mod write;
+
+/// An axis of the file's coordinate system.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Axis {
+    /// x.
+    X,
+    /// y.
+    Y,
+    /// z.
+    Z,
+}
+
+/// What one number of a frame says of its joint.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Channel {
+    /// A coordinate of the place within the parent, in file units. It replaces that of the
+    /// joint's OFFSET; it is not added to it.
+    Position(Axis),
+    /// A turn in degrees. Turns are about the axes as the turns before them leave them: with
+    /// `Zrotation Xrotation` the rotation is `Rz Rx`.
+    Rotation(Axis),
+}
+
+/// A joint of the hierarchy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Name, with any prefix, as it stands in the file.
+    pub name: String,
+    /// Index of the parent, always smaller than its own; none for the root.
+    pub parent: Option<usize>,
+    /// Place within the parent in file units, where no position channel says otherwise.
+    pub offset: [f64; 3],
+    /// Its channels in the order of the file, at most six.
+    pub channels: Vec<Channel>,
+    /// Offsets of its End Sites, in file units.
+    pub end_sites: Vec<[f64; 3]>,
+    /// Place of its first channel within a frame.
+    first_channel: usize,
+}
+
+/// A BVH file: the hierarchy and all frames. Read by [`Bvh::parse`] or made of a figure's rotations
+/// by [`Bvh::from_rotations`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bvh {
+    joints: Vec<Joint>,
+    frame_time: f64,
+    channels: usize,
+    values: Vec<f64>,
+}
+
+impl Bvh {
+    /// The joints, each after its parent; the root is the first.
+    pub fn joints(&self) -> &[Joint] {
+        &self.joints
+    }
+
+    /// Index of the joint of that name, with or without its prefix up to a colon.
+    pub fn joint(&self, name: &str) -> Option<usize> {
+        let bare = |joint: &Joint| joint.name.rsplit(':').next() == Some(name);
+        let exact = self.joints.iter().position(|joint| joint.name == name);
+        exact.or_else(|| self.joints.iter().position(bare))
+    }
+
+    /// Seconds from one frame to the next.
+    pub fn frame_time(&self) -> f64 {
+        self.frame_time
+    }
+
+    /// Number of frames, at least 1.
+    pub fn frames(&self) -> usize {
+        self.values.len() / self.channels
+    }
+
+    /// The numbers of frame `t`, `[channels]`, in file units and degrees.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn frame(&self, t: usize) -> &[f64] {
+        &self.values[t * self.channels..(t + 1) * self.channels]
+    }
+}

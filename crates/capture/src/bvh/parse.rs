@@ -1,0 +1,284 @@
+//! Reading BVH text.
+
+use super::{Axis, Bvh, Channel, Joint};
+use crate::Error;
+use crate::error::quote;
+
+/// Channels that one joint can have: three coordinates and three turns.
+const MOST_CHANNELS: usize = 6;
+
+impl Bvh {
+    /// Reads a BVH file from its bytes; `file` is its name for messages.
+    ///
+    /// Line ends and indentation do not matter within the hierarchy; each frame is one line.
+    /// Bytes that are not UTF-8 (in names) become replacement characters.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with the line, what was found and what is allowed there.
+    pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
+        let text = String::from_utf8_lossy(bytes);
+        let text = text.trim_start_matches('\u{feff}');
+        let mut reader = Reader {
+            file,
+            lines: text.lines().enumerate(),
+            rest: "",
+            line: 1,
+        };
+        let joints = reader.hierarchy()?;
+        let channels: usize = joints.iter().map(|joint| joint.channels.len()).sum();
+        if channels == 0 {
+            let hint = "a motion needs numbers that change: export the joints with their channels";
+            let found = "a hierarchy without channels";
+            return Err(reader.error(found, "at least one channel", hint));
+        }
+        let (frame_time, values) = reader.motion(channels)?;
+        Ok(Self {
+            joints,
+            frame_time,
+            channels,
+            values,
+        })
+    }
+}
+
+/// A place in the text.
+struct Reader<'a> {
+    file: &'a str,
+    lines: std::iter::Enumerate<std::str::Lines<'a>>,
+    /// What is left of the current line.
+    rest: &'a str,
+    /// The current line, counted from 1.
+    line: usize,
+}
+
+impl<'a> Reader<'a> {
+    fn error(&self, found: impl Into<String>, allowed: &str, hint: &'static str) -> Error {
+        Error::Format {
+            file: self.file.to_string(),
+            place: format!("line {}", self.line),
+            found: found.into(),
+            allowed: allowed.to_string(),
+            hint,
+        }
+    }
+
+    /// Moves to the next text that is not blank; false at the end of the file.
+    fn advance(&mut self) -> bool {
+        loop {
+            self.rest = self.rest.trim_start();
+            if !self.rest.is_empty() {
+                return true;
+            }
+            let Some((index, line)) = self.lines.next() else {
+                return false;
+            };
+            (self.line, self.rest) = (index + 1, line);
+        }
+    }
+
+    /// The next word or brace; empty at the end of the file.
+    fn word(&mut self) -> &'a str {
+        if !self.advance() {
+            return "";
+        }
+        let end = if self.rest.starts_with(['{', '}']) {
+            1
+        } else {
+            let stops = |c: char| c.is_whitespace() || c == '{' || c == '}';
+            self.rest.find(stops).unwrap_or(self.rest.len())
+        };
+        let (word, rest) = self.rest.split_at(end);
+        self.rest = rest;
+        word
+    }
+
+    /// The rest of the line up to a brace: names may hold spaces and colons.
+    fn name(&mut self) -> String {
+        let end = self.rest.find(['{', '}']).unwrap_or(self.rest.len());
+        let (name, rest) = self.rest.split_at(end);
+        self.rest = rest;
+        name.trim().to_string()
+    }
+
+    fn expect(&mut self, keyword: &str) -> Result<(), Error> {
+        let word = self.word();
+        if word.eq_ignore_ascii_case(keyword) {
+            return Ok(());
+        }
+        let allowed = format!("`{keyword}`");
+        Err(self.error(shown(word), &allowed, "the file may be cut off or no BVH"))
+    }
+
+    fn number(&mut self) -> Result<f64, Error> {
+        let word = self.word();
+        self.finite(word)
+    }
+
+    fn finite(&self, word: &str) -> Result<f64, Error> {
+        let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
+        let hint = "decimals take a point, as in 1.5";
+        value.ok_or_else(|| self.error(shown(word), "a finite number", hint))
+    }
+
+    fn vector(&mut self) -> Result<[f64; 3], Error> {
+        Ok([self.number()?, self.number()?, self.number()?])
+    }
+
+    /// The tree, without recursion: its depth is bounded by the text alone.
+    fn hierarchy(&mut self) -> Result<Vec<Joint>, Error> {
+        self.expect("HIERARCHY")?;
+        self.expect("ROOT")?;
+        let mut joints = Vec::new();
+        let mut first_channel = 0;
+        // The joints whose braces are open, with whether their OFFSET and CHANNELS were seen.
+        let mut open: Vec<(usize, bool, bool)> =
+            vec![(self.open(&mut joints, None)?, false, false)];
+        while let Some((current, offset_seen, channels_seen)) = open.last_mut() {
+            let word = self.word();
+            match word.to_ascii_uppercase().as_str() {
+                "OFFSET" if !*offset_seen => {
+                    *offset_seen = true;
+                    joints[*current].offset = self.vector()?;
+                }
+                "CHANNELS" if !*channels_seen => {
+                    *channels_seen = true;
+                    joints[*current].channels = self.channels()?;
+                    joints[*current].first_channel = first_channel;
+                    first_channel += joints[*current].channels.len();
+                }
+                "JOINT" => {
+                    let parent = *current;
+                    let joint = self.open(&mut joints, Some(parent))?;
+                    open.push((joint, false, false));
+                }
+                "END" => {
+                    self.name();
+                    self.expect("{")?;
+                    self.expect("OFFSET")?;
+                    joints[*current].end_sites.push(self.vector()?);
+                    self.expect("}")?;
+                }
+                "}" if *offset_seen => {
+                    open.pop();
+                }
+                _ => {
+                    let allowed =
+                        "one OFFSET, one CHANNELS, then JOINT, End Site or the closing `}`";
+                    return Err(self.error(shown(word), allowed, "check the braces of this joint"));
+                }
+            }
+        }
+        Ok(joints)
+    }
+
+    /// The head of a joint after its keyword: name and brace.
+    fn open(&mut self, joints: &mut Vec<Joint>, parent: Option<usize>) -> Result<usize, Error> {
+        let name = self.name();
+        self.expect("{")?;
+        joints.push(Joint::new(name, parent, [0.0; 3], None));
+        Ok(joints.len() - 1)
+    }
+
+    fn channels(&mut self) -> Result<Vec<Channel>, Error> {
+        let word = self.word();
+        let count = word.parse().ok().filter(|count| *count <= MOST_CHANNELS);
+        let (allowed, hint) = (
+            "a number of channels from 0 to 6",
+            "a joint has at most three coordinates and three turns",
+        );
+        let count: usize = count.ok_or_else(|| self.error(shown(word), allowed, hint))?;
+        let (allowed, hint) = (
+            "a channel that the joint does not have yet, as `Xposition` or `Zrotation`",
+            "the number after CHANNELS is that of the names behind it",
+        );
+        let mut channels = Vec::new();
+        for _ in 0..count {
+            let word = self.word();
+            let channel = channel(word).filter(|channel| !channels.contains(channel));
+            channels.push(channel.ok_or_else(|| self.error(shown(word), allowed, hint))?);
+        }
+        Ok(channels)
+    }
+
+    /// The frames: seconds between two of them and all numbers, `[frames, channels]`.
+    fn motion(&mut self, channels: usize) -> Result<(f64, Vec<f64>), Error> {
+        let word = self.word();
+        if word.eq_ignore_ascii_case("ROOT") {
+            let hint = "files with several roots are not supported: export one figure a file";
+            return Err(self.error("a second ROOT", "`MOTION`", hint));
+        }
+        if !word.eq_ignore_ascii_case("MOTION") {
+            return Err(self.error(shown(word), "`MOTION`", "the file may be cut off"));
+        }
+        let declared = self.setting("Frames")?;
+        let frames: usize = declared.parse().ok().filter(|n| *n > 0).ok_or_else(|| {
+            let allowed = "a number of frames, at least 1";
+            self.error(shown(declared), allowed, "count the lines below")
+        })?;
+        let text = self.setting("Frame Time")?;
+        let frame_time = self.finite(text)?;
+        if frame_time <= 0.0 {
+            let hint = "30 frames per second are a frame time of 0.033333";
+            return Err(self.error(shown(text), "a positive number of seconds", hint));
+        }
+        let mut values = Vec::new();
+        let mut found = 0;
+        while self.advance() {
+            found += 1;
+            let before = values.len();
+            for word in std::mem::take(&mut self.rest).split_whitespace() {
+                values.push(self.finite(word)?);
+            }
+            if found > frames || values.len() - before != channels {
+                let found = format!("frame {found} with {} numbers", values.len() - before);
+                let allowed = format!("one of {frames} frames with {channels} numbers");
+                let hint =
+                    "each frame is one line with one number for each channel of the hierarchy";
+                return Err(self.error(found, &allowed, hint));
+            }
+        }
+        if found < frames {
+            let found = format!("the end of the file after {found} frames");
+            let allowed = format!("the {frames} frames that `Frames:` declares");
+            let hint = "the file may be cut off; otherwise correct the number";
+            return Err(self.error(found, &allowed, hint));
+        }
+        Ok((frame_time, values))
+    }
+
+    /// The value of a line `key: value`.
+    fn setting(&mut self, key: &str) -> Result<&'a str, Error> {
+        self.advance();
+        let line = std::mem::take(&mut self.rest);
+        if let Some((name, value)) = line.split_once(':') {
+            let name: Vec<&str> = name.split_whitespace().collect();
+            if name.join(" ").eq_ignore_ascii_case(key) {
+                return Ok(value.trim());
+            }
+        }
+        let allowed = format!("`{key}:` and a number");
+        Err(self.error(shown(line), &allowed, "see the lines after MOTION"))
+    }
+}
+
+fn shown(word: &str) -> String {
+    match word {
+        "" => "the end of the line or file".to_string(),
+        word => quote(word),
+    }
+}
+
+fn channel(name: &str) -> Option<Channel> {
+    let name = name.to_ascii_lowercase();
+    let axis = match name.as_bytes().first()? {
+        b'x' => Axis::X,
+        b'y' => Axis::Y,
+        b'z' => Axis::Z,
+        _ => return None,
+    };
+    match &name[1..] {
+        "position" => Some(Channel::Position(axis)),
+        "rotation" => Some(Channel::Rotation(axis)),
+        _ => None,
+    }
+}

@@ -1,0 +1,107 @@
+//! Forward kinematics: where the joints of a hierarchy are.
+
+use kinegrad_motion::Quaternion;
+
+use super::{Bvh, Channel, Joint};
+use crate::error::{require, require_positive};
+use crate::{Error, RootPose, RootTrack, UpAxis};
+
+impl Bvh {
+    /// Place and orientation of every joint in frame `t`, `[joints]`, in the file's own units and
+    /// axes.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn world(&self, t: usize) -> Vec<RootPose> {
+        let mut world: Vec<RootPose> = Vec::with_capacity(self.joints.len());
+        for joint in &self.joints {
+            let local = self.local(joint, t);
+            world.push(match joint.parent {
+                None => local,
+                Some(parent) => within(world[parent], local),
+            });
+        }
+        world
+    }
+
+    /// Place and orientation of a joint within its parent.
+    fn local(&self, joint: &Joint, t: usize) -> RootPose {
+        let values = &self.frame(t)[joint.first_channel..];
+        let mut position = joint.offset;
+        let mut orientation = Quaternion::IDENTITY;
+        for (channel, value) in joint.channels.iter().zip(values) {
+            match channel {
+                Channel::Position(axis) => position[*axis as usize] = *value,
+                Channel::Rotation(axis) => {
+                    let mut turn = [0.0; 3];
+                    // Two full turns are the same quaternion, sign included.
+                    turn[*axis as usize] = (value % 720.0).to_radians();
+                    orientation = orientation * Quaternion::from_rotation_vector(turn);
+                }
+            }
+        }
+        RootPose {
+            position,
+            orientation,
+        }
+    }
+
+    /// [`world`](Self::world) of one joint, by way of its ancestors alone.
+    fn world_of(&self, joint: usize, t: usize) -> RootPose {
+        let mut joint = &self.joints[joint];
+        let mut pose = self.local(joint, t);
+        while let Some(parent) = joint.parent {
+            joint = &self.joints[parent];
+            pose = within(self.local(joint, t), pose);
+        }
+        pose
+    }
+
+    /// The way of one joint through the take, in metres and y-up, at the file's own rate.
+    ///
+    /// The orientation is that of the file: the identity is the joint in its rest pose, which
+    /// faces +z in files that follow the convention of the phrases.
+    ///
+    /// # Errors
+    /// [`Error::InvalidSetting`] if `metres_per_unit` is not positive, there is no such
+    /// joint or the frame time is out of the range of rates; [`Error::NonFinite`] if a
+    /// number of the file is so large that the place overflows.
+    pub fn joint_track(
+        &self,
+        joint: usize,
+        metres_per_unit: f64,
+        up: UpAxis,
+    ) -> Result<RootTrack, Error> {
+        let allowed = "a positive number: 0.01 for centimetres, 0.0564444 for CMU skeletons";
+        require_positive("metres_per_unit", metres_per_unit, allowed)?;
+        let allowed = "the index of a joint of the file";
+        require(joint < self.joints.len(), "joint", joint, allowed)?;
+        let pose = |t| {
+            let pose = self.world_of(joint, t);
+            let metres = pose.position.map(|value| value * metres_per_unit);
+            Some(RootPose {
+                position: up.to_y_up(metres),
+                orientation: up.turn_to_y_up(pose.orientation),
+            })
+        };
+        let poses = (0..self.frames()).map(pose).collect();
+        RootTrack::from_poses(poses, 1.0 / self.frame_time)
+    }
+
+    /// [`joint_track`](Self::joint_track) of the root.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn root_track(&self, metres_per_unit: f64, up: UpAxis) -> Result<RootTrack, Error> {
+        self.joint_track(0, metres_per_unit, up)
+    }
+}
+
+/// A pose given within `parent`, in the frame that `parent` is given in.
+fn within(parent: RootPose, local: RootPose) -> RootPose {
+    let arm = parent.orientation.rotate(local.position);
+    RootPose {
+        position: [0, 1, 2].map(|i| parent.position[i] + arm[i]),
+        orientation: parent.orientation * local.orientation,
+    }
+}

@@ -1,0 +1,310 @@
+//! Writing BVH text.
+
+use std::fmt::Write;
+
+use kinegrad_motion::Quaternion;
+
+use super::{Axis, Bvh, Channel, Joint};
+use crate::Error;
+use crate::error::{require, require_positive};
+
+/// Turns of every written joint, in the order of most BVH files.
+const ROTATION: [Channel; 3] = [
+    Channel::Rotation(Axis::Z),
+    Channel::Rotation(Axis::X),
+    Channel::Rotation(Axis::Y),
+];
+/// Coordinates of the written root.
+const POSITION: [Channel; 3] = [
+    Channel::Position(Axis::X),
+    Channel::Position(Axis::Y),
+    Channel::Position(Axis::Z),
+];
+
+impl Joint {
+    /// A joint of a figure that moves, for [`Bvh::from_rotations`]: `name` of one line without
+    /// braces, a `parent` that comes before it, its place within the parent in the file's units
+    /// (of the root unused), and where its bone ends, if no other joint says so.
+    pub fn new(
+        name: String,
+        parent: Option<usize>,
+        offset: [f64; 3],
+        end_site: Option<[f64; 3]>,
+    ) -> Self {
+        Self {
+            name,
+            parent,
+            offset,
+            channels: Vec::new(),
+            end_sites: end_site.into_iter().collect(),
+            first_channel: 0,
+        }
+    }
+}
+
+impl Bvh {
+    /// A file of a figure that moves: `root` positions `[frames, 3]` in the file's units and
+    /// `rotations` `[frames, joints]`, row by row, each within the parent.
+    ///
+    /// The joints come to stand in the order of the text, which is depth first. The root has six
+    /// channels, every other joint three, `Zrotation Xrotation Yrotation`.
+    ///
+    /// # Errors
+    /// [`Error::InvalidSetting`] for a frame time that is not positive, joints that make no
+    /// tree, a name that the text cannot hold, no frames, another number of rotations than
+    /// joints and frames make, or a value that is not finite.
+    pub fn from_rotations(
+        figure: &[Joint],
+        frame_time: f64,
+        root: &[[f64; 3]],
+        rotations: &[Quaternion],
+    ) -> Result<Self, Error> {
+        check(figure, frame_time, root, rotations)?;
+        let order = depth_first(figure);
+        let mut place = vec![0; figure.len()];
+        let mut joints: Vec<Joint> = Vec::with_capacity(figure.len());
+        let mut first_channel = 0;
+        for (index, &of_figure) in order.iter().enumerate() {
+            place[of_figure] = index;
+            let mut joint = figure[of_figure].clone();
+            joint.channels = ROTATION.to_vec();
+            match &mut joint.parent {
+                Some(parent) => *parent = place[*parent],
+                None => {
+                    joint.offset = [0.0; 3];
+                    joint.channels = [POSITION, ROTATION].concat();
+                }
+            }
+            joint.first_channel = first_channel;
+            first_channel += joint.channels.len();
+            joints.push(joint);
+        }
+        let mut values = Vec::with_capacity(root.len() * first_channel);
+        for (root, rotations) in root.iter().zip(rotations.chunks_exact(figure.len())) {
+            values.extend(root);
+            values.extend(
+                order
+                    .iter()
+                    .flat_map(|&joint| zxy_degrees(rotations[joint])),
+            );
+        }
+        Ok(Self {
+            joints,
+            frame_time,
+            channels: first_channel,
+            values,
+        })
+    }
+
+    /// The file's text; [`Bvh::parse`] reads it back, numbers to six decimals.
+    pub fn to_text(&self) -> String {
+        let mut text = "HIERARCHY\n".to_string();
+        let mut open: Vec<usize> = Vec::new();
+        for (index, joint) in self.joints.iter().enumerate() {
+            while open.last().copied() != joint.parent {
+                open.pop();
+                line(&mut text, open.len(), "}");
+            }
+            let kind = joint.parent.map_or("ROOT", |_| "JOINT");
+            line(&mut text, open.len(), &format!("{kind} {}", joint.name));
+            line(&mut text, open.len(), "{");
+            open.push(index);
+            line(&mut text, open.len(), &offset(joint.offset));
+            if !joint.channels.is_empty() {
+                let names: Vec<String> = joint.channels.iter().map(channel_name).collect();
+                let channels = format!("CHANNELS {} {}", names.len(), names.join(" "));
+                line(&mut text, open.len(), &channels);
+            }
+            for end in &joint.end_sites {
+                line(&mut text, open.len(), "End Site");
+                line(&mut text, open.len(), "{");
+                line(&mut text, open.len() + 1, &offset(*end));
+                line(&mut text, open.len(), "}");
+            }
+        }
+        for depth in (0..open.len()).rev() {
+            line(&mut text, depth, "}");
+        }
+        let (frames, frame_time) = (self.frames(), self.frame_time);
+        writeln!(text, "MOTION\nFrames: {frames}\nFrame Time: {frame_time}")
+            .expect("text grows without fail");
+        for t in 0..frames {
+            let numbers: Vec<String> = self.frame(t).iter().map(|v| format!("{v:.6}")).collect();
+            line(&mut text, 0, &numbers.join(" "));
+        }
+        text
+    }
+}
+
+fn check(
+    figure: &[Joint],
+    frame_time: f64,
+    root: &[[f64; 3]],
+    rotations: &[Quaternion],
+) -> Result<(), Error> {
+    let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
+    require_positive("frame_time", frame_time, allowed)?;
+    for (index, joint) in figure.iter().enumerate() {
+        let name = &joint.name;
+        let bad = |c: char| c.is_control() || c == '{' || c == '}';
+        let plain = !name.is_empty() && name.trim() == name && !name.contains(bad);
+        let found = format!("`{}`", name.escape_debug());
+        let allowed = "a name of one line without braces and without blanks around it";
+        require(plain, "name", found, allowed)?;
+        let sound = joint.parent.map_or(index == 0, |parent| parent < index);
+        let found = format!("{:?} for joint {index}", joint.parent);
+        let allowed = "a joint before it, and none for the first joint alone";
+        require(sound, "parent", found, allowed)?;
+        let mut offsets = joint.offset.iter().chain(joint.end_sites.as_flattened());
+        let found = format!("not finite for joint {index}");
+        let allowed = "finite numbers in the file's units";
+        require(offsets.all(|v| v.is_finite()), "offset", found, allowed)?;
+    }
+    let some = !figure.is_empty() && !root.is_empty();
+    let found = format!("{} joints in {} frames", figure.len(), root.len());
+    require(some, "figure", found, "at least one joint and one frame")?;
+    let enough = rotations.len() == root.len() * figure.len();
+    let found = format!("a list of {}", rotations.len());
+    let allowed = "one rotation for each joint and frame";
+    require(enough, "rotations", found, allowed)?;
+    let finite = root.as_flattened().iter().all(|value| value.is_finite());
+    require(finite, "root", "not finite", "finite numbers")?;
+    let finite = rotations.iter().all(|rotation| rotation.norm().is_finite());
+    require(finite, "rotations", "not finite", "unit quaternions")
+}
+
+/// The joints in the order of the text: each followed by all that hangs on it.
+fn depth_first(figure: &[Joint]) -> Vec<usize> {
+    let mut order = Vec::with_capacity(figure.len());
+    let mut waiting = vec![0];
+    while let Some(joint) = waiting.pop() {
+        order.push(joint);
+        let children = (joint + 1..figure.len()).filter(|c| figure[*c].parent == Some(joint));
+        // The first child is taken from the end first.
+        waiting.extend(children.rev());
+    }
+    order
+}
+
+/// The angles (z, x, y) in degrees of `Rz Rx Ry`, for a quaternion of any norm but zero.
+fn zxy_degrees(rotation: Quaternion) -> [f64; 3] {
+    let rotation = rotation.normalised();
+    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
+    let entry = |row: usize, column: usize| columns[column][row];
+    let sine = entry(2, 1).clamp(-1.0, 1.0);
+    // A quarter turn about x leaves the other two on one axis: all of it goes to z.
+    let (z, y) = if sine.abs() > 1.0 - 1e-12 {
+        (entry(1, 0).atan2(entry(0, 0)), 0.0)
+    } else {
+        (
+            (-entry(0, 1)).atan2(entry(1, 1)),
+            (-entry(2, 0)).atan2(entry(2, 2)),
+        )
+    };
+    [z, sine.asin(), y].map(f64::to_degrees)
+}
+
+fn line(text: &mut String, depth: usize, content: &str) {
+    text.extend(std::iter::repeat_n('\t', depth));
+    text.push_str(content);
+    text.push('\n');
+}
+
+fn offset([x, y, z]: [f64; 3]) -> String {
+    format!("OFFSET {x:.6} {y:.6} {z:.6}")
+}
+
+fn channel_name(channel: &Channel) -> String {
+    let (axis, kind) = match channel {
+        Channel::Position(axis) => (axis, "position"),
+        Channel::Rotation(axis) => (axis, "rotation"),
+    };
+    format!("{axis:?}{kind}")
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn joint(name: &str, parent: Option<usize>) -> Joint {
+        let end_site = parent.map(|_| [0.0, 0.25, 0.0]);
+        Joint::new(name.to_string(), parent, [1.0, 2.0, -0.5], end_site)
+    }
+
+    /// Joints that are not given depth first: the second child of the root comes before its
+    /// grandchild.
+    fn figure() -> [Joint; 4] {
+        [
+            joint("hips", None),
+            joint("left leg", Some(0)),
+            joint("right leg", Some(0)),
+            joint("left foot", Some(1)),
+        ]
+    }
+
+    #[test]
+    fn mistakes_in_a_figure_are_named() {
+        let still = [Quaternion::IDENTITY; 4];
+        let write = |figure: &[Joint], frame_time, root: &[[f64; 3]]| {
+            let bvh = Bvh::from_rotations(figure, frame_time, root, &still);
+            bvh.unwrap_err().to_string()
+        };
+        let root = [[0.0; 3]];
+        assert!(write(&figure(), 0.0, &root).contains("`frame_time` is 0"));
+        assert!(write(&figure(), 0.05, &[]).contains("4 joints in 0 frames"));
+        assert!(write(&figure()[..3], 0.05, &root).contains("a list of 4"));
+        assert!(write(&figure(), 0.05, &[[f64::NAN; 3]]).contains("`root`"));
+        let mut spoiled = figure();
+        spoiled[1].parent = Some(1);
+        assert!(write(&spoiled, 0.05, &root).contains("for joint 1"));
+        spoiled = figure();
+        spoiled[2].name = "right\nleg".to_string();
+        assert!(write(&spoiled, 0.05, &root).contains("right\\nleg"));
+    }
+
+    #[test]
+    fn a_quarter_turn_about_x_keeps_its_heading() {
+        let turns = [[0.0, 0.7, 0.0], [90f64.to_radians(), 0.0, 0.0]];
+        let [yaw, pitch] = turns.map(Quaternion::from_rotation_vector);
+        let [z, x, y] = zxy_degrees(yaw * pitch).map(|angle| angle.to_radians());
+        let about = |axis: usize, angle: f64| {
+            let mut turn = [0.0; 3];
+            turn[axis] = angle;
+            Quaternion::from_rotation_vector(turn)
+        };
+        let back = about(2, z) * about(0, x) * about(1, y);
+        assert!((back.dot(yaw * pitch).abs() - 1.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn a_written_figure_is_read_back(
+            turns in proptest::collection::vec(proptest::array::uniform3(-3.0..3.0f64), 8),
+        ) {
+            let rotations: Vec<Quaternion> =
+                turns.into_iter().map(Quaternion::from_rotation_vector).collect();
+            let root = [[0.5, 1.0, -0.25], [4.0, 0.0, 0.125]];
+            let bvh = Bvh::from_rotations(&figure(), 0.05, &root, &rotations).unwrap();
+            let read = Bvh::parse(bvh.to_text().as_bytes(), "figure.bvh").unwrap();
+            prop_assert_eq!(read.joints(), bvh.joints());
+            prop_assert_eq!((read.frames(), read.frame_time()), (2, 0.05));
+            // Root, left leg, left foot, right leg.
+            for t in 0..2 {
+                let world = read.world(t);
+                prop_assert_eq!(world[0].position, root[t]);
+                let of_file = [0, 1, 3, 2].map(|joint| rotations[4 * t + joint]);
+                let expected = [
+                    of_file[0],
+                    of_file[0] * of_file[1],
+                    of_file[0] * of_file[1] * of_file[2],
+                    of_file[0] * of_file[3],
+                ];
+                for (pose, expected) in world.iter().zip(expected) {
+                    prop_assert!((pose.orientation.dot(expected).abs() - 1.0).abs() < 1e-12);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! C3D files: marker places frame by frame, binary.
+//!
+//! Format: The C3D File Format User Guide, Motion Lab Systems (<https://www.c3d.org>): blocks of
+//! 512 bytes, a header, a parameter section, and frames of points followed by analog samples. All
+//! three processor types and both storage forms are read; analog samples are passed over.
+
+mod bytes;
+mod parameters;
+mod read;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+pub(super) mod writer;
+
+pub use bytes::Processor;
+
+/// A C3D file: labels and points of all frames. Made by [`C3d::parse`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct C3d {
+    /// Name of the file, as given to the parser.
+    pub file: String,
+    /// The processor whose number formats the file uses.
+    pub processor: Processor,
+    /// Labels of the points, with their prefix, at most one for each point.
+    pub labels: Vec<String>,
+    /// Frames per second.
+    pub rate: f64,
+    /// Length of one file unit (POINT:UNITS; millimetres where it is missing).
+    pub metres_per_unit: f64,
+    /// Number of the first stored frame, as the header has it. Frame indices elsewhere count from
+    /// 0 at this frame.
+    pub first_frame: u32,
+    points_per_frame: usize,
+    /// `[frames, points]` in file units; NaN where a point was not seen.
+    points: Vec<[f32; 3]>,
+}
+
+impl C3d {
+    /// Number of frames, at least 1.
+    pub fn frames(&self) -> usize {
+        self.points.len() / self.points_per_frame
+    }
+
+    /// Number of points in a frame, at least 1.
+    pub fn points_per_frame(&self) -> usize {
+        self.points_per_frame
+    }
+
+    /// Place of a point in frame `t`, in file units and axes; none where it was not seen.
+    ///
+    /// # Panics
+    /// Panics if there is no such frame or point.
+    pub fn point(&self, t: usize, point: usize) -> Option<[f64; 3]> {
+        assert!(point < self.points_per_frame, "there is no point {point}");
+        let place = self.points[t * self.points_per_frame + point];
+        (!place[0].is_nan()).then(|| place.map(f64::from))
+    }
+
+    /// Indices of the points that `name` may mean: those with exactly this label, otherwise those
+    /// that have it behind their prefix (`SUBJECT:NAME`).
+    pub fn find(&self, name: &str) -> Vec<usize> {
+        let with = |fits: &dyn Fn(&str) -> bool| -> Vec<usize> {
+            let labels = self.labels.iter().enumerate();
+            labels.filter(|(_, l)| fits(l)).map(|(i, _)| i).collect()
+        };
+        let exact = with(&|label| label == name);
+        if exact.is_empty() {
+            with(&|label| label.rsplit(':').next() == Some(name))
+        } else {
+            exact
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! What can be wrong with capture files, marker sets and plans.
+
+use std::path::Path;
+
+use kinegrad_data::StoreError;
+use miette::Diagnostic;
+use thiserror::Error;
+
+/// An error about recorded motion or about how it shall be used.
+#[derive(Debug, Diagnostic, Error)]
+pub enum Error {
+    /// A capture file breaks its format.
+    #[error("`{file}`, {place}: found {found} where {allowed} must stand")]
+    #[diagnostic(help("{hint}"))]
+    Format {
+        /// Name of the file.
+        file: String,
+        /// The line, counted from 1, or the section with its byte, counted from 0.
+        place: String,
+        /// What stands there.
+        found: String,
+        /// What is allowed there.
+        allowed: String,
+        /// What to do.
+        hint: &'static str,
+    },
+
+    /// The marker map names a marker that the file lacks.
+    #[error("`{file}` has no marker `{marker}`, which `{key}` of the marker map names")]
+    #[diagnostic(help("the markers of the file are: {available}"))]
+    MissingMarker {
+        /// Name of the file.
+        file: String,
+        /// Key of the marker map.
+        key: &'static str,
+        /// The marker looked for.
+        marker: String,
+        /// The file's labels.
+        available: String,
+    },
+
+    /// A BVH file lacks the joint that shall be the root.
+    #[error("`{file}` has no joint `{joint}`")]
+    #[diagnostic(help("its joints are: {available}"))]
+    MissingJoint {
+        /// Name of the file.
+        file: String,
+        /// The joint looked for.
+        joint: String,
+        /// The file's joints.
+        available: String,
+    },
+
+    /// A marker name without its prefix fits several labels.
+    #[error(
+        "`{marker}` in `{key}` of the marker map may mean several markers of `{file}`: {labels}"
+    )]
+    #[diagnostic(help("name the marker with its prefix, as `SUBJECT:NAME`"))]
+    AmbiguousMarker {
+        /// Name of the file.
+        file: String,
+        /// Key of the marker map.
+        key: &'static str,
+        /// The marker looked for.
+        marker: String,
+        /// The labels it fits.
+        labels: String,
+    },
+
+    /// No frame of a take gives a root.
+    #[error("no frame of `{file}` has all markers of the marker map in a usable place")]
+    #[diagnostic(help(
+        "raise `max_gap_frames`, or choose markers that are seen; `front` must lie before `back` \
+         and `left` beside `right`"
+    ))]
+    NoValidFrame {
+        /// Name of the file.
+        file: String,
+    },
+
+    /// A root track holds NaN or an infinity.
+    #[error("frame {frame} (counted from 0) of the root track is not finite")]
+    #[diagnostic(help("look at this frame in the capture file: a value is far out of range"))]
+    NonFinite {
+        /// The first such frame.
+        frame: usize,
+    },
+
+    /// A root track holds a quaternion that tells no rotation.
+    #[error("the quaternion of frame {frame} (counted from 0) of the root track is zero")]
+    #[diagnostic(help(
+        "a frame without a rotation, perhaps one that was not captured: leave it out, or fill it \
+         before"
+    ))]
+    NoRotation {
+        /// The first such frame.
+        frame: usize,
+    },
+
+    /// A segment of a plan cannot be played.
+    #[error("segment {index} (counted from 0): `{key}` is {found}")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSegment {
+        /// Position of the segment in the plan.
+        index: usize,
+        /// The field.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// A setting is out of range.
+    #[error("`{key}` is {found}, which is out of range")]
+    #[diagnostic(help("{allowed}"))]
+    InvalidSetting {
+        /// Name of the setting.
+        key: &'static str,
+        /// The value found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+
+    /// A plan, or a file it names, cannot be followed.
+    #[error("{file}: {problem}")]
+    #[diagnostic(help("docs/dataset.md describes plans; configs/prepare.toml is one"))]
+    Plan {
+        /// The plan, or the file.
+        file: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+
+    /// Another preparation is writing the same dataset.
+    #[error("{output}: another preparation is writing there")]
+    #[diagnostic(help("wait until it has ended, or write to another place with `--out`"))]
+    Busy {
+        /// The dataset.
+        output: String,
+    },
+
+    /// The dataset cannot be written.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Data(#[from] kinegrad_data::Error),
+
+    /// The phrase itself cannot be made.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Motion(#[from] kinegrad_motion::Error),
+
+    /// Joints that belong to another skeleton.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Features(#[from] kinegrad_motion::humanml::FeatureError),
+}
+
+impl From<StoreError> for Error {
+    fn from(error: StoreError) -> Self {
+        Self::Data(error.into())
+    }
+}
+
+impl Error {
+    /// An [`Error::Plan`].
+    pub(crate) fn plan(file: &Path, problem: impl ToString) -> Self {
+        Self::Plan {
+            file: file.display().to_string(),
+            problem: problem.to_string(),
+        }
+    }
+
+    /// The error with its hint, on one line.
+    pub(crate) fn with_hint(&self) -> String {
+        let hint = self.help().map(|hint| format!(" ({hint})"));
+        format!("{self}{}", hint.unwrap_or_default())
+    }
+}
+
+/// An [`Error::InvalidSetting`] unless `holds`.
+pub(crate) fn require(
+    holds: bool,
+    key: &'static str,
+    found: impl ToString,
+    allowed: &'static str,
+) -> Result<(), Error> {
+    if holds {
+        return Ok(());
+    }
+    let found = found.to_string();
+    Err(Error::InvalidSetting {
+        key,
+        found,
+        allowed,
+    })
+}
+
+/// [`require`] of a finite number above 0.
+pub(crate) fn require_positive(
+    key: &'static str,
+    number: f64,
+    allowed: &'static str,
+) -> Result<(), Error> {
+    require(number.is_finite() && number > 0.0, key, number, allowed)
+}
+
+/// Text from a file in backticks, shortened to what a message can carry.
+pub(crate) fn quote(text: &str) -> String {
+    const LONGEST: usize = 40;
+    let mut shown: String = text.chars().take(LONGEST).collect();
+    if shown.len() < text.len() {
+        shown.push_str("...");
+    }
+    format!("`{}`", shown.escape_debug())
+}

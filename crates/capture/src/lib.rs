@@ -1,0 +1,87 @@
+//! Recorded motion: from motion-capture files to phrases of 25 channels, and to datasets of them.
+//!
+//! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`], the place and orientation of the
+//! pelvis at any moment of the take. [`Segment`]s of takes are laid on a music time line
+//! ([`assemble`]) and joined where the capture jumps ([`join`]); [`resample`] takes one take as it
+//! stands. The track at 30 frames per second, with its musical phase ([`Beats`]), then gives
+//! phrases ([`stretches`], [`Stretch::phrases`]). [`prepare`](mod@prepare) does all of this as a
+//! plan says and writes a dataset. The parsers take bytes and a name for their messages, never
+//! panic and allocate no more than a small multiple of what they are given.
+//!
+//! ```
+//! use kinegrad_capture::{BeatGrid, Beats, Bvh, UpAxis, resample, stretches};
+//! use kinegrad_motion::{FPS, Profile, check};
+//! let mut text = "HIERARCHY\nROOT Hips\n{ OFFSET 0 0 0\n\
+//!                 CHANNELS 4 Xposition Yposition Zposition Yrotation }\n\
+//!                 MOTION\nFrames: 241\nFrame Time: 0.0166667\n".to_string();
+//! for t in 0..241 {
+//!     text += &format!("{} 90 {} {t}\n", 0.1 * t as f64, 0.2 * t as f64);
+//! }
+//! let take = Bvh::parse(text.as_bytes(), "walk.bvh")?.root_track(0.01, UpAxis::Y)?;
+//! let track = resample(&take, FPS)?;
+//! let beats = Beats::Grid(BeatGrid {
+//!     start_seconds: 0.0,
+//!     seconds_per_beat: 0.5,
+//!     beats_per_bar: 4,
+//!     beats: None,
+//! });
+//! let phase = beats.phase(track.positions().len(), FPS)?;
+//! let phrases = stretches(&track, &phase)?[0].phrases(0, 60, 30)?;
+//! assert_eq!(phrases.len(), 3);
+//! for (_, phrase) in &phrases {
+//!     assert!(check(phrase, Profile::Document, None)?.passed);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod assemble;
+mod bvh;
+mod c3d;
+mod error;
+mod join;
+mod markers;
+mod phase;
+mod phrases;
+pub mod prepare;
+mod track;
+
+use kinegrad_motion::Quaternion;
+use serde::{Deserialize, Serialize};
+
+pub use assemble::{Assembly, Moment, Segment, assemble};
+pub use bvh::{Axis, Bvh, Channel, Joint};
+pub use c3d::{C3d, Processor};
+pub use error::Error;
+pub use join::{Joining, join};
+pub use markers::{MarkerGaps, MarkerMap, MarkerRoot};
+pub use phase::{BeatGrid, Beats, TrackedBeats};
+pub use phrases::{Stretch, stretches};
+pub use track::{RootPose, RootSource, RootTrack, resample};
+
+/// Which axis of a capture file points up.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UpAxis {
+    /// +y, as in phrases and most BVH files.
+    #[default]
+    Y,
+    /// +z, as in most C3D files.
+    Z,
+}
+
+impl UpAxis {
+    /// The vector in the y-up frame: (x, y, z) becomes (x, z, -y) where z points up.
+    pub fn to_y_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Y => [x, y, z],
+            Self::Z => [x, z, -y],
+        }
+    }
+
+    /// The same turn, world and body axes both given in the y-up frame: an upright rest pose
+    /// stays the identity.
+    pub fn turn_to_y_up(self, turn: Quaternion) -> Quaternion {
+        let [x, y, z] = self.to_y_up([turn.x, turn.y, turn.z]);
+        Quaternion::new(turn.w, x, y, z)
+    }
+}

@@ -1,0 +1,143 @@
+//! The root of a marker set: which markers carry the pelvis and how it turns.
+
+mod gaps;
+mod root;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use self::gaps::fill_gaps;
+use self::root::Axes;
+use crate::error::require;
+use crate::{C3d, Error, UpAxis};
+
+pub use gaps::MarkerGaps;
+pub use root::MarkerRoot;
+
+/// Which markers carry the root. A group of several stands for its mean; names are given with or
+/// without the file's prefix. The default is the pelvis of Plug-in-Gait-like sets, z up.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MarkerMap {
+    /// Markers whose mean is the root's place.
+    pub center: Vec<String>,
+    /// Markers at the front of the body.
+    pub front: Vec<String>,
+    /// Markers at the back.
+    pub back: Vec<String>,
+    /// Markers at the body's left.
+    pub left: Vec<String>,
+    /// Markers at its right.
+    pub right: Vec<String>,
+    /// Axis of the file that points up.
+    pub up: UpAxis,
+    /// Longest gap of a marker, in capture frames, that is filled by a straight line; in longer
+    /// ones the root is not valid. The default is 8, a tenth of a second at 80 frames per second.
+    pub max_gap_frames: usize,
+    /// Takes the mean pitch of the forward axis over the take out of every frame, so that markers
+    /// at different heights do not tilt the body.
+    pub remove_mean_tilt: bool,
+}
+
+impl Default for MarkerMap {
+    fn default() -> Self {
+        let names = |names: &[&str]| names.iter().map(|name| name.to_string()).collect();
+        Self {
+            center: names(&["LFWT", "RFWT", "LBWT", "RBWT"]),
+            front: names(&["LFWT", "RFWT"]),
+            back: names(&["LBWT", "RBWT"]),
+            left: names(&["LFWT", "LBWT"]),
+            right: names(&["RFWT", "RBWT"]),
+            up: UpAxis::Z,
+            max_gap_frames: 8,
+            remove_mean_tilt: false,
+        }
+    }
+}
+
+impl MarkerMap {
+    /// The root of a take.
+    ///
+    /// # Errors
+    /// [`Error::InvalidSetting`] if a group is empty, [`Error::MissingMarker`] and
+    /// [`Error::AmbiguousMarker`] for names that the file lacks or has several times,
+    /// [`Error::NoValidFrame`] if the root is nowhere known.
+    pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
+        let mut gaps = Vec::new();
+        let mut means = Vec::new();
+        let groups = [
+            ("center", &self.center),
+            ("front", &self.front),
+            ("back", &self.back),
+            ("left", &self.left),
+            ("right", &self.right),
+        ];
+        for (key, names) in groups {
+            let allowed = "name at least one marker";
+            require(!names.is_empty(), key, "an empty list", allowed)?;
+            let mut tracks = Vec::new();
+            for name in names {
+                let point = find(take, key, name)?;
+                let mut track: Vec<_> = (0..take.frames()).map(|t| take.point(t, point)).collect();
+                let found = fill_gaps(&mut track, self.max_gap_frames, &take.labels[point]);
+                if found.missing_frames > 0 && !gaps.contains(&found) {
+                    gaps.push(found);
+                }
+                tracks.push(track);
+            }
+            means.push(mean(&tracks));
+        }
+        let place = |group: usize, t: usize| -> Option<Vector3<f64>> {
+            let metres: [f64; 3] = (means[group][t]? * take.metres_per_unit).into();
+            Some(Vector3::from(self.up.to_y_up(metres)))
+        };
+        let axes = |t| {
+            Some(Axes {
+                center: place(0, t)?.into(),
+                forward: (place(1, t)? - place(2, t)?).into(),
+                left: (place(3, t)? - place(4, t)?).into(),
+            })
+        };
+        let frames = (0..take.frames()).map(axes).collect();
+        MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt).ok_or_else(|| {
+            Error::NoValidFrame {
+                file: take.file.clone(),
+            }
+        })
+    }
+}
+
+fn find(take: &C3d, key: &'static str, name: &str) -> Result<usize, Error> {
+    let found = take.find(name);
+    let (file, marker) = (take.file.clone(), name.to_string());
+    match found[..] {
+        [point] => Ok(point),
+        [] => Err(Error::MissingMarker {
+            file,
+            key,
+            marker,
+            available: take.labels.join(", "),
+        }),
+        _ => {
+            let labels: Vec<&str> = found.iter().map(|&i| &*take.labels[i]).collect();
+            Err(Error::AmbiguousMarker {
+                file,
+                key,
+                marker,
+                labels: labels.join(", "),
+            })
+        }
+    }
+}
+
+/// The mean of the markers of a group in each frame, none where one is missing.
+fn mean(tracks: &[Vec<Option<[f64; 3]>>]) -> Vec<Option<Vector3<f64>>> {
+    let of_frame = |t: usize| {
+        let places = tracks.iter().map(|track| track[t].map(Vector3::from));
+        let sum: Option<Vector3<f64>> = places.sum();
+        sum.map(|sum| sum / tracks.len() as f64)
+    };
+    (0..tracks[0].len()).map(of_frame).collect()
+}

@@ -1,0 +1,302 @@
+//! What a plan says: which motion goes with which music, and how phrases are cut.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
+use serde::{Deserialize, Serialize};
+
+use super::units::Units;
+use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
+
+/// Metres of the smallest unit that makes sense.
+const SMALLEST_UNIT: f64 = 1e-9;
+
+/// A plan, as its TOML file writes it. Paths are relative to that file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Where the dataset goes: a folder, `gs://BUCKET/PREFIX` or `s3://BUCKET/PREFIX`.
+    pub output: String,
+    /// How phrases are cut.
+    #[serde(default)]
+    pub phrases: PhrasesPlan,
+    /// Which phrases are held out.
+    #[serde(default)]
+    pub split: SplitPlan,
+    /// How a bucket is spoken to.
+    #[serde(default)]
+    pub store: StoreConfig,
+    /// How pieces captured apart are joined.
+    #[serde(default)]
+    pub joining: Joining,
+    /// Recordings, each with its music.
+    #[serde(default, rename = "take")]
+    pub takes: Vec<TakePlan>,
+    /// Choreographies of the ChoreoNet data.
+    #[serde(default)]
+    pub choreonet: Vec<ChoreonetPlan>,
+    /// The folder that paths are relative to.
+    #[serde(skip)]
+    pub folder: PathBuf,
+}
+
+/// How phrases are cut.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PhrasesPlan {
+    /// Frames of a phrase, 30 a second.
+    pub frames: usize,
+    /// Frames from the beginning of one phrase to the next.
+    pub hop: usize,
+}
+
+impl Default for PhrasesPlan {
+    fn default() -> Self {
+        Self {
+            frames: 120,
+            hop: 120,
+        }
+    }
+}
+
+/// Which phrases the manifest holds out.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SplitPlan {
+    /// Ids, or patterns with `*` for any run of characters. Without any, the manifest states no
+    /// split and training chooses.
+    pub validation: Vec<String>,
+}
+
+/// A recording with its music.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TakePlan {
+    /// Begins the ids of its phrases; `{name}` stands for the motion file's name without ending,
+    /// which is also the default.
+    pub name: Option<String>,
+    /// A capture file (.bvh, .c3d, .npy, .npz); `*` in its name takes every file that matches.
+    pub motion: Option<String>,
+    /// Pieces of capture files on the beats of the music, instead of `motion`.
+    #[serde(default, rename = "segment")]
+    pub segments: Vec<SegmentPlan>,
+    /// Seconds into the motion file at which to begin.
+    #[serde(default)]
+    pub motion_start_seconds: f64,
+    /// Seconds into the motion file at which to end.
+    pub motion_end_seconds: Option<f64>,
+    /// A song (.mp3, .wav, .flac, .ogg), or `none`; `{name}` stands for the motion file's name,
+    /// `*` for any ending.
+    pub audio: String,
+    /// Seconds into the song at which the motion begins.
+    #[serde(default)]
+    pub audio_start_seconds: f64,
+    /// The beats, if they are known; else they are tracked.
+    pub beats: Option<BeatGrid>,
+    /// Beats in a bar of tracked beats; four unless stated.
+    pub beats_per_bar: Option<u32>,
+    /// Metres of one unit of a BVH file, or its name; centimetres unless stated.
+    pub units: Option<Units>,
+    /// The axis of a BVH file that points up; y unless stated.
+    pub up: Option<UpAxis>,
+    /// The joint of a BVH file that is the root; by default the first.
+    pub joint: Option<String>,
+    /// The markers of a C3D file that carry the root; those of Plug-in Gait's waist unless stated.
+    pub markers: Option<MarkerMap>,
+    /// Frames per second of arrays, which do not state it; 30 unless stated.
+    pub fps: Option<f64>,
+}
+
+/// A piece of a capture file.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SegmentPlan {
+    /// The capture file. A missing one is a gap.
+    pub motion: String,
+    /// First and last frame in the file, counted from 0, with fractions.
+    pub frames: [f64; 2],
+    /// Its length in beats. Segments follow each other from the first beat on.
+    pub beats: f64,
+}
+
+/// Dances of the ChoreoNet data: units of capture on the beats of songs.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChoreonetPlan {
+    /// JSON list of dances: `dance_type`, `dance_id`, `start_pos` and `end_pos` at 25 frames per
+    /// second, `movements`, `durations` in beats.
+    pub choreography: String,
+    /// CSV with `c3d_file`, `movement_tag`, `start_frame`, `end_frame`.
+    pub intervals: String,
+    /// Folder of the capture files, `NAME.c3d`.
+    pub captures: String,
+    /// A song; `{type}` and `{id}` stand for the dance's.
+    pub music: String,
+    /// Dance types whose bars have three beats.
+    #[serde(default = "waltz")]
+    pub three_beats_per_bar: Vec<String>,
+    /// The markers that carry the root.
+    #[serde(default)]
+    pub markers: MarkerMap,
+}
+
+fn waltz() -> Vec<String> {
+    vec!["W".to_owned()]
+}
+
+impl Plan {
+    /// Reads the plan at `path` and checks what can be checked without opening another file.
+    ///
+    /// # Errors
+    /// [`Error::Plan`] with the line or key, what was found and what is allowed.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(|problem| Error::plan(path, problem))?;
+        let mut plan: Self = toml::from_str(&text).map_err(|error| {
+            let place = error.span().map(|span| {
+                let before = &text.as_bytes()[..span.start.min(text.len())];
+                let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+                format!("line {line}: ")
+            });
+            let place = place.unwrap_or_default();
+            Error::plan(path, format!("{place}{}", error.message()))
+        })?;
+        plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        plan.check().map_err(|problem| Error::plan(path, problem))?;
+        Ok(plan)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let frames = self.phrases.frames;
+        if !(MIN_FRAMES..=MAX_FRAMES).contains(&frames) {
+            return Err(format!(
+                "phrases.frames = {frames}: {MIN_FRAMES} to {MAX_FRAMES} allowed"
+            ));
+        }
+        if self.phrases.hop == 0 {
+            return Err("phrases.hop = 0: at least 1 allowed".to_owned());
+        }
+        let joining = self.joining.check();
+        joining.map_err(|error| format!("joining: {}", error.with_hint()))?;
+        if self.takes.is_empty() && self.choreonet.is_empty() {
+            return Err("no [[take]] and no [[choreonet]]: nothing to prepare".to_owned());
+        }
+        for (index, take) in self.takes.iter().enumerate() {
+            let named = take.name.as_deref().or(take.motion.as_deref());
+            let label = named.map_or(format!("take {index}"), |name| format!("take `{name}`"));
+            let sound = take.check();
+            sound.map_err(|problem| format!("{label}: {problem}"))?;
+        }
+        Ok(())
+    }
+
+    /// `path` from where the plan stands.
+    pub fn resolve(&self, path: &str) -> PathBuf {
+        self.folder.join(path)
+    }
+}
+
+impl TakePlan {
+    /// In an error, the key and what is wrong with it.
+    pub(super) fn check(&self) -> Result<(), String> {
+        match (&self.motion, self.segments.is_empty()) {
+            (Some(_), true) => {}
+            (None, false) if self.beats.is_none() => {
+                return Err("segments lie on beats: `beats` is missing".to_owned());
+            }
+            (None, false) if self.name.is_none() => {
+                return Err("a take of segments needs a `name`".to_owned());
+            }
+            (None, false) => {}
+            _ => return Err("either `motion` or [[take.segment]] allowed, not both".to_owned()),
+        }
+        if let Some(name) = &self.name {
+            check_id(&name.replace("{name}", "x")).map_err(|error| error.to_string())?;
+        }
+        for (key, value, least) in [
+            ("motion_start_seconds", Some(self.motion_start_seconds), 0.0),
+            ("audio_start_seconds", Some(self.audio_start_seconds), 0.0),
+            ("units", self.units.map(Units::metres), SMALLEST_UNIT),
+            ("fps", self.fps, 0.1),
+        ] {
+            if let Some(value) = value
+                && !(least..=1e5).contains(&value)
+            {
+                return Err(format!("{key} = {value}: a number from {least} allowed"));
+            }
+        }
+        // Not a number comes after nothing.
+        let after = |end: f64| end > self.motion_start_seconds && end.is_finite();
+        if !self.motion_end_seconds.is_none_or(after) {
+            return Err("motion_end_seconds must come after motion_start_seconds".to_owned());
+        }
+        if let Some(grid) = &self.beats {
+            let (beat, start) = (grid.seconds_per_beat, grid.start_seconds);
+            if !(0.01..=60.0).contains(&beat) || !(-1e5..=1e5).contains(&start) {
+                return Err(format!(
+                    "beats: seconds_per_beat = {beat}, start_seconds = {start} found; 0.01 to 60 \
+                     and -100000 to 100000 allowed"
+                ));
+            }
+            let sound = Beats::Grid(*grid).check();
+            sound.map_err(|error| format!("beats: {}", error.with_hint()))?;
+            if self.beats_per_bar.is_some() {
+                return Err(
+                    "beats_per_bar is for tracked beats; `beats` has one of its own".to_owned(),
+                );
+            }
+        }
+        if self.beats_per_bar == Some(0) {
+            return Err("beats_per_bar = 0: at least 1 allowed".to_owned());
+        }
+        if !self.segments.is_empty() {
+            let idle = [
+                ("motion_start_seconds", self.motion_start_seconds != 0.0),
+                ("motion_end_seconds", self.motion_end_seconds.is_some()),
+                ("audio_start_seconds", self.audio_start_seconds != 0.0),
+            ];
+            if let Some((key, _)) = idle.iter().find(|(_, given)| *given) {
+                return Err(format!(
+                    "{key} is for whole takes; segments have `frames` and follow `beats`"
+                ));
+            }
+        }
+        let broken = self.segments.iter().position(|segment| {
+            let [from, to] = segment.frames;
+            let ordered = from.is_finite() && to.is_finite() && 0.0 <= from && from < to;
+            !(ordered && segment.beats.is_finite() && segment.beats > 0.0)
+        });
+        match broken {
+            Some(index) => Err(format!(
+                "segment {index}: two increasing frames and a positive number of beats allowed"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses keys that none of the take's capture files uses.
+    pub(super) fn check_kinds(&self, files: &[&Path]) -> Result<(), String> {
+        let keys = [
+            ("units", self.units.is_some(), &["bvh"][..]),
+            ("up", self.up.is_some(), &["bvh"]),
+            ("joint", self.joint.is_some(), &["bvh"]),
+            ("markers", self.markers.is_some(), &["c3d"]),
+            ("fps", self.fps.is_some(), &["npy", "npz"]),
+        ];
+        let endings = files.iter().filter_map(|file| file.extension());
+        let endings: Vec<OsString> = endings.map(|e| e.to_ascii_lowercase()).collect();
+        let has = |kinds: &[&str]| endings.iter().any(|e| kinds.iter().any(|kind| e == kind));
+        match keys.iter().find(|(_, given, kinds)| *given && !has(kinds)) {
+            Some((key, _, kinds)) => Err(format!(
+                "`{key}` is for .{} files, and this take has none",
+                kinds.join(" and .")
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Beats in a bar of tracked beats.
+    pub(super) fn beats_per_bar(&self) -> u32 {
+        self.beats_per_bar.unwrap_or(4)
+    }
+}

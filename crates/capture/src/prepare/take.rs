@@ -1,0 +1,243 @@
+//! One take: from its files to phrases.
+
+use std::cell::OnceCell;
+use std::ops::Range;
+
+use kinegrad_data::manifest::{Flag, ManifestRow};
+use kinegrad_data::{AudioFeatures, Digest, features_bytes, motion_bytes};
+use kinegrad_motion::{FPS, Motion, Profile, check};
+
+use super::lay::Laid;
+use super::plan::Plan;
+use super::report::{Rejection, TakeReport};
+use super::resolve::Take;
+use super::song::Song;
+use crate::{Beats, Stretch, TrackedBeats, stretches};
+
+/// A phrase that was made.
+pub(super) struct Made {
+    pub row: ManifestRow,
+    /// The bytes of its motion file.
+    pub motion: Vec<u8>,
+    /// The bytes of its file of audio features.
+    pub audio: Vec<u8>,
+}
+
+/// A take on the time line of its music, to cut phrases from.
+pub(super) struct Ready<'a> {
+    take: &'a Take,
+    song: Option<&'a Song>,
+    beats: Option<Beats>,
+    laid: Laid,
+    stretches: Vec<Stretch>,
+    /// Frames of a phrase.
+    length: usize,
+    /// Each phrase's stretch and its first frame there.
+    places: Vec<(usize, usize)>,
+}
+
+impl Take {
+    /// Reads the take's files, the song where that has not been done, and lays the motion on the
+    /// music.
+    ///
+    /// # Errors
+    /// Why nothing can be made of it, in words that name the file.
+    pub fn ready<'a>(
+        &'a self,
+        plan: &Plan,
+        song: &'a OnceCell<Result<Song, String>>,
+    ) -> Result<Ready<'a>, String> {
+        let song = self.audio.as_deref().map(|path| {
+            let read = song.get_or_init(|| Song::read(path));
+            read.as_ref().map_err(String::clone)
+        });
+        let song = song.transpose()?;
+        let laid = match &self.motion {
+            Some(path) => Laid::whole(self, path, song)?,
+            None => Laid::segments(self, plan, song)?,
+        };
+        let (length, hop) = (plan.phrases.frames, plan.phrases.hop);
+        if !laid.track.valid().contains(&true) {
+            let reason = laid.reason(laid.span.start, true, length);
+            return Err(format!("no frame of it can be used: {reason}"));
+        }
+        let frames = laid.track.positions().len();
+        let beats = self.beats(song);
+        let phase = match &beats {
+            Some(beats) => beats.phase(frames, FPS).map_err(|e| e.with_hint())?,
+            None => vec![0.0; frames],
+        };
+        let stretches = stretches(&laid.track, &phase).map_err(|e| e.with_hint())?;
+        let mut places = Vec::new();
+        for (index, stretch) in stretches.iter().enumerate() {
+            let starts = stretch.starts(0, length, hop).map_err(|e| e.with_hint())?;
+            places.extend(starts.into_iter().map(|start| (index, start)));
+        }
+        Ok(Ready {
+            take: self,
+            song,
+            beats,
+            laid,
+            stretches,
+            length,
+            places,
+        })
+    }
+
+    /// The beats that the plan states, else those of the song.
+    fn beats(&self, song: Option<&Song>) -> Option<Beats> {
+        if let Some(grid) = self.plan.beats {
+            return Some(Beats::Grid(grid));
+        }
+        let seconds = song?.beats.clone();
+        (seconds.len() >= 2).then_some(Beats::Tracked(TrackedBeats {
+            seconds,
+            beats_per_bar: self.plan.beats_per_bar(),
+        }))
+    }
+
+    /// See [`TakeReport::bar_offsets_ms`].
+    fn bar_offsets(&self, song: Option<&Song>) -> Vec<f64> {
+        let (Some(grid), Some(song)) = (self.plan.beats, song) else {
+            return Vec::new();
+        };
+        let (Some(first), Some(last)) = (song.beats.first(), song.beats.last()) else {
+            return Vec::new();
+        };
+        let beats = grid.beats.unwrap_or(f64::INFINITY);
+        (0u32..)
+            .map(|bar| f64::from(bar) * f64::from(grid.beats_per_bar))
+            .take_while(|&beat| beat < beats)
+            .map(|beat| grid.start_seconds + beat * grid.seconds_per_beat)
+            .take_while(|&start| start < last + grid.seconds_per_beat)
+            .filter(|&start| start > first - grid.seconds_per_beat)
+            .filter_map(|start| {
+                let offsets = song.beats.iter().map(|beat| beat - start);
+                let nearest = offsets.min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+                Some((nearest * 1e6).round() / 1e3)
+            })
+            .collect()
+    }
+}
+
+impl Ready<'_> {
+    /// Number of phrases.
+    pub fn phrases(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Makes phrase `index`.
+    ///
+    /// # Errors
+    /// The frames that give none, and why.
+    pub fn phrase(&self, index: usize) -> Result<Made, Rejection> {
+        let (stretch, start) = self.places[index];
+        let stretch = &self.stretches[stretch];
+        let first_frame = stretch.first_frame() + start;
+        let frames = first_frame..first_frame + self.length;
+        let rejected = |reason: String| Rejection {
+            first_frame,
+            frames: self.length,
+            reason,
+        };
+        let motion = stretch
+            .phrase(start..start + self.length)
+            .map_err(|error| rejected(error.with_hint()))?;
+        if !motion.as_slice().iter().all(|value| value.is_finite()) {
+            let reason = "its numbers are too large for single precision";
+            return Err(rejected(reason.to_owned()));
+        }
+        let (beats, tempo) = self.beats_within(frames.start as f64, frames.end as f64);
+        let flags = self.flags(&motion, &frames);
+        let motion = motion_bytes(&motion);
+        let audio = features_bytes(&match self.song {
+            Some(song) => song.features.slice(frames.clone()),
+            None => AudioFeatures::zeros(self.length),
+        });
+        let row = ManifestRow {
+            id: format!("{}_{first_frame:05}", self.take.name),
+            motion_source: self.laid.sources_of(&frames),
+            audio_source: self.song.map(|_| self.take.plan.audio.clone()),
+            first_frame: first_frame as i64,
+            frames: self.length as i64,
+            fps: FPS,
+            beats,
+            tempo,
+            split: None,
+            motion_bytes: motion.len() as i64,
+            motion_sha256: Digest::of(&motion),
+            audio_bytes: audio.len() as i64,
+            audio_sha256: Digest::of(&audio),
+            flags,
+        };
+        Ok(Made { row, motion, audio })
+    }
+
+    fn flags(&self, motion: &Motion, frames: &Range<usize>) -> Vec<Flag> {
+        let mut borders = self.laid.borders.iter();
+        let joined = borders.any(|border| (frames.start + 1..frames.end).contains(border));
+        let damaged = self.song.is_some_and(|song| song.damage.is_some());
+        let sane = check(motion, Profile::Document, None).is_ok_and(|report| report.passed);
+        let flags = [
+            (self.song.is_none(), Flag::NoAudio),
+            (self.beats.is_none(), Flag::NoBeats),
+            (joined, Flag::JoinedUnits),
+            (self.laid.filled_gaps, Flag::FilledGaps),
+            (!sane, Flag::FailsDocumentChecks),
+            (damaged, Flag::DamagedAudio),
+        ];
+        let held = flags.into_iter().filter(|(holds, _)| *holds);
+        held.map(|(_, flag)| flag).collect()
+    }
+
+    /// Beats between two frames, and the tempo.
+    fn beats_within(&self, start: f64, end: f64) -> (Option<f64>, Option<f64>) {
+        let (seconds, until) = (start / FPS, end / FPS);
+        match &self.beats {
+            None => (None, None),
+            Some(Beats::Grid(grid)) => {
+                let place = |moment: f64| {
+                    let beat = (moment - grid.start_seconds) / grid.seconds_per_beat;
+                    beat.clamp(0.0, grid.beats.unwrap_or(f64::INFINITY))
+                };
+                let beats = place(until) - place(seconds);
+                (Some(beats), Some(60.0 / grid.seconds_per_beat))
+            }
+            Some(Beats::Tracked(tracked)) => {
+                let beats = tracked.seconds.iter();
+                let inside = beats.filter(|beat| (seconds..until).contains(beat));
+                let tempo = self.song.map(|song| song.tempo);
+                (Some(inside.count() as f64), tempo)
+            }
+        }
+    }
+
+    /// The report of the take, with the phrases that could not be made, and how many of the others
+    /// fail CC-MotionGen's checks.
+    pub fn report(&self, unmade: Vec<Rejection>, failing_checks: usize) -> TakeReport {
+        let first_frame =
+            |&(stretch, start): &(usize, usize)| self.stretches[stretch].first_frame() + start;
+        let starts: Vec<usize> = self.places.iter().map(first_frame).collect();
+        let mut rejected = self.laid.rejections(&starts, self.length);
+        let phrases = self.phrases() - unmade.len();
+        rejected.extend(unmade);
+        rejected.sort_by_key(|rejection| rejection.first_frame);
+        let mut notes = self.laid.notes.clone();
+        notes.extend(self.song.and_then(|song| song.damage.clone()));
+        if failing_checks > 0 {
+            notes.push(format!(
+                "{failing_checks} of its phrases fail CC-MotionGen's sanity checks (flag \
+                 fails_document_checks)"
+            ));
+        }
+        TakeReport {
+            name: self.take.name.clone(),
+            phrases,
+            seconds: (phrases * self.length) as f64 / FPS,
+            failure: None,
+            rejected,
+            notes,
+            bar_offsets_ms: self.take.bar_offsets(self.song),
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! The way of a root through time, and how to read it between its frames.
+
+use std::ops::RangeInclusive;
+
+use kinegrad_motion::Quaternion;
+use kinegrad_motion::kinematics::make_sign_continuous;
+
+use crate::error::require;
+use crate::{Error, MarkerGaps};
+
+/// Rates of tracks in frames per second. The lower bound keeps the resampled track within a few
+/// hundred times the length of the original.
+const RATES: RangeInclusive<f64> = 0.1..=100_000.0;
+
+/// Shortest quaternion that still tells a direction; shorter ones are placeholders.
+const SHORTEST: f64 = 1e-6;
+
+/// Place and orientation of a body at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RootPose {
+    /// Place, `[3]`; metres and +y up in tracks.
+    pub position: [f64; 3],
+    /// Unit quaternion from body to world; the identity faces +z.
+    pub orientation: Quaternion,
+}
+
+/// A take that tells where its root is, between frames too.
+pub trait RootSource {
+    /// Number of frames, at least 1.
+    fn frames(&self) -> usize;
+
+    /// Frames per second.
+    fn rate(&self) -> f64;
+
+    /// The root at a fractional frame, counted from 0, in metres and y-up. None beyond the first
+    /// and last frame and where a neighbouring frame is not valid.
+    fn sample(&self, frame: f64) -> Option<RootPose>;
+
+    /// What was missing of each marker that was not seen throughout.
+    fn gaps(&self) -> &[MarkerGaps] {
+        &[]
+    }
+}
+
+/// The way of a root, frame by frame: metres, +y up, unit quaternions whose sign is continuous in
+/// each run of valid frames and w >= 0 in the first of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RootTrack {
+    positions: Vec<[f64; 3]>,
+    orientations: Vec<Quaternion>,
+    valid: Vec<bool>,
+    rate: f64,
+}
+
+impl RootTrack {
+    /// A track that is valid throughout: `positions` `[frames, 3]` in metres, `orientations`
+    /// `[frames]` of any norm and sign, `rate` in frames per second.
+    ///
+    /// # Errors
+    /// [`kinegrad_motion::Error::LengthMismatch`] for arrays of different length,
+    /// [`Error::InvalidSetting`] for no frames or a rate out of 0.1 to 100000,
+    /// [`Error::NonFinite`] for a frame that is not finite,
+    /// [`Error::NoRotation`] for a quaternion of next to no length.
+    pub fn new(
+        positions: Vec<[f64; 3]>,
+        orientations: Vec<Quaternion>,
+        rate: f64,
+    ) -> Result<Self, Error> {
+        if orientations.len() != positions.len() {
+            return Err(Error::Motion(kinegrad_motion::Error::LengthMismatch {
+                what: "orientations",
+                expected: positions.len(),
+                found: orientations.len(),
+            }));
+        }
+        let pose = |(position, orientation)| {
+            Some(RootPose {
+                position,
+                orientation,
+            })
+        };
+        let poses = positions.into_iter().zip(orientations).map(pose);
+        Self::from_poses(poses.collect(), rate)
+    }
+
+    /// A track from poses `[frames]`, not valid where there is none; there it holds the origin and
+    /// the identity.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn from_poses(poses: Vec<Option<RootPose>>, rate: f64) -> Result<Self, Error> {
+        check_rate(rate)?;
+        let frames = poses.len();
+        require(
+            frames > 0,
+            "frames",
+            frames,
+            "a track has at least one frame",
+        )?;
+        for (frame, pose) in poses.iter().enumerate() {
+            let Some(pose) = pose else { continue };
+            let norm = pose.orientation.norm();
+            if !(pose.position.iter().all(|value| value.is_finite()) && norm.is_finite()) {
+                return Err(Error::NonFinite { frame });
+            }
+            if norm < SHORTEST {
+                return Err(Error::NoRotation { frame });
+            }
+        }
+        let valid: Vec<bool> = poses.iter().map(Option::is_some).collect();
+        let (positions, mut orientations): (Vec<_>, Vec<_>) = poses
+            .into_iter()
+            .map(|pose| match pose {
+                Some(pose) => (pose.position, pose.orientation.normalised()),
+                None => ([0.0; 3], Quaternion::IDENTITY),
+            })
+            .unzip();
+        for run in runs(&valid) {
+            let first = &mut orientations[run.start];
+            if first.w < 0.0 {
+                *first = first.scale(-1.0);
+            }
+            make_sign_continuous(&mut orientations[run]);
+        }
+        Ok(Self {
+            positions,
+            orientations,
+            valid,
+            rate,
+        })
+    }
+
+    /// Places, `[frames, 3]`, metres; the origin where not valid.
+    pub fn positions(&self) -> &[[f64; 3]] {
+        &self.positions
+    }
+
+    /// Orientations, `[frames]`; the identity where not valid.
+    pub fn orientations(&self) -> &[Quaternion] {
+        &self.orientations
+    }
+
+    /// Whether a frame is known, `[frames]`.
+    pub fn valid(&self) -> &[bool] {
+        &self.valid
+    }
+
+    /// The pose of frame `t`, none where it is not valid or beyond the end.
+    pub fn pose(&self, t: usize) -> Option<RootPose> {
+        self.valid.get(t)?.then(|| RootPose {
+            position: self.positions[t],
+            orientation: self.orientations[t],
+        })
+    }
+
+    /// The longest runs of valid frames, in order.
+    pub fn stretches(&self) -> Vec<std::ops::Range<usize>> {
+        runs(&self.valid)
+    }
+}
+
+impl RootSource for RootTrack {
+    fn frames(&self) -> usize {
+        self.positions.len()
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// Position linear, rotation at constant speed the shorter way.
+    fn sample(&self, frame: f64) -> Option<RootPose> {
+        let (t, fraction) = split(frame, self.frames())?;
+        let from = self.pose(t)?;
+        if fraction == 0.0 {
+            return Some(from);
+        }
+        let to = self.pose(t + 1)?;
+        Some(RootPose {
+            position: lerp(from.position, to.position, fraction),
+            orientation: from.orientation.slerp(to.orientation, fraction),
+        })
+    }
+}
+
+/// The same take at another rate: frame `t` of the result is the moment `t / rate` seconds. It has
+/// every frame that fits into the take, which ends at its last frame: nothing is extrapolated.
+///
+/// # Errors
+/// [`Error::InvalidSetting`] if a rate is out of 0.1 to 100000 frames per second.
+pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> {
+    check_rate(source.rate())?;
+    check_rate(rate)?;
+    let last = source.frames().saturating_sub(1) as f64;
+    // A last moment that rounding puts just beyond the end is still the end.
+    let frames = (last / source.rate() * rate + 1e-6).floor() as usize + 1;
+    let poses = (0..frames)
+        .map(|t| source.sample((t as f64 / rate * source.rate()).min(last)))
+        .collect();
+    RootTrack::from_poses(poses, rate)
+}
+
+fn check_rate(rate: f64) -> Result<(), Error> {
+    let allowed = "from 0.1 to 100000 frames per second";
+    require(RATES.contains(&rate), "rate", rate, allowed)
+}
+
+/// Whole and fractional part of a frame number within `frames` frames.
+pub(super) fn split(frame: f64, frames: usize) -> Option<(usize, f64)> {
+    let last = frames.checked_sub(1)? as f64;
+    (0.0..=last)
+        .contains(&frame)
+        .then(|| (frame as usize, frame.fract()))
+}
+
+/// The point between `a` and `b`.
+pub(super) fn lerp(a: [f64; 3], b: [f64; 3], fraction: f64) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] + fraction * (b[i] - a[i]))
+}
+
+fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
+    let mut start = 0;
+    let mut runs = Vec::new();
+    for run in valid.chunk_by(|a, b| a == b) {
+        let end = start + run.len();
+        if run[0] {
+            runs.push(start..end);
+        }
+        start = end;
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use kinegrad_motion::rotation::length;
+
+    /// A spin of `speed` radians per second about a fixed axis on a straight way.
+    fn spin(speed: f64, seconds: f64) -> RootPose {
+        let axis = [0.48, 0.64, 0.6].map(|v| v * speed * seconds);
+        RootPose {
+            position: [0.3 * seconds, 1.0 - 0.1 * seconds, seconds],
+            orientation: Quaternion::from_rotation_vector(axis),
+        }
+    }
+
+    fn track(speed: f64, rate: f64, frames: usize) -> RootTrack {
+        let poses = (0..frames).map(|t| Some(spin(speed, t as f64 / rate)));
+        RootTrack::from_poses(poses.collect(), rate).unwrap()
+    }
+
+    fn differ(a: RootPose, b: RootPose) -> f64 {
+        let way = [0, 1, 2].map(|i| a.position[i] - b.position[i]);
+        let turn = a.orientation * b.orientation.conjugate();
+        length(way).max(length(turn.to_rotation_vector()))
+    }
+
+    proptest! {
+        #[test]
+        fn resampling_keeps_a_steady_spin(
+            rate in prop::sample::select(vec![1.0, 23.976, 29.97, 30.0, 60.0, 80.0, 120.0, 240.0]),
+            turn in -3.0f64..3.0,
+            frames in 1usize..60,
+        ) {
+            // Less than half a turn a frame, so that the shorter way is the way.
+            let resampled = resample(&track(turn * rate, rate, frames), 30.0).unwrap();
+            let seconds = (frames - 1) as f64 / rate;
+            let last = (resampled.frames() - 1) as f64 / 30.0;
+            prop_assert!(last <= seconds + 1e-6 && last > seconds - 1.0 / 30.0);
+            for t in 0..resampled.frames() {
+                let pose = resampled.pose(t).unwrap();
+                prop_assert!((pose.orientation.norm() - 1.0).abs() < 1e-12);
+                let expected = spin(turn * rate, t as f64 / 30.0);
+                prop_assert!(differ(pose, expected) < 1e-5, "{t} {pose:?} {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_track_at_the_same_rate_stays_as_it_is() {
+        let original = track(2.0, 30.0, 50);
+        assert_eq!(resample(&original, 30.0).unwrap().frames(), 50);
+        for t in 0..50 {
+            let pose = resample(&original, 30.0).unwrap().pose(t).unwrap();
+            assert!(differ(pose, original.pose(t).unwrap()) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn nothing_is_read_beyond_the_ends_or_beside_a_gap() {
+        let mut poses: Vec<_> = (0..6).map(|t| Some(spin(1.0, f64::from(t)))).collect();
+        poses[3] = None;
+        let track = RootTrack::from_poses(poses, 1.0).unwrap();
+        for outside in [-0.1, 5.01, f64::NAN, f64::INFINITY, 2.5, 3.0, 3.5] {
+            assert_eq!(track.sample(outside), None, "{outside}");
+        }
+        for inside in [0.0, 1.5, 2.0, 4.0, 5.0] {
+            assert!(track.sample(inside).is_some(), "{inside}");
+        }
+        assert_eq!(track.stretches(), [0..3, 4..6]);
+    }
+
+    #[test]
+    fn signs_start_positive_and_stay_continuous() {
+        let spins = (0..400).map(|t| spin(3.0, f64::from(t) / 30.0).orientation.scale(-2.0));
+        let track = RootTrack::new(vec![[0.0; 3]; 400], spins.collect(), 30.0).unwrap();
+        let orientations = track.orientations();
+        assert!(orientations[0].w > 0.0 && orientations.iter().any(|q| q.w < -0.5));
+        assert!(
+            orientations
+                .windows(2)
+                .all(|pair| pair[0].dot(pair[1]) > 0.9)
+        );
+    }
+
+    #[test]
+    fn unusable_tracks_are_refused() {
+        let one = vec![Quaternion::IDENTITY];
+        assert!(RootTrack::new(vec![[0.0; 3]; 2], one.clone(), 30.0).is_err());
+        assert!(RootTrack::new(vec![], vec![], 30.0).is_err());
+        for rate in [0.0, -30.0, 1e-9, 1e9, f64::NAN] {
+            assert!(
+                RootTrack::new(vec![[0.0; 3]], one.clone(), rate).is_err(),
+                "{rate}"
+            );
+            assert!(resample(&track(1.0, 30.0, 2), rate).is_err(), "{rate}");
+        }
+        let error = RootTrack::new(vec![[f64::NAN; 3]], one, 30.0).unwrap_err();
+        assert!(matches!(error, Error::NonFinite { frame: 0 }));
+    }
+}
