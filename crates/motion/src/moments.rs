@@ -46,39 +46,18 @@ impl ChannelMoments {
             }
         }
         let frames: usize = phrases.iter().map(|motion| motion.frames()).sum();
-        let each_frame = || {
-            phrases
-                .iter()
-                .flat_map(|motion| motion.as_slice().chunks(CHANNELS))
+        let column = |channel: usize| {
+            let rows = phrases.iter().map(|motion| motion.as_slice().iter());
+            let values = rows.flat_map(move |values| values.skip(channel).step_by(CHANNELS));
+            values.map(|&value| f64::from(value))
         };
-
-        let mut mean = vec![0.0; CHANNELS];
-        let mut min = vec![f64::INFINITY; CHANNELS];
-        let mut max = vec![f64::NEG_INFINITY; CHANNELS];
-        for frame in each_frame() {
-            for (channel, &value) in frame.iter().enumerate() {
-                let value = f64::from(value);
-                mean[channel] += value;
-                min[channel] = min[channel].min(value);
-                max[channel] = max[channel].max(value);
-            }
-        }
-        mean.iter_mut().for_each(|sum| *sum /= frames as f64);
-
-        // A second pass: the difference of two sums of squares would lose the small deviations.
-        let mut std = vec![0.0; CHANNELS];
-        for frame in each_frame() {
-            for (channel, &value) in frame.iter().enumerate() {
-                std[channel] += (f64::from(value) - mean[channel]).powi(2);
-            }
-        }
-        std.iter_mut()
-            .for_each(|sum| *sum = (*sum / frames as f64).sqrt());
+        let each = |of: &dyn Fn(usize) -> f64| (0..CHANNELS).map(of).collect();
+        let (mean, std) = (0..CHANNELS).map(|c| mean_and_deviation(column(c))).unzip();
         Ok(Self {
             mean,
             std,
-            min,
-            max,
+            min: each(&|c| column(c).fold(f64::INFINITY, f64::min)),
+            max: each(&|c| column(c).fold(f64::NEG_INFINITY, f64::max)),
             frames,
             phrases: phrases.len(),
         })
@@ -99,6 +78,15 @@ impl ChannelMoments {
         self.frames += other.frames;
         self.phrases += other.phrases;
     }
+}
+
+/// Mean and standard deviation of values (of the population: divided by their number).
+pub(crate) fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    // A second pass: the difference of two sums of squares would lose the small deviations.
+    let squares = values.map(|value| (value - mean).powi(2));
+    (mean, (squares.sum::<f64>() / count).sqrt())
 }
 
 /// Mean and standard deviation of two samples together, from the size, mean and deviation of each

@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{FeatureError, FeatureLayout, Features, Root};
-use crate::moments::merge_channel;
+use crate::moments::{mean_and_deviation, merge_channel};
 use crate::statistics::CONSTANT;
 
 /// Mean and deviation of each channel as measured, gathered clip by clip.
@@ -25,19 +25,13 @@ impl FeatureMoments {
     pub fn measure(clip: &Features) -> Self {
         let (layout, frames) = (clip.layout(), clip.frames());
         let column = |channel: usize| (0..frames).map(move |t| f64::from(clip.frame(t)[channel]));
-        let mean: Vec<f64> = (0..layout.channels())
-            .map(|channel| column(channel).sum::<f64>() / frames as f64)
-            .collect();
-        // A second pass: the difference of two sums of squares would lose the small deviations.
-        let std = mean.iter().enumerate().map(|(channel, mean)| {
-            let squares = column(channel).map(|value| (value - mean).powi(2));
-            (squares.sum::<f64>() / frames as f64).sqrt()
-        });
+        let moments = (0..layout.channels()).map(|channel| mean_and_deviation(column(channel)));
+        let (mean, std) = moments.unzip();
         Self {
             layout,
             root: clip.root(),
-            std: std.collect(),
             mean,
+            std,
             frames,
             clips: 1,
         }

@@ -6,50 +6,27 @@ use serde_json::to_value;
 use super::{CondSource, Evaluation, Measures, ProfileRates};
 use crate::evaluation::{Column, Evaluated, Group};
 
-struct Metric {
-    key: &'static str,
-    title: &'static str,
-    decimals: usize,
-    of: fn(&Measures) -> Option<f64>,
-}
+/// Name in files, title, decimals and where it stands.
+type Metric = (
+    &'static str,
+    &'static str,
+    usize,
+    fn(&Measures) -> Option<f64>,
+);
 
 const METRICS: [Metric; 6] = [
-    Metric {
-        key: "diversity",
-        title: "diversity",
-        decimals: 3,
-        of: |measures| measures.diversity,
-    },
-    Metric {
-        key: "same_phrase_diversity",
-        title: "same-phrase diversity",
-        decimals: 3,
-        of: |measures| measures.same_phrase_diversity,
-    },
-    Metric {
-        key: "frechet_held_out",
-        title: "Fréchet to held-out",
-        decimals: 4,
-        of: |measures| measures.frechet_held_out,
-    },
-    Metric {
-        key: "frechet_training",
-        title: "Fréchet to training",
-        decimals: 4,
-        of: |measures| measures.frechet_training,
-    },
-    Metric {
-        key: "beat_alignment",
-        title: "beat alignment",
-        decimals: 3,
-        of: |measures| measures.beat_alignment,
-    },
-    Metric {
-        key: "mean_jerk",
-        title: "mean jerk, m/s^3",
-        decimals: 1,
-        of: |measures| measures.mean_jerk,
-    },
+    ("diversity", "diversity", 3, |m| m.diversity),
+    ("same_phrase_diversity", "same-phrase diversity", 3, |m| {
+        m.same_phrase_diversity
+    }),
+    ("frechet_held_out", "Fréchet to held-out", 4, |m| {
+        m.frechet_held_out
+    }),
+    ("frechet_training", "Fréchet to training", 4, |m| {
+        m.frechet_training
+    }),
+    ("beat_alignment", "beat alignment", 3, |m| m.beat_alignment),
+    ("mean_jerk", "mean jerk, m/s^3", 1, |m| m.mean_jerk),
 ];
 
 type Rates = fn(&Measures) -> &ProfileRates;
@@ -103,7 +80,7 @@ fn group(key: &'static str, title: &'static str, measures: &Measures) -> Group {
 fn numbers(measures: &Measures) -> Vec<(String, Option<f64>)> {
     let mut numbers: Vec<(String, Option<f64>)> = METRICS
         .iter()
-        .map(|metric| (metric.key.to_string(), (metric.of)(measures)))
+        .map(|(key, _, _, of)| (key.to_string(), of(measures)))
         .collect();
     for loss in &measures.losses {
         let value = loss.value.is_finite().then_some(loss.value);
@@ -135,10 +112,9 @@ fn numbers(measures: &Measures) -> Vec<(String, Option<f64>)> {
 fn rows(measures: &Measures) -> Vec<(String, Option<String>)> {
     let mut rows: Vec<(String, Option<String>)> = METRICS
         .iter()
-        .map(|metric| {
-            let value = (metric.of)(measures);
-            let shown = value.map(|value| format!("{value:.*}", metric.decimals));
-            (metric.title.to_string(), shown)
+        .map(|(_, title, decimals, of)| {
+            let shown = of(measures).map(|value| format!("{value:.decimals$}"));
+            (title.to_string(), shown)
         })
         .collect();
     for loss in &measures.losses {

@@ -7,4 +7,4 @@ mod text_motion;
 pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, GoalTask, evaluate_goals};
 pub(super) use run::prepare;
-pub use text_motion::{EvaluatorFiles, TextMotion, TextMotionReports};
+pub use text_motion::{TextMotion, TextMotionReports};

@@ -7,7 +7,7 @@ use kinegrad_data::{DataKind, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{EvaluatorFiles, GoalSettings, GoalTask, TextMotion, evaluate_goals};
+use super::{GoalSettings, GoalTask, TextMotion, evaluate_goals};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group};
 use crate::sampling::Subject;
@@ -71,15 +71,8 @@ pub fn prepare<'a>(
         must_draw_paths(path)?;
     }
     let trajectory = request.trajectory.clone();
-    let evaluator = match &request.evaluator {
-        Some([weights, mean, std, word_vectors]) => Some(TextMotion::read(&EvaluatorFiles {
-            weights: weights.clone(),
-            mean: mean.clone(),
-            std: std.clone(),
-            word_vectors: word_vectors.clone(),
-        })?),
-        None => None,
-    };
+    let read = |files| TextMotion::read(files, &subject.device);
+    let evaluator = request.evaluator.as_ref().map(read).transpose()?;
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: request.keyframes.unwrap_or(KEYFRAMES),
