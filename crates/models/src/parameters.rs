@@ -140,7 +140,9 @@ pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<S
     let differs = |ParameterInfo { name, shape }: &ParameterInfo| match found.remove(name.as_str())
     {
         None => Some(format!("missing: `{name}` {shape:?}")),
-        Some(found) if found != shape => Some(format!("`{name}` is {found:?}, {shape:?} needed")),
+        Some(found) if found != shape => {
+            Some(format!("`{name}` has shape {found:?}, {shape:?} needed"))
+        }
         Some(_) => None,
     };
     let mut differences: Vec<String> = expected.iter().filter_map(differs).collect();
@@ -279,7 +281,7 @@ mod tests {
             .expect_err("a turned weight")
             .to_string();
         assert!(
-            shape.contains("`weight` is [3, 2], [2, 3] needed"),
+            shape.contains("`weight` has shape [3, 2], [2, 3] needed"),
             "{shape}"
         );
     }

@@ -105,14 +105,10 @@ fn last_state(
     for step in steps {
         let input = inputs.clone().narrow(0, step * batch, batch);
         let recurrent = linear(state.clone(), weight.clone(), bias.clone());
-        let gates = |of: &Tensor<2>| of.clone().narrow(1, 0, 2 * width);
-        let new = |of: &Tensor<2>| of.clone().narrow(1, 2 * width, width);
-        let gates = sigmoid(gates(&input) + gates(&recurrent));
-        let (reset, update) = (
-            gates.clone().narrow(1, 0, width),
-            gates.narrow(1, width, width),
-        );
-        let new = (new(&input) + reset * new(&recurrent)).tanh();
+        let part = |of: &Tensor<2>, gate| of.clone().narrow(1, gate * width, width);
+        let [reset, update] =
+            [0, 1].map(|gate| sigmoid(part(&input, gate) + part(&recurrent, gate)));
+        let new = (part(&input, 2) + reset * part(&recurrent, 2)).tanh();
         let next = new.clone() + update * (state.clone() - new);
         let runs = running.clone().narrow(0, step, 1).squeeze_dim::<2>(0);
         state = state.mask_where(runs.expand([batch, width]), next);
