@@ -17,37 +17,13 @@ pub enum Error {
         /// How to mend it.
         hint: String,
     },
-    /// Weights without a parameter that the model has.
-    #[error("the weights have no parameter `{name}` (shape {shape:?})")]
+    /// Weights of another network.
+    #[error("the weights do not fit:\n  {}", differences.join("\n  "))]
     #[diagnostic(help(
         "the weights belong to another architecture: compare `model.*` of both configs"
     ))]
-    MissingParameter {
-        /// State-dict name.
-        name: String,
-        /// The shape that the model expects.
-        shape: Vec<usize>,
-    },
-    /// Weights with a parameter that the model does not have.
-    #[error("the weights hold `{name}`, which the model does not have")]
-    #[diagnostic(help(
-        "the weights belong to another architecture: compare `model.*` of both configs"
-    ))]
-    UnexpectedParameter {
-        /// State-dict name.
-        name: String,
-    },
-    /// A parameter of another shape.
-    #[error("parameter `{name}` has shape {found:?} in the weights, the model needs {expected:?}")]
-    #[diagnostic(help(
-        "the weights belong to another architecture: compare `model.*` of both configs"
-    ))]
-    Shape {
-        /// State-dict name.
-        name: String,
-        /// Shape in the weights.
-        found: Vec<usize>,
-        /// Shape in the model.
-        expected: Vec<usize>,
+    Weights {
+        /// All of [`differences`](crate::parameters::differences).
+        differences: Vec<String>,
     },
 }

@@ -5,7 +5,7 @@
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] puts low-rank adapters on them. [`gmd`] holds the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder that they are compared with, and [`TextDenoiser`] either
-//! of them under a text.
+//! of them under a text. [`text_motion`] holds the encoders that motions are measured by.
 
 pub mod attention;
 pub mod config;
@@ -23,6 +23,7 @@ pub mod parameters;
 pub mod res_block;
 pub mod stages;
 pub mod text_denoiser;
+pub mod text_motion;
 pub mod time_embedding;
 pub mod transformer;
 pub mod unet1d;

@@ -3,7 +3,7 @@
 //! The order of all functions here is the order of the module tree, which is fixed by the model's
 //! code, so index `i` means the same parameter in each of them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
@@ -130,38 +130,46 @@ pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
         .collect()
 }
 
+/// Everything in which the `found` parameters are not the `expected` ones: what is missing, of
+/// another shape or not known.
+pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<String> {
+    let mut found: BTreeMap<&str, &[usize]> = found
+        .iter()
+        .map(|info| (info.name.as_str(), info.shape.as_slice()))
+        .collect();
+    let differs = |ParameterInfo { name, shape }: &ParameterInfo| match found.remove(name.as_str())
+    {
+        None => Some(format!("missing: `{name}` {shape:?}")),
+        Some(found) if found != shape => {
+            Some(format!("`{name}` has shape {found:?}, {shape:?} needed"))
+        }
+        Some(_) => None,
+    };
+    let mut differences: Vec<String> = expected.iter().filter_map(differs).collect();
+    differences.extend(found.into_keys().map(|name| format!("not known: `{name}`")));
+    differences
+}
+
 /// Replaces every parameter by the one of its name in `weights`, which must hold all of them, with
 /// the right shapes, and nothing else.
 ///
 /// # Errors
-/// Names the first parameter that is missing, superfluous or of another shape.
+/// [`Error::Weights`] with all [`differences`].
 pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Error> {
-    let infos = infos(&module);
-    let mut by_name: HashMap<String, HostParameter> = weights
+    let expected = infos(&module);
+    let (found, values): (Vec<_>, Vec<_>) = weights.into_iter().map(|p| (p.info, p.values)).unzip();
+    let differences = differences(&expected, &found);
+    if !differences.is_empty() {
+        return Err(Error::Weights { differences });
+    }
+    let mut named: HashMap<String, Vec<f32>> = found
         .into_iter()
-        .map(|parameter| (parameter.info.name.clone(), parameter))
+        .map(|info| info.name)
+        .zip(values)
         .collect();
-    let mut ordered = Vec::with_capacity(infos.len());
-    for info in &infos {
-        let Some(parameter) = by_name.remove(&info.name) else {
-            return Err(Error::MissingParameter {
-                name: info.name.clone(),
-                shape: info.shape.clone(),
-            });
-        };
-        if parameter.info.shape != info.shape {
-            return Err(Error::Shape {
-                name: info.name.clone(),
-                found: parameter.info.shape,
-                expected: info.shape.clone(),
-            });
-        }
-        ordered.push(parameter.values);
-    }
-    if let Some(name) = by_name.into_keys().min() {
-        return Err(Error::UnexpectedParameter { name });
-    }
-    Ok(replace(module, ordered))
+    let ordered = expected.iter().map(|info| named.remove(&info.name));
+    let ordered: Option<Vec<_>> = ordered.collect();
+    Ok(replace(module, ordered.expect("all names were compared")))
 }
 
 /// Replaces the values of all parameters, given in the module's order and with its sizes. What is
@@ -254,7 +262,7 @@ mod tests {
         assert!(
             missing
                 .to_string()
-                .contains("no parameter `bias` (shape [2])"),
+                .contains("do not fit:\n  missing: `bias` [2]"),
             "{missing}"
         );
 
@@ -262,7 +270,10 @@ mod tests {
         more.push(weights[0].clone());
         more[2].info.name = "gain".into();
         let unexpected = load(layer(), more).expect_err("a gain");
-        assert!(unexpected.to_string().contains("`gain`"), "{unexpected}");
+        assert!(
+            unexpected.to_string().contains("not known: `gain`"),
+            "{unexpected}"
+        );
 
         let mut turned = weights.clone();
         turned[0].info.shape = vec![3, 2];
@@ -270,7 +281,7 @@ mod tests {
             .expect_err("a turned weight")
             .to_string();
         assert!(
-            shape.contains("`weight` has shape [3, 2]") && shape.contains("[2, 3]"),
+            shape.contains("`weight` has shape [3, 2], [2, 3] needed"),
             "{shape}"
         );
     }

@@ -28,37 +28,20 @@ impl ChannelMoments {
     /// Panics if there is no frame, or an item is not of whole frames.
     pub fn measure<'a>(channels: usize, items: impl IntoIterator<Item = &'a [f32]>) -> Self {
         let items: Vec<&[f32]> = items.into_iter().collect();
-        let values: usize = items.iter().map(|item| item.len()).sum();
-        let frames = values / channels;
+        let frames = items.iter().map(|item| item.len()).sum::<usize>() / channels;
         assert!(frames > 0, "moments of no frames");
-        let each_frame = || items.iter().flat_map(|item| item.chunks_exact(channels));
-        let mut mean = vec![0.0; channels];
-        let mut min = vec![f64::INFINITY; channels];
-        let mut max = vec![f64::NEG_INFINITY; channels];
-        for frame in each_frame() {
-            for (channel, &value) in frame.iter().enumerate() {
-                let value = f64::from(value);
-                mean[channel] += value;
-                min[channel] = min[channel].min(value);
-                max[channel] = max[channel].max(value);
-            }
-        }
-        mean.iter_mut().for_each(|sum| *sum /= frames as f64);
-        // A second pass: the difference of two sums of squares would lose the small deviations.
-        let mut std = vec![0.0; channels];
-        for frame in each_frame() {
-            for (channel, &value) in frame.iter().enumerate() {
-                std[channel] += (f64::from(value) - mean[channel]).powi(2);
-            }
-        }
-        for sum in &mut std {
-            *sum = (*sum / frames as f64).sqrt();
-        }
+        let column = |channel: usize| {
+            let items = items.iter().map(|item| item.iter());
+            let values = items.flat_map(move |values| values.skip(channel).step_by(channels));
+            values.map(|&value| f64::from(value))
+        };
+        let each = |of: &dyn Fn(usize) -> f64| (0..channels).map(of).collect();
+        let (mean, std) = (0..channels).map(|c| mean_and_deviation(column(c))).unzip();
         Self {
             mean,
             std,
-            min,
-            max,
+            min: each(&|c| column(c).fold(f64::INFINITY, f64::min)),
+            max: each(&|c| column(c).fold(f64::NEG_INFINITY, f64::max)),
             frames,
             items: items.len(),
         }
@@ -82,6 +65,15 @@ impl ChannelMoments {
         self.frames += other.frames;
         self.items += other.items;
     }
+}
+
+/// Mean and standard deviation of values (of the population: divided by their number).
+pub(crate) fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    // A second pass: the difference of two sums of squares would lose the small deviations.
+    let squares = values.map(|value| (value - mean).powi(2));
+    (mean, (squares.sum::<f64>() / count).sqrt())
 }
 
 #[cfg(test)]

@@ -76,10 +76,33 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Goal(#[from] kinegrad_motion::goal::GoalError),
-    /// The text-motion evaluator cannot be used.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    TextMotion(#[from] kinegrad_motion::metrics::text_motion::TextMotionError),
+    /// Parts of the text-motion evaluator that do not belong together.
+    #[error("{what} is {found} numbers wide where {reader} takes {expected}")]
+    #[diagnostic(help(
+        "weights, mean and deviation, and word vectors must be those that were published together, \
+         for features of the same kind as the clips"
+    ))]
+    EvaluatorWidth {
+        /// What is read.
+        what: &'static str,
+        /// What reads it.
+        reader: &'static str,
+        /// Its width.
+        found: usize,
+        /// The width needed.
+        expected: usize,
+    },
+    /// A clip is too short for the text-motion evaluator.
+    #[error("clip {clip} (counted from 0) has {found} frames, at least {needed} needed")]
+    #[diagnostic(help("leave out such clips; the published evaluation uses 40 frames or more"))]
+    TooShort {
+        /// Position of the clip in the list.
+        clip: usize,
+        /// Its frames.
+        found: usize,
+        /// Frames needed.
+        needed: usize,
+    },
     /// A file with a goal that cannot be followed.
     #[error("{}: {reason}", path.display())]
     #[diagnostic(help("docs/goals.md describes goals"))]
@@ -132,15 +155,21 @@ pub enum Error {
         reason: String,
     },
     /// Weights of another program that do not fit.
-    #[error("{} does not fit: {count} differences\n  {list}", path.display())]
-    #[diagnostic(help("the weights belong to another network: check `--arch`"))]
+    #[error(
+        "{} does not fit: {} differences\n  {}",
+        path.display(),
+        differences.len(),
+        differences.join("\n  ")
+    )]
+    #[diagnostic(help(
+        "the weights belong to another network: check `--arch`; `--evaluator` takes the published \
+         `finest.tar` of the dataset at hand"
+    ))]
     ForeignWeights {
         /// The file.
         path: PathBuf,
-        /// How many.
-        count: usize,
         /// All of them.
-        list: String,
+        differences: Vec<String>,
     },
     /// An array of another shape than needed.
     #[error("{} holds {found}, allowed: {allowed}", path.display())]

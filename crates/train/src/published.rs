@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use burn::module::Module;
 use half::{bf16, f16};
 use kinegrad_data::read_array;
+use kinegrad_models::parameters::{self, ParameterInfo};
 use pytorch_reader::{DType, PytorchReader, Tensor};
 
 use crate::error::Error;
@@ -30,29 +32,55 @@ pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<Strin
     inside.collect()
 }
 
+/// Replaces every parameter of `module` by the tensor of its name, read from the file at `path`.
+///
+/// # Errors
+/// [`Error::ForeignWeights`] with everything that is missing, superfluous, of another shape or type,
+/// or not finite.
+pub fn load<M: Module>(
+    path: &Path,
+    module: M,
+    tensors: &BTreeMap<String, Tensor>,
+) -> Result<M, Error> {
+    let info = |(name, tensor): (&String, &Tensor)| ParameterInfo {
+        name: name.clone(),
+        shape: tensor.shape().to_vec(),
+    };
+    let found: Vec<_> = tensors.iter().map(info).collect();
+    let infos = parameters::infos(&module);
+    let mut differences = parameters::differences(&infos, &found);
+    let mut weights = Vec::with_capacity(infos.len());
+    for name in infos.into_iter().map(|info| info.name) {
+        match tensors.get(&name).map(values_of) {
+            Some(Ok(values)) if values.iter().all(|value| value.is_finite()) => {
+                weights.push(values);
+            }
+            Some(Ok(_)) => differences.push(format!("`{name}` holds numbers that are not finite")),
+            Some(Err(reason)) => differences.push(format!("`{name}`: {reason}")),
+            None => {}
+        }
+    }
+    match differences.is_empty() {
+        true => Ok(parameters::replace(module, weights)),
+        false => Err(Error::ForeignWeights {
+            path: path.to_path_buf(),
+            differences,
+        }),
+    }
+}
+
 /// A tensor in single precision.
-pub fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+    fn numbers<T: bytemuck::Pod>(bytes: &[u8], single: impl Fn(T) -> f32) -> Vec<f32> {
+        let numbers: Vec<T> = bytemuck::pod_collect_to_vec(bytes);
+        numbers.into_iter().map(single).collect()
+    }
     let bytes = tensor.read().map_err(|error| error.to_string())?;
     match tensor.dtype() {
         DType::F32 => Ok(bytemuck::pod_collect_to_vec(&bytes)),
-        DType::F64 => {
-            let values: Vec<f64> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(values.into_iter().map(|value| value as f32).collect())
-        }
-        DType::F16 => {
-            let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits
-                .into_iter()
-                .map(|b| f16::from_bits(b).to_f32())
-                .collect())
-        }
-        DType::BF16 => {
-            let bits: Vec<u16> = bytemuck::pod_collect_to_vec(&bytes);
-            Ok(bits
-                .into_iter()
-                .map(|b| bf16::from_bits(b).to_f32())
-                .collect())
-        }
+        DType::F64 => Ok(numbers(&bytes, |value: f64| value as f32)),
+        DType::F16 => Ok(numbers(&bytes, |bits| f16::from_bits(bits).to_f32())),
+        DType::BF16 => Ok(numbers(&bytes, |bits| bf16::from_bits(bits).to_f32())),
         other => Err(format!("{other:?} found, a floating-point type needed")),
     }
 }

@@ -6,3 +6,4 @@ mod rollout;
 mod samplers;
 #[cfg(feature = "stores")]
 mod stores;
+mod text_motion;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kinegrad_motion::metrics::text_motion::{TextMotionError, WordVectors};
+use kinegrad_motion::metrics::text_motion::WordVectors;
 use safetensors::SafeTensors;
 
 use super::embeddings::numbers;
@@ -60,10 +60,7 @@ pub fn parse_word_vectors(bytes: &[u8], file: &str) -> Result<WordVectors, FileE
     }
     let values = numbers(&tensor)
         .ok_or_else(|| unexpected(format!("{:?} numbers", tensor.dtype()), "F32 or F16"))?;
-    WordVectors::new(words, values).map_err(|error| match error {
-        TextMotionError::Words { found, expected } => unexpected(found, &expected),
-        other => unexpected(other.to_string(), "word vectors"),
-    })
+    WordVectors::new(words, values).map_err(|error| unexpected(error.found, error.expected))
 }
 
 #[cfg(test)]

@@ -5,9 +5,9 @@ use kinegrad_kernels::Convolution;
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Odd
-/// kernels are padded by half, so that stride 1 keeps the length. An adapter, if there is one,
-/// changes the weight.
+/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels are
+/// padded by `(kernel - 1) / 2`, so that stride 1 keeps the length under odd ones. An adapter, if
+/// there is one, changes the weight.
 #[derive(Module, Debug)]
 pub struct Conv1d {
     weight: Param<Tensor<3>>,
@@ -22,7 +22,8 @@ impl Conv1d {
         Self::strided(inputs, outputs, kernel_size, 1, init)
     }
 
-    /// A convolution that maps `time` frames to `ceil(time / stride)`.
+    /// A convolution that maps `time` frames to `ceil(time / stride)` under an odd kernel, and to
+    /// `floor(time / 2)` under one of 4 with stride 2.
     pub fn strided(
         inputs: usize,
         outputs: usize,
@@ -52,7 +53,7 @@ impl Conv1d {
 
     /// # Shapes
     /// - x: `[batch, in, time]`
-    /// - output: `[batch, out, ceil(time / stride)]`
+    /// - output: `[batch, out, frames]`
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         self.operation().forward(x)
     }

@@ -4,12 +4,14 @@
 //! stands for child `n` of one is called `at_n`, and [`crate::parameters`] writes it as `n`. What a
 //! field `flat_x` holds is named as if it stood in the field's place.
 
+mod bi_gru;
 mod conv1d;
 mod conv_transpose1d;
 mod group_norm;
 mod layer_norm;
 mod linear;
 
+pub use bi_gru::BiGru;
 pub use conv_transpose1d::ConvTranspose1d;
 pub use conv1d::Conv1d;
 pub use group_norm::{GROUP_NORM_EPS, GROUPS, GroupNorm};

@@ -2,7 +2,7 @@
 
 use kinegrad_random::{Key, Purpose};
 
-use super::TRAJECTORY;
+use super::{TRAJECTORY, mean};
 use crate::{Motion, Statistics};
 
 /// Root mean square over frames and [`TRAJECTORY`] channels of the difference of two phrases, in
@@ -24,16 +24,10 @@ pub fn trajectory_distance(a: &Motion, b: &Motion, training: &Statistics) -> f64
 /// Mean [`trajectory_distance`] over all pairs of phrases; `None` for fewer than two phrases or
 /// where a value is not finite.
 pub fn diversity(motions: &[&Motion], training: &Statistics) -> Option<f64> {
-    let pairs = motions.iter().enumerate().flat_map(|(index, a)| {
-        motions[index + 1..]
-            .iter()
-            .map(move |b| trajectory_distance(a, b, training))
-    });
-    let (sum, count) = pairs.fold((0.0, 0), |(sum, count), distance| {
-        (sum + distance, count + 1)
-    });
-    let mean = sum / f64::from(count);
-    (count > 0 && mean.is_finite()).then_some(mean)
+    mean(motions.iter().enumerate().flat_map(|(index, a)| {
+        let others = motions[index + 1..].iter();
+        others.map(move |b| Some(trajectory_distance(a, b, training)))
+    }))
 }
 
 /// Mean Euclidean distance of feature vectors `[n, features]`: over all pairs where there are at
@@ -58,11 +52,8 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
         let others = |(first, second)| (first, second + usize::from(second >= first));
         firsts.into_iter().zip(seconds).map(others).collect()
     };
-    let between = drawn
-        .iter()
-        .map(|&(first, second)| distance(&features[first], &features[second]));
-    let mean = between.sum::<f64>() / drawn.len() as f64;
-    mean.is_finite().then_some(mean)
+    let between = |(first, second): (usize, usize)| distance(&features[first], &features[second]);
+    mean(drawn.into_iter().map(between).map(Some))
 }
 
 /// Euclidean distance.

@@ -3,22 +3,20 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::TRAJECTORY;
+use crate::moments::mean_and_deviation;
 use crate::{Motion, Statistics};
 
 /// Mean and (population) standard deviation over the frames of each [`TRAJECTORY`] channel, in
 /// training standard deviations: 9 means, then 9 deviations.
 pub fn trajectory_features(motion: &Motion, training: &Statistics) -> Vec<f64> {
-    let frames = motion.frames() as f64;
-    let mut features = vec![0.0; 2 * TRAJECTORY.len()];
-    for channel in TRAJECTORY {
-        let value = |t: usize| f64::from(motion.frame(t)[channel]);
-        let mean = (0..motion.frames()).map(value).sum::<f64>() / frames;
-        let square = |t: usize| (value(t) - mean).powi(2);
-        let variance = (0..motion.frames()).map(square).sum::<f64>() / frames;
-        features[channel] = mean / training.std[channel];
-        features[TRAJECTORY.len() + channel] = variance.sqrt() / training.std[channel];
-    }
-    features
+    let moments = TRAJECTORY.map(|channel| {
+        let values = (0..motion.frames()).map(|t| f64::from(motion.frame(t)[channel]));
+        let (mean, deviation) = mean_and_deviation(values);
+        let unit = training.std[channel];
+        (mean / unit, deviation / unit)
+    });
+    let (means, deviations): (Vec<f64>, Vec<f64>) = moments.unzip();
+    [means, deviations].concat()
 }
 
 /// The normal distribution fitted to a set of feature vectors.

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FeatureMoments, JointTracks, feature_diversity, frechet_distance};
+use super::{FeatureMoments, JointTracks, feature_diversity, frechet_distance, mean};
 use crate::goal::Goal;
 
 /// One generated motion and what was asked of it.
@@ -175,13 +175,6 @@ impl fmt::Display for GoalReport {
 
 fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
-}
-
-/// The mean; `None` of nothing, and where a value is missing or not finite.
-fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
-    let values: Vec<f64> = values.collect::<Option<_>>()?;
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    mean.is_finite().then_some(mean)
 }
 
 #[cfg(test)]

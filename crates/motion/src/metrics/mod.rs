@@ -23,5 +23,12 @@ pub use joints::{JointTracks, SKATING_HEIGHT, SKATING_SPEED};
 
 use std::ops::Range;
 
+/// The mean; `None` of nothing, and where a value is missing or not finite.
+pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values: Vec<f64> = values.collect::<Option<_>>()?;
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    mean.is_finite().then_some(mean)
+}
+
 /// The channels that variety and distance look at: position, velocity and acceleration.
 pub const TRAJECTORY: Range<usize> = 0..9;

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::metrics::diversity::distance;
-use crate::metrics::{FeatureMoments, feature_diversity, frechet_distance};
+use crate::metrics::{FeatureMoments, feature_diversity, frechet_distance, mean};
 
 /// Motions that each caption is ranked among.
 pub const POOL: usize = 32;
@@ -59,9 +59,7 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
 /// Panics if there are not as many captions as motions, or the embeddings differ in length.
 pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
-    let distances = texts.iter().zip(motions).map(|(a, b)| distance(a, b));
-    let mean = distances.sum::<f64>() / texts.len() as f64;
-    mean.is_finite().then_some(mean)
+    mean(texts.iter().zip(motions).map(|(a, b)| Some(distance(a, b))))
 }
 
 /// How motions match their captions and how they compare with real ones, by their embeddings.

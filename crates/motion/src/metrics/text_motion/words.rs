@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use super::TextMotionError;
+use thiserror::Error;
 
 /// The most words of a caption that are read.
 pub const MAX_WORDS: usize = 20;
@@ -147,6 +147,16 @@ impl fmt::Display for Token {
     }
 }
 
+/// Word vectors that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("the word vectors have {found}, expected {expected}")]
+pub struct WordVectorsError {
+    /// What was found.
+    pub found: String,
+    /// What is expected.
+    pub expected: &'static str,
+}
+
 /// A vector for each word of a vocabulary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WordVectors {
@@ -159,13 +169,10 @@ impl WordVectors {
     /// The vectors `[words, width]` of different words, `unk` among them.
     ///
     /// # Errors
-    /// [`TextMotionError::Words`] if the values make no whole vector for each word or are not
-    /// finite, if a word comes twice, and if there is no `unk`.
-    pub fn new(words: Vec<String>, values: Vec<f32>) -> Result<Self, TextMotionError> {
-        let refused = |found: String, expected: &str| TextMotionError::Words {
-            found,
-            expected: expected.to_owned(),
-        };
+    /// If the values make no whole vector for each word or are not finite, if a word comes twice,
+    /// and if there is no `unk`.
+    pub fn new(words: Vec<String>, values: Vec<f32>) -> Result<Self, WordVectorsError> {
+        let refused = |found, expected| WordVectorsError { found, expected };
         let (count, width) = (words.len(), values.len() / words.len().max(1));
         if width == 0 || values.len() != count * width {
             let found = format!("{} values for {count} words", values.len());
@@ -211,7 +218,7 @@ impl WordVectors {
 
     /// Vectors and classes of a caption's first [`MAX_WORDS`] words between `sos` and `eos`. A
     /// word without a vector has that of `unk` and is [`PartOfSpeech::Other`].
-    pub(super) fn sentence(&self, tokens: &[Token]) -> Vec<(&[f32], PartOfSpeech)> {
+    pub fn sentence(&self, tokens: &[Token]) -> Vec<(&[f32], PartOfSpeech)> {
         let words = tokens.iter().take(MAX_WORDS);
         let words = words.map(|token| (token.word.as_str(), token.part_of_speech));
         let start = std::iter::once(("sos", PartOfSpeech::Other));

@@ -1,25 +1,25 @@
 //! Published PyTorch checkpoints as runs (docs/sources.md, section 4.4).
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
-use kinegrad_models::parameters::{self, HostParameter, ParameterInfo};
-use kinegrad_models::{ModelSize, TextDenoiser};
+use kinegrad_models::ModelSize;
+use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::Root;
 use pytorch_reader::Tensor;
 
-use super::networks::{MATRIX, channels_of, in_space_of, text_denoiser};
+use super::networks::{channels_of, in_space_of, text_denoiser};
 use super::{Gmd, GmdConfig, MOTION};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
-use crate::published::{part_of, read_tensors, values_of, vector};
+use crate::published::{self, part_of, read_tensors, vector};
 use crate::systems::Systems;
 
 /// Names of the published programs that are no weights of the network: the text encoder and the
@@ -69,8 +69,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let (config, statistics) = settings(request, mean, std, &sizes)?;
     let device = Device::flex();
     let model = text_denoiser(&config, sizes.channels, &device)?;
-    let mut weights = fitting(&request.weights, &model, &tensors)?;
-    let mut model = model;
+    let mut model = published::load(&request.weights, model, &tensors)?;
     if let Some(path) = &request.projection {
         let matrix = square(path, sizes.channels)?;
         let emphasis = GmdConfig::of(&config)?.emphasis;
@@ -81,18 +80,10 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
             emphasis.scale,
             &emphasis.channels,
         )?;
-        model = in_space_of(model, matrix.clone(), &device);
-        weights.push(HostParameter {
-            info: ParameterInfo {
-                name: MATRIX.into(),
-                shape: vec![sizes.channels; 2],
-            },
-            values: matrix,
-        });
+        model = in_space_of(model, matrix, &device);
     }
-    let parameters = weights.iter().map(|p| p.info.len()).sum();
-    let model = parameters::export(&parameters::load(model, weights)?);
-    let (infos, values): (Vec<_>, Vec<_>) = model.into_iter().map(|p| (p.info, p.values)).unzip();
+    let weights = parameters::export(&model);
+    let (infos, values): (Vec<_>, Vec<_>) = weights.into_iter().map(|p| (p.info, p.values)).unzip();
     let state = State {
         format: FORMAT,
         kinegrad: env!("CARGO_PKG_VERSION").to_string(),
@@ -105,7 +96,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     };
     Ok(Imported {
         path: write_weights(&request.out, &state, &infos, &values, &values)?,
-        parameters,
+        parameters: infos.iter().map(ParameterInfo::len).sum(),
         part,
         skipped,
         config,
@@ -230,56 +221,6 @@ fn settings(
     let statistics = Statistics::new(mean, std, Some(Root::Absolute))?;
     config.system = own.to_table();
     Ok((config, statistics))
-}
-
-/// The weights that `model` needs, by its own names.
-///
-/// # Errors
-/// Lists everything that is missing, superfluous, of another shape or not finite.
-fn fitting(
-    path: &Path,
-    model: &TextDenoiser,
-    tensors: &BTreeMap<String, Tensor>,
-) -> Result<Vec<HostParameter>, Error> {
-    let infos = parameters::infos(model);
-    let mut wrong = Vec::new();
-    let mut weights = Vec::with_capacity(infos.len());
-    for info in &infos {
-        let Some(tensor) = tensors.get(&info.name) else {
-            wrong.push(format!("missing: `{}` {:?}", info.name, info.shape));
-            continue;
-        };
-        if tensor.shape() != info.shape {
-            wrong.push(format!(
-                "`{}` is {:?}, {:?} needed",
-                info.name,
-                tensor.shape(),
-                info.shape
-            ));
-            continue;
-        }
-        match values_of(tensor) {
-            Ok(values) if values.iter().all(|value| value.is_finite()) => {
-                weights.push(HostParameter {
-                    info: info.clone(),
-                    values,
-                });
-            }
-            Ok(_) => wrong.push(format!("`{}` holds numbers that are not finite", info.name)),
-            Err(reason) => wrong.push(format!("`{}`: {reason}", info.name)),
-        }
-    }
-    let known: BTreeSet<&str> = infos.iter().map(|info| info.name.as_str()).collect();
-    let strangers = tensors.keys().filter(|name| !known.contains(name.as_str()));
-    wrong.extend(strangers.map(|name| format!("not known: `{name}`")));
-    match wrong.is_empty() {
-        true => Ok(weights),
-        false => Err(Error::ForeignWeights {
-            path: path.to_path_buf(),
-            count: wrong.len(),
-            list: wrong.join("\n  "),
-        }),
-    }
 }
 
 fn square(path: &Path, channels: usize) -> Result<Vec<f32>, Error> {

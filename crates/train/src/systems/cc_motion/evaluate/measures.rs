@@ -6,7 +6,7 @@ use kinegrad_audio::beats::track;
 use kinegrad_data::Phrase;
 use kinegrad_motion::kinematics::mean_jerk_norm;
 use kinegrad_motion::metrics::{
-    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats,
+    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,
 };
 use kinegrad_motion::{Motion, Profile, Report, Statistics, Value, check};
@@ -192,13 +192,6 @@ fn feature_moments<'a>(
         .map(|motion| trajectory_features(motion, statistics))
         .collect();
     FeatureMoments::compute(&features)
-}
-
-/// The mean; `None` if there are no values, or one of them is missing or not finite.
-fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
-    let values: Vec<f64> = values.collect::<Option<_>>()?;
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    mean.is_finite().then_some(mean)
 }
 
 #[cfg(test)]

@@ -55,7 +55,8 @@ pub fn prepare<'a>(
     }
     let trajectory = request.trajectory.clone();
     let files = asked.evaluator.is_given().then_some(&asked.evaluator);
-    let evaluator = files.map(TextMotion::read).transpose()?;
+    let read = |files| TextMotion::read(files, &subject.device);
+    let evaluator = files.map(read).transpose()?;
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,

@@ -1,22 +1,30 @@
-//! The published text-motion evaluator from its files.
+//! The published text-motion evaluator: its files, and the embeddings of clips and captions.
 
+use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::{Clip, read_word_vectors};
+use kinegrad_models::Initializer;
+use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 use kinegrad_motion::Statistics;
-use kinegrad_motion::humanml::{Features, Root};
-use kinegrad_motion::metrics::text_motion::{
-    EvaluatorWeights, NamedArrays, TextMotionEvaluator, TextMotionReport, Token, WordVectors,
-};
-use pytorch_reader::Tensor;
+use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
+use kinegrad_motion::metrics::text_motion::{MAX_WORDS, TextMotionReport, Token, WordVectors};
 use serde::Serialize;
 
 use crate::error::Error;
-use crate::published::{part_of, read_tensors, values_of, vector};
+use crate::published::{load, read_tensors, vector};
+
+/// A shorter clip is followed by frames of zeros, after normalisation, up to this many.
+const PADDED_FRAMES: usize = 196;
+
+/// Clips or captions that are encoded together.
+const GROUP: usize = 32;
 use crate::systems::gmd::EvaluatorFiles;
 
 /// The evaluator, ready to measure.
 pub struct TextMotion {
-    evaluator: TextMotionEvaluator,
+    encoders: TextMotionEncoders,
+    statistics: Statistics,
     words: WordVectors,
+    device: Device,
 }
 
 /// How drawn and real motion match their captions.
@@ -29,36 +37,143 @@ pub struct TextMotionReports {
 }
 
 impl TextMotion {
-    /// Reads the evaluator.
+    /// Reads the evaluator onto `device`, which is to have no gradients. Its files are the weights as
+    /// published, `.npy` files of the mean and deviation that it normalises by, of the relative
+    /// root, and the word vectors as safetensors (docs/dataset.md).
     ///
     /// # Errors
-    /// If a file cannot be read, or its contents do not fit; all differences are listed.
-    pub fn read(files: &EvaluatorFiles) -> Result<Self, Error> {
-        let tensors = read_tensors(&files.weights)?;
-        let array = |tensor: &Tensor| -> Result<(Vec<usize>, Vec<f32>), Error> {
-            let values = values_of(tensor).map_err(|reason| Error::Foreign {
-                path: files.weights.clone(),
-                reason: format!("`{}`: {reason}", tensor.name),
-            })?;
-            Ok((tensor.shape().to_vec(), values))
-        };
-        let part = |name: &str| -> Result<NamedArrays, Error> {
-            let arrays = part_of(&tensors, name).into_iter();
-            arrays
-                .map(|(name, tensor)| Ok((name, array(&tensor)?)))
-                .collect()
-        };
-        let weights = EvaluatorWeights {
-            movement_encoder: part("movement_encoder")?,
-            motion_encoder: part("motion_encoder")?,
-            text_encoder: part("text_encoder")?,
-        };
+    /// If a file cannot be read, or its contents do not fit; all differences of the weights are
+    /// listed.
+    pub fn read(files: &EvaluatorFiles, device: &Device) -> Result<Self, Error> {
+        let mut tensors = read_tensors(&files.weights)?;
+        tensors.retain(|name, _| PARTS.iter().any(|part| name.starts_with(part)));
+        let config = TextMotionConfig::of_weights(|name| Some(tensors.get(name)?.shape()));
+        let encoders = config.init(&Initializer::new(0, device));
+        let encoders = load(&files.weights, encoders, &tensors)?;
         let (mean, std) = (vector(&files.mean)?, vector(&files.std)?);
         let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
+        let words = read_word_vectors(&files.word_vectors)?;
+        Self::new(encoders, statistics, words, device)
+    }
+
+    /// The evaluator of these parts, the encoders on `device`. `statistics` are the mean and
+    /// deviation that they were trained with, for features with relative root.
+    ///
+    /// # Errors
+    /// [`Error::EvaluatorWidth`] where the parts do not fit each other; [`Error::Features`] for
+    /// statistics of the absolute root.
+    pub fn new(
+        encoders: TextMotionEncoders,
+        statistics: Statistics,
+        words: WordVectors,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        if let Some(found @ Root::Absolute) = statistics.root {
+            let expected = Root::Relative;
+            return Err(FeatureError::WrongRoot { expected, found }.into());
+        }
+        let layout = FeatureLayout::of_channels(statistics.channels())?;
+        let frame = layout.contacts().start;
+        let fits = |what, found, reader, expected| match found == expected {
+            true => Ok(()),
+            false => Err(Error::EvaluatorWidth {
+                what,
+                reader,
+                found,
+                expected,
+            }),
+        };
+        fits(
+            "a frame without contact flags",
+            frame,
+            "`movement_encoder`",
+            encoders.channels(),
+        )?;
+        fits(
+            "a word vector",
+            words.width(),
+            "`text_encoder`",
+            encoders.word_vector(),
+        )?;
         Ok(Self {
-            evaluator: TextMotionEvaluator::new(&weights, statistics)?,
-            words: read_word_vectors(&files.word_vectors)?,
+            encoders,
+            statistics,
+            words,
+            device: device.clone(),
         })
+    }
+
+    /// The embedding of each clip, `[clips, width]`, with the root in either reading.
+    ///
+    /// # Errors
+    /// [`Error::TooShort`] for fewer than [`UNIT_FRAMES`] frames; [`Error::Features`] for features
+    /// of another skeleton than the statistics'.
+    pub fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
+        let mut normalized = Vec::with_capacity(clips.len());
+        for (clip, features) in clips.iter().enumerate() {
+            let (found, needed) = (features.frames(), UNIT_FRAMES);
+            if found < needed {
+                return Err(Error::TooShort {
+                    clip,
+                    found,
+                    needed,
+                });
+            }
+            let (expected, found) = (self.statistics.channels(), features.layout().channels());
+            if found != expected {
+                return Err(FeatureError::LengthMismatch {
+                    what: "channels of a frame",
+                    expected,
+                    found,
+                }
+                .into());
+            }
+            normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
+        }
+        let lengths: Vec<usize> = clips.iter().map(|clip| clip.frames()).collect();
+        let padded = |frames: usize| frames.max(PADDED_FRAMES);
+        let channels = self.encoders.channels();
+        Ok(in_groups(&lengths, padded, |group, lengths, padded| {
+            let mut frames = vec![0.0; group.len() * channels * padded];
+            let rows = frames.chunks_exact_mut(channels * padded);
+            for ((row, &clip), &length) in rows.zip(group).zip(lengths) {
+                let clip = normalized[clip].chunks_exact(length);
+                for (row, channel) in row.chunks_exact_mut(padded).zip(clip) {
+                    row[..length].copy_from_slice(channel);
+                }
+            }
+            let frames = TensorData::new(frames, [group.len(), channels, padded]);
+            let frames = Tensor::from_data(frames, &self.device);
+            self.encoders.motions(frames, lengths)
+        }))
+    }
+
+    /// The embedding of each caption, `[captions, width]`, by its first [`MAX_WORDS`] words.
+    pub fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>> {
+        let sentences = captions.iter().map(|tokens| self.words.sentence(tokens));
+        let sentences: Vec<_> = sentences.collect();
+        let lengths: Vec<usize> = sentences.iter().map(Vec::len).collect();
+        let width = self.words.width();
+        in_groups(
+            &lengths,
+            |_| MAX_WORDS + 2,
+            |group, lengths, padded| {
+                let (mut vectors, mut classes) = (Vec::new(), Vec::new());
+                for (row, &caption) in group.iter().enumerate() {
+                    for &(vector, class) in &sentences[caption] {
+                        vectors.extend_from_slice(vector);
+                        classes.push(class as i32);
+                    }
+                    vectors.resize((row + 1) * padded * width, 0.0);
+                    classes.resize((row + 1) * padded, 0);
+                }
+                let vectors = TensorData::new(vectors, [group.len(), padded, width]);
+                let classes = TensorData::new(classes, [group.len(), padded]);
+                let classes = Tensor::<2, Int>::from_data(classes, &self.device);
+                let vectors = Tensor::from_data(vectors, &self.device);
+                self.encoders.texts(vectors, classes, lengths)
+            },
+        )
     }
 
     /// Measures drawn clips, one for each of the `real` ones, by the first caption of each.
@@ -75,13 +190,37 @@ impl TextMotion {
             .iter()
             .map(|clip| clip.captions.first().map_or(&[][..], |c| &c.tokens))
             .collect();
-        let texts = self.evaluator.text_embeddings(&captions, &self.words)?;
+        let texts = self.text_embeddings(&captions);
         let truths: Vec<&Features> = real.iter().map(|clip| &clip.features).collect();
-        let truths = self.evaluator.motion_embeddings(&truths)?;
-        let drawn = self.evaluator.motion_embeddings(drawn)?;
+        let truths = self.motion_embeddings(&truths)?;
+        let drawn = self.motion_embeddings(drawn)?;
         Ok(TextMotionReports {
             drawn: TextMotionReport::compute(&texts, &drawn, &truths, seed),
             real: TextMotionReport::compute(&texts, &truths, &truths, seed),
         })
     }
+}
+
+/// Embeddings of items of `lengths`, at their places: those of about one length and of the same
+/// `padded` length are encoded together, from their places, lengths and that padded length.
+fn in_groups(
+    lengths: &[usize],
+    padded: impl Fn(usize) -> usize,
+    encode: impl Fn(&[usize], &[usize], usize) -> Tensor<2>,
+) -> Vec<Vec<f64>> {
+    let padded = |item: usize| padded(lengths[item]);
+    let mut order: Vec<usize> = (0..lengths.len()).collect();
+    order.sort_by_key(|&item| lengths[item]);
+    let alike = order.chunk_by(|&a, &b| padded(a) == padded(b));
+    let mut embeddings = vec![Vec::new(); lengths.len()];
+    for group in alike.flat_map(|alike| alike.chunks(GROUP)) {
+        let lengths: Vec<usize> = group.iter().map(|&item| lengths[item]).collect();
+        let found = encode(group, &lengths, padded(group[0]));
+        let width = found.dims()[1];
+        let values = found.try_into_vec_as::<f32>().expect("float32");
+        for (&item, row) in group.iter().zip(values.chunks_exact(width)) {
+            embeddings[item] = row.iter().map(|&value| f64::from(value)).collect();
+        }
+    }
+    embeddings
 }

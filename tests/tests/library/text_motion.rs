@@ -2,13 +2,17 @@
 //!
 //! `data_fixtures/gmd/README.md` says what the file holds and how it was made.
 
+use burn::tensor::Device;
 use kinegrad_golden::{Golden, bound, differences, workspace};
+use kinegrad_models::Initializer;
+use kinegrad_models::parameters::{self, HostParameter};
+use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
-use kinegrad_motion::metrics::text_motion::{
-    EvaluatorWeights, NamedArrays, TextMotionError, TextMotionEvaluator, TextMotionReport, Token,
-    WordVectors,
-};
+use kinegrad_motion::metrics::text_motion::{TextMotionReport, Token, WordVectors};
+use kinegrad_tests::weights;
+use kinegrad_train::Error;
+use kinegrad_train::systems::gmd::evaluate::TextMotion;
 
 /// Of embeddings and metrics, absolute.
 const TOLERANCE: f64 = 1e-5;
@@ -25,17 +29,6 @@ impl Fixture {
         let file = Golden::read(&path);
         let config = serde_json::from_str(file.metadata("config")).expect("config is JSON");
         Self { file, config }
-    }
-
-    /// All tensors whose name begins with `prefix`, by the rest of the name.
-    fn under(&self, prefix: &str) -> NamedArrays {
-        let names = self.file.names_under(prefix).into_iter();
-        let load = |name: String| {
-            let tensor = self.file.get(&format!("{prefix}{name}"));
-            let values = tensor.f32s();
-            (name, (tensor.shape, values))
-        };
-        names.map(load).collect()
     }
 
     fn values(&self, name: &str) -> Vec<f32> {
@@ -57,12 +50,15 @@ impl Fixture {
         serde_json::from_value(self.config[key].clone()).expect("a list of strings")
     }
 
-    fn weights(&self) -> EvaluatorWeights {
-        EvaluatorWeights {
-            movement_encoder: self.under("movement_encoder."),
-            motion_encoder: self.under("motion_encoder."),
-            text_encoder: self.under("text_encoder."),
-        }
+    fn weights(&self) -> Vec<HostParameter> {
+        let part = |part: &str| {
+            let mut weights = weights(&self.file, &format!("{part}."));
+            for weight in &mut weights {
+                weight.info.name = format!("{part}.{}", weight.info.name);
+            }
+            weights
+        };
+        PARTS.into_iter().flat_map(part).collect()
     }
 
     fn statistics(&self) -> Statistics {
@@ -70,8 +66,10 @@ impl Fixture {
         Statistics::new(mean, std, Some(Root::Relative)).expect("statistics")
     }
 
-    fn evaluator(&self) -> TextMotionEvaluator {
-        TextMotionEvaluator::new(&self.weights(), self.statistics()).expect("weights fit")
+    fn evaluator(&self) -> TextMotion {
+        let encoders = encoders(self.weights()).expect("weights fit");
+        TextMotion::new(encoders, self.statistics(), self.vectors(), &Device::flex())
+            .expect("parts of one evaluator")
     }
 
     fn clips(&self) -> Vec<Features> {
@@ -94,6 +92,15 @@ impl Fixture {
     }
 }
 
+/// The encoders of these weights.
+fn encoders(weights: Vec<HostParameter>) -> Result<TextMotionEncoders, kinegrad_models::Error> {
+    let config = TextMotionConfig::of_weights(|name| {
+        let weight = weights.iter().find(|weight| weight.info.name == name);
+        Some(&weight?.info.shape)
+    });
+    parameters::load(config.init(&Initializer::new(0, &Device::flex())), weights)
+}
+
 /// Bounds the largest difference.
 fn compare(what: &str, found: &[f64], reference: &[f64]) {
     let error = differences(what, found, reference).fold(0.0, f64::max);
@@ -112,7 +119,6 @@ fn fixture_embeddings_of_clips_are_those_of_pytorch() {
     let found = evaluator
         .motion_embeddings(&clips.iter().collect::<Vec<_>>())
         .expect("clips are encoded");
-    assert_eq!(found[0].len(), evaluator.width());
     compare("motions", &found.concat(), &fixture.wide("out.motion"));
     // One by one, and many at once: only rounding differs.
     for (clip, together) in clips.iter().zip(&found) {
@@ -128,10 +134,7 @@ fn fixture_embeddings_of_clips_are_those_of_pytorch() {
 fn fixture_embeddings_of_captions_are_those_of_pytorch() {
     let fixture = Fixture::open();
     let captions = fixture.captions();
-    let found = fixture
-        .evaluator()
-        .text_embeddings(&slices(&captions), &fixture.vectors())
-        .expect("captions are encoded");
+    let found = fixture.evaluator().text_embeddings(&slices(&captions));
     compare("captions", &found.concat(), &fixture.wide("out.text"));
 }
 
@@ -160,79 +163,96 @@ fn an_absolute_root_is_read_as_a_relative_one() {
     let evaluator = fixture.evaluator();
     let clip = &fixture.clips()[0];
     let absolute = clip.to_absolute();
-    let expected = evaluator.motion_embeddings(&[&absolute.to_relative()]);
-    assert_eq!(evaluator.motion_embeddings(&[&absolute]), expected);
+    let embedding = |clip: &Features| evaluator.motion_embeddings(&[clip]).expect("one clip");
+    assert_eq!(embedding(&absolute), embedding(&absolute.to_relative()));
+}
+
+#[test]
+fn weights_that_are_not_the_networks_are_refused_by_name() {
+    let refused = |change: &dyn Fn(&mut HostParameter)| {
+        let mut weights = Fixture::open().weights();
+        weights.iter_mut().for_each(change);
+        encoders(weights).unwrap_err().to_string()
+    };
+    let message = refused(&|weight| {
+        weight.info.name = weight.info.name.replace("main.3.bias", "main.6.bias");
+    });
+    assert_eq!(
+        message,
+        "the weights do not fit:\n  missing: `movement_encoder.main.3.bias` [5]\n  \
+         not known: `movement_encoder.main.6.bias`"
+    );
+    let message = refused(&|weight| {
+        if weight.info.name == "motion_encoder.input_emb.weight" {
+            weight.info.shape = vec![7, 4];
+        }
+    });
+    assert_eq!(
+        message,
+        "the weights do not fit:\n  `motion_encoder.input_emb.weight` has shape [7, 4], [7, 5] needed"
+    );
+    // What no weight says is as published.
+    let message = refused(&|weight| {
+        weight.info.name = weight.info.name.replace("text_encoder.hidden", "h");
+    });
+    for part in [
+        "missing: `text_encoder.hidden` [2, 1, 512]",
+        "not known: `h`",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
 }
 
 #[test]
 fn parts_that_do_not_belong_together_are_refused() {
     let fixture = Fixture::open();
-    let refused = |weights: &EvaluatorWeights| {
-        let evaluator = TextMotionEvaluator::new(weights, fixture.statistics());
-        evaluator.unwrap_err().to_string()
+    let evaluator = |statistics, words| {
+        let encoders = encoders(fixture.weights()).expect("weights fit");
+        TextMotion::new(encoders, statistics, words, &Device::flex())
     };
-    let mut weights = fixture.weights();
-    weights.movement_encoder.remove("main.3.bias");
-    let empty = (vec![1], vec![0.0]);
-    weights.movement_encoder.insert("main.6.bias".into(), empty);
-    assert_eq!(
-        refused(&weights),
-        "the weights of `movement_encoder` do not fit: `main.3.bias` is missing; `main.6.bias` is \
-         not one of its arrays"
-    );
-    let mut weights = fixture.weights();
-    std::mem::swap(&mut weights.motion_encoder, &mut weights.text_encoder);
-    let message = refused(&weights);
-    assert!(message.contains("`pos_emb.bias` is not"), "{message}");
-    let mut weights = fixture.weights();
-    weights.motion_encoder = weights.text_encoder.clone();
-    weights
-        .motion_encoder
-        .retain(|name, _| !name.starts_with("pos_emb"));
-    assert_eq!(
-        refused(&weights),
-        "a movement is 5 numbers wide where `motion_encoder` takes 4"
-    );
-    let absolute = fixture.statistics();
-    let (mean, std) = (absolute.mean, absolute.std);
-    let absolute = Statistics::new(mean, std, Some(Root::Absolute)).expect("statistics");
-    let refused = TextMotionEvaluator::new(&fixture.weights(), absolute);
-    assert!(matches!(refused, Err(TextMotionError::Features(_))));
+    let refused = |statistics, words| match evaluator(statistics, words) {
+        Err(error) => error.to_string(),
+        Ok(_) => panic!("they belong together"),
+    };
     let other = Statistics::new(vec![0.0; 263], vec![1.0; 263], Some(Root::Relative));
-    let refused = TextMotionEvaluator::new(&fixture.weights(), other.expect("statistics"));
-    let message = refused.unwrap_err().to_string();
     assert_eq!(
-        message,
+        refused(other.expect("statistics"), fixture.vectors()),
         "a frame without contact flags is 259 numbers wide where `movement_encoder` takes 19"
     );
+    let vectors = WordVectors::new(vec!["unk".into()], vec![0.5; 300]).expect("vectors");
+    assert_eq!(
+        refused(fixture.statistics(), vectors),
+        "a word vector is 300 numbers wide where `text_encoder` takes 4"
+    );
+    let relative = fixture.statistics();
+    let (mean, std) = (relative.mean().to_vec(), relative.std().to_vec());
+    let absolute = Statistics::new(mean, std, Some(Root::Absolute)).expect("statistics");
+    let evaluator = evaluator(absolute, fixture.vectors()).expect("the widths are the same");
+    let refused = evaluator.motion_embeddings(&[&fixture.clips()[0]]);
+    assert!(matches!(refused, Err(Error::Features(_))));
 }
 
 #[test]
-fn clips_and_words_that_cannot_be_encoded_are_refused() {
+fn clips_that_cannot_be_encoded_are_refused() {
     let fixture = Fixture::open();
     let evaluator = fixture.evaluator();
     let clips = fixture.clips();
     let short = clips[0].slice(0..3);
     let mut many = vec![&clips[0]; 40];
     many.push(&short);
-    let expected = TextMotionError::TooShort {
-        clip: 40,
-        found: 3,
-        needed: 4,
-    };
-    assert_eq!(evaluator.motion_embeddings(&many), Err(expected));
+    assert!(matches!(
+        evaluator.motion_embeddings(&many),
+        Err(Error::TooShort {
+            clip: 40,
+            found: 3,
+            needed: 4
+        })
+    ));
     let layout = FeatureLayout::of_joints(3).expect("a layout");
     let other = vec![0.0; 8 * layout.channels()];
     let other = Features::new(other, layout, Root::Relative).expect("features");
-    assert!(matches!(
-        evaluator.motion_embeddings(&[&other]),
-        Err(TextMotionError::Features(_))
-    ));
-    let vectors = WordVectors::new(vec!["unk".into()], vec![0.5; 300]).expect("vectors");
-    let message = evaluator.text_embeddings(&[&[]], &vectors).unwrap_err();
-    assert_eq!(
-        message.to_string(),
-        "a word vector is 300 numbers wide where `text_encoder` takes 4"
-    );
-    assert_eq!(evaluator.motion_embeddings(&[]), Ok(Vec::new()));
+    let refused = evaluator.motion_embeddings(&[&other]);
+    assert!(matches!(refused, Err(Error::Features(_))));
+    let nothing = evaluator.motion_embeddings(&[]).expect("no clips");
+    assert!(nothing.is_empty());
 }
