@@ -225,10 +225,9 @@ fn parts_that_do_not_belong_together_are_refused() {
         "a word vector is 300 numbers wide where `text_encoder` takes 4"
     );
     let relative = fixture.statistics();
-    let (mean, std) = (relative.mean().to_vec(), relative.std().to_vec());
+    let (mean, std) = (relative.mean, relative.std);
     let absolute = Statistics::new(mean, std, Some(Root::Absolute)).expect("statistics");
-    let evaluator = evaluator(absolute, fixture.vectors()).expect("the widths are the same");
-    let refused = evaluator.motion_embeddings(&[&fixture.clips()[0]]);
+    let refused = evaluator(absolute, fixture.vectors());
     assert!(matches!(refused, Err(Error::Features(_))));
 }
 
