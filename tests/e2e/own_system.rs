@@ -1,0 +1,521 @@
+//! A system that is not built in: points on circles, three numbers a frame, with a network, a
+//! representation, a dataset and a sampler of its own. One registration, and every command knows
+//! it.
+
+use std::borrow::Cow;
+use std::f64::consts::TAU;
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::{
+    AUDIO, Batch, ConditionRows, Dataset, Item, ItemSet, Loader, SampleShape, Samples, read_array,
+};
+use kinegrad_diffusion::Time;
+use kinegrad_models::parameters;
+use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::{Representation, Statistics};
+use kinegrad_random::{Key, Purpose};
+use kinegrad_train::checkpoint::{State, read_weights};
+use kinegrad_train::config::{Config, ConfigError, SystemTables};
+use kinegrad_train::denoising::{HeldOut, Inputs};
+use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
+use kinegrad_train::run::{Material, Outcome, Setup};
+use kinegrad_train::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
+use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
+use kinegrad_train::{Error, Loss, Measured, Observer, Recipe, StepKey};
+use serde::{Deserialize, Serialize};
+use toml::Table;
+
+/// Channels of a point: x, y, z.
+const CHANNELS: usize = 3;
+
+/// What a row of a circle is: a point in metres, ten times a second.
+#[derive(Clone, Copy, Debug)]
+struct Point;
+
+impl Representation for Point {
+    fn name(&self) -> String {
+        "point".to_owned()
+    }
+
+    fn channels(&self) -> usize {
+        CHANNELS
+    }
+
+    fn fps(&self) -> f64 {
+        10.0
+    }
+
+    fn channel_name(&self, channel: usize) -> String {
+        ["x", "y", "z"][channel].to_owned()
+    }
+
+    fn joints(&self, rows: &[f32]) -> Option<Joints> {
+        Joints::from_f32(rows, 1).ok()
+    }
+}
+
+/// One way round a circle; what it is conditioned on is its radius.
+#[derive(Clone, Debug)]
+struct Circle {
+    id: String,
+    radius: f32,
+    rows: Vec<f32>,
+}
+
+impl Circle {
+    fn new(index: usize, frames: usize) -> Arc<Self> {
+        let radius = 0.5 + 0.1 * index as f32;
+        let point = |t: usize| {
+            let angle = (TAU * t as f64 / frames as f64) as f32;
+            [radius * angle.cos(), 1.0, radius * angle.sin()]
+        };
+        Arc::new(Self {
+            id: format!("circle_{index}"),
+            radius,
+            rows: (0..frames).flat_map(point).collect(),
+        })
+    }
+}
+
+impl Item for Circle {
+    const KIND: &'static str = "circle";
+
+    type Representation = Point;
+
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn frames(&self) -> usize {
+        self.rows.len() / CHANNELS
+    }
+
+    fn bytes(&self) -> usize {
+        4 * self.rows.len()
+    }
+
+    fn rows(&self, _: &Point) -> Cow<'_, [f32]> {
+        Cow::Borrowed(&self.rows)
+    }
+}
+
+/// Circles whole, with two conditions at once: the radius, and a sound that grows with it.
+#[derive(Clone)]
+struct CircleSamples {
+    circles: ItemSet<Circle>,
+    statistics: Arc<Statistics>,
+    frames: usize,
+}
+
+impl Samples for CircleSamples {
+    type Item = Circle;
+    type Read = Arc<Circle>;
+
+    fn items(&self) -> &ItemSet<Circle> {
+        &self.circles
+    }
+
+    fn shape(&self) -> SampleShape {
+        SampleShape {
+            channels: CHANNELS,
+            frames: self.frames,
+            conditions: vec![("radius", 1, 1), (AUDIO, 1, self.frames)],
+        }
+    }
+
+    fn read(&self, position: usize) -> Result<Arc<Circle>, kinegrad_data::Error> {
+        self.circles.get(position)
+    }
+
+    fn push(&self, batch: &mut Batch, circle: &Arc<Circle>, _: Option<u64>) {
+        let frames = circle.frames().min(self.frames);
+        let sound = vec![circle.radius; frames];
+        let conditions = [
+            ConditionRows {
+                values: &[circle.radius],
+                frames: 1,
+                range: 0..1,
+            },
+            ConditionRows {
+                values: &sound,
+                frames,
+                range: 0..frames,
+            },
+        ];
+        let rows = &circle.rows[..frames * CHANNELS];
+        batch.push(&circle.id, rows, &self.statistics, &conditions);
+    }
+}
+
+/// A matrix for a point, and what time and radius add to it.
+#[derive(Module, Debug)]
+struct Network {
+    matrix: Param<Tensor<2>>,
+    of_time: Param<Tensor<1>>,
+    of_radius: Param<Tensor<1>>,
+}
+
+impl Network {
+    fn new(device: &Device) -> Self {
+        let zeros = || Param::from_tensor(Tensor::<1>::zeros([CHANNELS], device));
+        Self {
+            matrix: Param::from_tensor(Tensor::zeros([CHANNELS, CHANNELS], device)),
+            of_time: zeros(),
+            of_radius: zeros(),
+        }
+    }
+
+    /// The clean motion behind `x`, `[batch, 3, time]`, at `time` under `radius`, `[batch, 1, 1]`.
+    fn forward(&self, x: Tensor<3>, time: &[Time], radius: Tensor<3>) -> Tensor<3> {
+        let times: Vec<f32> = time.iter().map(|time| time.0 as f32).collect();
+        let times = TensorData::new(times, [time.len(), 1, 1]);
+        let times = Tensor::<3>::from_data(times, &x.device());
+        let channels = |tensor: Tensor<1>| tensor.reshape([1, CHANNELS, 1]);
+        self.matrix.val().unsqueeze::<3>().matmul(x)
+            + channels(self.of_time.val()) * times
+            + channels(self.of_radius.val()) * radius
+    }
+}
+
+/// Euler steps along straight lines from noise to the predicted clean motion.
+fn euler(network: &Network, mut x: Tensor<3>, radius: &Tensor<3>, steps: usize) -> Tensor<3> {
+    for step in 0..steps {
+        let time = vec![Time(step as f64 / steps as f64); x.dims()[0]];
+        let clean = network.forward(x.clone(), &time, radius.clone());
+        x = x.clone() + (clean - x) / (steps - step) as f64;
+    }
+    x
+}
+
+/// The tables that are the system's own.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct ToyConfig {
+    circles: CircleConfig,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct CircleConfig {
+    count: usize,
+    frames: usize,
+}
+
+impl Default for CircleConfig {
+    fn default() -> Self {
+        Self {
+            count: 6,
+            frames: 20,
+        }
+    }
+}
+
+impl SystemTables for ToyConfig {}
+
+/// Squared error of the clean motion at a random place of the straight line from noise to it.
+struct ToyRecipe(HeldOut);
+
+impl ToyRecipe {
+    fn error(model: &Network, inputs: &Inputs, noise: Tensor<3>, time: f64) -> Tensor<1> {
+        let x = inputs.x_start.clone() * time + noise * (1.0 - time);
+        let times = vec![Time(time); x.dims()[0]];
+        let found = model.forward(x, &times, inputs.cond.get("radius").clone());
+        let error = (found - inputs.x_start.clone()).powi_scalar(2);
+        (error * inputs.mask.clone().unsqueeze_dim::<3>(1)).mean()
+    }
+}
+
+impl Recipe for ToyRecipe {
+    type Model = Network;
+    type Pending = ();
+
+    fn loss(&self, model: &Network, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let shape = inputs.x_start.dims();
+        let noise = kinegrad_train::denoising::noise(key.of(Purpose::Noise), shape, device);
+        let time = f64::from(key.of(Purpose::Timesteps).uniforms(1)[0]);
+        let total = Self::error(model, &inputs, noise, time);
+        Loss {
+            terms: vec![("line", total.clone())],
+            probes: Vec::new(),
+            total,
+            pending: (),
+        }
+    }
+
+    fn validation_loss(&self, model: &Network, device: &Device) -> Measured {
+        let mut measured = Measured::default();
+        for (range, inputs) in self.0.batches(device) {
+            let share = range.len() as f64 / self.0.len() as f64;
+            let noise = self.0.noise(range, 0, &inputs.x_start);
+            let error = Self::error(model, &inputs, noise, 0.5).into_scalar::<f32>();
+            measured.add("line", f64::from(error) * share);
+        }
+        measured
+    }
+}
+
+struct Toy;
+
+fn dataset(config: &Config) -> Result<Dataset<Circle>, Error> {
+    let CircleConfig { count, frames } = ToyConfig::of(config)?.circles;
+    let mut circles: Vec<_> = (0..count).map(|index| Circle::new(index, frames)).collect();
+    let held_out = circles.split_off(count - count / 3);
+    Ok(Dataset::of_items(circles, held_out, Point))
+}
+
+/// Rows of drawn circles, one for each radius.
+fn draw(subject: &Subject, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Error> {
+    let state = State::read(&subject.checkpoint)?;
+    let weights = read_weights(&subject.checkpoint, &state, subject.weights)?;
+    let network = parameters::load(Network::new(&subject.device), weights)?;
+    let frames = ToyConfig::of(&subject.config)?.circles.frames;
+    let shape = [radii.len(), CHANNELS, frames];
+    let key = Key::new(seed, Purpose::Sampling);
+    let noise = kinegrad_train::denoising::noise(key, shape, &subject.device);
+    let radius = TensorData::new(radii.to_vec(), [radii.len(), 1, 1]);
+    let radius = Tensor::from_data(radius, &subject.device);
+    let steps = subject.config.sampling.sampler.num_inference_steps;
+    let drawn = euler(&network, noise, &radius, steps);
+    let values = drawn.try_into_vec_as::<f32>().expect("float32");
+    let statistics = state.statistics_of(&Point)?;
+    let each = values.chunks(CHANNELS * frames);
+    Ok(each.map(|values| statistics.denormalize(values)).collect())
+}
+
+impl System for Toy {
+    fn name(&self) -> &'static str {
+        "toy"
+    }
+
+    fn recipes(&self) -> &'static [RecipeInfo] {
+        &[RecipeInfo {
+            name: "circles",
+            groups: &["network"],
+        }]
+    }
+
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        vec![Box::new(Point)]
+    }
+
+    fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
+        "data.kind = \"synthetic\"".parse().expect("TOML")
+    }
+
+    fn complete(
+        &self,
+        tables: &Table,
+        place: &dyn Fn(&str) -> String,
+    ) -> Result<Table, ConfigError> {
+        Ok(ToyConfig::read(tables, place)?.to_table())
+    }
+
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
+        ToyConfig::of(config)?;
+        Ok(Vec::new())
+    }
+
+    fn parameter_count(&self, _: &Config) -> Result<usize, Error> {
+        Ok(CHANNELS * CHANNELS + 2 * CHANNELS)
+    }
+
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error> {
+        let radii: Vec<f32> = (0..request.count).map(|i| 0.6 + 0.2 * i as f32).collect();
+        for (index, rows) in draw(subject, &radii, request.seed)?.into_iter().enumerate() {
+            let shape = vec![rows.len() / CHANNELS, CHANNELS];
+            let values = Contents::Array {
+                shape,
+                values: rows,
+            };
+            receiver.drawn(Drawn {
+                name: format!("-{index}"),
+                files: vec![(".npy", values)],
+            })?;
+        }
+        Ok(None)
+    }
+
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error> {
+        let held_out = dataset(&subject.config)?.validation.load()?;
+        let seed = request.seed;
+        Ok(Box::new(move |_| {
+            let radii: Vec<f32> = held_out.iter().map(|circle| circle.radius).collect();
+            let drawn = draw(subject, &radii, seed)?;
+            let column = |circles: &mut dyn Iterator<Item = &Vec<f32>>| {
+                let heights: Vec<f64> = circles.map(|rows| f64::from(rows[1])).collect();
+                let value = heights.iter().sum::<f64>() / heights.len() as f64;
+                Column {
+                    facts: vec![("circles", Some(heights.len() as u64))],
+                    groups: vec![Group {
+                        key: "circles",
+                        title: "",
+                        numbers: vec![Number {
+                            name: "height".to_owned(),
+                            value: Some(value),
+                            line: Some(("height (m)".to_owned(), Some(format!("{value:.2}")))),
+                        }],
+                    }],
+                }
+            };
+            Ok(Evaluated {
+                run: subject.config.run.name.clone(),
+                report: "eval-circles",
+                json: serde_json::json!({ "circles": drawn.len() }),
+                real: column(&mut held_out.iter().map(|circle| &circle.rows)),
+                drawn: column(&mut drawn.iter()),
+                remarks: Vec::new(),
+            })
+        }))
+    }
+
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        let setup = setup.with_gradients(false);
+        let dataset = dataset(&setup.config)?;
+        setup.same_dataset(dataset.digest)?;
+        let statistics = match &setup.checkpoint {
+            Some(checkpoint) => checkpoint.state.statistics_of(&Point)?.clone(),
+            None => dataset.statistics()?,
+        };
+        let frames = ToyConfig::of(&setup.config)?.circles.frames;
+        let samples = |circles| CircleSamples {
+            circles,
+            statistics: Arc::new(statistics.clone()),
+            frames,
+        };
+        let held_out = samples(dataset.validation.clone());
+        let train = samples(dataset.train.clone());
+        let material = Material {
+            train: dataset.train.len(),
+            validation: dataset.validation.len(),
+            skipped: dataset.skipped,
+            digest: dataset.digest,
+            loader: Box::new(move |config, first_batch| {
+                Loader::new(train, &config.data, config.run.seed, first_batch)
+            }),
+            statistics,
+        };
+        let recipe = ToyRecipe(HeldOut::new(held_out, &setup.config.validation));
+        let model = Network::new(&setup.device);
+        setup.train(material, recipe, model, observer)
+    }
+}
+
+const CONFIG: &str = r#"
+[run]
+name = "toy"
+device = "cpu"
+[circles]
+count = 9
+[data]
+batch_size = 4
+[optim]
+lr_schedule = "constant"
+warmup_steps = 0
+learning_rate = 0.05
+[train]
+recipe = "circles"
+max_steps = 60
+[ema]
+decay = 0.5
+update_every = 1
+[checkpoint]
+every_steps = 10
+[validation]
+every_steps = 20
+[sampling.sampler]
+num_inference_steps = 8
+"#;
+
+/// Runs a command line of all systems, this one among them, in `folder`.
+fn kinegrad(folder: &Path, line: &str) {
+    let all: Vec<&dyn System> = BUILT_IN
+        .0
+        .iter()
+        .copied()
+        .chain([&Toy as &dyn System])
+        .collect();
+    let here = folder.display().to_string();
+    let words = line.split_whitespace().map(|word| word.replace('@', &here));
+    let arguments = ["kinegrad".to_owned()].into_iter().chain(words);
+    let code = kinegrad_cli::run(Systems(&all), arguments);
+    assert_eq!(
+        format!("{code:?}"),
+        format!("{:?}", ExitCode::SUCCESS),
+        "{line}"
+    );
+}
+
+#[test]
+fn a_system_of_ones_own_has_every_command() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let here = folder.path();
+    fs::write(here.join("c.toml"), CONFIG).expect("a config");
+    kinegrad(here, "train @/c.toml --runs-dir @/whole");
+    kinegrad(
+        here,
+        "train @/c.toml --runs-dir @/halves --set train.max_steps=30",
+    );
+    kinegrad(
+        here,
+        "train @/c.toml --runs-dir @/halves --set train.max_steps=60 --resume",
+    );
+    let weights = |runs: &str| {
+        let checkpoint = here.join(runs).join("toy/checkpoints/step-00000060");
+        let found = fs::read_dir(&checkpoint).is_ok();
+        assert!(found, "no {}", checkpoint.display());
+        ["model", "ema", "optimizer"]
+            .map(|name| fs::read(checkpoint.join(format!("{name}.safetensors"))).expect("weights"))
+    };
+    assert!(weights("whole") == weights("halves"), "resumed");
+
+    kinegrad(here, "sample @/whole/toy --count 3 --out @/drawn.npy");
+    let drawn = |index: usize| {
+        let array = read_array(&here.join(format!("drawn-{index}.npy"))).expect("an array");
+        assert_eq!(array.shape, [20, CHANNELS]);
+        array.values
+    };
+    // All circles lie one metre up, and how far out a point lies follows from the radius.
+    assert!(
+        drawn(0)
+            .chunks(CHANNELS)
+            .all(|point| (point[1] - 1.0).abs() < 0.1)
+    );
+    assert!(drawn(0) != drawn(2), "the radius changes what is drawn");
+
+    kinegrad(here, "eval @/whole/toy --out @/evaluated");
+    let reports = fs::read_dir(here.join("evaluated")).expect("reports");
+    let names = reports.map(|entry| entry.expect("an entry").file_name());
+    let names: Vec<String> = names
+        .map(|name| name.to_string_lossy().into_owned())
+        .collect();
+    assert!(
+        names.iter().any(|name| name.starts_with("eval-circles")),
+        "{names:?}"
+    );
+
+    kinegrad(here, "check @/drawn-0.npy");
+    kinegrad(
+        here,
+        "check @/drawn-0.npy --profile strict --run @/whole/toy",
+    );
+    kinegrad(here, "plot @/drawn-0.npy --out @/drawn.svg");
+    let picture = fs::read_to_string(here.join("drawn.svg")).expect("a picture");
+    assert!(picture.contains("path from above") && picture.contains("height (m)"));
+    kinegrad(here, "plot @/whole/toy --out @/losses.svg");
+    kinegrad(here, "config show @/c.toml");
+}
