@@ -13,6 +13,8 @@
 #![recursion_limit = "256"]
 // `say!` and `tell!` stand for them, which survive a reader that has gone.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
+// An error ends the command, and moves once: its size costs nothing.
+#![allow(clippy::result_large_err)]
 
 #[macro_use]
 mod output;
