@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -138,18 +139,9 @@ pub enum FileError {
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A value of the `data` table is out of its range.
-    #[error("{key} = {found}: {allowed} allowed")]
-    #[diagnostic(help("{hint}"))]
-    Config {
-        /// The key, as `data.batch_size`.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed.
-        allowed: String,
-        /// What to do.
-        hint: String,
-    },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Config(#[from] InvalidSetting),
     /// `data.source` is of a kind that this version cannot read.
     #[error(
         "data.source = \"{found}\": `{scheme}` found; a folder, file:///FOLDER, gs://BUCKET/PREFIX, \
@@ -370,12 +362,10 @@ impl Error {
 
     /// An [`Error::Config`] of `data.kind`.
     pub(crate) fn wrong_kind(kind: DataKind, allowed: &str, hint: &str) -> Self {
-        Self::Config {
-            key: "data.kind",
-            found: format!("\"{}\"", kind.as_str()),
-            allowed: allowed.to_owned(),
-            hint: hint.to_owned(),
-        }
+        let found = format!("\"{}\"", kind.as_str());
+        InvalidSetting::new("data.kind", found, allowed)
+            .hint(hint)
+            .into()
     }
 
     /// An [`Error::Io`]: `action` is a verb ("read", "write").

@@ -65,18 +65,6 @@ pub enum Error {
         reason: String,
     },
 
-    /// A setting of the post-processor is out of range.
-    #[error("`{key}` is {found}, which is out of range")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidPostProcess {
-        /// Name of the setting.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
-
     /// A profile of that name does not exist.
     #[error("there is no profile `{found}`")]
     #[diagnostic(help("choose `document` or `strict`"))]

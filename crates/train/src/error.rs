@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -24,7 +25,11 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Motion(#[from] kinegrad_motion::Error),
-    /// The network cannot be built, or the weights do not fit it.
+    /// A setting that nothing can be made of.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
+    /// The weights do not fit the network.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Model(#[from] kinegrad_models::Error),
@@ -53,10 +58,6 @@ pub enum Error {
     #[error("the run's recipe trains on phrases, not on clips of joint features")]
     #[diagnostic(help("give a run of recipe `gmd_motion` or `gmd_trajectory`"))]
     NotClips,
-    /// A goal that cannot be followed.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Goal(#[from] kinegrad_motion::goal::GoalError),
     /// The text-motion evaluator cannot be used.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -1,4 +1,3 @@
-use std::fmt::Display;
 use std::path::PathBuf;
 
 use miette::Diagnostic;
@@ -51,17 +50,6 @@ pub enum ConfigError {
         /// How to mend it.
         hint: String,
     },
-    /// A value out of range.
-    #[error("`{key}` is {found}, allowed: {allowed}")]
-    #[diagnostic(help("`kinegrad config show CONFIG` prints every key with its value"))]
-    Range {
-        /// The dotted key.
-        key: String,
-        /// The value found.
-        found: String,
-        /// The values allowed.
-        allowed: String,
-    },
     /// An override of what a trained model has been trained with.
     #[error("`--set {argument}`: the model is trained, only keys of `sampling` can be set")]
     #[diagnostic(help(
@@ -79,15 +67,4 @@ pub enum ConfigError {
         /// The argument found.
         argument: String,
     },
-}
-
-impl ConfigError {
-    /// A value out of range.
-    pub fn range(key: impl Display, found: impl Display, allowed: impl Display) -> Self {
-        Self::Range {
-            key: key.to_string(),
-            found: found.to_string(),
-            allowed: allowed.to_string(),
-        }
-    }
 }

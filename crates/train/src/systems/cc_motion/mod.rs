@@ -24,8 +24,8 @@ use kinegrad_motion::phrase::CHANNELS;
 use toml::Table;
 
 pub use config::{
-    CcMotionConfig, InitConfig, LossConfig, PretrainConfig, ReconstructionWeighting, RolloutConfig,
-    RolloutMode, RolloutStart,
+    CcMotionConfig, CcMotionNetwork, InitConfig, LossConfig, PretrainConfig,
+    ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
 pub use networks::Trained;
 

@@ -99,7 +99,7 @@ impl ClipGenerator {
             trained: TrainedParts {
                 step: state.step,
                 config: state.config,
-                longest: own.model.resolved().padded_frames,
+                longest: own.model.network.longest(),
                 channels,
             },
             device: device.clone(),
