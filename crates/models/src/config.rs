@@ -3,6 +3,9 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+/// Settings by the name of a size.
+pub type NamedSizes<N> = &'static [(&'static str, fn() -> N)];
+
 /// The settings of one kind of network: the keys of a table `model` beside its `kind` and `size`,
 /// with a default for each. What its data decide, such as the number of channels, is given when it
 /// is built.
@@ -11,7 +14,7 @@ pub trait NetworkConfig: Serialize + DeserializeOwned + 'static {
     const KIND: &'static str;
 
     /// Named sizes that the keys start from, in `model.size`; the first where a config names none.
-    const SIZES: &'static [(&'static str, fn() -> Self)];
+    const SIZES: NamedSizes<Self>;
 
     /// Fills in what follows from other keys where a config is silent.
     fn complete(&mut self) {}

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{LayerNorm, Linear};
-use crate::{Initializer, NetworkConfig};
+use crate::{Initializer, NamedSizes, NetworkConfig};
 
 /// The sizes of an [`Encoder`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,8 +41,7 @@ impl Default for EncoderConfig {
 impl NetworkConfig for EncoderConfig {
     const KIND: &'static str = "mdm_transformer";
 
-    const SIZES: &'static [(&'static str, fn() -> Self)] =
-        &[("mdm", Self::mdm), ("mdm_tiny", Self::mdm_tiny)];
+    const SIZES: NamedSizes<Self> = &[("mdm", Self::mdm), ("mdm_tiny", Self::mdm_tiny)];
 }
 
 impl EncoderConfig {

@@ -13,7 +13,7 @@ use crate::attention::AttentionBlock;
 use crate::layers::{Conv1d, GROUPS, Linear};
 use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
-use crate::{DropoutKey, Initializer, NetworkConfig, Stages};
+use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 
 /// The sizes of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs at
 /// the input's length divided by `2^i`, rounded up.
@@ -49,7 +49,7 @@ impl Default for UNet1dConfig {
 impl NetworkConfig for UNet1dConfig {
     const KIND: &'static str = "unet1d";
 
-    const SIZES: &'static [(&'static str, fn() -> Self)] = &[
+    const SIZES: NamedSizes<Self> = &[
         ("small", Self::small),
         ("tiny", Self::tiny),
         ("base", Self::base),

@@ -41,15 +41,6 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
-    /// A run whose recipe no system has.
-    #[error("no system has the recipe `{recipe}` of this run")]
-    #[diagnostic(help("the recipes here are {known}; a newer kinegrad may know more"))]
-    UnknownSystem {
-        /// The recipe.
-        recipe: String,
-        /// The recipes of all systems.
-        known: String,
-    },
     /// A run on clips where one on phrases is needed.
     #[error("the run's recipe trains on clips of joint features, not on phrases")]
     #[diagnostic(help("give a run of recipe `diffusion`, `decoder` or `e2e`"))]
@@ -75,17 +66,6 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
-    /// A clip longer than the network can draw.
-    #[error("a clip of {frames} frames, but the network draws at most {most}")]
-    #[diagnostic(help(
-        "shorten the goal (`frames`), or ask for fewer `--frames` where there is none"
-    ))]
-    TooLong {
-        /// Frames asked for.
-        frames: usize,
-        /// `model.padded_frames` of the run.
-        most: usize,
-    },
     /// A trajectory model that cannot draw paths for the other.
     #[error("`{trajectory}` cannot draw paths for `{motion}`")]
     #[diagnostic(help(
@@ -98,10 +78,6 @@ pub enum Error {
         /// The run that draws paths.
         trajectory: String,
     },
-    /// A goal for a model that knows no absolute positions.
-    #[error("the run was trained on the relative root: it cannot be led to positions")]
-    #[diagnostic(help("train with `data.humanml3d.root = \"absolute\"`, its default"))]
-    RelativeRoot,
     /// Weights of another program that cannot be read.
     #[error("{} cannot be imported: {reason}", path.display())]
     #[diagnostic(help(
@@ -135,29 +111,6 @@ pub enum Error {
         /// What is needed.
         allowed: String,
     },
-    /// A device that this build or machine does not have.
-    #[error("`run.device` is \"{found}\": {reason}")]
-    #[diagnostic(help("this build can run on: {allowed}"))]
-    Device {
-        /// What was asked for.
-        found: String,
-        /// Why it cannot be used.
-        reason: String,
-        /// Devices of this build.
-        allowed: String,
-    },
-    /// The environment asks for kernels that there are not.
-    #[error(
-        "the environment variable `{}` is \"{found}\"",
-        kinegrad_kernels::VARIABLE
-    )]
-    #[diagnostic(help(
-        "\"fused\", which it is without the variable, runs networks on the CPU as kinegrad's own kernels; \"composed\" runs Burn's operations"
-    ))]
-    Kernels {
-        /// What it holds.
-        found: String,
-    },
     /// A new run in a folder that is taken.
     #[error("the run `{name}` exists already: {}", path.display())]
     #[diagnostic(help("add `--resume` to continue it, or choose another `--name`"))]
@@ -182,22 +135,6 @@ pub enum Error {
     RunLocked {
         /// The run's folder.
         path: PathBuf,
-    },
-    /// A resumed run whose config was changed.
-    #[error("`{key}` is {given}, but the run was started with {saved}")]
-    #[diagnostic(help(
-        "a resumed run continues as it was; only {free} may differ. For other settings start a \
-         new run"
-    ))]
-    ResumeDiffers {
-        /// Dotted key.
-        key: String,
-        /// Value of the saved config.
-        saved: String,
-        /// Value now.
-        given: String,
-        /// Keys that may differ.
-        free: String,
     },
     /// A resumed run whose phrases were changed.
     #[error("the dataset is not the one trained on so far: sha256 {found}, before {saved}")]
@@ -224,26 +161,6 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
-    },
-    /// A fine-tuning whose networks or process are not those of its start.
-    #[error("`{key}` is {found}, but the run it starts from has {start}")]
-    #[diagnostic(help("leave the key out: it is taken from the run that `init` names"))]
-    StartDiffers {
-        /// Dotted key.
-        key: String,
-        /// Value of the start's config.
-        start: String,
-        /// Value now.
-        found: String,
-    },
-    /// A recipe that needs a start without one.
-    #[error("`init.diffusion` is empty, but the recipe `{recipe}` needs a trained denoiser")]
-    #[diagnostic(help(
-        "name a run or checkpoint, for example `--set init.diffusion=runs/phrases`"
-    ))]
-    NoStart {
-        /// The recipe.
-        recipe: String,
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use burn::module::Module;
 use kinegrad_models::parameters;
+use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
 use crate::checkpoint::resolve_checkpoint;
@@ -58,7 +59,7 @@ pub fn tables_of<T: SystemTables>(config: &Config, names: &[&str]) -> Result<Tab
 /// Refuses a config whose networks or process, the tables `names`, are not those of its start.
 ///
 /// # Errors
-/// [`Error::StartDiffers`] names the first key that differs.
+/// Names the first key that differs.
 pub fn must_agree<T: SystemTables>(
     config: &Config,
     start: &Config,
@@ -71,11 +72,12 @@ pub fn must_agree<T: SystemTables>(
     let mut differences = config::difference(&start, &given).into_iter();
     match differences.find(|d| !FREE_KEYS.contains(&d.key.as_str())) {
         None => Ok(()),
-        Some(d) => Err(Error::StartDiffers {
-            key: d.key,
-            start: d.left,
-            found: d.right,
-        }),
+        Some(d) => {
+            let start = format!("{}, which the run it starts from has", d.left);
+            let refused = InvalidSetting::new(d.key, d.right, start);
+            let hint = "leave the key out: it is taken from the run that `init` names";
+            Err(refused.hint(hint).into())
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
 use crate::layers::{Conv1d, ConvTranspose1d, Linear};
-use crate::{Initializer, NetworkConfig, Stages};
+use crate::{Initializer, NamedSizes, NetworkConfig, Stages};
 
 /// The sizes of a [`GmdUnet`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,7 +36,7 @@ impl Default for GmdUnetConfig {
 impl NetworkConfig for GmdUnetConfig {
     const KIND: &'static str = "gmd_unet";
 
-    const SIZES: &'static [(&'static str, fn() -> Self)] = &[
+    const SIZES: NamedSizes<Self> = &[
         ("gmd_motion", Self::motion),
         ("gmd_trajectory", Self::trajectory),
         ("gmd_motion_tiny", Self::motion_tiny),

@@ -10,6 +10,9 @@ use toml::{Table, Value};
 use super::{COMMON, Config, ConfigError, PLAIN, TrainConfig, model};
 use crate::systems::Systems;
 
+/// Says where a dotted key stands, such as `FILE:LINE`.
+pub type Place<'a> = &'a dyn Fn(&str) -> String;
+
 /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
 ///
 /// # Errors
@@ -108,11 +111,7 @@ pub fn override_sampling(
 }
 
 /// The config of `given`, where what it leaves out is as its recipe has it.
-fn whole(
-    systems: Systems<'_>,
-    given: &Table,
-    place: &dyn Fn(&str) -> String,
-) -> Result<Config, ConfigError> {
+fn whole(systems: Systems<'_>, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
     let named = given.get("train").and_then(|train| train.get("recipe"));
     let default = TrainConfig::default().recipe;
     // What is no text is refused below.
@@ -164,7 +163,7 @@ pub fn to_toml(config: &Config) -> String {
 /// and no other deserialiser: the code of one is a large part of this crate.
 pub(super) fn from_table<T: DeserializeOwned>(
     table: &Table,
-    place: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<T, ConfigError> {
     serde_path_to_error::deserialize(Value::Table(table.clone()))
         .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
@@ -247,7 +246,7 @@ fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
 }
 
 /// Turns serde's words for an unknown key or name into an error with the nearest valid one.
-fn explain(place: &dyn Fn(&str) -> String, path: &str, message: &str) -> ConfigError {
+fn explain(place: Place<'_>, path: &str, message: &str) -> ConfigError {
     let message = message.trim().lines().next().unwrap_or_default();
     let mut quoted = message.split('`').skip(1).step_by(2);
     if message.starts_with("unknown field") {

@@ -17,7 +17,7 @@ mod tables;
 pub use difference::{Difference, difference};
 pub use error::ConfigError;
 pub(crate) use load::lay_over;
-pub use load::{load, load_over, override_sampling, parse, to_toml};
+pub use load::{Place, load, load_over, override_sampling, parse, to_toml};
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;

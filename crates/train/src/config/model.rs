@@ -5,7 +5,7 @@ use kinegrad_models::NetworkConfig;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::load::{from_table, lay_over, not_among};
+use super::load::{Place, from_table, lay_over, not_among};
 use super::{ConfigError, PLAIN};
 
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
@@ -28,7 +28,7 @@ pub(super) const KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 pub struct NetworkKind {
     name: &'static str,
     sizes: fn() -> Vec<&'static str>,
-    keys: fn(&str, Table, &dyn Fn(&str) -> String) -> Result<Table, ConfigError>,
+    keys: fn(&str, Table, Place<'_>) -> Result<Table, ConfigError>,
 }
 
 impl NetworkKind {
@@ -51,7 +51,7 @@ impl NetworkKind {
 fn keys<N: NetworkConfig>(
     size: &str,
     given: Table,
-    place: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<Table, ConfigError> {
     /// So that errors name the table.
     #[derive(Deserialize)]
@@ -75,7 +75,7 @@ fn keys<N: NetworkConfig>(
 pub(super) fn complete(
     kinds: &[NetworkKind],
     mut given: Table,
-    place: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<Table, ConfigError> {
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name).collect();
     let name = chosen(&mut given, "kind", &names, place)?;
@@ -99,7 +99,7 @@ fn chosen<'a>(
     given: &mut Table,
     key: &str,
     names: &[&'a str],
-    place: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<&'a str, ConfigError> {
     let Some(found) = given.remove(key) else {
         return Ok(names[0]);

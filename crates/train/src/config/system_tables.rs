@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, NetworkKind, PLAIN, load, model};
+use super::{Config, ConfigError, NetworkKind, PLAIN, Place, load, model};
 
 /// The tables of a system as a struct: one field a table.
 pub trait SystemTables: Serialize + DeserializeOwned {
@@ -22,7 +22,7 @@ pub trait SystemTables: Serialize + DeserializeOwned {
     ///
     /// # Errors
     /// Names the place of a thing that is wrong.
-    fn read(tables: &Table, place: &dyn Fn(&str) -> String) -> Result<Self, ConfigError> {
+    fn read(tables: &Table, place: Place<'_>) -> Result<Self, ConfigError> {
         let mut tables = tables.clone();
         let passed_over = Self::PASSED_OVER.parse().expect("text of a program");
         remove(&mut tables, &passed_over);

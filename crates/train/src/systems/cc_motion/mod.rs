@@ -30,7 +30,7 @@ pub use config::{
 pub use networks::Trained;
 
 use super::{RecipeInfo, System};
-use crate::config::{Config, ConfigError, SystemTables};
+use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::observer::Observer;
@@ -73,11 +73,7 @@ impl System for CcMotion {
         ]
     }
 
-    fn complete(
-        &self,
-        tables: &Table,
-        place: &dyn Fn(&str) -> String,
-    ) -> Result<Table, ConfigError> {
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
         Ok(CcMotionConfig::read(tables, place)?.to_table())
     }
 

@@ -17,6 +17,7 @@ use kinegrad_models::gmd::TEXT_CHANNELS;
 use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::{Refused, in_range, require};
 
 use super::networks::{TrainedClips, channels_of};
 use super::space::{FeatureSpace, GroundGoal};
@@ -203,9 +204,11 @@ impl ClipGenerator {
         key: Key,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Tensor<3>, Error> {
-        let most = self.trained.longest;
-        if let Some(most) = most.filter(|&most| frames > most) {
-            return Err(Error::TooLong { frames, most });
+        if let Some(most) = self.trained.longest {
+            in_range("frames", frames, 1..=most).hint(
+                "`model.padded_frames` is the most that the network draws: shorten the goal, or \
+                 ask for fewer `--frames` where there is none",
+            )?;
         }
         let (batch, channels) = (texts.len(), self.trained.channels);
         let values: Vec<f32> = (0..batch as u64)
@@ -244,9 +247,13 @@ impl ClipGenerator {
             )?;
             return Ok(x);
         }
-        if self.trained.config.data.humanml3d.root == Root::Relative {
-            return Err(Error::RelativeRoot);
-        }
+        require(
+            self.trained.config.data.humanml3d.root == Root::Absolute,
+            "data.humanml3d.root",
+            "\"relative\" in the run's config",
+            "\"absolute\" where motion is led to positions",
+        )
+        .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
         let goal = GroundGoal {
             space: &self.space,
