@@ -22,46 +22,12 @@ impl fmt::Display for Failure {
     }
 }
 
-impl From<kinegrad_train::Error> for Failure {
-    fn from(error: kinegrad_train::Error) -> Self {
+/// Of every error that can stop a run.
+impl<E: Into<kinegrad_train::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        let error = error.into();
         Self {
             exit_code: error.exit_code(),
-            diagnostic: Box::new(error),
-        }
-    }
-}
-
-impl From<kinegrad_data::Error> for Failure {
-    fn from(error: kinegrad_data::Error) -> Self {
-        kinegrad_train::Error::from(error).into()
-    }
-}
-
-impl From<kinegrad_data::FileError> for Failure {
-    fn from(error: kinegrad_data::FileError) -> Self {
-        Self {
-            exit_code: 2,
-            diagnostic: Box::new(error),
-        }
-    }
-}
-
-impl From<kinegrad_motion::Error> for Failure {
-    fn from(error: kinegrad_motion::Error) -> Self {
-        kinegrad_train::Error::from(error).into()
-    }
-}
-
-impl From<kinegrad_motion::humanml::FeatureError> for Failure {
-    fn from(error: kinegrad_motion::humanml::FeatureError) -> Self {
-        kinegrad_train::Error::from(error).into()
-    }
-}
-
-impl From<kinegrad_audio::Error> for Failure {
-    fn from(error: kinegrad_audio::Error) -> Self {
-        Self {
-            exit_code: 2,
             diagnostic: Box::new(error),
         }
     }

@@ -41,43 +41,14 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
-    /// A run on clips where one on phrases is needed.
-    #[error("the run's recipe trains on clips of joint features, not on phrases")]
-    #[diagnostic(help("give a run of recipe `diffusion`, `decoder` or `e2e`"))]
-    NotPhrases,
-    /// A run on phrases where one on clips is needed.
-    #[error("the run's recipe trains on phrases, not on clips of joint features")]
-    #[diagnostic(help("give a run of recipe `gmd_motion` or `gmd_trajectory`"))]
-    NotClips,
     /// The text-motion evaluator cannot be used.
     #[error(transparent)]
     #[diagnostic(transparent)]
     TextMotion(#[from] kinegrad_motion::metrics::text_motion::TextMotionError),
-    /// A file with a goal that cannot be followed.
-    #[error("{}: {reason}", path.display())]
-    #[diagnostic(help("docs/goals.md describes goals"))]
-    GoalFile {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
     /// Joint features that are none.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
-    /// A trajectory model that cannot draw paths for the other.
-    #[error("`{trajectory}` cannot draw paths for `{motion}`")]
-    #[diagnostic(help(
-        "the first is to be a run of recipe `gmd_trajectory`, the second one of `gmd_motion`, on clips \
-         of the same `data.humanml3d.skeleton` and `root`"
-    ))]
-    OtherStage {
-        /// The run that draws motion.
-        motion: String,
-        /// The run that draws paths.
-        trajectory: String,
-    },
     /// Weights of another program that cannot be read.
     #[error("{} cannot be imported: {reason}", path.display())]
     #[diagnostic(help(
@@ -88,17 +59,6 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
-    },
-    /// Weights of another program that do not fit.
-    #[error("{} does not fit: {count} differences\n  {list}", path.display())]
-    #[diagnostic(help("the weights belong to another network: check `--arch`"))]
-    ForeignWeights {
-        /// The file.
-        path: PathBuf,
-        /// How many.
-        count: usize,
-        /// All of them.
-        list: String,
     },
     /// An array of another shape than needed.
     #[error("{} holds {found}, allowed: {allowed}", path.display())]
@@ -136,44 +96,11 @@ pub enum Error {
         /// The run's folder.
         path: PathBuf,
     },
-    /// A resumed run whose phrases were changed.
-    #[error("the dataset is not the one trained on so far: sha256 {found}, before {saved}")]
-    #[diagnostic(help(
-        "phrases were added, removed or changed: restore them to continue, or start a new run, \
-         from this one's weights with `init.*`"
-    ))]
-    DatasetDiffers {
-        /// Checksum in the checkpoint.
-        saved: String,
-        /// Checksum now.
-        found: String,
-    },
-    /// A checkpoint that no fine-tuning can start from.
-    #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
-    #[diagnostic(help(
-        "`init.diffusion` takes a run whose denoiser is of the same recipe, or of phrases for \
-         `decoder` and `e2e`; `init.decoder` one of recipe `decoder` or `e2e` made on the same base"
-    ))]
-    Start {
-        /// The key that names it.
-        key: &'static str,
-        /// The run or checkpoint.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]
     #[diagnostic(help("its weights are plain already; adapters come from a table `lora`"))]
     NoAdapters {
         /// The checkpoint.
-        path: PathBuf,
-    },
-    /// A place to write to that is not empty.
-    #[error("{} exists already and is not an empty folder", path.display())]
-    #[diagnostic(help("choose another `--out`"))]
-    OutputTaken {
-        /// The place.
         path: PathBuf,
     },
     /// A checkpoint that cannot be used.

@@ -29,7 +29,7 @@ const FREE_KEYS: [&str; 8] = [
 ///
 /// # Errors
 /// If it is not there.
-pub fn named(key: &'static str, path: &Path) -> Result<Option<PathBuf>, Error> {
+pub fn named(key: &str, path: &Path) -> Result<Option<PathBuf>, Error> {
     if path.as_os_str().is_empty() {
         return Ok(None);
     }
@@ -38,12 +38,13 @@ pub fn named(key: &'static str, path: &Path) -> Result<Option<PathBuf>, Error> {
 }
 
 /// The error of a checkpoint that cannot be started from.
-pub fn refused(key: &'static str, path: &Path, reason: &dyn Display) -> Error {
-    Error::Start {
-        key,
-        path: path.to_path_buf(),
-        reason: reason.to_string(),
-    }
+pub fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
+    let path = path.display();
+    Error::usage(
+        format!("`{key}` is {path}, which cannot be started from: {reason}"),
+        "`init.diffusion` takes a run whose denoiser is of the same recipe, or of phrases for \
+         `decoder` and `e2e`; `init.decoder` one of recipe `decoder` or `e2e` made on the same base",
+    )
 }
 
 /// The tables `names` of a config, every key written out.

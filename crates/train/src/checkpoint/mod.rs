@@ -14,6 +14,7 @@ pub use folder::{Best, Checkpoints};
 pub use resolve::resolve_checkpoint;
 pub use state::{FORMAT, Progress, State};
 pub use statistics::Statistics;
+pub(crate) use statistics::not_clips;
 pub use tensors::{Weights, read_optimizer, read_weights};
 
 pub(crate) use alone::{must_be_free, write_weights};

@@ -16,26 +16,37 @@ pub enum Statistics {
     Features(FeatureStatistics),
 }
 
+/// The error of a run on phrases where one on clips is needed.
+pub(crate) fn not_clips() -> Error {
+    Error::usage(
+        "the run's recipe trains on phrases, not on clips of joint features",
+        "give a run of recipe `gmd_motion` or `gmd_trajectory`",
+    )
+}
+
 impl Statistics {
     /// Those of phrases.
     ///
     /// # Errors
-    /// [`Error::NotPhrases`] if the run was trained on clips.
+    /// If the run was trained on clips.
     pub fn phrases(&self) -> Result<&TrainingStatistics, Error> {
         match self {
             Self::Phrases(statistics) => Ok(statistics),
-            Self::Features(_) => Err(Error::NotPhrases),
+            Self::Features(_) => Err(Error::usage(
+                "the run's recipe trains on clips of joint features, not on phrases",
+                "give a run of recipe `diffusion`, `decoder` or `e2e`",
+            )),
         }
     }
 
     /// Those of clips of joint features.
     ///
     /// # Errors
-    /// [`Error::NotClips`] if the run was trained on phrases.
+    /// If the run was trained on phrases.
     pub fn features(&self) -> Result<&FeatureStatistics, Error> {
         match self {
             Self::Features(statistics) => Ok(statistics),
-            Self::Phrases(_) => Err(Error::NotClips),
+            Self::Phrases(_) => Err(not_clips()),
         }
     }
 }

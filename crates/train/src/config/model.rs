@@ -112,29 +112,75 @@ fn chosen<'a>(
 }
 
 /// Says of an unknown key which kind it is of.
-fn of_other_kind(kinds: &[NetworkKind], error: ConfigError) -> ConfigError {
-    match error {
-        ConfigError::UnknownKey {
-            place,
-            key,
-            allowed,
-            hint,
-        } => {
-            let own = key.strip_prefix("model.").unwrap_or(&key);
-            let other = kinds.iter().find(|kind| kind.has(own));
-            let hint = other.map_or(hint, |kind| {
-                format!(
-                    "it is a key of networks of `model.kind = \"{}\"`",
-                    kind.name
-                )
-            });
-            ConfigError::UnknownKey {
-                place,
-                key,
-                allowed,
-                hint,
-            }
+fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
+    if let ConfigError::UnknownKey { key, hint, .. } = &mut error {
+        let own = key.strip_prefix("model.").unwrap_or(key);
+        if let Some(other) = kinds.iter().find(|kind| kind.has(own)) {
+            *hint = format!("it is a key of `model.kind = \"{}\"`", other.name);
         }
-        other => other,
+    }
+    error
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::parse;
+    use crate::systems::BUILT_IN;
+
+    fn read(model: &str) -> Result<toml::Table, (String, String)> {
+        let text = format!("[train]\nrecipe = \"gmd_motion\"\n[model]\n{model}");
+        let config = parse(BUILT_IN, &text, "c.toml", &[]).map_err(|error| {
+            let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
+            (error.to_string(), help.unwrap_or_default())
+        })?;
+        Ok(config.system["model"].as_table().expect("a table").clone())
+    }
+
+    #[test]
+    fn kind_and_size_fill_in_what_is_not_said() {
+        let model = read("kind = \"mdm_transformer\"\nff_size = 96").expect("a good table");
+        let expected = "size = \"mdm\"\nkind = \"mdm_transformer\"\nlatent_dim = 512\n\
+                        num_layers = 8\nnum_heads = 4\nff_size = 96\n\
+                        activation_checkpointing = false\n";
+        assert_eq!(toml::to_string(&model).expect("plain data"), expected);
+        // What configs of kinegrad 0.1 may say of every kind.
+        assert_eq!(read("size = \"small\""), read("size = \"gmd_motion\""));
+    }
+
+    #[test]
+    fn what_is_of_another_kind_is_refused_by_its_place() {
+        for (model, start, hint) in [
+            (
+                "\nff_size = 3",
+                "c.toml:5: unknown key `model.ff_size`",
+                "mdm_transformer",
+            ),
+            (
+                "latent_dims = 3",
+                "c.toml:4: unknown key",
+                "`model.latent_dim`?",
+            ),
+            ("siz = \"mdm\"", "c.toml:4: unknown key", "`model.size`?"),
+            (
+                "size = \"mdm\"",
+                "c.toml:4: `model.size`: \"mdm\"",
+                "gmd_motion",
+            ),
+            (
+                "kind = \"unet1d\"",
+                "c.toml:4: `model.kind`: \"unet1d\"",
+                "gmd_unet",
+            ),
+            ("adagn = 3", "c.toml:4: `model.adagn`: invalid type", ""),
+            (
+                "activation_checkpointing = 3",
+                "c.toml:4: `model.activation_checkpointing`",
+                "",
+            ),
+        ] {
+            let (text, help) = read(model).expect_err(model);
+            assert!(text.starts_with(start), "{text}");
+            assert!(help.contains(hint), "{help}");
+        }
     }
 }

@@ -4,6 +4,7 @@
 //! that the goal asks for; the motion model draws motion on that path, which is put in and guided
 //! to in every frame, rotation and height being free.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use burn::module::Module;
@@ -187,10 +188,14 @@ impl ClipGenerator {
             == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
         match own.train.recipe == MOTION && same {
             true => Ok(()),
-            false => Err(Error::OtherStage {
-                motion: own.run.name.clone(),
-                trajectory: other.run.name.clone(),
-            }),
+            false => Err(Error::usage(
+                format!(
+                    "`{}` cannot draw paths for `{}`",
+                    other.run.name, own.run.name
+                ),
+                "the first is to be a run of recipe `gmd_trajectory`, the second one of \
+                 `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
+            )),
         }
     }
 
@@ -347,14 +352,13 @@ impl ClipGenerator {
 /// # Errors
 /// Names the file, the key, what was found and what is allowed.
 pub fn read_goal(path: &Path) -> Result<Goal, Error> {
-    let refused = |reason: String| Error::GoalFile {
-        path: path.to_path_buf(),
-        reason,
+    let refused = |reason: &dyn Display| {
+        let message = format!("{}: {reason}", path.display());
+        Error::usage(message, "docs/goals.md describes goals")
     };
-    let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
-    let goal: Goal = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
-    goal.validate()
-        .map_err(|error| refused(error.to_string()))?;
+    let text = std::fs::read_to_string(path).map_err(|error| refused(&error))?;
+    let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
+    goal.validate().map_err(|error| refused(&error))?;
     Ok(goal)
 }
 

@@ -278,11 +278,15 @@ fn fitting(
     wrong.extend(strangers.map(|name| format!("not known: `{name}`")));
     match wrong.is_empty() {
         true => Ok(weights),
-        false => Err(Error::ForeignWeights {
-            path: path.to_path_buf(),
-            count: wrong.len(),
-            list: wrong.join("\n  "),
-        }),
+        false => Err(Error::usage(
+            format!(
+                "{} does not fit: {} differences\n  {}",
+                path.display(),
+                wrong.len(),
+                wrong.join("\n  ")
+            ),
+            "the weights belong to another network: check `--arch`",
+        )),
     }
 }
 

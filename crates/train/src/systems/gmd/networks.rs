@@ -10,7 +10,7 @@ use toml::Table;
 
 use super::recipes::motion::TRAJECTORY_CHANNELS;
 use super::{GmdConfig, MOTION, TRAJECTORY};
-use crate::checkpoint::{State, Weights, read_weights};
+use crate::checkpoint::{State, Weights, not_clips, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::start::{must_agree, named, refused, tables_of, values};
@@ -89,7 +89,7 @@ impl TrainedClips {
     pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
         let state = State::read(path)?;
         if ![MOTION, TRAJECTORY].contains(&state.config.train.recipe.as_str()) {
-            return Err(Error::NotClips);
+            return Err(not_clips());
         }
         let values = read_weights(path, &state, weights)?;
         let channels = channels_of(&state.config);
