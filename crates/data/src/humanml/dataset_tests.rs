@@ -342,7 +342,7 @@ fn datasets_of_phrases_and_of_clips_are_told_apart() {
     let (_folder, config) = dataset(3);
     let found = crate::Dataset::open(&config).unwrap_err().to_string();
     assert!(
-        found.contains("data.kind = \"humanml3d\": \"phrases\""),
+        found.contains("`data.kind` is \"humanml3d\", allowed: \"phrases\""),
         "{found}"
     );
     let found = message(&DataConfig {
@@ -350,7 +350,7 @@ fn datasets_of_phrases_and_of_clips_are_told_apart() {
         ..config
     });
     assert!(
-        found.contains("data.kind = \"synthetic\": \"humanml3d\""),
+        found.contains("`data.kind` is \"synthetic\", allowed: \"humanml3d\""),
         "{found}"
     );
 }
