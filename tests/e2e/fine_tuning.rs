@@ -290,7 +290,7 @@ fn starts_that_do_not_fit_are_refused_by_key() {
         ),
         (
             e2e("x", "--set decoder.hidden_dim=48"),
-            &["`decoder.hidden_dim` is 48, but the run it starts from has 32"],
+            &["`decoder.hidden_dim` is 48, allowed: 32, which the run it starts from has"],
         ),
         (
             e2e("x", "--set diffusion.prediction_type=v_prediction"),
@@ -298,7 +298,7 @@ fn starts_that_do_not_fit_are_refused_by_key() {
         ),
         (
             e2e("x", "--set model.size=small"),
-            &["`model.size` is \"small\"", "has \"tiny\""],
+            &["`model.size` is \"small\"", "allowed: \"tiny\""],
         ),
         (
             e2e("x", "").replace("runs/base", "runs/nowhere"),
@@ -308,7 +308,7 @@ fn starts_that_do_not_fit_are_refused_by_key() {
             decoder("x", "").replace("--set init.diffusion=runs/base", ""),
             &[
                 "`init.diffusion` is empty",
-                "`decoder` needs a trained denoiser",
+                "a trained denoiser for recipe `decoder`",
             ],
         ),
         (e2e("x", "--set rollout.steps=0"), &["`rollout.steps` is 0"]),

@@ -217,7 +217,7 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
     );
     refused(
         "frames = 99\n[[keyframe]]\nframe = 50\nx = 0.0\nz = 0.0\n",
-        &["99 frames", "16"],
+        &["`frames` is 99", "16"],
     );
     refused(
         "frames = 16\n[[keyframes]]\nframe = 1\n",
@@ -310,7 +310,11 @@ fn settings_of_another_kind_of_run_are_refused_by_name() {
     refused("--set model.kind=unet1d", &["model.kind", "gmd_unet"]);
     refused(
         "--set model.num_res_blocks=2",
-        &["model.num_res_blocks", "unet1d"],
+        &["model.num_res_blocks", "latent_dim"],
+    );
+    refused(
+        "--set model.ff_size=64",
+        &["model.ff_size", "mdm_transformer"],
     );
     refused(
         "--set data.kind=synthetic",

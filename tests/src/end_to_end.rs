@@ -60,9 +60,7 @@ impl Case {
             serde_json::from_str(self.golden.metadata("decoder")).expect("JSON");
         let size = |key: &str| sizes[key].as_u64().expect("a number") as usize;
         let model = MotionModel {
-            unet: unet::config(self.golden.metadata("unet"))
-                .init(&init)
-                .expect("a valid network"),
+            unet: unet::fresh(self.golden.metadata("unet"), &init),
             decoder: decoder::of_size(size("hidden"), size("layers"), &self.device),
         };
         parameters::load(model, weights(&self.golden, "model.")).expect("the weights fit")

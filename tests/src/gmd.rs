@@ -6,11 +6,11 @@ use kinegrad_models::gmd::GmdUnetConfig;
 use crate::golden::Golden;
 use crate::weights::shape;
 
-/// The UNet whose weights stand under `prefix`.
+/// The UNet whose weights stand under `prefix`, its channels and the width of its condition.
 ///
 /// # Panics
 /// Panics if they are not those of one.
-pub fn unet(golden: &Golden, prefix: &str) -> GmdUnetConfig {
+pub fn unet(golden: &Golden, prefix: &str) -> (GmdUnetConfig, usize, usize) {
     let shape = |name: &str| shape(golden, &format!("{prefix}{name}"));
     let size = |name: &str, axis: usize| shape(name).expect("a weight of this name")[axis];
     let adagn = shape("downs.0.0.blocks.0.block1.0.weight").is_some();
@@ -18,14 +18,13 @@ pub fn unet(golden: &Golden, prefix: &str) -> GmdUnetConfig {
     let first = |level: usize| format!("downs.{level}.0.blocks.0.{half}.0.weight");
     let latent_dim = size("time_mlp.2.weight", 0);
     let levels = (0..).take_while(|&level| shape(&first(level)).is_some());
-    GmdUnetConfig {
-        in_channels: size(&first(0), 1),
-        cond_dim: size("time_mlp.0.weight", 1),
+    let config = GmdUnetConfig {
         latent_dim,
         dim_mults: levels
             .map(|level| size(&first(level), 0) as f64 / latent_dim as f64)
             .collect(),
         adagn,
-        zero_init: true,
-    }
+        ..GmdUnetConfig::default()
+    };
+    (config, size(&first(0), 1), size("time_mlp.0.weight", 1))
 }

@@ -10,12 +10,10 @@ use kinegrad_train::device;
 /// A UNet as small as its 32 groups allow, with every kind of block.
 pub fn tiny() -> UNet1dConfig {
     UNet1dConfig {
-        in_channels: 25,
-        cond_channels: 163,
         model_channels: 32,
         channel_mult: vec![1, 2],
         num_res_blocks: 1,
-        attention_levels: vec![1],
+        attention_levels: Some(vec![1]),
         num_heads: 8,
         use_scale_shift_norm: true,
         time_embed_dim: 32,
@@ -34,7 +32,7 @@ struct Outcome {
 fn run(device: &Device) -> Outcome {
     let device = device.clone().autodiff();
     let model = tiny()
-        .init(&Initializer::new(3, &device))
+        .init(25, 163, &Initializer::new(3, &device))
         .expect("a valid network");
     let key = Key::new(5, Purpose::Noise);
     let tensor = |index: u64, shape: [usize; 3]| -> Tensor<3> {

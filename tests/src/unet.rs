@@ -1,13 +1,14 @@
 //! UNets described by golden files.
 
-use kinegrad_models::UNet1dConfig;
+use kinegrad_models::{Initializer, UNet1d, UNet1dConfig};
 use serde_json::Value;
 
-/// The network that a golden file's JSON describes, for 25 motion channels and without dropout.
+/// The network that a golden file's JSON describes, for 25 motion channels and without dropout,
+/// with fresh weights.
 ///
 /// # Panics
 /// Panics if the text is not such a description.
-pub fn config(json: &str) -> UNet1dConfig {
+pub fn fresh(json: &str, init: &Initializer) -> UNet1d {
     let json: Value = serde_json::from_str(json).expect("the description is JSON");
     let number = |key: &str| json[key].as_u64().expect("a number") as usize;
     let numbers = |key: &str| -> Vec<usize> {
@@ -16,17 +17,17 @@ pub fn config(json: &str) -> UNet1dConfig {
             .map(|n| n.as_u64().expect("a number") as usize)
             .collect()
     };
-    UNet1dConfig {
-        in_channels: 25,
-        cond_channels: number("cond_dim"),
+    let config = UNet1dConfig {
         model_channels: number("base"),
         channel_mult: numbers("mult"),
         num_res_blocks: number("nres"),
-        attention_levels: numbers("attn_levels"),
+        attention_levels: Some(numbers("attn_levels")),
         num_heads: number("heads"),
         use_scale_shift_norm: true,
         time_embed_dim: number("time_dim"),
         context_dim: number("ctx_dim"),
         dropout: 0.0,
-    }
+    };
+    let network = config.init(25, number("cond_dim"), init);
+    network.expect("a valid network")
 }

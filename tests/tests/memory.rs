@@ -24,7 +24,7 @@ fn memory_stays_flat_over_200_sampler_calls() {
     let (cpu, _) = device::open("cpu").expect("the CPU");
     // The weights of a network in training, as validation and sampling take them.
     let trained = tiny()
-        .init(&Initializer::new(0, &cpu.clone().autodiff()))
+        .init(25, 163, &Initializer::new(0, &cpu.clone().autodiff()))
         .expect("a network");
     let model = trained.valid();
     let diffusion = GaussianDiffusion::new(&DiffusionConfig::default()).expect("a process");

@@ -1,7 +1,9 @@
 //! The `data` table of a training config.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use crate::location::Location;
@@ -9,6 +11,9 @@ use crate::{Error, Humanml3dConfig};
 
 /// Fewest frames a sample may have: the third difference of the jerk check needs four.
 pub const MIN_FRAMES: usize = 4;
+
+/// The frames that a sample may have.
+const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 
 /// Where the phrases come from and how batches are made of them. What is said of phrases holds for
 /// [clips](crate::humanml) as well, where nothing else is said.
@@ -266,232 +271,120 @@ impl Default for SyntheticConfig {
     }
 }
 
-/// An [`Error::Config`] unless `holds`.
-pub(crate) fn require(
-    holds: bool,
-    key: &'static str,
-    found: impl ToString,
-    allowed: &str,
-    hint: &str,
-) -> Result<(), Error> {
-    if holds {
-        return Ok(());
-    }
-    Err(Error::Config {
-        key,
-        found: found.to_string(),
-        allowed: allowed.to_owned(),
-        hint: hint.to_owned(),
-    })
-}
-
 impl DataConfig {
     /// Checks every value that can be checked without opening a file.
     ///
     /// # Errors
     /// [`Error::Config`] names the key, what was found and what is allowed; [`Error::Scheme`] a
-    /// source that is no local folder.
+    /// source that is of no known kind.
     pub fn validate(&self) -> Result<(), Error> {
-        let frames = format!("a whole number from {MIN_FRAMES} to {}", crate::MAX_FRAMES);
-        require(
-            (MIN_FRAMES..=crate::MAX_FRAMES).contains(&self.target_frames),
-            "data.target_frames",
-            self.target_frames,
-            &frames,
-            "30 frames are one second; 120 is the usual phrase",
-        )?;
-        require(
-            (1..=65_536).contains(&self.batch_size),
-            "data.batch_size",
-            self.batch_size,
-            "a whole number from 1 to 65536",
-            "16 or 32 suit most runs",
-        )?;
-        require(
-            self.num_workers <= 256,
-            "data.num_workers",
-            self.num_workers,
-            "a whole number from 0 to 256",
-            "0 loads in the trainer's own thread; the batches are the same for any number",
-        )?;
-        require(
-            self.num_phrases != Some(0),
-            "data.num_phrases",
-            0,
-            "at least 1",
-            "leave the key out to use every phrase",
-        )?;
-        match self.kind {
-            DataKind::Phrases => self.validate_source()?,
-            DataKind::Synthetic => self.synthetic.validate()?,
-            DataKind::Humanml3d => {
-                self.validate_source()?;
-                self.humanml3d.validate(self)?;
-            }
-            DataKind::SyntheticWalks => {
-                self.synthetic.validate()?;
-                self.humanml3d.validate(self)?;
-            }
+        in_range("data.target_frames", self.target_frames, FRAMES)
+            .hint("30 frames are one second; 120 is the usual phrase")?;
+        in_range("data.batch_size", self.batch_size, 1..=65_536).hint("16 or 32 suit most runs")?;
+        in_range("data.num_workers", self.num_workers, 0..=256)
+            .hint("0 loads in the trainer's own thread; the batches are the same for any number")?;
+        in_range("data.num_phrases", self.num_phrases.unwrap_or(1), 1..)
+            .hint("leave the key out to use every phrase")?;
+        if matches!(self.kind, DataKind::Phrases | DataKind::Humanml3d) {
+            Location::parse(self.named_source()?)?;
+        } else {
+            self.synthetic.validate()?;
+        }
+        if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
+            self.humanml3d.validate(self)?;
         }
         self.validation.validate()?;
         self.cache.validate()?;
         self.store.validate()?;
-        self.augment.validate(self.target_frames)
+        Ok(self.augment.validate(self.target_frames)?)
     }
 
-    fn validate_source(&self) -> Result<(), Error> {
-        let hint = "name a folder: data.source = \"PATH\", or --set data.source=PATH; \
-                    data.kind = \"synthetic\" and \"synthetic_walks\" need none";
-        let Some(source) = &self.source else {
-            return require(
-                false,
-                "data.source",
-                "(nothing)",
-                "a folder, file://, gs://, s3://, http:// or https:// URI",
-                hint,
-            );
-        };
-        Location::parse(source).map(drop)
+    fn named_source(&self) -> Result<&str, InvalidSetting> {
+        let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
+        let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
+        self.source.as_deref().ok_or_else(missing).hint(
+            "name a folder: data.source = \"PATH\", or --set data.source=PATH; data.kind = \
+             \"synthetic\" and \"synthetic_walks\" need none",
+        )
     }
 }
 
 impl ValidationSplit {
-    fn validate(&self) -> Result<(), Error> {
-        require(
-            self.fraction
-                .is_none_or(|share| (0.0..1.0).contains(&share)),
-            "data.validation.fraction",
-            self.fraction.unwrap_or_default(),
-            "a number from 0 up to, not including, 1",
-            "0.1 holds out a tenth of the phrases, 0 none",
-        )?;
-        require(
-            self.patterns
-                .iter()
-                .all(|pattern| !pattern.trim().is_empty()),
-            "data.validation.patterns",
-            "\"\"",
-            "ids, or patterns with `*`",
-            "remove the empty pattern",
-        )
+    fn validate(&self) -> Result<(), InvalidSetting> {
+        let share = self.fraction.unwrap_or_default();
+        in_range("data.validation.fraction", share, 0.0..1.0)
+            .hint("0.1 holds out a tenth of the phrases, 0 none")?;
+        let named = self
+            .patterns
+            .iter()
+            .all(|pattern| !pattern.trim().is_empty());
+        let allowed = "ids, or patterns with `*`";
+        require(named, "data.validation.patterns", "\"\"", allowed).hint("remove the empty pattern")
     }
 }
 
 impl CacheConfig {
-    fn validate(&self) -> Result<(), Error> {
-        require(
-            self.memory_mib <= 1 << 24,
-            "data.cache.memory_mib",
-            self.memory_mib,
-            "a whole number from 0 to 16777216",
-            "1024 is a gibibyte",
-        )?;
-        require(
-            self.disk_mib <= 1 << 30,
-            "data.cache.disk_mib",
-            self.disk_mib,
-            "a whole number from 0 to 1073741824",
-            "10240 are ten gibibytes, 0 keeps nothing",
-        )
+    fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("data.cache.memory_mib", self.memory_mib, 0..=1 << 24)
+            .hint("1024 is a gibibyte")?;
+        in_range("data.cache.disk_mib", self.disk_mib, 0..=1 << 30)
+            .hint("10240 are ten gibibytes, 0 keeps nothing")
     }
 }
 
 impl StoreConfig {
-    /// Checks the ranges.
-    ///
     /// # Errors
-    /// [`Error::Config`].
-    pub fn validate(&self) -> Result<(), Error> {
+    /// Names the first key out of its range.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         if let Some(endpoint) = &self.endpoint {
             require(
                 endpoint.starts_with("http://") || endpoint.starts_with("https://"),
                 "data.store.endpoint",
                 format!("\"{endpoint}\""),
                 "an http:// or https:// address",
-                "leave the key out to use the service itself",
-            )?;
+            )
+            .hint("leave the key out to use the service itself")?;
         }
-        require(
-            (0.01..=3600.0).contains(&self.timeout_seconds),
+        in_range(
             "data.store.timeout_seconds",
             self.timeout_seconds,
-            "a number from 0.01 to 3600",
-            "30 suits most networks",
-        )?;
-        require(
-            self.max_retries <= 100,
-            "data.store.max_retries",
-            self.max_retries,
-            "a whole number from 0 to 100",
-            "6 is some ten seconds of trying",
-        )?;
-        require(
-            (1..=1024).contains(&self.concurrency),
-            "data.store.concurrency",
-            self.concurrency,
-            "a whole number from 1 to 1024",
-            "16 keeps most connections busy",
+            0.01..=3600.0,
         )
+        .hint("30 suits most networks")?;
+        in_range("data.store.max_retries", self.max_retries, 0..=100)
+            .hint("6 is some ten seconds of trying")?;
+        in_range("data.store.concurrency", self.concurrency, 1..=1024)
+            .hint("16 keeps most connections busy")
     }
 }
 
 impl AugmentConfig {
-    fn validate(&self, target_frames: usize) -> Result<(), Error> {
+    fn validate(&self, target_frames: usize) -> Result<(), InvalidSetting> {
         if let Some(min_frames) = self.min_frames {
-            require(
-                (MIN_FRAMES..=target_frames).contains(&min_frames),
+            in_range(
                 "data.augment.min_frames",
                 min_frames,
-                &format!(
-                    "a whole number from {MIN_FRAMES} to data.target_frames ({target_frames})"
-                ),
-                "leave the key out to use whole crops",
-            )?;
+                MIN_FRAMES..=target_frames,
+            )
+            .hint("at most `data.target_frames`; leave the key out to use whole crops")?;
         }
-        require(
-            (0.0..=100.0).contains(&self.audio_noise),
-            "data.augment.audio_noise",
-            self.audio_noise,
-            "a number from 0 to 100",
-            "most features lie in [0, 1]: try 0.05",
-        )?;
-        require(
-            (0.0..=1.0).contains(&self.audio_replace_prob),
-            "data.augment.audio_replace_prob",
-            self.audio_replace_prob,
-            "a number from 0 to 1",
-            "0.1 is one sample in ten",
-        )?;
-        require(
-            self.audio_masks <= 16,
-            "data.augment.audio_masks",
-            self.audio_masks,
-            "a whole number from 0 to 16",
-            "1 or 2 are usual",
-        )
+        in_range("data.augment.audio_noise", self.audio_noise, 0.0..=100.0)
+            .hint("most features lie in [0, 1]: try 0.05")?;
+        let replaced = self.audio_replace_prob;
+        in_range("data.augment.audio_replace_prob", replaced, 0.0..=1.0)
+            .hint("0.1 is one sample in ten")?;
+        in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }
 
 impl SyntheticConfig {
-    /// Checks the sizes.
-    ///
     /// # Errors
-    /// [`Error::Config`] for no phrases, or phrases too short or too long.
-    pub fn validate(&self) -> Result<(), Error> {
-        require(
-            (1..=1_000_000).contains(&self.phrases),
-            "data.synthetic.phrases",
-            self.phrases,
-            "a whole number from 1 to 1000000",
-            "64 phrases are enough to see a small model learn",
-        )?;
-        require(
-            (MIN_FRAMES..=crate::MAX_FRAMES).contains(&self.frames),
-            "data.synthetic.frames",
-            self.frames,
-            &format!("a whole number from {MIN_FRAMES} to {}", crate::MAX_FRAMES),
-            "30 frames are one second; 120 is the usual phrase",
-        )
+    /// For no phrases, or phrases too short or too long.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("data.synthetic.phrases", self.phrases, 1..=1_000_000)
+            .hint("64 phrases are enough to see a small model learn")?;
+        in_range("data.synthetic.frames", self.frames, FRAMES)
+            .hint("30 frames are one second; 120 is the usual phrase")
     }
 }
 
@@ -588,7 +481,7 @@ mod tests {
             let mut config = phrases();
             change(&mut config);
             match config.validate() {
-                Err(Error::Config { key, .. }) => assert_eq!(key, expected),
+                Err(Error::Config(refused)) => assert_eq!(refused.key, expected),
                 other => panic!("{expected}: {other:?}"),
             }
         }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -20,27 +21,16 @@ pub enum FileError {
         /// What the operating system says.
         reason: String,
     },
-    /// The file is no `.npy` array.
-    #[error("{file}: not a .npy array: {reason}")]
-    #[diagnostic(help(
-        "write it again with numpy.save(path, array.astype(\"<f4\")) or numpy.savez_compressed"
-    ))]
-    NotNpy {
+    /// The file is no array or archive of arrays, or is damaged.
+    #[error("{file}: {problem}")]
+    #[diagnostic(help("{hint}"))]
+    Damaged {
         /// The file.
         file: String,
         /// What is wrong with it.
-        reason: String,
-    },
-    /// The array holds something else than little-endian float32 or float64.
-    #[error(
-        "{file}: dtype {found} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
-    )]
-    #[diagnostic(help("convert it with array.astype(\"<f4\") before saving"))]
-    Dtype {
-        /// The file.
-        file: String,
-        /// The dtype as the file's header writes it.
-        found: String,
+        problem: String,
+        /// What to do.
+        hint: &'static str,
     },
     /// The array has another shape than the layout asks for.
     #[error("{file}: shape {found} found, {allowed} allowed")]
@@ -55,52 +45,6 @@ pub enum FileError {
         found: String,
         /// The shape asked for.
         allowed: String,
-    },
-    /// The header promises another number of bytes than the file holds.
-    #[error("{file}: {found} bytes of data found, {needed} needed for its shape and dtype")]
-    #[diagnostic(help("the file is damaged or was cut off: copy or export it again"))]
-    Length {
-        /// The file.
-        file: String,
-        /// Bytes after the header.
-        found: u64,
-        /// Bytes that shape and dtype ask for.
-        needed: u64,
-    },
-    /// The file is no readable zip archive.
-    #[error("{file}: not a readable .npz archive: {reason}")]
-    #[diagnostic(help("the archive is damaged or was cut off: copy or export it again"))]
-    NotNpz {
-        /// The file.
-        file: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A feature is missing from the archive.
-    #[error("{file}: array `{member}` is missing; found: {found}")]
-    #[diagnostic(help(
-        "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
-    ))]
-    MissingMember {
-        /// The archive.
-        file: String,
-        /// The missing array.
-        member: &'static str,
-        /// The arrays that are there.
-        found: String,
-    },
-    /// The arrays of one archive have different numbers of frames.
-    #[error("{file}: `{member}` has {found} frames, `mel` has {frames}")]
-    #[diagnostic(help("all six features of a phrase cover the same frames"))]
-    UnequalFrames {
-        /// The archive.
-        file: String,
-        /// The array that differs.
-        member: &'static str,
-        /// Its frames.
-        found: usize,
-        /// The frames of `mel`.
-        frames: usize,
     },
     /// Something in a file of a HumanML3D dataset is not as its layout asks.
     #[error("{file}: found {found}, expected {expected}")]
@@ -138,18 +82,9 @@ pub enum FileError {
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A value of the `data` table is out of its range.
-    #[error("{key} = {found}: {allowed} allowed")]
-    #[diagnostic(help("{hint}"))]
-    Config {
-        /// The key, as `data.batch_size`.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed.
-        allowed: String,
-        /// What to do.
-        hint: String,
-    },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Config(#[from] InvalidSetting),
     /// `data.source` is of a kind that this version cannot read.
     #[error(
         "data.source = \"{found}\": `{scheme}` found; a folder, file:///FOLDER, gs://BUCKET/PREFIX, \
@@ -298,6 +233,15 @@ pub enum Error {
 }
 
 impl FileError {
+    /// A [`FileError::Damaged`].
+    pub(crate) fn damaged(file: &str, problem: impl Into<String>, hint: &'static str) -> Self {
+        Self::Damaged {
+            file: file.to_owned(),
+            problem: problem.into(),
+            hint,
+        }
+    }
+
     /// A [`FileError::Unexpected`].
     pub(crate) fn unexpected(
         file: impl Into<String>,
@@ -354,12 +298,10 @@ impl Error {
 
     /// An [`Error::Config`] of `data.kind`.
     pub(crate) fn wrong_kind(kind: DataKind, allowed: &str, hint: &str) -> Self {
-        Self::Config {
-            key: "data.kind",
-            found: format!("\"{}\"", kind.as_str()),
-            allowed: allowed.to_owned(),
-            hint: hint.to_owned(),
-        }
+        let found = format!("\"{}\"", kind.as_str());
+        InvalidSetting::new("data.kind", found, allowed)
+            .hint(hint)
+            .into()
     }
 
     /// An [`Error::Io`]: `action` is a verb ("read", "write").

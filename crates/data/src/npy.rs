@@ -19,6 +19,9 @@ use header::{Header, MAX_HEADER_BYTES};
 /// refused before it is read.
 pub const MAX_FRAMES: usize = 216_000;
 
+/// The hint for a file that is not whole.
+pub(crate) const CUT_OFF: &str = "the file is damaged or was cut off: copy or export it again";
+
 /// An array in C order.
 #[derive(Debug, PartialEq)]
 pub struct Array {
@@ -157,11 +160,10 @@ pub(crate) fn parse_onto(
     let data = &bytes[data_start..];
     let needed = length.saturating_mul(if double { 8 } else { 4 });
     if data.len() as u64 != needed {
-        return Err(FileError::Length {
-            file: file.to_owned(),
-            found: data.len() as u64,
-            needed,
-        });
+        let found = data.len();
+        let problem =
+            format!("{found} bytes of data found, {needed} needed for its shape and dtype");
+        return Err(FileError::damaged(file, problem, CUT_OFF));
     }
     match (fortran_order, &shape[..]) {
         (true, &[rows, columns]) if length > 0 => {

@@ -49,12 +49,9 @@ pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileErr
             length
         });
         if length != expected {
-            return Err(FileError::UnequalFrames {
-                file: file.to_owned(),
-                member: name,
-                found: length,
-                frames: expected,
-            });
+            let problem = format!("`{name}` has {length} frames, `mel` has {expected}");
+            let hint = "all six features of a phrase cover the same frames";
+            return Err(FileError::damaged(file, problem, hint));
         }
     }
     let frames = frames.unwrap_or_default();
@@ -156,6 +153,12 @@ fn archive(
     finished.expect("memory takes every byte").into_inner()
 }
 
+/// The error about a file that is no archive, or about one of its members.
+fn not_npz(file: &str, reason: &str) -> FileError {
+    let problem = format!("not a readable .npz archive: {reason}");
+    FileError::damaged(file, problem, npy::CUT_OFF)
+}
+
 /// The members of an archive in memory.
 struct Archive<'a> {
     file: &'a str,
@@ -168,10 +171,8 @@ struct Archive<'a> {
 
 impl<'a> Archive<'a> {
     fn new(bytes: &'a [u8], file: &'a str) -> Result<Self, FileError> {
-        let directory = ZipArchive::new(Cursor::new(bytes)).map_err(|e| FileError::NotNpz {
-            file: file.to_owned(),
-            reason: e.to_string(),
-        })?;
+        let directory = ZipArchive::new(Cursor::new(bytes));
+        let directory = directory.map_err(|error| not_npz(file, &error.to_string()))?;
         Ok(Self {
             file,
             bytes,
@@ -189,10 +190,7 @@ impl<'a> Archive<'a> {
         values: &mut Vec<f32>,
     ) -> Result<Vec<usize>, FileError> {
         let label = format!("{}:{name}", self.file);
-        let broken = |reason: String| FileError::NotNpz {
-            file: label.clone(),
-            reason,
-        };
+        let broken = |reason: String| not_npz(&label, &reason);
         let Some(index) = self.directory.index_for_name(&format!("{name}.npy")) else {
             return Err(self.missing(name));
         };
@@ -273,11 +271,10 @@ impl<'a> Archive<'a> {
         if count > 12 {
             found.push_str(&format!(" and {} more", count - 12));
         }
-        FileError::MissingMember {
-            file: self.file.to_owned(),
-            member,
-            found,
-        }
+        let problem = format!("array `{member}` is missing; found: {found}");
+        let hint =
+            "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength";
+        FileError::damaged(self.file, problem, hint)
     }
 }
 

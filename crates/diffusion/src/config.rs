@@ -1,8 +1,10 @@
 //! The settings of a diffusion process.
 
+use std::ops::Bound;
+
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::schedule::betas;
 
 /// How the betas grow with the timestep; the tables are in [`crate::NoiseSchedule`].
@@ -112,99 +114,56 @@ impl DiffusionConfig {
     /// Refuses values that no process can work with.
     ///
     /// # Errors
-    /// [`Error::Config`] for the first bad key: what it is, what is allowed, how to mend it.
-    pub fn validate(&self) -> Result<(), Error> {
-        // Written so that NaN fails every one of them.
-        check(
-            (2..=MAX_TRAIN_TIMESTEPS).contains(&self.num_train_timesteps),
-            "num_train_timesteps",
-            self.num_train_timesteps,
-            "2 to 1000000",
-            "the source uses 1000",
-        )?;
-        check(
-            self.beta_start >= 1e-9 && self.beta_start < 1.0,
-            "beta_start",
-            self.beta_start,
-            "from 1e-9 to below 1",
-            "the source uses 1e-4",
-        )?;
-        check(
-            self.beta_end >= self.beta_start && self.beta_end < 1.0,
-            "beta_end",
-            self.beta_end,
-            "from diffusion.beta_start to below 1",
-            "the source uses 0.02",
-        )?;
-        check(
-            self.beta_min >= 0.0 && self.beta_min < 1.0,
-            "beta_min",
-            self.beta_min,
-            "from 0 to below 1",
-            "the source uses 1e-4; 0 means no floor",
-        )?;
-        check(
-            self.beta_max > self.beta_min && self.beta_max < 1.0,
-            "beta_max",
-            self.beta_max,
-            "above diffusion.beta_min and below 1",
-            "the source uses 0.9999, others 0.999",
-        )?;
+    /// Names the first bad key: what it is, what is allowed, how to mend it.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        self.check().within("diffusion")
+    }
+
+    fn check(&self) -> Result<(), InvalidSetting> {
+        let timesteps = self.num_train_timesteps;
+        in_range("num_train_timesteps", timesteps, 2..=MAX_TRAIN_TIMESTEPS)
+            .hint("the source uses 1000")?;
+        in_range("beta_start", self.beta_start, 1e-9..1.0).hint("the source uses 1e-4")?;
+        in_range("beta_end", self.beta_end, self.beta_start..1.0)
+            .hint("not below `beta_start`; the source uses 0.02")?;
+        in_range("beta_min", self.beta_min, 0.0..1.0)
+            .hint("the source uses 1e-4; 0 means no floor")?;
+        let above_floor = (Bound::Excluded(self.beta_min), Bound::Excluded(1.0));
+        in_range("beta_max", self.beta_max, above_floor)
+            .hint("above `beta_min`; the source uses 0.9999, others 0.999")?;
         if let Some(snr_gamma) = self.snr_gamma {
-            check(
-                snr_gamma > 0.0 && snr_gamma.is_finite(),
-                "snr_gamma",
-                snr_gamma,
-                "a number above 0, or no such key",
-                "the paper uses 5; leave the key out for equal weights",
-            )?;
+            in_range("snr_gamma", snr_gamma, ABOVE_ZERO)
+                .hint("the paper uses 5; leave the key out for equal weights")?;
         }
-        check(
+        require(
             !(self.rescale_betas_zero_snr && self.prediction_type == PredictionType::Epsilon),
             "rescale_betas_zero_snr",
             self.rescale_betas_zero_snr,
             "false when diffusion.prediction_type is \"epsilon\"",
+        )
+        .hint(
             "at the last timestep the input would be the noise itself, so that predicting it says \
              nothing of the motion: use prediction_type \"v_prediction\" or \"sample\"",
         )?;
-        check(
-            self.cond_drop_prob >= 0.0 && self.cond_drop_prob < 1.0,
-            "cond_drop_prob",
-            self.cond_drop_prob,
-            "from 0 to below 1",
+        in_range("cond_drop_prob", self.cond_drop_prob, 0.0..1.0).hint(
             "0.1 is usual; 0 trains without a null condition, and then only guidance_scale 1 works",
         )?;
         let left: f64 = betas(self).iter().map(|beta| 1.0 - beta).product();
-        check(
+        let allowed = format!(
+            "as many as leave {MIN_SIGNAL:e} of the motion's variance at the last timestep; these \
+             betas leave {left:e}"
+        );
+        require(
             left >= MIN_SIGNAL,
             "num_train_timesteps",
-            self.num_train_timesteps,
-            &format!(
-                "as many as leave {MIN_SIGNAL:e} of the motion's variance at the last timestep; \
-                 these betas leave {left:e}"
-            ),
+            timesteps,
+            allowed,
+        )
+        .hint(
             "use fewer timesteps, or smaller betas: they do not shrink by themselves as the \
              timesteps grow",
         )
     }
-}
-
-fn check(
-    holds: bool,
-    key: &str,
-    found: impl std::fmt::Debug,
-    allowed: &str,
-    hint: &str,
-) -> Result<(), Error> {
-    if holds {
-        return Ok(());
-    }
-    Err(Error::Config {
-        key: format!("diffusion.{key}"),
-        found: format!("{found:?}"),
-        allowed: allowed.to_string(),
-        hint: hint.to_string(),
-    })
 }
 
 #[cfg(test)]
@@ -268,30 +227,26 @@ mod tests {
                 "num_train_timesteps",
                 "1000001",
             ),
-            (r#"{"beta_start": 0.0}"#, "beta_start", "0.0"),
-            (
-                r#"{"beta_start": 1.0, "beta_end": 1.0}"#,
-                "beta_start",
-                "1.0",
-            ),
+            (r#"{"beta_start": 0.0}"#, "beta_start", "0"),
+            (r#"{"beta_start": 1.0, "beta_end": 1.0}"#, "beta_start", "1"),
             (
                 r#"{"beta_schedule": "linear", "num_train_timesteps": 9000}"#,
                 "num_train_timesteps",
                 "9000",
             ),
             (r#"{"beta_min": 0.5}"#, "num_train_timesteps", "1000"),
-            (r#"{"beta_end": 0.00001}"#, "beta_end", "1e-5"),
-            (r#"{"beta_end": 1.0}"#, "beta_end", "1.0"),
+            (r#"{"beta_end": 0.00001}"#, "beta_end", "0.00001"),
+            (r#"{"beta_end": 1.0}"#, "beta_end", "1"),
             (r#"{"beta_min": -0.1}"#, "beta_min", "-0.1"),
-            (r#"{"beta_max": 1.0}"#, "beta_max", "1.0"),
+            (r#"{"beta_max": 1.0}"#, "beta_max", "1"),
             (r#"{"beta_min": 0.5, "beta_max": 0.5}"#, "beta_max", "0.5"),
-            (r#"{"snr_gamma": 0.0}"#, "snr_gamma", "0.0"),
+            (r#"{"snr_gamma": 0.0}"#, "snr_gamma", "0"),
             (
                 r#"{"rescale_betas_zero_snr": true}"#,
                 "rescale_betas_zero_snr",
                 "true",
             ),
-            (r#"{"cond_drop_prob": 1.0}"#, "cond_drop_prob", "1.0"),
+            (r#"{"cond_drop_prob": 1.0}"#, "cond_drop_prob", "1"),
             (r#"{"cond_drop_prob": -0.5}"#, "cond_drop_prob", "-0.5"),
         ];
         for (json, key, found) in cases {

@@ -1,3 +1,4 @@
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -5,43 +6,9 @@ use thiserror::Error;
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A setting that no process or sampler can work with.
-    #[error("`{key}` is {found}, allowed: {allowed}")]
-    #[diagnostic(help("{hint}"))]
-    Config {
-        /// The key, with the table it stands in.
-        key: String,
-        /// The value found.
-        found: String,
-        /// What is allowed.
-        allowed: String,
-        /// How to mend it.
-        hint: String,
-    },
-    /// Bounds that do not fit the channels they are meant for.
-    #[error("clipping bounds for {min} and {max} channels, but the motion has {channels}")]
-    #[diagnostic(help("give one minimum and one maximum for each channel"))]
-    ClipChannels {
-        /// Number of minima.
-        min: usize,
-        /// Number of maxima.
-        max: usize,
-        /// Channels of the motion.
-        channels: usize,
-    },
-    /// Bounds that hold no value.
-    #[error("the clipping bounds of channel {channel} are [{min}, {max}]")]
-    #[diagnostic(help(
-        "a minimum must not exceed its maximum, and neither may be NaN; bounds taken from data \
-         that holds NaN look like this"
-    ))]
-    ClipBounds {
-        /// The channel.
-        channel: usize,
-        /// Its minimum.
-        min: f32,
-        /// Its maximum.
-        max: f32,
-    },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
     /// A network whose output cannot stand for its input.
     #[error("the network made {found:?} of a noisy motion of {expected:?}")]
     #[diagnostic(help(

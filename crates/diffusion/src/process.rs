@@ -1,9 +1,10 @@
 //! The forward process, the training target, and what a network's output says of the motion.
 
 use burn::tensor::Tensor;
+use kinegrad_settings::InvalidSetting;
 
 use crate::per_sample::per_sample;
-use crate::{DiffusionConfig, Error, NoiseSchedule, PredictionType};
+use crate::{DiffusionConfig, NoiseSchedule, PredictionType};
 
 /// Gaussian diffusion (CC-MotionGen, sections 3.2 and 5; docs/sources.md, section 1.3; Ho et al.
 /// 2020, <https://arxiv.org/abs/2006.11239>).
@@ -33,7 +34,7 @@ impl GaussianDiffusion {
     ///
     /// # Errors
     /// If the config is not valid ([`DiffusionConfig::validate`]).
-    pub fn new(config: &DiffusionConfig) -> Result<Self, Error> {
+    pub fn new(config: &DiffusionConfig) -> Result<Self, InvalidSetting> {
         Ok(Self {
             schedule: NoiseSchedule::new(config)?,
             config: config.clone(),

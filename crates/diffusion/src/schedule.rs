@@ -2,7 +2,9 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use crate::{BetaSchedule, DiffusionConfig, Error};
+use kinegrad_settings::InvalidSetting;
+
+use crate::{BetaSchedule, DiffusionConfig};
 
 /// Tables over the timesteps 0..T, in f64 on the host; built by [`NoiseSchedule::new`].
 ///
@@ -52,7 +54,7 @@ impl NoiseSchedule {
     ///
     /// # Errors
     /// If the config is not valid ([`DiffusionConfig::validate`]).
-    pub fn new(config: &DiffusionConfig) -> Result<Self, Error> {
+    pub fn new(config: &DiffusionConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let mut betas = betas(config);
         if config.rescale_betas_zero_snr {

@@ -28,7 +28,7 @@ pub mod time_embedding;
 pub mod transformer;
 pub mod unet1d;
 
-pub use config::{ModelConfig, ModelKind, ModelSize};
+pub use config::{NamedSizes, NetworkConfig};
 pub use decoder::{DecoderConfig, MotionDecoder};
 pub use dropout::{Dropout, DropoutKey};
 pub use error::Error;

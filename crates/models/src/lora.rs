@@ -1,8 +1,9 @@
 //! Which layers get a low-rank adapter, and how one reaches every layer of a network.
 
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Initializer};
+use crate::Initializer;
 
 /// Layers that adapters can be put on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,35 +46,13 @@ impl Default for LoraConfig {
 impl LoraConfig {
     /// # Errors
     /// Names the key that no adapter can be built from.
-    pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key: &str, found: String, allowed: &str, hint: &str| {
-            Err(Error::Config {
-                key: format!("lora.{key}"),
-                found,
-                allowed: allowed.into(),
-                hint: hint.into(),
-            })
-        };
-        if self.rank == 0 {
-            return refuse("rank", "0".into(), "1 or more", "4 to 16 is usual");
-        }
-        if !(self.alpha > 0.0 && self.alpha.is_finite()) {
-            return refuse(
-                "alpha",
-                self.alpha.to_string(),
-                "a number above 0",
-                "`lora.rank` itself gives a scale of 1",
-            );
-        }
-        if self.targets.is_empty() {
-            return refuse(
-                "targets",
-                "[]".into(),
-                "one or more of `attention`, `convolution` and `conditioning`",
-                "leave the key out for attention and convolutions",
-            );
-        }
-        Ok(())
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("lora.rank", self.rank, 1..).hint("4 to 16 is usual")?;
+        in_range("lora.alpha", self.alpha, ABOVE_ZERO)
+            .hint("`lora.rank` itself gives a scale of 1")?;
+        let allowed = "one or more of `attention`, `convolution` and `conditioning`";
+        require(!self.targets.is_empty(), "lora.targets", "[]", allowed)
+            .hint("leave the key out for attention and convolutions")
     }
 }
 

@@ -3,18 +3,46 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_settings::InvalidSetting;
+use serde::{Deserialize, Serialize};
 
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
 use crate::transformer::{Encoder, EncoderConfig};
-use crate::{Error, Initializer, Stages};
+use crate::{Initializer, Stages};
 
 /// Which network stands behind the conditioner, and its sizes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Backbone {
-    /// The UNet, over clips padded to so many frames.
-    Unet(GmdUnetConfig, usize),
+    /// The UNet, over clips padded to one length.
+    GmdUnet(GmdUnetConfig),
     /// The transformer encoder.
-    Transformer(EncoderConfig),
+    MdmTransformer(EncoderConfig),
+}
+
+impl Default for Backbone {
+    fn default() -> Self {
+        Self::GmdUnet(GmdUnetConfig::default())
+    }
+}
+
+impl Backbone {
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        match self {
+            Self::GmdUnet(config) => config.validate(),
+            Self::MdmTransformer(config) => config.validate(),
+        }
+    }
+
+    /// Most frames of a clip, where there is such a number.
+    pub fn longest(&self) -> Option<usize> {
+        match self {
+            Self::GmdUnet(config) => Some(config.padded_frames),
+            Self::MdmTransformer(_) => None,
+        }
+    }
 }
 
 #[derive(Module, Debug)]
@@ -45,32 +73,27 @@ pub struct TextDenoiser {
 }
 
 impl TextDenoiser {
-    /// A network with fresh weights that works on motion as it is.
+    /// A network for motion of `in_channels` with fresh weights, which works on it as it is.
     ///
     /// # Errors
     /// Names the key that no network can be built from.
-    pub fn new(backbone: &Backbone, init: &Initializer) -> Result<Self, Error> {
+    pub fn new(
+        backbone: &Backbone,
+        in_channels: usize,
+        init: &Initializer,
+    ) -> Result<Self, InvalidSetting> {
         let (network, width) = match backbone {
-            Backbone::Unet(config, padded_frames) => {
-                let multiple = config.length_multiple();
-                if !padded_frames.is_multiple_of(multiple) {
-                    return Err(Error::Config {
-                        key: "model.padded_frames".into(),
-                        found: padded_frames.to_string(),
-                        allowed: format!("a multiple of {multiple}"),
-                        hint: "every level but the last halves the length; the published models \
-                               have 224"
-                            .into(),
-                    });
-                }
+            Backbone::GmdUnet(config) => {
+                let width = config.latent_dim;
                 let unet = UnetDenoiser {
-                    unet: config.init(&init.at("unet"))?,
-                    padded_frames: *padded_frames,
+                    unet: config.init(in_channels, width, &init.at("unet"))?,
+                    padded_frames: config.padded_frames,
                 };
-                (Network::Unet(unet), config.cond_dim)
+                (Network::Unet(unet), width)
             }
-            Backbone::Transformer(config) => {
-                (Network::Transformer(config.init(init)?), config.latent_dim)
+            Backbone::MdmTransformer(config) => {
+                let encoder = config.init(in_channels, init)?;
+                (Network::Transformer(encoder), config.latent_dim)
             }
         };
         Ok(Self {

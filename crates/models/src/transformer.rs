@@ -11,16 +11,17 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use kinegrad_kernels::{Convolution, gelu, self_attention};
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use serde::{Deserialize, Serialize};
 
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{LayerNorm, Linear};
-use crate::{Error, Initializer};
+use crate::{Initializer, NamedSizes, NetworkConfig};
 
-/// Every size of an [`Encoder`].
-#[derive(Clone, Debug, PartialEq)]
+/// The sizes of an [`Encoder`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct EncoderConfig {
-    /// Channels of the motion, in and out.
-    pub in_channels: usize,
     /// Width of a token.
     pub latent_dim: usize,
     /// Layers.
@@ -31,50 +32,74 @@ pub struct EncoderConfig {
     pub ff_size: usize,
 }
 
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self::mdm()
+    }
+}
+
+impl NetworkConfig for EncoderConfig {
+    const KIND: &'static str = "mdm_transformer";
+
+    const SIZES: NamedSizes<Self> = &[("mdm", Self::mdm), ("mdm_tiny", Self::mdm_tiny)];
+}
+
 impl EncoderConfig {
-    /// # Errors
-    /// Names the key that no network can be built from.
-    pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key: &str, found: usize, allowed: &str, hint: &str| {
-            Err(Error::Config {
-                key: format!("model.{key}"),
-                found: found.to_string(),
-                allowed: allowed.into(),
-                hint: hint.into(),
-            })
-        };
-        if self.latent_dim == 0 || !self.latent_dim.is_multiple_of(2) {
-            let hint = "the published model has 512";
-            return refuse("latent_dim", self.latent_dim, "an even number", hint);
+    /// The published size.
+    pub fn mdm() -> Self {
+        Self {
+            latent_dim: 512,
+            num_layers: 8,
+            num_heads: 4,
+            ff_size: 1024,
         }
-        if self.num_heads == 0 || !self.latent_dim.is_multiple_of(self.num_heads) {
-            let allowed = format!("a divisor of model.latent_dim ({})", self.latent_dim);
-            let hint = "the published model has 4";
-            return refuse("num_heads", self.num_heads, &allowed, hint);
-        }
-        if self.num_layers == 0 {
-            let hint = "the published model has 8";
-            return refuse("num_layers", 0, "1 or more", hint);
-        }
-        if self.ff_size == 0 {
-            let hint = "the published model has 1024";
-            return refuse("ff_size", 0, "1 or more", hint);
-        }
-        Ok(())
     }
 
-    /// Builds the network; its parameters are drawn when they are first used.
+    /// For tests and first steps.
+    pub fn mdm_tiny() -> Self {
+        Self {
+            latent_dim: 64,
+            num_layers: 2,
+            ff_size: 128,
+            ..Self::mdm()
+        }
+    }
+
+    /// # Errors
+    /// Names the key that no network can be built from.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let width = self.latent_dim;
+        require(
+            width > 0 && width.is_multiple_of(2),
+            "model.latent_dim",
+            width,
+            "an even number",
+        )
+        .hint("the published model has 512")?;
+        require(
+            self.num_heads > 0 && width.is_multiple_of(self.num_heads),
+            "model.num_heads",
+            self.num_heads,
+            format!("a divisor of model.latent_dim ({width})"),
+        )
+        .hint("the published model has 4")?;
+        in_range("model.num_layers", self.num_layers, 1..).hint("the published model has 8")?;
+        in_range("model.ff_size", self.ff_size, 1..).hint("the published model has 1024")
+    }
+
+    /// Builds the network for motion of `in_channels`; its parameters are drawn when they are first
+    /// used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
-    pub fn init(&self, init: &Initializer) -> Result<Encoder, Error> {
+    pub fn init(&self, in_channels: usize, init: &Initializer) -> Result<Encoder, InvalidSetting> {
         self.validate()?;
         let layers = init.at("seqTransEncoder").at("layers");
         let pose = init.at("input_process").at("poseEmbedding");
         let last = init.at("output_process").at("poseFinal");
         Ok(Encoder {
             input_process: InputProcess {
-                poseEmbedding: Linear::new(self.in_channels, self.latent_dim, &pose),
+                poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
             },
             seqTransEncoder: Layers {
                 layers: (0..self.num_layers)
@@ -82,7 +107,7 @@ impl EncoderConfig {
                     .collect(),
             },
             output_process: OutputProcess {
-                poseFinal: Linear::new(self.latent_dim, self.in_channels, &last),
+                poseFinal: Linear::new(self.latent_dim, in_channels, &last),
             },
         })
     }
@@ -215,13 +240,12 @@ mod tests {
     fn the_condition_reaches_every_frame() {
         let init = Initializer::new(3, &Device::flex());
         let config = EncoderConfig {
-            in_channels: 3,
             latent_dim: 8,
             num_layers: 2,
             num_heads: 2,
             ff_size: 12,
         };
-        let network = config.init(&init).expect("a network");
+        let network = config.init(3, &init).expect("a network");
         let values: Vec<f32> = (0..15).map(|i| (i as f32 * 0.7).sin()).collect();
         let x = Tensor::from_data(TensorData::new(values, [1, 3, 5]), &Device::flex());
         let answer = |cond: f32| {

@@ -6,32 +6,31 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::concat_channels;
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use serde::{Deserialize, Serialize};
 
 use crate::attention::AttentionBlock;
 use crate::layers::{Conv1d, GROUPS, Linear};
 use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
-use crate::{DropoutKey, Error, Initializer, Stages};
+use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 
-/// Every size of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs
-/// at the input's length divided by `2^i`, rounded up.
-#[derive(Clone, Debug, PartialEq)]
+/// The sizes of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs at
+/// the input's length divided by `2^i`, rounded up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct UNet1dConfig {
-    /// Channels of the motion, in and out.
-    pub in_channels: usize,
-    /// Channels of the conditioning per frame.
-    pub cond_channels: usize,
-    /// Channels of level 0.
+    /// Channels of level 0; a multiple of 32.
     pub model_channels: usize,
     /// Factor of each level's channels.
     pub channel_mult: Vec<usize>,
     /// Residual blocks of an encoder level.
     pub num_res_blocks: usize,
-    /// Levels with attention.
-    pub attention_levels: Vec<usize>,
+    /// Levels with attention, 0 being the finest; all but that one where nothing is said.
+    pub attention_levels: Option<Vec<usize>>,
     /// Attention heads, at every width.
     pub num_heads: usize,
-    /// Feed the timestep in as scale and shift (FiLM).
+    /// Feed the timestep in as scale and shift (FiLM) instead of adding it.
     pub use_scale_shift_norm: bool,
     /// Width of the time embedding.
     pub time_embed_dim: usize,
@@ -41,122 +40,157 @@ pub struct UNet1dConfig {
     pub dropout: f64,
 }
 
+impl Default for UNet1dConfig {
+    fn default() -> Self {
+        Self::small()
+    }
+}
+
+impl NetworkConfig for UNet1dConfig {
+    const KIND: &'static str = "unet1d";
+
+    const SIZES: NamedSizes<Self> = &[
+        ("small", Self::small),
+        ("tiny", Self::tiny),
+        ("base", Self::base),
+        ("cc116m", Self::cc116m),
+    ];
+
+    fn complete(&mut self) {
+        self.attention_levels = Some(self.attention_levels());
+    }
+}
+
+/// Named sizes. Parameter counts are for 25 motion and 163 audio channels.
+impl UNet1dConfig {
+    /// For tests and first steps.
+    pub fn tiny() -> Self {
+        Self {
+            model_channels: 32,
+            channel_mult: vec![1, 1, 2, 2],
+            time_embed_dim: 64,
+            context_dim: 64,
+            ..Self::small()
+        }
+    }
+
+    /// 16,342,361 parameters, the size of the reference run.
+    pub fn small() -> Self {
+        Self {
+            model_channels: 64,
+            channel_mult: vec![1, 2, 4, 8],
+            num_res_blocks: 2,
+            attention_levels: None,
+            num_heads: 8,
+            use_scale_shift_norm: true,
+            time_embed_dim: 256,
+            context_dim: 256,
+            dropout: 0.1,
+        }
+    }
+
+    /// 225,084,185 parameters, CC-MotionGen's literal defaults.
+    pub fn base() -> Self {
+        Self {
+            model_channels: 256,
+            ..Self::small()
+        }
+    }
+
+    /// 104,436,505 parameters, the nearest coherent reading of CC-MotionGen's claim of 116 M
+    /// (docs/sources.md, section 1.15).
+    pub fn cc116m() -> Self {
+        Self {
+            channel_mult: vec![1, 2, 4, 4],
+            ..Self::base()
+        }
+    }
+}
+
 impl UNet1dConfig {
     /// Channels of each level.
     pub fn channels(&self) -> Vec<usize> {
-        self.channel_mult
-            .iter()
-            .map(|mult| self.model_channels * mult)
-            .collect()
+        let mults = self.channel_mult.iter();
+        mults.map(|mult| self.model_channels * mult).collect()
+    }
+
+    /// Levels with attention.
+    pub fn attention_levels(&self) -> Vec<usize> {
+        let all = || (1..self.channel_mult.len()).collect();
+        self.attention_levels.clone().unwrap_or_else(all)
     }
 
     /// # Errors
     /// Names the key that no network can be built from.
-    pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key: &str, found: String, allowed: &str, hint: &str| {
-            Err(Error::Config {
-                key: format!("model.{key}"),
-                found,
-                allowed: allowed.into(),
-                hint: hint.into(),
-            })
-        };
-        if self.channel_mult.is_empty() || self.channel_mult.contains(&0) {
-            let found = format!("{:?}", self.channel_mult);
-            return refuse(
-                "channel_mult",
-                found,
-                "one factor of at least 1 a level",
-                "try [1, 2, 4, 8]",
-            );
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let mults = &self.channel_mult;
+        require(
+            !mults.is_empty() && !mults.contains(&0),
+            "model.channel_mult",
+            format!("{mults:?}"),
+            "one factor of at least 1 a level",
+        )
+        .hint("try [1, 2, 4, 8]")?;
+        in_range("model.num_res_blocks", self.num_res_blocks, 1..).hint("CC-MotionGen has 2")?;
+        let channels = self.channels();
+        for &width in &channels {
+            require(
+                width > 0 && width.is_multiple_of(GROUPS),
+                "model.model_channels",
+                format!("{} (a level of {width} channels)", self.model_channels),
+                format!("levels that divide into {GROUPS} groups for GroupNorm"),
+            )
+            .hint(format!(
+                "choose `model.model_channels` a multiple of {GROUPS}"
+            ))?;
         }
-        if self.num_res_blocks == 0 {
-            return refuse(
-                "num_res_blocks",
-                "0".into(),
-                "1 or more",
-                "CC-MotionGen has 2",
-            );
+        let (coarsest, attending) = (channels.len() - 1, self.attention_levels());
+        require(
+            attending.iter().all(|&level| level <= coarsest),
+            "model.attention_levels",
+            format!("{attending:?}"),
+            format!("levels 0 to {coarsest}"),
+        )
+        .hint("one entry a level that attends")?;
+        for level in attending.into_iter().chain([coarsest]) {
+            let width = channels[level];
+            require(
+                self.num_heads > 0 && width.is_multiple_of(self.num_heads),
+                "model.num_heads",
+                self.num_heads,
+                format!("a divisor of level {level}'s {width} channels"),
+            )
+            .hint("CC-MotionGen has 8")?;
         }
-        for channels in self.channels() {
-            if channels == 0 || !channels.is_multiple_of(GROUPS) {
-                return refuse(
-                    "model_channels",
-                    format!("{} (a level of {channels} channels)", self.model_channels),
-                    &format!("levels that divide into {GROUPS} groups for GroupNorm"),
-                    &format!("choose `model.model_channels` a multiple of {GROUPS}"),
-                );
-            }
-        }
-        for &level in &self.attention_levels {
-            let channels = self.channels();
-            if level >= channels.len() {
-                let found = format!("{:?}", self.attention_levels);
-                let allowed = format!("levels 0 to {}", channels.len() - 1);
-                return refuse(
-                    "attention_levels",
-                    found,
-                    &allowed,
-                    "one entry a level that attends",
-                );
-            }
-        }
-        let attending = self
-            .attention_levels
-            .iter()
-            .copied()
-            .chain([self.channel_mult.len() - 1]);
-        for level in attending {
-            let channels = self.channels()[level];
-            if self.num_heads == 0 || !channels.is_multiple_of(self.num_heads) {
-                return refuse(
-                    "num_heads",
-                    self.num_heads.to_string(),
-                    &format!("a divisor of level {level}'s {channels} channels"),
-                    "CC-MotionGen has 8",
-                );
-            }
-        }
-        if self.time_embed_dim < 2 || !self.time_embed_dim.is_multiple_of(2) {
-            let found = self.time_embed_dim.to_string();
-            return refuse(
-                "time_embed_dim",
-                found,
-                "an even number",
-                "half are cosines, half sines",
-            );
-        }
-        if self.context_dim == 0 {
-            return refuse(
-                "context_dim",
-                "0".into(),
-                "1 or more",
-                "CC-MotionGen has 256",
-            );
-        }
-        if !(0.0..1.0).contains(&self.dropout) {
-            return refuse(
-                "dropout",
-                self.dropout.to_string(),
-                "0 to below 1",
-                "CC-MotionGen has 0.1",
-            );
-        }
-        Ok(())
+        require(
+            self.time_embed_dim >= 2 && self.time_embed_dim.is_multiple_of(2),
+            "model.time_embed_dim",
+            self.time_embed_dim,
+            "an even number",
+        )
+        .hint("half are cosines, half sines")?;
+        in_range("model.context_dim", self.context_dim, 1..).hint("CC-MotionGen has 256")?;
+        in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")
     }
 
-    /// Builds the network; its parameters are drawn when they are first used.
+    /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
+    /// frame; its parameters are drawn when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
-    pub fn init(&self, init: &Initializer) -> Result<UNet1d, Error> {
+    pub fn init(
+        &self,
+        in_channels: usize,
+        cond_channels: usize,
+        init: &Initializer,
+    ) -> Result<UNet1d, InvalidSetting> {
         self.validate()?;
-        Ok(Builder {
+        let builder = Builder {
             config: self,
             init,
             dropout_layers: 0,
-        }
-        .build())
+        };
+        Ok(builder.build(in_channels, cond_channels))
     }
 }
 
@@ -227,7 +261,7 @@ impl Builder<'_> {
     }
 
     fn attends(&self, level: usize) -> bool {
-        self.config.attention_levels.contains(&level)
+        self.config.attention_levels().contains(&level)
     }
 
     fn encoder_level(&mut self, level: usize) -> EncoderLevel {
@@ -272,7 +306,7 @@ impl Builder<'_> {
         }
     }
 
-    fn build(mut self) -> UNet1d {
+    fn build(mut self, in_channels: usize, cond_channels: usize) -> UNet1d {
         let config = self.config;
         let channels = config.channels();
         let levels = channels.len();
@@ -281,16 +315,11 @@ impl Builder<'_> {
         UNet1d {
             time_embed: TimeEmbedding::new(config.time_embed_dim, &self.init.at("time_embed")),
             audio_proj: Linear::new(
-                config.cond_channels,
+                cond_channels,
                 config.context_dim,
                 &self.init.at("audio_proj"),
             ),
-            input_conv: Conv1d::new(
-                config.in_channels,
-                channels[0],
-                3,
-                &self.init.at("input_conv"),
-            ),
+            input_conv: Conv1d::new(in_channels, channels[0], 3, &self.init.at("input_conv")),
             enc: (0..levels).map(|level| self.encoder_level(level)).collect(),
             mid: Bottleneck {
                 res1: self.res_block(coarsest, coarsest, &mid.at("res1")),
@@ -298,12 +327,7 @@ impl Builder<'_> {
                 res2: self.res_block(coarsest, coarsest, &mid.at("res2")),
             },
             dec: (0..levels).map(|level| self.decoder_level(level)).collect(),
-            output_conv: Conv1d::new(
-                channels[0],
-                config.in_channels,
-                3,
-                &self.init.at("output_conv"),
-            ),
+            output_conv: Conv1d::new(channels[0], in_channels, 3, &self.init.at("output_conv")),
         }
     }
 }

@@ -43,16 +43,4 @@ pub enum Error {
         /// What is wrong.
         reason: String,
     },
-
-    /// A setting of the post-processor is out of range.
-    #[error("`{key}` is {found}, which is out of range")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidPostProcess {
-        /// Name of the setting.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
 }

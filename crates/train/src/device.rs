@@ -1,9 +1,8 @@
 //! The one place where a device is made from its name.
 
 use burn::tensor::{Device, Tensor};
-use kinegrad_kernels::Mode;
-
-use crate::Error;
+use kinegrad_kernels::{Mode, VARIABLE};
+use kinegrad_settings::InvalidSetting;
 
 /// A device this build can run on.
 #[derive(Clone, Debug)]
@@ -92,16 +91,18 @@ pub fn list() -> Vec<(DeviceInfo, bool)> {
 /// # Errors
 /// If this build has no such device, or the machine cannot run it; or the environment asks for
 /// kernels that there are not.
-pub fn open(name: &str) -> Result<(Device, String), Error> {
-    Mode::from_environment().map_err(|error| Error::Kernels { found: error.found })?;
-    let refuse = |reason: String| Error::Device {
-        found: name.to_string(),
-        reason,
-        allowed: KINDS
-            .iter()
-            .map(|kind| kind.name)
-            .collect::<Vec<_>>()
-            .join(", "),
+pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
+    Mode::from_environment().map_err(|error| {
+        let found = format!("\"{}\" in the environment", error.found);
+        InvalidSetting::new(VARIABLE, found, "\"fused\" or \"composed\"").hint(
+            "\"fused\", which it is without the variable, runs networks on the CPU as kinegrad's \
+             own kernels; \"composed\" runs Burn's operations",
+        )
+    })?;
+    let refuse = |reason: String| {
+        let kinds: Vec<&str> = KINDS.iter().map(|kind| kind.name).collect();
+        let allowed = format!("{} in this build", kinds.join(", "));
+        InvalidSetting::new("run.device", format!("\"{name}\""), allowed).hint(reason)
     };
     if name == "auto" {
         return KINDS

@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -24,7 +25,11 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Motion(#[from] kinegrad_motion::Error),
-    /// The network cannot be built, or the weights do not fit it.
+    /// A setting that nothing can be made of.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
+    /// The weights do not fit the network.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Model(#[from] kinegrad_models::Error),
@@ -36,15 +41,6 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
-    /// A run whose recipe no system has.
-    #[error("no system has the recipe `{recipe}` of this run")]
-    #[diagnostic(help("the recipes here are {known}; a newer kinegrad may know more"))]
-    UnknownSystem {
-        /// The recipe.
-        recipe: String,
-        /// The recipes of all systems.
-        known: String,
-    },
     /// An array whose rows are no motion that a system knows.
     #[error("{}: an array of shape {shape:?} is no motion that is known", path.display())]
     #[diagnostic(help("known are: {known}"))]
@@ -72,10 +68,6 @@ pub enum Error {
         /// Name of the representation that is needed.
         expected: String,
     },
-    /// A goal that cannot be followed.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Goal(#[from] kinegrad_motion::goal::GoalError),
     /// Parts of the text-motion evaluator that do not belong together.
     #[error("{what} is {found} numbers wide where {reader} takes {expected}")]
     #[diagnostic(help(
@@ -103,46 +95,10 @@ pub enum Error {
         /// Frames needed.
         needed: usize,
     },
-    /// A file with a goal that cannot be followed.
-    #[error("{}: {reason}", path.display())]
-    #[diagnostic(help("docs/goals.md describes goals"))]
-    GoalFile {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
     /// Joint features that are none.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
-    /// A clip longer than the network can draw.
-    #[error("a clip of {frames} frames, but the network draws at most {most}")]
-    #[diagnostic(help(
-        "shorten the goal (`frames`), or ask for fewer `--frames` where there is none"
-    ))]
-    TooLong {
-        /// Frames asked for.
-        frames: usize,
-        /// `model.padded_frames` of the run.
-        most: usize,
-    },
-    /// A trajectory model that cannot draw paths for the other.
-    #[error("`{trajectory}` cannot draw paths for `{motion}`")]
-    #[diagnostic(help(
-        "the first is to be a run of recipe `gmd_trajectory`, the second one of `gmd_motion`, on clips \
-         of the same `data.humanml3d.skeleton` and `root`"
-    ))]
-    OtherStage {
-        /// The run that draws motion.
-        motion: String,
-        /// The run that draws paths.
-        trajectory: String,
-    },
-    /// A goal for a model that knows no absolute positions.
-    #[error("the run was trained on the relative root: it cannot be led to positions")]
-    #[diagnostic(help("train with `data.humanml3d.root = \"absolute\"`, its default"))]
-    RelativeRoot,
     /// Weights of another program that cannot be read.
     #[error("{} cannot be imported: {reason}", path.display())]
     #[diagnostic(help(
@@ -182,29 +138,6 @@ pub enum Error {
         /// What is needed.
         allowed: String,
     },
-    /// A device that this build or machine does not have.
-    #[error("`run.device` is \"{found}\": {reason}")]
-    #[diagnostic(help("this build can run on: {allowed}"))]
-    Device {
-        /// What was asked for.
-        found: String,
-        /// Why it cannot be used.
-        reason: String,
-        /// Devices of this build.
-        allowed: String,
-    },
-    /// The environment asks for kernels that there are not.
-    #[error(
-        "the environment variable `{}` is \"{found}\"",
-        kinegrad_kernels::VARIABLE
-    )]
-    #[diagnostic(help(
-        "\"fused\", which it is without the variable, runs networks on the CPU as kinegrad's own kernels; \"composed\" runs Burn's operations"
-    ))]
-    Kernels {
-        /// What it holds.
-        found: String,
-    },
     /// A new run in a folder that is taken.
     #[error("the run `{name}` exists already: {}", path.display())]
     #[diagnostic(help("add `--resume` to continue it, or choose another `--name`"))]
@@ -230,80 +163,11 @@ pub enum Error {
         /// The run's folder.
         path: PathBuf,
     },
-    /// A resumed run whose config was changed.
-    #[error("`{key}` is {given}, but the run was started with {saved}")]
-    #[diagnostic(help(
-        "a resumed run continues as it was; only {free} may differ. For other settings start a \
-         new run"
-    ))]
-    ResumeDiffers {
-        /// Dotted key.
-        key: String,
-        /// Value of the saved config.
-        saved: String,
-        /// Value now.
-        given: String,
-        /// Keys that may differ.
-        free: String,
-    },
-    /// A resumed run whose phrases were changed.
-    #[error("the dataset is not the one trained on so far: sha256 {found}, before {saved}")]
-    #[diagnostic(help(
-        "phrases were added, removed or changed: restore them to continue, or start a new run, \
-         from this one's weights with `init.*`"
-    ))]
-    DatasetDiffers {
-        /// Checksum in the checkpoint.
-        saved: String,
-        /// Checksum now.
-        found: String,
-    },
-    /// A checkpoint that no fine-tuning can start from.
-    #[error("`{key}` is {}, which cannot be started from: {reason}", path.display())]
-    #[diagnostic(help(
-        "`init.diffusion` takes a run whose denoiser is of the same recipe, or of phrases for \
-         `decoder` and `e2e`; `init.decoder` one of recipe `decoder` or `e2e` made on the same base"
-    ))]
-    Start {
-        /// The key that names it.
-        key: &'static str,
-        /// The run or checkpoint.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A fine-tuning whose networks or process are not those of its start.
-    #[error("`{key}` is {found}, but the run it starts from has {start}")]
-    #[diagnostic(help("leave the key out: it is taken from the run that `init` names"))]
-    StartDiffers {
-        /// Dotted key.
-        key: String,
-        /// Value of the start's config.
-        start: String,
-        /// Value now.
-        found: String,
-    },
-    /// A recipe that needs a start without one.
-    #[error("`init.diffusion` is empty, but the recipe `{recipe}` needs a trained denoiser")]
-    #[diagnostic(help(
-        "name a run or checkpoint, for example `--set init.diffusion=runs/phrases`"
-    ))]
-    NoStart {
-        /// The recipe.
-        recipe: String,
-    },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]
     #[diagnostic(help("its weights are plain already; adapters come from a table `lora`"))]
     NoAdapters {
         /// The checkpoint.
-        path: PathBuf,
-    },
-    /// A place to write to that is not empty.
-    #[error("{} exists already and is not an empty folder", path.display())]
-    #[diagnostic(help("choose another `--out`"))]
-    OutputTaken {
-        /// The place.
         path: PathBuf,
     },
     /// A checkpoint that cannot be used.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use burn::module::Module;
 use kinegrad_models::parameters;
+use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
 use crate::checkpoint::resolve_checkpoint;
@@ -28,7 +29,7 @@ const FREE_KEYS: [&str; 8] = [
 ///
 /// # Errors
 /// If it is not there.
-pub fn named(key: &'static str, path: &Path) -> Result<Option<PathBuf>, Error> {
+pub fn named(key: &str, path: &Path) -> Result<Option<PathBuf>, Error> {
     if path.as_os_str().is_empty() {
         return Ok(None);
     }
@@ -37,12 +38,13 @@ pub fn named(key: &'static str, path: &Path) -> Result<Option<PathBuf>, Error> {
 }
 
 /// The error of a checkpoint that cannot be started from.
-pub fn refused(key: &'static str, path: &Path, reason: &dyn Display) -> Error {
-    Error::Start {
-        key,
-        path: path.to_path_buf(),
-        reason: reason.to_string(),
-    }
+pub fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
+    let path = path.display();
+    Error::usage(
+        format!("`{key}` is {path}, which cannot be started from: {reason}"),
+        "`init.diffusion` takes a run whose denoiser is of the same recipe, or of phrases for \
+         `decoder` and `e2e`; `init.decoder` one of recipe `decoder` or `e2e` made on the same base",
+    )
 }
 
 /// The tables `names` of a config, every key written out.
@@ -58,7 +60,7 @@ pub fn tables_of<T: SystemTables>(config: &Config, names: &[&str]) -> Result<Tab
 /// Refuses a config whose networks or process, the tables `names`, are not those of its start.
 ///
 /// # Errors
-/// [`Error::StartDiffers`] names the first key that differs.
+/// Names the first key that differs.
 pub fn must_agree<T: SystemTables>(
     config: &Config,
     start: &Config,
@@ -71,11 +73,12 @@ pub fn must_agree<T: SystemTables>(
     let mut differences = config::difference(&start, &given).into_iter();
     match differences.find(|d| !FREE_KEYS.contains(&d.key.as_str())) {
         None => Ok(()),
-        Some(d) => Err(Error::StartDiffers {
-            key: d.key,
-            start: d.left,
-            found: d.right,
-        }),
+        Some(d) => {
+            let start = format!("{}, which the run it starts from has", d.left);
+            let refused = InvalidSetting::new(d.key, d.right, start);
+            let hint = "leave the key out: it is taken from the run that `init` names";
+            Err(refused.hint(hint).into())
+        }
     }
 }
 

@@ -31,9 +31,10 @@ use kinegrad_diffusion::{
     Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
 use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_models::{
-    DecoderConfig, Initializer, ModelConfig, ModelKind, MotionModel, TextDenoiser, UNet1d,
+    Backbone, DecoderConfig, Initializer, MotionModel, TextDenoiser, UNet1d, UNet1dConfig,
 };
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
@@ -65,19 +66,18 @@ struct Row {
 
 /// Which network a step is of.
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 enum Network {
     /// One of Guided Motion Diffusion.
-    Gmd(Gmd),
+    GmdUnet(Gmd),
     /// One of motion under audio.
-    Audio(Box<ModelConfig>),
+    Unet1d(UNet1dConfig),
 }
 
 /// The sizes of a network of Guided Motion Diffusion.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Gmd {
-    kind: ModelKind,
     motion_channels: usize,
     model_channels: usize,
     channel_mult: Vec<f64>,
@@ -86,15 +86,14 @@ struct Gmd {
 
 impl Gmd {
     fn init(&self, device: &Device) -> Result<TextDenoiser> {
-        let config = ModelConfig {
-            kind: self.kind,
-            latent_dim: Some(self.model_channels),
-            dim_mults: Some(self.channel_mult.clone()),
-            padded_frames: Some(self.padded_frames),
-            ..ModelConfig::default()
-        };
-        let backbone = config.backbone(self.motion_channels)?;
-        Ok(TextDenoiser::new(&backbone, &Initializer::new(0, device))?)
+        let backbone = Backbone::GmdUnet(GmdUnetConfig {
+            latent_dim: self.model_channels,
+            dim_mults: self.channel_mult.clone(),
+            padded_frames: self.padded_frames,
+            ..GmdUnetConfig::default()
+        });
+        let init = Initializer::new(0, device);
+        Ok(TextDenoiser::new(&backbone, self.motion_channels, &init)?)
     }
 }
 
@@ -276,11 +275,11 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
         Task::Sample { .. } => device.clone(),
     };
     let unet = || -> Result<UNet1d> {
-        let Network::Audio(model) = &row.model else {
+        let Network::Unet1d(config) = &row.model else {
             return Err("the task is one of networks under audio".into());
         };
-        let config = model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
-        Ok(config.init(&Initializer::new(0, &device))?)
+        let init = Initializer::new(0, &device);
+        Ok(config.init(CHANNELS, AUDIO_CHANNELS, &init)?)
     };
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
     let weights = read_weights(&row.weights)?;
@@ -340,7 +339,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             ema,
             ..
         } => {
-            let Network::Gmd(network) = &row.model else {
+            let Network::GmdUnet(network) = &row.model else {
                 return Err("the task is one of networks under a text".into());
             };
             let model = parameters::load(network.init(&device)?, weights)?;

@@ -19,10 +19,7 @@ pub fn tests() -> Vec<GoldenTest> {
 
 fn golden_ddim_sampling(golden: Golden) {
     let device = Device::flex();
-    let config = unet::config(golden.metadata("unet"));
-    let model = config
-        .init(&Initializer::new(0, &device))
-        .expect("a valid network");
+    let model = unet::fresh(golden.metadata("unet"), &Initializer::new(0, &device));
     let model = parameters::load(model, weights(&golden, "model.")).expect("the weights fit");
     let model = model.valid();
     let steps: usize = golden

@@ -21,10 +21,7 @@ pub fn tests() -> Vec<GoldenTest> {
 fn golden_diffusion_loss(golden: Golden, network: Golden) {
     assert_eq!(golden.metadata("weights"), "03_unet.safetensors");
     let device = Device::flex().autodiff();
-    let config = unet::config(network.metadata("config"));
-    let model = config
-        .init(&Initializer::new(0, &device))
-        .expect("a valid network");
+    let model = unet::fresh(network.metadata("config"), &Initializer::new(0, &device));
     let model = parameters::load(model, weights(&network, "model.")).expect("the weights fit");
     let x_start = golden.tensor::<3>("in.x0", &device);
     let noise = golden.tensor::<3>("in.noise", &device);

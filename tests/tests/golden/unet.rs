@@ -27,10 +27,7 @@ pub fn tests() -> Vec<GoldenTest> {
 
 /// The file's network with fresh weights.
 fn fresh(golden: &Golden, device: &Device) -> UNet1d {
-    let config = unet::config(golden.metadata("config"));
-    config
-        .init(&Initializer::new(0, device))
-        .expect("a valid network")
+    unet::fresh(golden.metadata("config"), &Initializer::new(0, device))
 }
 
 fn build(golden: &Golden, weights: Vec<HostParameter>, device: &Device) -> UNet1d {

@@ -53,14 +53,17 @@ fn the_transformer_is_that_of_pytorch() {
         .find_map(|key| config[*key].as_u64())
         .expect("the number of heads");
     let config = EncoderConfig {
-        in_channels: golden.get("in.x").shape[1],
         latent_dim: width,
         num_layers: layers.count(),
         num_heads: heads as usize,
         ff_size: inner,
     };
-    let backbone = Backbone::Transformer(config);
-    let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
+    let channels = golden.get("in.x").shape[1];
+    let (backbone, init) = (
+        Backbone::MdmTransformer(config),
+        Initializer::new(0, &device),
+    );
+    let network = TextDenoiser::new(&backbone, channels, &init).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let x = golden.tensor::<3>("in.x", &device).require_grad();
     let text = golden

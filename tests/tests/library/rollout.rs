@@ -12,20 +12,13 @@ use kinegrad_random::{Key, Purpose};
 /// Network H of the golden files: 3,704,569 parameters.
 fn network(device: &Device) -> UNet1d {
     let config = UNet1dConfig {
-        in_channels: 25,
-        cond_channels: 163,
         model_channels: 32,
-        channel_mult: vec![1, 2, 4, 8],
-        num_res_blocks: 2,
-        attention_levels: vec![1, 2, 3],
-        num_heads: 8,
-        use_scale_shift_norm: true,
         time_embed_dim: 64,
         context_dim: 48,
-        dropout: 0.1,
+        ..UNet1dConfig::default()
     };
     config
-        .init(&Initializer::new(7, device))
+        .init(25, 163, &Initializer::new(7, device))
         .expect("a valid network")
 }
 

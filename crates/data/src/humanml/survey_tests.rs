@@ -356,7 +356,7 @@ fn datasets_of_phrases_and_of_clips_are_told_apart() {
         .unwrap_err()
         .to_string();
     assert!(
-        found.contains("data.kind = \"humanml3d\": \"phrases\""),
+        found.contains("`data.kind` is \"humanml3d\", allowed: \"phrases\""),
         "{found}"
     );
     let found = message(&DataConfig {
@@ -364,7 +364,7 @@ fn datasets_of_phrases_and_of_clips_are_told_apart() {
         ..config
     });
     assert!(
-        found.contains("data.kind = \"synthetic\": \"humanml3d\""),
+        found.contains("`data.kind` is \"synthetic\", allowed: \"humanml3d\""),
         "{found}"
     );
 }

@@ -44,9 +44,10 @@ pub(super) fn write(shape: &[usize]) -> Vec<u8> {
 
 /// Reads the header of a file's `bytes`; `file` names it in errors.
 pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
-    let not_npy = |reason: String| FileError::NotNpy {
-        file: file.to_owned(),
-        reason,
+    let not_npy = |reason: String| {
+        let hint = "write it again with numpy.save(path, array.astype(\"<f4\")) or \
+                    numpy.savez_compressed";
+        FileError::damaged(file, format!("not a .npy array: {reason}"), hint)
     };
     let (text, data_start) = text(bytes).map_err(not_npy)?;
     let Entries {
@@ -58,10 +59,11 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         "'<f4'" | "\"<f4\"" => false,
         "'<f8'" | "\"<f8\"" => true,
         _ => {
-            return Err(FileError::Dtype {
-                file: file.to_owned(),
-                found: descr.to_owned(),
-            });
+            let problem = format!(
+                "dtype {descr} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
+            );
+            let hint = "convert it with array.astype(\"<f4\") before saving";
+            return Err(FileError::damaged(file, problem, hint));
         }
     };
     let fortran_order = match fortran_order {

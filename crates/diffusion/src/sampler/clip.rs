@@ -1,8 +1,7 @@
 //! What a predicted clean motion is clipped to.
 
 use burn::tensor::{Tensor, TensorData};
-
-use crate::Error;
+use kinegrad_settings::{InvalidSetting, Refused, require};
 
 /// Bounds of the predicted clean motion, in the units the network works in (normalised motion).
 ///
@@ -33,21 +32,22 @@ impl Clip {
     /// Refuses bounds that do not fit a motion of `channels` channels.
     ///
     /// # Errors
-    /// [`Error::ClipChannels`] for a wrong number of bounds, [`Error::ClipBounds`] for a minimum
-    /// above its maximum or a NaN.
-    pub fn validate(&self, channels: usize) -> Result<(), Error> {
+    /// For a wrong number of bounds, and for a minimum above its maximum or a NaN.
+    pub fn validate(&self, channels: usize) -> Result<(), InvalidSetting> {
         match self {
             Self::None => Ok(()),
             Self::StraightThrough(bounds) => bounds.validate(channels),
             Self::Symmetric(bound) => ordered(0, -bound, *bound),
             Self::PerChannel { min, max } => {
-                if min.len() != channels || max.len() != channels {
-                    return Err(Error::ClipChannels {
-                        min: min.len(),
-                        max: max.len(),
-                        channels,
-                    });
-                }
+                let found = format!("bounds of {} and {} channels", min.len(), max.len());
+                let allowed = format!("a minimum and a maximum for each of {channels} channels");
+                require(
+                    [min.len(), max.len()] == [channels; 2],
+                    "clip",
+                    found,
+                    allowed,
+                )
+                .hint("the motion has other channels than the bounds were taken from")?;
                 let mut bounds = min.iter().zip(max).enumerate();
                 bounds.try_for_each(|(channel, (&min, &max))| ordered(channel, min, max))
             }
@@ -61,7 +61,7 @@ impl Clip {
     ///
     /// # Errors
     /// As [`Clip::validate`].
-    pub fn apply(&self, x: Tensor<3>) -> Result<Tensor<3>, Error> {
+    pub fn apply(&self, x: Tensor<3>) -> Result<Tensor<3>, InvalidSetting> {
         let shape = x.dims();
         let channels = shape[1];
         self.validate(channels)?;
@@ -85,13 +85,12 @@ impl Clip {
     }
 }
 
-fn ordered(channel: usize, min: f32, max: f32) -> Result<(), Error> {
+fn ordered(channel: usize, min: f32, max: f32) -> Result<(), InvalidSetting> {
+    let found = format!("[{min}, {max}] in channel {channel}");
+    let allowed = "a minimum that does not exceed its maximum";
     // NaN is not ordered, and is refused with it.
-    if min <= max {
-        Ok(())
-    } else {
-        Err(Error::ClipBounds { channel, min, max })
-    }
+    require(min <= max, "clip", found, allowed)
+        .hint("bounds taken from data that holds NaN look like this")
 }
 
 #[cfg(test)]
@@ -130,22 +129,16 @@ mod tests {
             min: min.into(),
             max: max.into(),
         };
-        assert!(matches!(
-            clip(&[0.0], &[1.0, 1.0]).validate(2),
-            Err(Error::ClipChannels {
-                min: 1,
-                max: 2,
-                channels: 2
-            })
-        ));
+        let found = |clip: Clip| clip.validate(2).unwrap_err().found;
+        assert_eq!(
+            found(clip(&[0.0], &[1.0, 1.0])),
+            "bounds of 1 and 2 channels"
+        );
         for bad in [
             clip(&[0.0, 2.0], &[1.0, 1.0]),
             clip(&[0.0, f32::NAN], &[1.0, 1.0]),
         ] {
-            assert!(matches!(
-                bad.validate(2),
-                Err(Error::ClipBounds { channel: 1, .. })
-            ));
+            assert!(found(bad).ends_with("in channel 1"));
         }
         assert!(Clip::Symmetric(-1.0).validate(2).is_err());
         assert!(Clip::Symmetric(f32::NAN).validate(2).is_err());

@@ -1,8 +1,7 @@
 //! The settings of a sampler.
 
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
-
-use crate::Error;
 
 /// Which step a sampler takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,30 +100,23 @@ impl SamplerConfig {
     /// Refuses values that no sampler of a process with `num_train_timesteps` can work with.
     ///
     /// # Errors
-    /// [`Error::Config`] for the first bad key: what it is, what is allowed, how to mend it.
-    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), Error> {
-        if !(1..=num_train_timesteps).contains(&self.num_inference_steps) {
-            return Err(bad(
-                "num_inference_steps",
-                self.num_inference_steps,
-                format!("1 to diffusion.num_train_timesteps ({num_train_timesteps})"),
-                "20 to 50 are usual for ddim",
-            ));
-        }
-        if !(0.0..=1.0).contains(&self.eta) {
-            let hint = "0 draws no noise, 1 as much as ddpm";
-            return Err(bad("eta", self.eta, "0 to 1".to_string(), hint));
-        }
-        if !(self.guidance_scale >= 0.0 && self.guidance_scale.is_finite()) {
-            let hint = "1 is the condition as trained; 2 to 3 exaggerate it";
-            return Err(bad(
-                "guidance_scale",
-                self.guidance_scale,
-                "0 or more".to_string(),
-                hint,
-            ));
-        }
-        Ok(())
+    /// Names the first bad key: what it is, what is allowed, how to mend it.
+    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
+        require(
+            (1..=num_train_timesteps).contains(&self.num_inference_steps),
+            "sampling.sampler.num_inference_steps",
+            self.num_inference_steps,
+            format!("1 to diffusion.num_train_timesteps ({num_train_timesteps})"),
+        )
+        .hint("20 to 50 are usual for ddim")?;
+        in_range("sampling.sampler.eta", self.eta, 0.0..=1.0)
+            .hint("0 draws no noise, 1 as much as ddpm")?;
+        in_range(
+            "sampling.sampler.guidance_scale",
+            self.guidance_scale,
+            0.0..,
+        )
+        .hint("1 is the condition as trained; 2 to 3 exaggerate it")
     }
 
     /// Where the last step lands: a timestep, or `None` for the clean motion.
@@ -133,15 +125,6 @@ impl SamplerConfig {
             (SamplerKind::Ddim, FinalAlpha::First) => Some(0),
             _ => None,
         }
-    }
-}
-
-fn bad(key: &str, found: impl std::fmt::Debug, allowed: String, hint: &str) -> Error {
-    Error::Config {
-        key: format!("sampling.sampler.{key}"),
-        found: format!("{found:?}"),
-        allowed,
-        hint: hint.to_string(),
     }
 }
 
@@ -206,7 +189,7 @@ mod tests {
                     guidance_scale: -1.0,
                     ..base()
                 },
-                "guidance_scale` is -1.0",
+                "guidance_scale` is -1",
             ),
             (
                 SamplerConfig {

@@ -1,6 +1,7 @@
 //! Heun's method.
 
 use burn::tensor::Tensor;
+use kinegrad_settings::{Refused, require};
 
 use super::level::Level;
 use super::{OnStep, Path, Predict};
@@ -34,14 +35,13 @@ pub fn heun(
     let mut x = x_T;
     for index in 0..path.len() {
         let now = Level::of(diffusion, path.timesteps(index));
-        if now.iter().any(|level| level.alpha == 0.0) {
-            return Err(Error::Config {
-                key: "sampling.sampler.kind".into(),
-                found: "\"heun\"".into(),
-                allowed: "another sampler where `diffusion.rescale_betas_zero_snr` is set".into(),
-                hint: "its slopes are those of x / alpha, and alpha is 0 in pure noise".into(),
-            });
-        }
+        require(
+            now.iter().all(|level| level.alpha != 0.0),
+            "sampling.sampler.kind",
+            "\"heun\"",
+            "another sampler where `diffusion.rescale_betas_zero_snr` is set",
+        )
+        .hint("its slopes are those of x / alpha, and alpha is 0 in pure noise")?;
         let landings = path.landings(index);
         let next = Level::of_landings(diffusion, &landings);
         let prediction = predict(x, &path.time(index))?;

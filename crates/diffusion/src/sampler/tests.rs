@@ -371,7 +371,7 @@ fn what_does_not_fit_is_an_error() {
         key(1),
         ignore,
     );
-    assert!(matches!(result, Err(Error::Config { .. })));
+    assert!(matches!(result, Err(Error::Setting(_))));
     let narrow = Clip::PerChannel {
         min: vec![0.0],
         max: vec![1.0],
@@ -386,7 +386,7 @@ fn what_does_not_fit_is_an_error() {
         key(1),
         ignore,
     );
-    assert!(matches!(result, Err(Error::ClipChannels { .. })));
+    assert!(matches!(result, Err(Error::Setting(_))));
     let result = sample(
         &diffusion,
         &Narrow,
@@ -421,7 +421,7 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
             // Its slope is that of x / alpha, which there is none of in pure noise.
             let network = Knows(&diffusion);
             let refused = try_run(&diffusion, &network, &normal(7), &config, key(3));
-            assert!(matches!(refused, Err(Error::Config { .. })));
+            assert!(matches!(refused, Err(Error::Setting(_))));
             continue;
         }
         let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));

@@ -9,6 +9,7 @@ mod imputation;
 mod step;
 
 use burn::tensor::Tensor;
+use kinegrad_settings::{Refused, require};
 
 pub use imputation::{Imputation, Space};
 use step::steered_prediction;
@@ -98,15 +99,13 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     keys: impl Into<NoiseKeys<'s>>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
-    if config.kind != SamplerKind::Ddpm {
-        return Err(Error::Config {
-            key: "sampling.sampler.kind".into(),
-            found: format!("\"{}\"", config.kind.name()),
-            allowed: "\"ddpm\" where a draw is led to a goal".into(),
-            hint: "the shift is scaled by the variance of the step, which the others have none of"
-                .into(),
-        });
-    }
+    require(
+        config.kind == SamplerKind::Ddpm,
+        "sampling.sampler.kind",
+        format!("\"{}\"", config.kind.name()),
+        "\"ddpm\" where a draw is led to a goal",
+    )
+    .hint("the shift is scaled by the variance of the step, which the others have none of")?;
     clip.validate(x_T.dims()[1])?;
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let steering = steering(time[0].timestep());

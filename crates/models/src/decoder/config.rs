@@ -1,9 +1,8 @@
 //! The table `decoder` of a training config.
 
 use kinegrad_motion::CHANNELS;
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use serde::{Deserialize, Serialize};
-
-use crate::Error;
 
 /// What bounds one component of the decoded motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -145,51 +144,26 @@ impl Default for DecoderConfig {
 impl DecoderConfig {
     /// # Errors
     /// Names the key that no decoder can be built from.
-    pub fn validate(&self) -> Result<(), Error> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         let least = match self.init {
             DecoderInit::Identity => CHANNELS,
             DecoderInit::Random => 1,
         };
+        in_range("decoder.hidden_dim", self.hidden_dim, least..)
+            .hint("CC-MotionGen has 256; `decoder.init = \"random\"` allows fewer than 25")?;
+        in_range("decoder.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
         let ranges = &self.output_ranges;
-        let ranges = [
+        for (component, range) in [
             ("position", ranges.position),
             ("velocity", ranges.velocity),
             ("acceleration", ranges.acceleration),
             ("angular_velocity", ranges.angular_velocity),
             ("style", ranges.style),
-        ];
-        let bad_range = ranges
-            .iter()
-            .find(|(_, range)| !(*range > 0.0 && range.is_finite()));
-        let (key, found, allowed, hint) = if self.hidden_dim < least {
-            (
-                "hidden_dim".to_string(),
-                self.hidden_dim.to_string(),
-                format!("{least} or more"),
-                "CC-MotionGen has 256; `decoder.init = \"random\"` allows fewer than 25",
-            )
-        } else if !(0.0..1.0).contains(&self.dropout) {
-            (
-                "dropout".to_string(),
-                self.dropout.to_string(),
-                "0 to below 1".to_string(),
-                "CC-MotionGen has 0.1",
-            )
-        } else if let Some((component, range)) = bad_range {
-            (
-                format!("output_ranges.{component}"),
-                range.to_string(),
-                "more than 0".to_string(),
-                "a velocity of 20 m/s is CC-MotionGen's",
-            )
-        } else {
-            return Ok(());
-        };
-        Err(Error::Config {
-            key: format!("decoder.{key}"),
-            found,
-            allowed,
-            hint: hint.into(),
-        })
+        ] {
+            in_range(component, range, ABOVE_ZERO)
+                .within("decoder.output_ranges")
+                .hint("a velocity of 20 m/s is CC-MotionGen's")?;
+        }
+        Ok(())
     }
 }

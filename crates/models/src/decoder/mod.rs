@@ -10,13 +10,14 @@ use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::gelu;
 use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
 use kinegrad_motion::phrase::{ACCELERATION, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY};
+use kinegrad_settings::InvalidSetting;
 
 pub use config::{
     Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
 };
 
 use crate::layers::{LayerNorm, Linear};
-use crate::{Dropout, DropoutKey, Error, Initializer};
+use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
 const LEAST_NORM: f64 = 1e-12;
@@ -100,7 +101,7 @@ impl DecoderConfig {
         &self,
         normalization: Normalization,
         init: &Initializer,
-    ) -> Result<MotionDecoder, Error> {
+    ) -> Result<MotionDecoder, InvalidSetting> {
         self.validate()?;
         assert_eq!(normalization.mean.len(), CHANNELS, "means");
         assert_eq!(normalization.std.len(), CHANNELS, "deviations");

@@ -4,18 +4,17 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::mish;
 use kinegrad_kernels::concat_channels;
+use kinegrad_settings::{InvalidSetting, Refused, require};
+use serde::{Deserialize, Serialize};
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
 use crate::layers::{Conv1d, ConvTranspose1d, Linear};
-use crate::{Error, Initializer, Stages};
+use crate::{Initializer, NamedSizes, NetworkConfig, Stages};
 
-/// Every size of a [`GmdUnet`].
-#[derive(Clone, Debug, PartialEq)]
+/// The sizes of a [`GmdUnet`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct GmdUnetConfig {
-    /// Channels of the motion, in and out.
-    pub in_channels: usize,
-    /// Width of the vector that the network is told things by.
-    pub cond_dim: usize,
     /// Width of the condition inside the network, and what the multipliers are of.
     pub latent_dim: usize,
     /// Channels of each level over `latent_dim`.
@@ -24,6 +23,66 @@ pub struct GmdUnetConfig {
     pub adagn: bool,
     /// Second convolutions and the last one begin at zero: a fresh network answers 0.
     pub zero_init: bool,
+    /// Frames that every clip is padded to.
+    pub padded_frames: usize,
+}
+
+impl Default for GmdUnetConfig {
+    fn default() -> Self {
+        Self::motion()
+    }
+}
+
+impl NetworkConfig for GmdUnetConfig {
+    const KIND: &'static str = "gmd_unet";
+
+    const SIZES: NamedSizes<Self> = &[
+        ("gmd_motion", Self::motion),
+        ("gmd_trajectory", Self::trajectory),
+        ("gmd_motion_tiny", Self::motion_tiny),
+        ("gmd_trajectory_tiny", Self::trajectory_tiny),
+    ];
+}
+
+/// Named sizes. Parameter counts are for the 263 or 4 channels of the published models under a text
+/// (Guided Motion Diffusion, table D.1).
+impl GmdUnetConfig {
+    /// 233,507,079 parameters.
+    pub fn motion() -> Self {
+        Self {
+            latent_dim: 512,
+            dim_mults: vec![2.0; 4],
+            adagn: true,
+            zero_init: true,
+            padded_frames: 224,
+        }
+    }
+
+    /// 8,549,316 parameters.
+    pub fn trajectory() -> Self {
+        Self {
+            dim_mults: vec![0.125, 0.25, 0.5],
+            ..Self::motion()
+        }
+    }
+
+    /// For tests and first steps.
+    pub fn motion_tiny() -> Self {
+        Self {
+            latent_dim: 40,
+            dim_mults: vec![1.0; 3],
+            ..Self::motion()
+        }
+    }
+
+    /// For tests and first steps.
+    pub fn trajectory_tiny() -> Self {
+        Self {
+            latent_dim: 64,
+            dim_mults: vec![0.25, 0.5, 1.0],
+            ..Self::motion()
+        }
+    }
 }
 
 impl GmdUnetConfig {
@@ -42,46 +101,55 @@ impl GmdUnetConfig {
 
     /// # Errors
     /// Names the key that no network can be built from.
-    pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key: &str, found: String, allowed: &str, hint: &str| {
-            Err(Error::Config {
-                key: format!("model.{key}"),
-                found,
-                allowed: allowed.into(),
-                hint: hint.into(),
-            })
-        };
-        if self.dim_mults.is_empty() || self.dim_mults.len() > 16 {
-            let found = format!("{:?}", self.dim_mults);
-            let hint = "the motion model has [2.0, 2.0, 2.0, 2.0]";
-            return refuse("dim_mults", found, "1 to 16 numbers, one a level", hint);
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let (width, mults) = (self.latent_dim, &self.dim_mults);
+        require(
+            (1..=16).contains(&mults.len()),
+            "model.dim_mults",
+            format!("{mults:?}"),
+            "1 to 16 numbers, one a level",
+        )
+        .hint("the motion model has [2.0, 2.0, 2.0, 2.0]")?;
+        require(
+            width > 0 && width.is_multiple_of(2),
+            "model.latent_dim",
+            width,
+            "an even number",
+        )
+        .hint("the published models have 512")?;
+        for (channels, mult) in self.channels().into_iter().zip(mults) {
+            let exact = (width as f64 * mult - channels as f64).abs() < 1e-6;
+            require(
+                exact && channels > 0 && channels.is_multiple_of(GROUPS),
+                "model.dim_mults",
+                format!("{mults:?} of {width}"),
+                format!("levels of a multiple of {GROUPS} channels"),
+            )
+            .hint(format!(
+                "a level of {channels} does not divide into {GROUPS} groups"
+            ))?;
         }
-        if self.latent_dim == 0 || !self.latent_dim.is_multiple_of(2) {
-            let hint = "the published models have 512";
-            return refuse(
-                "latent_dim",
-                self.latent_dim.to_string(),
-                "an even number",
-                hint,
-            );
-        }
-        for (channels, mult) in self.channels().into_iter().zip(&self.dim_mults) {
-            let exact = (self.latent_dim as f64 * mult - channels as f64).abs() < 1e-6;
-            if !exact || channels == 0 || !channels.is_multiple_of(GROUPS) {
-                let found = format!("{:?} of {}", self.dim_mults, self.latent_dim);
-                let allowed = format!("levels of a multiple of {GROUPS} channels");
-                let hint = format!("a level of {channels} does not divide into {GROUPS} groups");
-                return refuse("dim_mults", found, &allowed, &hint);
-            }
-        }
-        Ok(())
+        let multiple = self.length_multiple();
+        require(
+            self.padded_frames.is_multiple_of(multiple),
+            "model.padded_frames",
+            self.padded_frames,
+            format!("a multiple of {multiple}"),
+        )
+        .hint("every level but the last halves the length; the published models have 224")
     }
 
-    /// Builds the network; its parameters are drawn when they are first used.
+    /// Builds the network for motion of `in_channels`, told things by a vector of `cond_dim`
+    /// numbers; its parameters are drawn when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
-    pub fn init(&self, init: &Initializer) -> Result<GmdUnet, Error> {
+    pub fn init(
+        &self,
+        in_channels: usize,
+        cond_dim: usize,
+        init: &Initializer,
+    ) -> Result<GmdUnet, InvalidSetting> {
         self.validate()?;
         let channels = self.channels();
         let coarsest = channels.len() - 1;
@@ -92,7 +160,7 @@ impl GmdUnetConfig {
         let downs = (0..channels.len()).map(|level| {
             let place = init.at("downs").at(&level.to_string());
             let inputs = match level {
-                0 => self.in_channels,
+                0 => in_channels,
                 _ => channels[level - 1],
             };
             let outputs = channels[level];
@@ -118,10 +186,10 @@ impl GmdUnetConfig {
         });
         let middle = channels[coarsest];
         let (time, last) = (init.at("time_mlp"), init.at("final_conv"));
-        let output = Conv1d::new(channels[0], self.in_channels, 1, &last.at("1"));
+        let output = Conv1d::new(channels[0], in_channels, 1, &last.at("1"));
         Ok(GmdUnet {
             time_mlp: CondMlp {
-                at_0: Linear::new(self.cond_dim, 4 * width, &time.at("0")),
+                at_0: Linear::new(cond_dim, 4 * width, &time.at("0")),
                 at_2: Linear::new(4 * width, width, &time.at("2")),
             },
             downs: downs.collect(),

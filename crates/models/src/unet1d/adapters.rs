@@ -1,13 +1,14 @@
 //! Low-rank adapters on the UNet's layers.
 
 use burn::module::Module;
+use kinegrad_settings::InvalidSetting;
 
 use super::{Bottleneck, DecoderLevel, EncoderLevel, UNet1d};
+use crate::Initializer;
 use crate::attention::AttentionBlock;
 use crate::layers::Conv1d;
 use crate::lora::{Adapting, LoraConfig, LoraTarget};
 use crate::res_block::ResBlock;
-use crate::{Error, Initializer};
 
 impl UNet1d {
     /// Puts a fresh adapter on every layer that `config` names, which changes nothing yet, and
@@ -18,7 +19,11 @@ impl UNet1d {
     ///
     /// # Errors
     /// As [`LoraConfig::validate`].
-    pub fn with_adapters(self, config: &LoraConfig, init: &Initializer) -> Result<Self, Error> {
+    pub fn with_adapters(
+        self,
+        config: &LoraConfig,
+        init: &Initializer,
+    ) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let frozen = self.merge_adapters().no_grad();
         Ok(frozen.adapting(&Adapting::Attach(config, init.clone())))

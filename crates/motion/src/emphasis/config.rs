@@ -1,6 +1,7 @@
 //! Settings of the emphasis projection.
 
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
 
 use super::{EmphasisError, EmphasisProjection};
@@ -53,15 +54,15 @@ impl EmphasisConfig {
     /// Refuses a scale that is not positive or beyond a million, and channels that are missing or repeated.
     ///
     /// # Errors
-    /// [`EmphasisError::InvalidSetting`] names the first such setting.
-    pub fn validate(&self) -> Result<(), EmphasisError> {
+    /// Names the first such setting.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         check(self.scale, &self.channels, usize::MAX)
     }
 
     /// The projection of frames with `dimension` features; `None` where the kind is none.
     ///
     /// # Errors
-    /// [`EmphasisError::InvalidSetting`] if a setting is out of range or a channel is not among
+    /// [`EmphasisError::Setting`] if a setting is out of range or a channel is not among
     /// the features; [`EmphasisError::Singular`] if the drawn matrix cannot be undone.
     pub fn projection(
         &self,
@@ -83,28 +84,36 @@ impl EmphasisConfig {
 const LARGEST_SCALE: f64 = 1e6;
 
 /// Refuses a scale or channels that no projection of `dimension` features can have.
-pub(super) fn check(scale: f64, channels: &[usize], dimension: usize) -> Result<(), EmphasisError> {
-    let invalid = |key, found, allowed| {
-        Err(EmphasisError::InvalidSetting {
-            key,
-            found,
-            allowed,
-        })
-    };
-    if !(scale > 0.0 && scale <= LARGEST_SCALE) {
-        let allowed = "give a positive number, at most 1000000; 1 emphasises nothing".to_owned();
-        return invalid("scale", scale.to_string(), allowed);
-    }
-    let repeated = |(index, channel)| channels[..index].contains(channel);
-    if channels.is_empty() || channels.iter().enumerate().any(repeated) {
-        let allowed = "name one or more features, each once".to_owned();
-        return invalid("channels", format!("{channels:?}"), allowed);
-    }
-    if let Some(channel) = channels.iter().find(|channel| **channel >= dimension) {
-        let allowed = format!("name features below {dimension}, counted from 0");
-        return invalid("channels", channel.to_string(), allowed);
-    }
-    Ok(())
+pub(super) fn check(
+    scale: f64,
+    channels: &[usize],
+    dimension: usize,
+) -> Result<(), InvalidSetting> {
+    require(
+        scale > 0.0 && scale <= LARGEST_SCALE,
+        "emphasis.scale",
+        scale,
+        "a positive number, at most 1000000",
+    )
+    .hint("1 emphasises nothing")?;
+    let mut once = channels.to_vec();
+    once.sort_unstable();
+    once.dedup();
+    require(
+        !channels.is_empty() && once.len() == channels.len(),
+        "emphasis.channels",
+        format!("{channels:?}"),
+        "one or more features, each once",
+    )
+    .hint("0, 1 and 2 are root rotation, x and z")?;
+    let highest = once[once.len() - 1];
+    require(
+        highest < dimension,
+        "emphasis.channels",
+        highest,
+        format!("features below {dimension}"),
+    )
+    .hint("features count from 0")
 }
 
 #[cfg(test)]
@@ -128,22 +137,25 @@ mod tests {
         let key = |config: EmphasisConfig, dimension: usize| {
             assert!(config.validate().is_err() || dimension < 263);
             match config.projection(dimension) {
-                Err(EmphasisError::InvalidSetting { key, .. }) => key,
+                Err(EmphasisError::Setting(refused)) => refused.key,
                 other => panic!("{other:?}"),
             }
         };
         let default = EmphasisConfig::default;
         for scale in [0.0, -1.0, 1e7, f64::NAN, f64::INFINITY] {
-            assert_eq!(key(EmphasisConfig { scale, ..default() }, 263), "scale");
+            assert_eq!(
+                key(EmphasisConfig { scale, ..default() }, 263),
+                "emphasis.scale"
+            );
         }
         for channels in [vec![], vec![0, 1, 0]] {
             let config = EmphasisConfig {
                 channels,
                 ..default()
             };
-            assert_eq!(key(config, 263), "channels");
+            assert_eq!(key(config, 263), "emphasis.channels");
         }
-        assert_eq!(key(default(), 2), "channels");
+        assert_eq!(key(default(), 2), "emphasis.channels");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What can be wrong with an emphasis projection.
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -7,16 +8,9 @@ use thiserror::Error;
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum EmphasisError {
     /// A setting is out of range.
-    #[error("`{key}` is {found}, which is out of range")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidSetting {
-        /// Name of the setting.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: String,
-    },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
 
     /// The matrix is not square.
     #[error(

@@ -44,7 +44,7 @@ impl EmphasisProjection {
     /// c = 10 it lies between about 0.4 and 3, and the condition number is in the thousands.
     ///
     /// # Errors
-    /// [`EmphasisError::InvalidSetting`] if the scale or a channel is out of range; else those of
+    /// [`EmphasisError::Setting`] if the scale or a channel is out of range; else those of
     /// [`from_matrix`](Self::from_matrix).
     pub fn gaussian(
         draws: &[f32],
@@ -95,7 +95,7 @@ impl EmphasisProjection {
     ///
     /// # Errors
     /// [`EmphasisError::NotSquare`], [`EmphasisError::NonFinite`] or [`EmphasisError::Singular`]
-    /// if the matrix is so; [`EmphasisError::InvalidSetting`] if the scale or a channel is out of
+    /// if the matrix is so; [`EmphasisError::Setting`] if the scale or a channel is out of
     /// range.
     pub fn from_matrix(
         matrix: &[f32],

@@ -1,9 +1,9 @@
 //! How far a motion is from its goal, and in which direction it would come nearer.
 
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use super::error::invalid;
-use super::{Goal, GoalError, GroundTargets, Obstacle};
+use super::{Goal, GroundTargets, Obstacle};
 
 /// How the distance from a target counts.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
@@ -26,6 +26,15 @@ pub struct GuidanceConfig {
     /// the targets of all frames. The published programs have 120 here; without a number all
     /// frames enter.
     pub frame_limit: Option<usize>,
+}
+
+impl GuidanceConfig {
+    /// # Errors
+    /// For a limit of no frames.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("frame_limit", self.frame_limit.unwrap_or(1), 1..)
+            .hint("leave it out to guide all frames")
+    }
 }
 
 /// The loss that guides a sampler towards the goals of a batch (GMD, appendix F):
@@ -63,20 +72,19 @@ impl GuidanceLoss {
     /// beyond a shorter goal's own are free.
     ///
     /// # Errors
-    /// [`GoalError`] if [`Goal::validate`] refuses a goal, if one is longer than `frames`, or if
-    /// the limit of frames is 0.
-    pub fn new(config: &GuidanceConfig, goals: &[Goal], frames: usize) -> Result<Self, GoalError> {
-        if config.frame_limit == Some(0) {
-            let hint = "leave it out to guide all frames";
-            return Err(invalid("frame_limit", 0, "1 or more", hint));
-        }
+    /// If [`Goal::validate`] or [`GuidanceConfig::validate`] refuses, or a goal is longer than
+    /// `frames`.
+    pub fn new(
+        config: &GuidanceConfig,
+        goals: &[Goal],
+        frames: usize,
+    ) -> Result<Self, InvalidSetting> {
+        config.validate()?;
         for goal in goals {
             goal.validate()?;
-            if goal.frames > frames {
-                let allowed = format!("at most {frames}, the length of the motion");
-                let hint = "shorten the goal, or sample a longer motion";
-                return Err(invalid("frames", goal.frames, allowed, hint));
-            }
+            let allowed = format!("at most {frames}, the length of the motion");
+            require(goal.frames <= frames, "frames", goal.frames, allowed)
+                .hint("shorten the goal, or sample a longer motion")?;
         }
         let samples: Vec<Sample> = goals.iter().map(Sample::new).collect();
         let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();

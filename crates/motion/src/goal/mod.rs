@@ -33,22 +33,32 @@
 //! points = [[0.0, 0.0], [0.0, 0.05], [0.01, 0.1]]
 //! ```
 
-mod error;
 mod guidance;
 mod obstacle;
 mod polygon;
 mod schedule;
 mod targets;
 
-pub use error::GoalError;
 pub use guidance::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 pub use obstacle::Obstacle;
 pub use schedule::{GuidanceSchedule, Phase};
 pub use targets::{GROUND_X, GROUND_Z, GroundTargets, TRAJECTORY_CHANNELS};
 
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use error::{check_number, check_position, invalid};
+/// Refuses a coordinate that is not finite.
+fn check_metres(key: &str, metres: f64) -> Result<(), InvalidSetting> {
+    require(metres.is_finite(), key, metres, "a finite number of metres").hint(
+        "positions lie on the ground, x to the left of the first frame's body and z ahead of it",
+    )
+}
+
+/// [`check_metres`] of both coordinates of the position at `key`.
+fn check_position(key: &str, [x, z]: [f64; 2]) -> Result<(), InvalidSetting> {
+    check_metres("x", x).within(key)?;
+    check_metres("z", z).within(key)
+}
 
 /// Where the root shall be in one frame.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
@@ -140,89 +150,82 @@ impl Goal {
     /// empty. What it accepts no other function here stumbles over.
     ///
     /// # Errors
-    /// [`GoalError::Invalid`] names the first such value, [`GoalError::NothingToDo`] says that
-    /// there is none.
-    pub fn validate(&self) -> Result<(), GoalError> {
-        if self.frames == 0 {
-            let hint = "`frames` is the length of the clip";
-            return Err(invalid("frames", 0, "1 or more", hint));
+    /// Names the first such value by its place, such as `keyframe[2].frame`; lists count from 0.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("frames", self.frames, 1..).hint("`frames` is the length of the clip")?;
+        for (key, number) in [
+            ("margin", self.margin),
+            ("weights.position", self.weights.position),
+            ("weights.obstacle", self.weights.obstacle),
+        ] {
+            in_range(key, number, 0.0..).hint("leave out the key for its default")?;
         }
-        let not_negative = |key: &str, number: f64| {
-            check_number(
-                || key.to_owned(),
-                number,
-                |number| number >= 0.0,
-                "zero or a positive number",
-                "leave out the key for its default",
-            )
-        };
-        not_negative("margin", self.margin)?;
-        not_negative("weights.position", self.weights.position)?;
-        not_negative("weights.obstacle", self.weights.obstacle)?;
         self.check_keyframes()?;
         if let Some(trajectory) = &self.trajectory {
             self.check_trajectory(trajectory)?;
         }
         for (index, obstacle) in self.obstacles.iter().enumerate() {
-            obstacle.validate(&format!("obstacle[{index}]"))?;
+            obstacle.validate().within(&format!("obstacle[{index}]"))?;
         }
-        if self.keyframes.is_empty() && self.trajectory.is_none() && self.obstacles.is_empty() {
-            return Err(GoalError::NothingToDo);
-        }
-        Ok(())
+        let empty =
+            self.keyframes.is_empty() && self.trajectory.is_none() && self.obstacles.is_empty();
+        let allowed = "key frames, a trajectory or obstacles";
+        require(!empty, "goal", "empty", allowed)
+            .hint("add a `[[keyframe]]`, a `[trajectory]` or an `[[obstacle]]`")
     }
 
-    fn check_keyframes(&self) -> Result<(), GoalError> {
+    fn check_keyframes(&self) -> Result<(), InvalidSetting> {
         for (index, keyframe) in self.keyframes.iter().enumerate() {
-            let key = || format!("keyframe[{index}]");
-            if keyframe.frame >= self.frames {
-                return Err(self.outside(format!("{}.frame", key()), keyframe.frame));
-            }
+            let key = format!("keyframe[{index}]");
+            self.check_frame(&format!("{key}.frame"), keyframe.frame)?;
             let same = |other: &Keyframe| other.frame == keyframe.frame;
             if let Some(earlier) = self.keyframes[..index].iter().position(same) {
-                let key = format!("{}.frame", key());
                 let found = format!("{}, like that of `keyframe[{earlier}]`", keyframe.frame);
                 let allowed = "one key frame for each frame";
-                return Err(invalid(key, found, allowed, "leave out one of the two"));
+                let refused = InvalidSetting::new(format!("{key}.frame"), found, allowed);
+                return Err(refused.hint("leave out one of the two"));
             }
-            check_position(key, keyframe.position())?;
+            check_position(&key, keyframe.position())?;
         }
         Ok(())
     }
 
-    fn check_trajectory(&self, trajectory: &Trajectory) -> Result<(), GoalError> {
-        if !self.keyframes.is_empty() {
-            let found = format!("given beside {} key frames", self.keyframes.len());
-            let hint = "write the key frames into the trajectory, or leave the trajectory out";
-            return Err(invalid("trajectory", found, "one of the two", hint));
-        }
-        if trajectory.points.is_empty() {
-            let allowed = "one or more positions `[x, z]`";
-            let hint = "leave out `[trajectory]` if there is none";
-            return Err(invalid("trajectory.points", "empty", allowed, hint));
-        }
-        if trajectory.first_frame >= self.frames {
-            return Err(self.outside("trajectory.first_frame", trajectory.first_frame));
-        }
+    fn check_trajectory(&self, trajectory: &Trajectory) -> Result<(), InvalidSetting> {
+        require(
+            self.keyframes.is_empty(),
+            "trajectory",
+            format!("given beside {} key frames", self.keyframes.len()),
+            "one of the two",
+        )
+        .hint("write the key frames into the trajectory, or leave the trajectory out")?;
+        let points = &trajectory.points;
+        let allowed = "one or more positions `[x, z]`";
+        require(!points.is_empty(), "trajectory.points", "empty", allowed)
+            .hint("leave out `[trajectory]` if there is none")?;
+        self.check_frame("trajectory.first_frame", trajectory.first_frame)?;
         let longest = self.frames - trajectory.first_frame;
-        if trajectory.points.len() > longest {
-            let found = format!("a list of {} positions", trajectory.points.len());
-            let (first, frames) = (trajectory.first_frame, self.frames);
-            let allowed = format!("at most {longest} (from frame {first} of {frames})");
-            let hint = "give one position for each frame, or raise `frames`";
-            return Err(invalid("trajectory.points", found, allowed, hint));
-        }
-        for (index, &point) in trajectory.points.iter().enumerate() {
-            check_position(|| format!("trajectory.points[{index}]"), point)?;
+        require(
+            points.len() <= longest,
+            "trajectory.points",
+            format!("a list of {} positions", points.len()),
+            format!(
+                "at most {longest} (from frame {} of {})",
+                trajectory.first_frame, self.frames
+            ),
+        )
+        .hint("give one position for each frame, or raise `frames`")?;
+        for (index, &point) in points.iter().enumerate() {
+            check_position(&format!("trajectory.points[{index}]"), point)?;
         }
         Ok(())
     }
 
-    fn outside(&self, key: impl Into<String>, frame: usize) -> GoalError {
-        let (last, frames) = (self.frames - 1, self.frames);
-        let allowed = format!("0 to {last} (the goal has {frames} frames)");
-        let hint = "frames count from 0; raise `frames` for a longer clip";
-        invalid(key, frame, allowed, hint)
+    /// Refuses a frame after the clip's end.
+    fn check_frame(&self, key: &str, frame: usize) -> Result<(), InvalidSetting> {
+        let frames = self.frames;
+        let allowed = format!("0 to {} (the goal has {frames} frames)", frames - 1);
+        require(frame < frames, key, frame, allowed)
+            .hint("frames count from 0; raise `frames` for a longer clip")
     }
 
     /// The positions that are asked for: the key frames, or the trajectory.

@@ -1,10 +1,9 @@
 //! What the root shall keep out of, by signed distance.
 
+use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
 
-use super::GoalError;
-use super::error::{check_number, check_position};
-use super::polygon;
+use super::{check_metres, check_position, polygon};
 
 /// A region of the ground that the root shall not enter, in metres.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
@@ -55,27 +54,28 @@ impl Obstacle {
     }
 
     /// Refuses numbers that are not finite, a radius that is not positive, and polygons with fewer
-    /// than three corners or edges that touch one another. `key` names the obstacle in the error.
+    /// than three corners or edges that touch one another.
     ///
     /// # Errors
-    /// [`GoalError::Invalid`] names the first such value.
-    pub fn validate(&self, key: &str) -> Result<(), GoalError> {
+    /// Names the first such value.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         match self {
             &Self::Disc { x, z, radius } => {
-                check_position(|| key.to_owned(), [x, z])?;
-                check_number(
-                    || format!("{key}.radius"),
+                check_metres("x", x)?;
+                check_metres("z", z)?;
+                require(
+                    radius > 0.0 && radius.is_finite(),
+                    "radius",
                     radius,
-                    |radius| radius > 0.0,
                     "a positive number of metres",
-                    "leave out an obstacle that has no size",
                 )
+                .hint("leave out an obstacle that has no size")
             }
             Self::Polygon { vertices } => {
                 for (index, &vertex) in vertices.iter().enumerate() {
-                    check_position(|| format!("{key}.vertices[{index}]"), vertex)?;
+                    check_position(&format!("vertices[{index}]"), vertex)?;
                 }
-                polygon::check(vertices, key)
+                polygon::check(vertices)
             }
         }
     }
@@ -171,14 +171,13 @@ mod tests {
 
     #[test]
     fn shapes_without_an_inside_are_refused() {
-        let message =
-            |obstacle: Obstacle| obstacle.validate("obstacle[3]").unwrap_err().to_string();
+        let message = |obstacle: Obstacle| obstacle.validate().unwrap_err().to_string();
         let disc = |x, radius| Obstacle::Disc { x, z: 0.0, radius };
         assert_eq!(
             message(disc(0.0, -1.0)),
-            "`obstacle[3].radius` is -1, allowed: a positive number of metres"
+            "`radius` is -1, allowed: a positive number of metres"
         );
-        assert!(message(disc(f64::NAN, 1.0)).starts_with("`obstacle[3].x` is NaN"));
+        assert!(message(disc(f64::NAN, 1.0)).starts_with("`x` is NaN"));
         assert!(message(disc(0.0, f64::INFINITY)).contains("radius"));
         let polygon = |vertices: &[[f64; 2]]| Obstacle::Polygon {
             vertices: vertices.to_vec(),
@@ -204,7 +203,7 @@ mod tests {
         // A first corner that stands again at the end, or twice in a row, harms nothing; nor does
         // a corner that bends nothing.
         for good in [&[a, b, c][..], &[a, b, b, c, d, a], &[a, middle, b, c]] {
-            polygon(good).validate("obstacle[3]").unwrap();
+            polygon(good).validate().unwrap();
         }
     }
 

@@ -1,7 +1,6 @@
 //! Plane geometry of simple polygons: signed distance, and which polygons are simple.
 
-use super::GoalError;
-use super::error::invalid;
+use kinegrad_settings::{InvalidSetting, Refused, require};
 
 /// The edges of a closed polygon without those of no length.
 fn edges(vertices: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + Clone {
@@ -50,17 +49,14 @@ fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
 
 /// Refuses a polygon with fewer than three distinct corners and one whose edges touch one another
 /// elsewhere than at the corners that they share.
-pub(super) fn check(vertices: &[[f64; 2]], key: &str) -> Result<(), GoalError> {
-    let key = format!("{key}.vertices");
+pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();
     let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();
     corners.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
     corners.dedup();
-    if corners.len() < 3 {
-        let found = format!("a list of {} distinct corners", corners.len());
-        let hint = "name the corners in order around the obstacle, or use the kind `disc`";
-        return Err(invalid(key, found, "three or more", hint));
-    }
+    let found = format!("a list of {} distinct corners", corners.len());
+    require(corners.len() >= 3, "vertices", found, "three or more")
+        .hint("name the corners in order around the obstacle, or use the kind `disc`")?;
     for (i, &first) in edges.iter().enumerate() {
         for (distance, &second) in edges[i + 1..].iter().enumerate() {
             let j = i + 1 + distance;
@@ -72,16 +68,14 @@ pub(super) fn check(vertices: &[[f64; 2]], key: &str) -> Result<(), GoalError> {
                 intersect(first, second)
             };
             if touches {
-                let (from, other) = (first.0, second.0);
-                let found =
-                    format!("a line whose edges from {from:?} and from {other:?} cross or touch");
-                let hint = "name the corners in order around the obstacle; split a shape with \
-                            several parts into several obstacles";
-                return Err(invalid(
-                    key,
-                    found,
-                    "a line that meets itself nowhere",
-                    hint,
+                let found = format!(
+                    "a line whose edges from {:?} and from {:?} cross or touch",
+                    first.0, second.0
+                );
+                let allowed = "a line that meets itself nowhere";
+                return Err(InvalidSetting::new("vertices", found, allowed).hint(
+                    "name the corners in order around the obstacle; split a shape with several \
+                     parts into several obstacles",
                 ));
             }
         }

@@ -1,9 +1,7 @@
 //! Which part of a goal acts at which step of a sampler.
 
+use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
-
-use super::GoalError;
-use super::error::invalid;
 
 /// Which frames of a goal act.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
@@ -55,14 +53,12 @@ impl GuidanceSchedule {
     /// Refuses a line that acts longer than its key frames.
     ///
     /// # Errors
-    /// [`GoalError::Invalid`] names `dense_until`.
-    pub fn validate(&self) -> Result<(), GoalError> {
-        if self.dense_until >= self.points_until {
-            return Ok(());
-        }
+    /// Names `dense_until`.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         let allowed = format!("{} (`points_until`) or more", self.points_until);
-        let hint = "timesteps count down: the line between key frames ends before they do";
-        Err(invalid("dense_until", self.dense_until, allowed, hint))
+        let (dense, points) = (self.dense_until, self.points_until);
+        require(dense >= points, "dense_until", dense, allowed)
+            .hint("timesteps count down: the line between key frames ends before they do")
     }
 }
 

@@ -1,8 +1,7 @@
 //! Settings of the post-processor.
 
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use serde::{Deserialize, Serialize};
-
-use crate::Error;
 
 /// Which of the two quaternions of a rotation, `q` or `-q`, is kept.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
@@ -143,42 +142,27 @@ impl PostProcessConfig {
     /// Refuses even windows and limits that are not positive and finite.
     ///
     /// # Errors
-    /// [`Error::InvalidPostProcess`] names the first such setting.
-    pub fn validate(&self) -> Result<(), Error> {
-        let windows = [
+    /// Names the first such setting.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        for (key, frames) in [
             (
                 "quaternion_smoothing_window",
                 self.quaternion_smoothing_window,
             ),
             ("smoothing_kernel_size", self.smoothing_kernel_size),
-        ];
-        for (key, size) in windows {
-            if size.is_multiple_of(2) {
-                let allowed = "give an odd number of frames: 1, 3, 5, ...";
-                return Err(Error::InvalidPostProcess {
-                    key,
-                    found: size.to_string(),
-                    allowed,
-                });
-            }
+        ] {
+            let allowed = "an odd number of frames: 1, 3, 5, ...";
+            require(!frames.is_multiple_of(2), key, frames, allowed)?;
         }
-        let limits = [
-            ("limits.position", self.limits.position),
-            ("limits.velocity", self.limits.velocity),
-            ("limits.acceleration", self.limits.acceleration),
-            ("limits.angular_velocity", self.limits.angular_velocity),
-        ];
-        for (key, limit) in limits {
-            if !(limit > 0.0 && limit.is_finite()) {
-                let allowed = "give a positive number";
-                return Err(Error::InvalidPostProcess {
-                    key,
-                    found: limit.to_string(),
-                    allowed,
-                });
-            }
-        }
-        Ok(())
+        let limits = &self.limits;
+        in_range("limits.position", limits.position, ABOVE_ZERO)?;
+        in_range("limits.velocity", limits.velocity, ABOVE_ZERO)?;
+        in_range("limits.acceleration", limits.acceleration, ABOVE_ZERO)?;
+        in_range(
+            "limits.angular_velocity",
+            limits.angular_velocity,
+            ABOVE_ZERO,
+        )
     }
 }
 

@@ -14,9 +14,13 @@ pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
         .read_dir()
         .is_ok_and(|mut entries| entries.next().is_some());
     match taken || out.is_file() {
-        true => Err(Error::OutputTaken {
-            path: out.to_path_buf(),
-        }),
+        true => Err(Error::usage(
+            format!(
+                "{} exists already and is not an empty folder",
+                out.display()
+            ),
+            "choose another `--out`",
+        )),
         false => Ok(()),
     }
 }

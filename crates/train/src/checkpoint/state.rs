@@ -8,7 +8,7 @@ use kinegrad_motion::{Representation, Statistics};
 
 use super::Best;
 use crate::Error;
-use crate::config::Config;
+use crate::config::{self, Config};
 
 /// Version of the checkpoint's layout.
 pub const FORMAT: u32 = 1;
@@ -46,6 +46,7 @@ pub struct State {
     /// Optimiser steps done.
     pub step: u64,
     /// The resolved config of the run.
+    #[serde(deserialize_with = "config::from_json")]
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
     pub statistics: Statistics,

@@ -16,7 +16,7 @@ pub struct Difference {
 
 /// The keys whose values differ, in the order of the tables.
 pub fn difference<T: Serialize>(left: &T, right: &T) -> Vec<Difference> {
-    let value = |side: &T| serde_json::to_value(side).expect("configs are plain data");
+    let value = |side: &T| serde_json::to_value(side).expect(super::PLAIN);
     let mut found = Vec::new();
     compare(String::new(), &value(left), &value(right), &mut found);
     found

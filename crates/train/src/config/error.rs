@@ -1,5 +1,3 @@
-use std::fmt::Display;
-use std::ops::RangeBounds;
 use std::path::PathBuf;
 
 use miette::Diagnostic;
@@ -52,17 +50,6 @@ pub enum ConfigError {
         /// How to mend it.
         hint: String,
     },
-    /// A value out of range.
-    #[error("`{key}` is {found}, allowed: {allowed}")]
-    #[diagnostic(help("`kinegrad config show CONFIG` prints every key with its value"))]
-    Range {
-        /// The dotted key.
-        key: String,
-        /// The value found.
-        found: String,
-        /// The values allowed.
-        allowed: String,
-    },
     /// An override of what a trained model has been trained with.
     #[error(
         "`--set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
@@ -82,47 +69,4 @@ pub enum ConfigError {
         /// The argument found.
         argument: String,
     },
-}
-
-impl ConfigError {
-    /// A value out of range.
-    pub fn range(key: impl Display, found: impl Display, allowed: impl Display) -> Self {
-        Self::Range {
-            key: key.to_string(),
-            found: found.to_string(),
-            allowed: allowed.to_string(),
-        }
-    }
-
-    /// Refuses a number that is not finite or not in `range`, which `allowed` says in words.
-    ///
-    /// # Errors
-    /// [`ConfigError::Range`].
-    pub fn unless(
-        range: impl RangeBounds<f64>,
-        key: impl Display,
-        found: f64,
-        allowed: &str,
-    ) -> Result<(), Self> {
-        if found.is_finite() && range.contains(&found) {
-            return Ok(());
-        }
-        Err(Self::range(key, found, allowed))
-    }
-
-    /// [`ConfigError::unless`] the number is 0 or more.
-    ///
-    /// # Errors
-    /// [`ConfigError::Range`].
-    pub fn unless_at_least_zero(key: impl Display, found: f64) -> Result<(), Self> {
-        Self::unless(0.0.., key, found, "0 or more")
-    }
-
-    /// [`ConfigError::unless`] the number is above 0.
-    ///
-    /// # Errors
-    /// [`ConfigError::Range`].
-    pub fn unless_positive(key: impl Display, found: f64) -> Result<(), Self> {
-        Self::unless(f64::MIN_POSITIVE.., key, found, "more than 0")
-    }
 }

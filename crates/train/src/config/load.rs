@@ -7,8 +7,11 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::{COMMON, Config, ConfigError, TrainConfig, split};
+use super::{COMMON, Config, ConfigError, PLAIN, TrainConfig, model};
 use crate::systems::Systems;
+
+/// Says where a dotted key stands, such as `FILE:LINE`.
+pub type Place<'a> = &'a dyn Fn(&str) -> String;
 
 /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
 ///
@@ -95,7 +98,7 @@ pub fn override_trained(
     config: &Config,
     overrides: &[String],
 ) -> Result<Config, ConfigError> {
-    let mut table = Table::try_from(config).expect("plain data");
+    let mut table = Table::try_from(config).expect(PLAIN);
     let mut changed = config.clone();
     for argument in overrides {
         let key = argument.trim_start();
@@ -111,34 +114,31 @@ pub fn override_trained(
 }
 
 /// The config of `given`, where what it leaves out is as its recipe has it.
-fn whole(
-    systems: Systems<'_>,
-    given: &Table,
-    place: &dyn Fn(&str) -> String,
-) -> Result<Config, ConfigError> {
+fn whole(systems: Systems<'_>, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
     let named = given.get("train").and_then(|train| train.get("recipe"));
     let default = TrainConfig::default().recipe;
     // What is no text is refused below.
     let name = named.and_then(Value::as_str).unwrap_or(&default);
-    let (system, recipe) = systems
-        .of_recipe(name)
-        .ok_or_else(|| unknown_recipe(systems, name, place("train.recipe")))?;
+    let (system, recipe) = systems.of_recipe(name).ok_or_else(|| {
+        let names: Vec<&str> = systems.recipes().map(|recipe| recipe.name).collect();
+        let key = "train.recipe";
+        not_among(place(key), key, &format!("\"{name}\""), &names)
+    })?;
     let mut table = system.defaults(recipe, given);
     lay_over(&mut table, given.clone());
-    let (common, own) = split(table);
-    Ok(Config::of(
-        from_table(&common, place)?,
-        system.complete(&own, place)?,
-    ))
+    let config: Config = from_table(&table, place)?;
+    let system = system.complete(&config.system, place)?;
+    Ok(Config { system, ..config })
 }
 
-fn unknown_recipe(systems: Systems<'_>, found: &str, place: String) -> ConfigError {
-    let names: Vec<String> = systems.recipes().map(|recipe| recipe.name.into()).collect();
+/// The error of a value that is none of the `names` that `key` may have.
+pub(super) fn not_among(place: String, key: &str, found: &str, names: &[&str]) -> ConfigError {
+    let bare = found.trim_matches('"');
     ConfigError::Value {
         place,
-        key: "train.recipe".into(),
-        message: format!("\"{found}\" is not a recipe: {}", names.join(", ")),
-        hint: match nearest(found, &names) {
+        key: key.into(),
+        message: format!("{found} is not among {}", names.join(", ")),
+        hint: match nearest(bare, names) {
             Some(near) => format!("did you mean \"{near}\"?"),
             None => format!("choose one of: {}", names.join(", ")),
         },
@@ -166,7 +166,7 @@ pub fn to_toml(config: &Config) -> String {
 /// and no other deserialiser: the code of one is a large part of this crate.
 pub(super) fn from_table<T: DeserializeOwned>(
     table: &Table,
-    place: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<T, ConfigError> {
     serde_path_to_error::deserialize(Value::Table(table.clone()))
         .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
@@ -214,6 +214,9 @@ fn place(origin: &str, line: Option<usize>) -> String {
     }
 }
 
+/// The hint that fits every key.
+const SHOW: &str = "`kinegrad config show CONFIG` prints every key with its value";
+
 /// The line of a byte, counted from 1.
 fn line_of(text: &str, byte: usize) -> usize {
     text[..byte.min(text.len())].matches('\n').count() + 1
@@ -245,32 +248,33 @@ fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
     inner.or(Some(name.span().start))
 }
 
-/// Turns serde's words for an unknown key into an error with the nearest valid one.
-fn explain(place: &dyn Fn(&str) -> String, path: &str, message: &str) -> ConfigError {
+/// Turns serde's words for an unknown key or name into an error with the nearest valid one.
+fn explain(place: Place<'_>, path: &str, message: &str) -> ConfigError {
     let message = message.trim().lines().next().unwrap_or_default();
-    let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_string);
+    let mut quoted = message.split('`').skip(1).step_by(2);
     if message.starts_with("unknown field") {
         let found = quoted.next().unwrap_or_default();
-        let mut allowed: Vec<String> = quoted.collect();
         let parent = match path {
             "." => "",
-            path => path
-                .strip_suffix(found.as_str())
-                .unwrap_or(path)
-                .trim_end_matches('.'),
+            path => path.strip_suffix(found).unwrap_or(path),
         };
+        let parent = parent.trim_end_matches('.');
         let join = |key: &str| match parent {
             "" => key.to_string(),
             parent => format!("{parent}.{key}"),
         };
-        if parent.is_empty() {
-            allowed.splice(0..0, COMMON.map(String::from));
-        }
-        let hint = match nearest(&found, &allowed) {
-            Some(near) => format!("did you mean `{}`?", join(near)),
-            None => "`kinegrad config show CONFIG` prints every key with its value".into(),
+        // Keys of the same table that are read by another type.
+        let beside: &[&str] = match parent {
+            "" => &COMMON,
+            "model" => &model::KEYS,
+            _ => &[],
         };
-        let key = join(&found);
+        let allowed: Vec<&str> = beside.iter().copied().chain(quoted).collect();
+        let hint = match nearest(found, &allowed) {
+            Some(near) => format!("did you mean `{}`?", join(near)),
+            None => SHOW.into(),
+        };
+        let key = join(found);
         return ConfigError::UnknownKey {
             place: place(&key),
             key,
@@ -278,31 +282,23 @@ fn explain(place: &dyn Fn(&str) -> String, path: &str, message: &str) -> ConfigE
             hint,
         };
     }
-    let hint = if message.starts_with("unknown variant") {
+    if message.starts_with("unknown variant") {
         let found = quoted.next().unwrap_or_default();
-        let allowed: Vec<String> = quoted.collect();
-        match nearest(&found, &allowed) {
-            Some(near) => format!("did you mean \"{near}\"?"),
-            None => format!("choose one of: {}", allowed.join(", ")),
-        }
-    } else {
-        "`kinegrad config show CONFIG` prints every key with its value".into()
-    };
+        let names: Vec<&str> = quoted.collect();
+        return not_among(place(path), path, &format!("\"{found}\""), &names);
+    }
     ConfigError::Value {
         place: place(path),
         key: path.to_string(),
         message: message.to_string(),
-        hint,
+        hint: SHOW.into(),
     }
 }
 
-fn nearest<'a>(found: &str, allowed: &'a [String]) -> Option<&'a str> {
-    allowed
-        .iter()
-        .map(|candidate| (strsim::jaro_winkler(found, candidate), candidate.as_str()))
-        .filter(|(similarity, _)| *similarity > 0.75)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| candidate)
+fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
+    let similar = |name: &&'a str| (strsim::jaro_winkler(found, name), *name);
+    let near = allowed.iter().map(similar).filter(|near| near.0 > 0.75);
+    near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)
 }
 
 #[cfg(test)]
@@ -409,10 +405,9 @@ mod tests {
             let again = parse(BUILT_IN, &to_toml(&config), "c.toml", &[]).expect("own output");
             assert_eq!(again, config);
             let json = serde_json::to_string(&config).expect("plain data");
-            assert_eq!(
-                serde_json::from_str::<Config>(&json).expect("own output"),
-                config
-            );
+            let mut json = serde_json::Deserializer::from_str(&json);
+            let read = super::super::from_json(&mut json);
+            assert_eq!(read.expect("own output"), config);
         }
     }
 
@@ -420,7 +415,7 @@ mod tests {
     fn an_unknown_recipe_names_the_known_ones() {
         let text = error("[train]\n\nrecipe = \"gmd_movement\"\n", &[]);
         assert!(
-            text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not"),
+            text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not among"),
             "{text}"
         );
         assert!(

@@ -8,6 +8,7 @@
 mod difference;
 mod error;
 mod load;
+mod model;
 mod resume;
 mod steering;
 mod system_tables;
@@ -16,7 +17,8 @@ mod tables;
 pub use difference::{Difference, difference};
 pub use error::ConfigError;
 pub(crate) use load::lay_over;
-pub use load::{load, load_over, override_trained, parse, to_toml};
+pub use load::{Place, load, load_over, override_trained, parse, to_toml};
+pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
@@ -27,21 +29,23 @@ pub use tables::{
 
 use kinegrad_data::DataConfig;
 use serde::de::Error as _;
-use serde::ser::SerializeMap;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use toml::{Table, Value};
 
 use crate::Error;
 use crate::systems::Systems;
 
 /// Everything a run is made from.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Config {
     /// Name, seed, device.
     pub run: RunConfig,
     /// Where the motion comes from and how batches are made of it.
     pub data: DataConfig,
-    /// The tables of the run's system, every key written out: a [`SystemTables`] reads them.
+    /// The tables of the run's system, every key written out: a [`SystemTables`] reads them, and
+    /// refuses those that are of nobody.
+    #[serde(flatten)]
     pub system: Table,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,
@@ -57,21 +61,10 @@ pub struct Config {
     pub sampling: SamplingConfig,
 }
 
-/// The tables that every run has.
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct CommonTables {
-    run: RunConfig,
-    data: DataConfig,
-    optim: OptimConfig,
-    train: TrainConfig,
-    ema: EmaConfig,
-    checkpoint: CheckpointConfig,
-    validation: ValidationConfig,
-    sampling: SamplingConfig,
-}
+/// Why a config can be written.
+const PLAIN: &str = "configs are plain data";
 
-/// Names of [`CommonTables`].
+/// Names of the tables that every run has.
 const COMMON: [&str; 8] = [
     "run",
     "data",
@@ -83,64 +76,10 @@ const COMMON: [&str; 8] = [
     "sampling",
 ];
 
-/// The tables of `whole` that every run has, and the others.
-fn split(whole: Table) -> (Table, Table) {
-    let common = |(name, _): &(String, Value)| COMMON.contains(&name.as_str());
-    whole.into_iter().partition(common)
-}
-
-impl Config {
-    fn of(common: CommonTables, system: Table) -> Self {
-        let CommonTables {
-            run,
-            data,
-            optim,
-            train,
-            ema,
-            checkpoint,
-            validation,
-            sampling,
-        } = common;
-        Self {
-            run,
-            data,
-            system,
-            optim,
-            train,
-            ema,
-            checkpoint,
-            validation,
-            sampling,
-        }
-    }
-}
-
-impl Serialize for Config {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("run", &self.run)?;
-        map.serialize_entry("data", &self.data)?;
-        for (name, table) in &self.system {
-            map.serialize_entry(name, table)?;
-        }
-        map.serialize_entry("optim", &self.optim)?;
-        map.serialize_entry("train", &self.train)?;
-        map.serialize_entry("ema", &self.ema)?;
-        map.serialize_entry("checkpoint", &self.checkpoint)?;
-        map.serialize_entry("validation", &self.validation)?;
-        map.serialize_entry("sampling", &self.sampling)?;
-        map.end()
-    }
-}
-
-/// Takes the system's tables as they stand: only the system can read them.
-impl<'de> Deserialize<'de> for Config {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let json = serde_json::Map::deserialize(deserializer)?;
-        let (common, system) = split(toml_table(json));
-        let common = load::from_table(&common, &|_| "its config".into());
-        Ok(Self::of(common.map_err(D::Error::custom)?, system))
-    }
+/// Reads a config from JSON by way of TOML; the system's tables stay as they stand.
+pub(crate) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Config, D::Error> {
+    let table = toml_table(serde_json::Map::deserialize(deserializer)?);
+    load::from_table(&table, &|_| "its config".into()).map_err(D::Error::custom)
 }
 
 /// JSON as TOML, which says that there is no value by leaving its key out.

@@ -1,7 +1,8 @@
 //! What may differ between a run's saved config and the one it is resumed with.
 
+use kinegrad_settings::InvalidSetting;
+
 use super::{Config, difference};
-use crate::Error;
 
 /// Keys that may differ, or the tables whose every key may. Where motion lies and how it is fetched
 /// and kept changes no batch: that it is the same is checked by itself.
@@ -25,16 +26,18 @@ pub fn may_differ(key: &str) -> bool {
 /// Refuses a config that would not continue the saved one.
 ///
 /// # Errors
-/// [`Error::ResumeDiffers`] for the first key that differs and may not.
-pub fn must_continue(saved: &Config, given: &Config) -> Result<(), Error> {
+/// Names the first key that differs and may not.
+pub fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
     let mut differences = difference(saved, given).into_iter();
     match differences.find(|d| !may_differ(&d.key)) {
-        Some(d) => Err(Error::ResumeDiffers {
-            key: d.key,
-            saved: d.left,
-            given: d.right,
-            free: FREE.join(", "),
-        }),
+        Some(d) => {
+            let saved = format!("{}, which the run was started with", d.left);
+            Err(InvalidSetting::new(d.key, d.right, saved).hint(format!(
+                "a resumed run continues as it was; only {} may differ. For other settings start \
+                 a new run",
+                FREE.join(", ")
+            )))
+        }
         None => Ok(()),
     }
 }

@@ -1,10 +1,8 @@
 //! The table `sampling.steering`: how a draw is led to its goal.
 
-use kinegrad_motion::goal::{GoalError, GuidanceConfig, GuidanceSchedule};
+use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use serde::{Deserialize, Serialize};
-
-use super::ConfigError;
-use crate::Error;
 
 /// How a draw is led to its goal (Guided Motion Diffusion, appendix F).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,23 +34,9 @@ impl SteeringConfig {
     ///
     /// # Errors
     /// Names the first key with a bad value.
-    pub fn validate(&self) -> Result<(), Error> {
-        ConfigError::unless_at_least_zero("sampling.steering.scale", self.scale)?;
-        if self.guidance.frame_limit == Some(0) {
-            let key = "sampling.steering.guidance.frame_limit";
-            return Err(ConfigError::range(key, 0, "1 or more, or no such key").into());
-        }
-        self.schedule.validate().map_err(|error| match error {
-            GoalError::Invalid {
-                key,
-                found,
-                allowed,
-                ..
-            } => {
-                let key = format!("sampling.steering.schedule.{key}");
-                ConfigError::range(key, found, allowed).into()
-            }
-            other => Error::from(other),
-        })
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("scale", self.scale, 0.0..)?;
+        self.guidance.validate().within("guidance")?;
+        self.schedule.validate().within("schedule")
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, load};
+use super::{Config, ConfigError, NetworkKind, PLAIN, Place, load, model};
 
 /// The tables of a system as a struct: one field a table.
 pub trait SystemTables: Serialize + DeserializeOwned {
@@ -12,20 +12,27 @@ pub trait SystemTables: Serialize + DeserializeOwned {
     /// that they had where nobody set them: such a key with such a value is passed over.
     const PASSED_OVER: &'static str = "";
 
-    /// The tables with every key that a named size implies written out.
-    #[must_use]
-    fn resolved(self) -> Self {
-        self
-    }
+    /// Kinds of network that the table `model` may be of, the default first; none of a system
+    /// without that table.
+    const NETWORKS: &'static [NetworkKind] = &[];
 
     /// Reads them from `tables`; `place` says where a dotted key stands.
     ///
     /// # Errors
     /// Names the place of a thing that is wrong.
-    fn read(tables: &Table, place: &dyn Fn(&str) -> String) -> Result<Self, ConfigError> {
+    fn read(tables: &Table, place: Place<'_>) -> Result<Self, ConfigError> {
         let mut tables = tables.clone();
         let passed_over = Self::PASSED_OVER.parse().expect("text of a program");
         remove(&mut tables, &passed_over);
+        if !Self::NETWORKS.is_empty() {
+            let model = tables
+                .entry("model")
+                .or_insert_with(|| Value::Table(Table::new()));
+            // What is no table is refused below.
+            if let Value::Table(model) = model {
+                *model = model::complete(Self::NETWORKS, std::mem::take(model), place)?;
+            }
+        }
         load::from_table(&tables, place)
     }
 
@@ -39,7 +46,7 @@ pub trait SystemTables: Serialize + DeserializeOwned {
 
     /// The tables as plain data, every key written out.
     fn to_table(self) -> Table {
-        Table::try_from(self.resolved()).expect("plain data")
+        Table::try_from(self).expect(PLAIN)
     }
 }
 

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use kinegrad_diffusion::{Clip as ClipRange, SamplerConfig};
 use kinegrad_motion::Statistics;
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use super::{Config, ConfigError, SteeringConfig};
+use super::{Config, SteeringConfig};
 use crate::error::Error;
 use crate::systems::RecipeInfo;
 
@@ -204,14 +205,16 @@ pub enum Clip {
 }
 
 impl Clip {
-    /// The bounds in normalised units.
+    /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
     /// [`Error::NoRange`] where the range of the training motion is asked for and not known.
-    pub fn range(self, statistics: &Statistics) -> Result<ClipRange, Error> {
+    pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
         Ok(match self {
             Self::TrainingRange => {
-                let [min, max] = statistics.normalized_range().ok_or(Error::NoRange)?;
+                let [mut min, mut max] = statistics.normalized_range().ok_or(Error::NoRange)?;
+                min.truncate(channels);
+                max.truncate(channels);
                 ClipRange::PerChannel { min, max }
             }
             Self::Unit => ClipRange::Symmetric(1.0),
@@ -236,57 +239,46 @@ pub struct SamplingConfig {
 }
 
 /// Refuses bad values in the tables above.
-pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), ConfigError> {
-    let optim = &config.optim;
-    let train = &config.train;
-    let at_least_one = [
-        (
-            "train.gradient_accumulation_steps",
-            train.gradient_accumulation_steps,
-        ),
-        ("train.max_steps", train.max_steps),
-        ("train.log_every_steps", train.log_every_steps),
-        ("ema.update_every", config.ema.update_every),
-        ("checkpoint.every_steps", config.checkpoint.every_steps),
-        ("checkpoint.keep_last", config.checkpoint.keep_last as u64),
-        ("validation.draws", config.validation.draws as u64),
-        ("validation.batch_size", config.validation.batch_size as u64),
-    ];
-    for (key, value) in at_least_one {
-        if value == 0 {
-            return Err(ConfigError::range(key, value, "1 or more"));
-        }
-    }
-    for (key, value) in [
-        ("optim.learning_rate", optim.learning_rate),
-        ("optim.weight_decay", optim.weight_decay),
-        ("train.max_grad_norm", train.max_grad_norm),
-        ("ema.inv_gamma", config.ema.inv_gamma),
-    ] {
-        ConfigError::unless_at_least_zero(key, value)?;
-    }
-    ConfigError::unless_positive("optim.eps", optim.eps)?;
-    ConfigError::unless_positive("ema.power", config.ema.power)?;
+pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
+    let Config {
+        optim,
+        train,
+        ema,
+        checkpoint,
+        validation,
+        ..
+    } = config;
+    let accumulation = train.gradient_accumulation_steps;
+    in_range("train.gradient_accumulation_steps", accumulation, 1..)?;
+    in_range("train.max_steps", train.max_steps, 1..)?;
+    in_range("train.log_every_steps", train.log_every_steps, 1..)?;
+    in_range("train.max_grad_norm", train.max_grad_norm, 0.0..)?;
+    in_range("checkpoint.every_steps", checkpoint.every_steps, 1..)?;
+    in_range("checkpoint.keep_last", checkpoint.keep_last, 1..)?;
+    in_range("validation.draws", validation.draws, 1..)?;
+    in_range("validation.batch_size", validation.batch_size, 1..)?;
+    in_range("ema.update_every", ema.update_every, 1..)?;
+    in_range("ema.decay", ema.decay, 0.0..=1.0)?;
+    in_range("ema.inv_gamma", ema.inv_gamma, 0.0..)?;
+    in_range("ema.power", ema.power, ABOVE_ZERO)?;
+    in_range("optim.learning_rate", optim.learning_rate, 0.0..)?;
+    in_range("optim.weight_decay", optim.weight_decay, 0.0..)?;
+    in_range("optim.eps", optim.eps, ABOVE_ZERO)?;
     for beta in optim.betas {
-        ConfigError::unless(0.0..1.0, "optim.betas", beta, "0 to below 1")?;
+        in_range("optim.betas", beta, 0.0..1.0)?;
     }
-    ConfigError::unless(0.0..=1.0, "ema.decay", config.ema.decay, "0 to 1")?;
-    let groups = recipe.groups;
     for (name, &rate) in &optim.groups {
         let key = format!("optim.groups.{name}");
-        if !groups.contains(&name.as_str()) {
-            let allowed = format!("groups of this recipe: {}", groups.join(", "));
-            return Err(ConfigError::range(key, rate, allowed));
-        }
-        ConfigError::unless_at_least_zero(key, rate)?;
+        let allowed = format!("groups of this recipe: {}", recipe.groups.join(", "));
+        require(recipe.groups.contains(&name.as_str()), &key, rate, allowed)?;
+        in_range(key, rate, 0.0..)?;
     }
     let name = &config.run.name;
-    if name.contains(['/', '\\']) || name.starts_with('.') {
-        return Err(ConfigError::range(
-            "run.name",
-            format!("\"{name}\""),
-            "a plain folder name",
-        ));
-    }
-    Ok(())
+    let plain = !name.contains(['/', '\\']) && !name.starts_with('.');
+    require(
+        plain,
+        "run.name",
+        format!("\"{name}\""),
+        "a plain folder name",
+    )
 }

@@ -73,15 +73,18 @@ impl Setup {
     /// Refuses to continue on another dataset than the one trained on so far.
     ///
     /// # Errors
-    /// [`Error::DatasetDiffers`].
+    /// If it is another.
     pub fn same_dataset(&self, digest: Digest) -> Result<(), Error> {
         let found = digest.to_string();
         let saved = self.checkpoint.as_ref();
         match saved.and_then(|checkpoint| checkpoint.state.dataset_sha256.as_ref()) {
-            Some(saved) if *saved != found => Err(Error::DatasetDiffers {
-                saved: saved.clone(),
-                found,
-            }),
+            Some(saved) if *saved != found => Err(Error::usage(
+                format!(
+                    "the dataset is not the one trained on so far: sha256 {found}, before {saved}"
+                ),
+                "phrases were added, removed or changed: restore them to continue, or start a new \
+                 run, from this one's weights with `init.*`",
+            )),
             _ => Ok(()),
         }
     }

@@ -11,9 +11,10 @@ pub mod gmd;
 use std::path::{Path, PathBuf};
 
 use kinegrad_motion::Representation;
+use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
-use crate::config::{Config, ConfigError};
+use crate::config::{Config, ConfigError, Place};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
@@ -51,11 +52,7 @@ pub trait System: Sync {
     ///
     /// # Errors
     /// Names the place of a key that is unknown or of the wrong type.
-    fn complete(
-        &self,
-        tables: &Table,
-        place: &dyn Fn(&str) -> String,
-    ) -> Result<Table, ConfigError>;
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError>;
 
     /// Refuses values that cannot work and returns what is doubtful; what every run has is checked
     /// elsewhere.
@@ -188,23 +185,23 @@ impl<'a> Systems<'a> {
     /// The system and the recipe of a run.
     ///
     /// # Errors
-    /// [`Error::UnknownSystem`] for a recipe of none of these systems.
-    pub fn of(self, config: &Config) -> Result<(&'a dyn System, &'static RecipeInfo), Error> {
+    /// For a recipe of none of these systems.
+    pub fn of(
+        self,
+        config: &Config,
+    ) -> Result<(&'a dyn System, &'static RecipeInfo), InvalidSetting> {
         let name = &config.train.recipe;
-        self.of_recipe(name).ok_or_else(|| Error::UnknownSystem {
-            recipe: name.clone(),
-            known: self
-                .recipes()
-                .map(|recipe| recipe.name)
-                .collect::<Vec<_>>()
-                .join(", "),
+        self.of_recipe(name).ok_or_else(|| {
+            let known: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();
+            InvalidSetting::new("train.recipe", format!("\"{name}\""), known.join(", "))
+                .hint("the run is of another system; a newer kinegrad may know it")
         })
     }
 
     /// A config that was saved by another version, as this one would save it.
     ///
     /// # Errors
-    /// [`Error::UnknownSystem`]; [`ConfigError`] for tables that the system cannot read.
+    /// As [`of`](Self::of), and [`ConfigError`] for tables that the system cannot read.
     pub fn completed(self, config: &Config) -> Result<Config, Error> {
         let (system, _) = self.of(config)?;
         Ok(Config {

@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Time, guided};
+use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
@@ -71,10 +72,9 @@ fn compare_stages(golden: &Golden, stages: &Noted) {
 
 fn compare_unet(golden: Golden) {
     let device = Device::flex().autodiff();
-    let config = gmd::unet(&golden, "model.");
-    let network = config
-        .init(&Initializer::new(0, &device))
-        .expect("a network");
+    let (config, channels, cond) = gmd::unet(&golden, "model.");
+    let init = Initializer::new(0, &device);
+    let network = config.init(channels, cond, &init).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let x = golden.tensor::<3>("in.x", &device).require_grad();
     let cond = golden.tensor::<2>("in.cond", &device).require_grad();
@@ -108,8 +108,13 @@ fn compare_unet(golden: Golden) {
 fn golden_gmd_whole_model(golden: Golden) {
     let device = Device::flex().autodiff();
     let padded_frames = golden.metadata("padded_frames").parse().expect("a number");
-    let backbone = Backbone::Unet(gmd::unet(&golden, "model.unet."), padded_frames);
-    let network = TextDenoiser::new(&backbone, &Initializer::new(0, &device)).expect("a network");
+    let (unet, channels, _) = gmd::unet(&golden, "model.unet.");
+    let backbone = Backbone::GmdUnet(GmdUnetConfig {
+        padded_frames,
+        ..unet
+    });
+    let init = Initializer::new(0, &device);
+    let network = TextDenoiser::new(&backbone, channels, &init).expect("a network");
     let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
     let at = Time::of(&golden.get("in.t").indices());
     let text = golden

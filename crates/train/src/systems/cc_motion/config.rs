@@ -1,17 +1,18 @@
 //! The tables of a config that are this system's own, and what must hold of them.
 
+use std::ops::Bound;
 use std::path::PathBuf;
 
-use kinegrad_data::{AUDIO_CHANNELS, DataKind};
+use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph};
-use kinegrad_models::{DecoderConfig, LoraConfig, ModelConfig};
-use kinegrad_motion::phrase::CHANNELS;
+use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::evaluate::CondSource;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::{E2E, rolls_out};
-use crate::config::{Clip, Config, ConfigError, SystemTables};
+use crate::config::{Clip, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -21,7 +22,7 @@ pub struct CcMotionConfig {
     /// What a fine-tuning starts from.
     pub init: InitConfig,
     /// The denoiser.
-    pub model: ModelConfig,
+    pub model: ModelTable<CcMotionNetwork>,
     /// The motion decoder, in recipes `decoder` and `e2e`.
     pub decoder: DecoderConfig,
     /// Low-rank adapters on the denoiser, in recipe `e2e`; without this table all its weights are
@@ -41,11 +42,20 @@ pub struct CcMotionConfig {
 impl SystemTables for CcMotionConfig {
     const PASSED_OVER: &'static str = include_str!("passed_over.toml");
 
-    fn resolved(self) -> Self {
-        Self {
-            model: self.model.resolved(),
-            ..self
-        }
+    const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<UNet1dConfig>()];
+}
+
+/// The denoiser.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum CcMotionNetwork {
+    /// A UNet under audio.
+    Unet1d(UNet1dConfig),
+}
+
+impl Default for CcMotionNetwork {
+    fn default() -> Self {
+        Self::Unet1d(UNet1dConfig::default())
     }
 }
 
@@ -257,109 +267,105 @@ impl Default for EvaluationConfig {
 /// Names the first key with a bad value.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = CcMotionConfig::of(config)?;
+    let recipe = &config.train.recipe;
     own.diffusion.validate()?;
-    if !matches!(config.data.kind, DataKind::Phrases | DataKind::Synthetic) {
-        let recipe = &config.train.recipe;
-        let allowed = format!("\"phrases\" or \"synthetic\" for recipe `{recipe}`");
-        return Err(ConfigError::range("data.kind", "a kind of clips", allowed).into());
-    }
-    own.model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
+    require(
+        matches!(config.data.kind, DataKind::Phrases | DataKind::Synthetic),
+        "data.kind",
+        "a kind of clips",
+        format!("\"phrases\" or \"synthetic\" for recipe `{recipe}`"),
+    )?;
+    let CcMotionNetwork::Unet1d(unet) = &own.model.network;
+    unet.validate()?;
     let timesteps = own.diffusion.num_train_timesteps;
     config.sampling.sampler.validate(timesteps)?;
-    if own.evaluation.seeds == 0 {
-        return Err(ConfigError::range("evaluation.seeds", 0, "1 or more").into());
-    }
-    if own.evaluation.phrases == Some(0) {
-        let allowed = "1 or more, or no such key for all that are held out";
-        return Err(ConfigError::range("evaluation.phrases", 0, allowed).into());
+    in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
+    if let Some(phrases) = own.evaluation.phrases {
+        in_range("evaluation.phrases", phrases, 1..)
+            .hint("leave it out for all phrases that are held out")?;
     }
     if rolls_out(config) {
         own.decoder.validate()?;
-        own.validate_fine_tuning(config)?;
+        own.validate_fine_tuning(recipe)?;
     }
     if let Some(lora) = &own.lora {
         lora.validate()?;
-        if config.train.recipe != E2E {
-            let found = format!("set, for recipe `{}`", config.train.recipe);
-            return Err(ConfigError::range("lora", found, "recipe `e2e` alone").into());
-        }
+        let found = format!("set, for recipe `{recipe}`");
+        require(recipe == E2E, "lora", found, "recipe `e2e` alone")?;
     }
     Ok(())
 }
 
 impl CcMotionConfig {
     /// Refuses bad values in `init`, `rollout` and `loss`.
-    fn validate_fine_tuning(&self, config: &Config) -> Result<(), ConfigError> {
-        let init = &self.init;
+    fn validate_fine_tuning(&self, recipe: &str) -> Result<(), InvalidSetting> {
+        let Self {
+            init,
+            rollout,
+            loss,
+            ..
+        } = self;
+        let pretrain = &init.pretrain;
         if init.diffusion.as_os_str().is_empty() {
-            if !init.decoder.as_os_str().is_empty() {
-                let found = format!("{} without `init.diffusion`", init.decoder.display());
-                let allowed = "a decoder together with the base it was made on";
-                return Err(ConfigError::range("init.decoder", found, allowed));
-            }
-            if config.train.recipe == E2E && init.pretrain.diffusion_steps == 0 {
-                let key = "init.pretrain.diffusion_steps";
-                return Err(ConfigError::range(
-                    key,
-                    0,
-                    "1 or more, or an `init.diffusion`",
-                ));
-            }
+            require(
+                init.decoder.as_os_str().is_empty(),
+                "init.decoder",
+                format!("{} without `init.diffusion`", init.decoder.display()),
+                "a decoder together with the base it was made on",
+            )?;
+            require(
+                recipe != E2E || pretrain.diffusion_steps > 0,
+                "init.pretrain.diffusion_steps",
+                0,
+                "1 or more, or an `init.diffusion`",
+            )?;
         }
         let timesteps = self.diffusion.num_train_timesteps;
-        let rollout = &self.rollout;
-        if !(1..=timesteps).contains(&rollout.steps) {
-            let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
-            return Err(ConfigError::range("rollout.steps", rollout.steps, allowed));
-        }
-        if !(1..=rollout.steps).contains(&rollout.last_k) {
-            let allowed = format!("1 to rollout.steps ({})", rollout.steps);
-            return Err(ConfigError::range(
-                "rollout.last_k",
-                rollout.last_k,
-                allowed,
-            ));
-        }
+        let steps = rollout.steps;
+        let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
+        require(
+            (1..=timesteps).contains(&steps),
+            "rollout.steps",
+            steps,
+            allowed,
+        )?;
+        let last_k = rollout.last_k;
+        let allowed = format!("1 to rollout.steps ({steps})");
+        require(
+            (1..=steps).contains(&last_k),
+            "rollout.last_k",
+            last_k,
+            allowed,
+        )?;
         let [lowest, highest] = rollout.start_timesteps;
-        if lowest > highest || lowest.min(timesteps - 1) + 1 < rollout.steps {
-            let found = format!("[{lowest}, {highest}]");
-            let allowed = format!(
+        require(
+            lowest <= highest && lowest.min(timesteps - 1) + 1 >= steps,
+            "rollout.start_timesteps",
+            format!("[{lowest}, {highest}]"),
+            format!(
                 "a lower and an upper timestep, both at least rollout.steps - 1 ({})",
-                rollout.steps - 1
-            );
-            return Err(ConfigError::range(
-                "rollout.start_timesteps",
-                found,
-                allowed,
-            ));
-        }
-        let loss = &self.loss;
-        let named = [
-            ("loss.w_diff", loss.w_diff),
-            ("loss.w_dec", loss.w_dec),
-            ("loss.w_temp", loss.w_temp),
-            ("loss.w_components", loss.w_components),
-            ("rollout.guidance_scale", rollout.guidance_scale),
-            (
-                "init.pretrain.diffusion_learning_rate",
-                init.pretrain.diffusion_learning_rate,
+                steps - 1
             ),
-            (
-                "init.pretrain.decoder_learning_rate",
-                init.pretrain.decoder_learning_rate,
-            ),
-        ];
-        for (key, value) in named {
-            ConfigError::unless_at_least_zero(key, value)?;
+        )?;
+        in_range("rollout.guidance_scale", rollout.guidance_scale, 0.0..)?;
+        in_range("rollout.gradient_decay", rollout.gradient_decay, 0.0..=1.0)?;
+        for (key, rate) in [
+            ("diffusion_learning_rate", pretrain.diffusion_learning_rate),
+            ("decoder_learning_rate", pretrain.decoder_learning_rate),
+        ] {
+            in_range(key, rate, 0.0..).within("init.pretrain")?;
         }
+        in_range("loss.w_diff", loss.w_diff, 0.0..)?;
+        in_range("loss.w_dec", loss.w_dec, 0.0..)?;
+        in_range("loss.w_temp", loss.w_temp, 0.0..)?;
+        in_range("loss.w_components", loss.w_components, 0.0..)?;
         for (key, value) in loss.temporal.numbers() {
-            let key = format!("loss.temporal.{key}");
-            match key.contains(".target_") {
-                true => ConfigError::unless_positive(key, value)?,
-                false => ConfigError::unless_at_least_zero(key, value)?,
-            }
+            let allowed = match key.starts_with("target_") {
+                true => ABOVE_ZERO,
+                false => (Bound::Included(0.0), Bound::Unbounded),
+            };
+            in_range(key, value, allowed).within("loss.temporal")?;
         }
-        let decay = rollout.gradient_decay;
-        ConfigError::unless(0.0..=1.0, "rollout.gradient_decay", decay, "0 to 1")
+        Ok(())
     }
 }

@@ -112,7 +112,7 @@ impl Generator {
                 on_device(start.flatten().collect(), CHANNELS),
                 &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
                 &sampling.sampler,
-                &sampling.clip.range(self.statistics())?,
+                &sampling.clip.range(self.statistics(), CHANNELS)?,
                 NoiseKeys::Samples(&of_steps),
                 &mut |step, total, _| on_step(done * total + step, all * total),
             )?;

@@ -25,13 +25,13 @@ use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
 
 pub use config::{
-    CcMotionConfig, EvaluationConfig, InitConfig, LossConfig, PretrainConfig,
+    CcMotionConfig, CcMotionNetwork, EvaluationConfig, InitConfig, LossConfig, PretrainConfig,
     ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
 pub use networks::Trained;
 
 use super::{RecipeInfo, System};
-use crate::config::{Config, ConfigError, SystemTables};
+use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::observer::Observer;
@@ -78,11 +78,7 @@ impl System for CcMotion {
         vec![Box::new(Phrases)]
     }
 
-    fn complete(
-        &self,
-        tables: &Table,
-        place: &dyn Fn(&str) -> String,
-    ) -> Result<Table, ConfigError> {
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
         Ok(CcMotionConfig::read(tables, place)?.to_table())
     }
 

@@ -9,7 +9,7 @@ use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameter
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Statistics};
 
-use super::{CcMotionConfig, rolls_out};
+use super::{CcMotionConfig, CcMotionNetwork, rolls_out};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -54,9 +54,9 @@ impl Trained {
 /// # Errors
 /// If it cannot be built.
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
-    let model = CcMotionConfig::of(config)?.model;
-    let unet = model.unet1d(CHANNELS, AUDIO_CHANNELS)?;
-    Ok(unet.init(&Initializer::new(config.run.seed, device))?)
+    let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
+    let init = Initializer::new(config.run.seed, device);
+    Ok(unet.init(CHANNELS, AUDIO_CHANNELS, &init)?)
 }
 
 /// The decoder of a config, with fresh weights.

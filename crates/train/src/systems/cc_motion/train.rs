@@ -9,6 +9,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::MotionModel;
 use kinegrad_motion::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use kinegrad_motion::{self as motion, Statistics};
+use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks};
 use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Sampler};
@@ -40,8 +41,10 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
                 Err(interrupted) => return Ok(*interrupted),
             },
             None => {
-                let recipe = recipe.to_string();
-                return Err(Error::NoStart { recipe });
+                let allowed = format!("a trained denoiser for recipe `{recipe}`");
+                let refused = InvalidSetting::new("init.diffusion", "empty", allowed);
+                let hint = "name a run or checkpoint: `--set init.diffusion=runs/phrases`";
+                return Err(refused.hint(hint).into());
             }
         },
     };

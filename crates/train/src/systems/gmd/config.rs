@@ -4,13 +4,15 @@ use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::DiffusionConfig;
-use kinegrad_models::ModelConfig;
-use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisError, EmphasisKind};
+use kinegrad_models::Backbone;
+use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_models::transformer::EncoderConfig;
+use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::TRAJECTORY;
-use super::networks::channels_of;
-use crate::config::{Clip, Config, ConfigError, SystemTables};
+use crate::config::{Clip, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -20,7 +22,7 @@ pub struct GmdConfig {
     /// What a fine-tuning starts from.
     pub init: GmdInitConfig,
     /// The denoiser.
-    pub model: ModelConfig,
+    pub model: ModelTable<Backbone>,
     /// The space that a motion model works in.
     pub emphasis: EmphasisConfig,
     /// The diffusion process.
@@ -117,12 +119,10 @@ impl EvaluatorFiles {
 impl SystemTables for GmdConfig {
     const PASSED_OVER: &'static str = include_str!("passed_over.toml");
 
-    fn resolved(self) -> Self {
-        Self {
-            model: self.model.resolved(),
-            ..self
-        }
-    }
+    const NETWORKS: &'static [NetworkKind] = &[
+        NetworkKind::of::<GmdUnetConfig>(),
+        NetworkKind::of::<EncoderConfig>(),
+    ];
 }
 
 /// Refuses what this system cannot work with.
@@ -131,62 +131,57 @@ impl SystemTables for GmdConfig {
 /// Names the first key with a bad value.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = GmdConfig::of(config)?;
+    let Config { data, sampling, .. } = config;
     let recipe = &config.train.recipe;
     own.diffusion.validate()?;
-    if !matches!(
-        config.data.kind,
-        DataKind::Humanml3d | DataKind::SyntheticWalks
-    ) {
-        let allowed = format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{recipe}`");
-        let found = "a kind of phrases";
-        return Err(ConfigError::range("data.kind", found, allowed).into());
-    }
-    own.model.backbone(channels_of(config))?;
-    if let Some(most) = own.model.resolved().padded_frames
-        && config.data.target_frames > most
-    {
+    require(
+        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
+        "data.kind",
+        "a kind of phrases",
+        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{recipe}`"),
+    )?;
+    own.model.network.validate()?;
+    if let Some(most) = own.model.network.longest() {
         let allowed = format!("at most `model.padded_frames` ({most})");
-        let found = config.data.target_frames;
-        return Err(ConfigError::range("data.target_frames", found, allowed).into());
+        let found = data.target_frames;
+        require(found <= most, "data.target_frames", found, allowed)?;
     }
     let timesteps = own.diffusion.num_train_timesteps;
-    config.sampling.sampler.validate(timesteps)?;
-    if config.sampling.clip == Clip::TrainingRange {
-        let allowed = "\"none\", \"six\" or \"unit\": the ranges of joint features are not kept";
-        return Err(ConfigError::range("sampling.clip", "\"training_range\"", allowed).into());
-    }
-    own.emphasis.validate().map_err(|error| match error {
-        EmphasisError::InvalidSetting {
-            key,
-            found,
-            allowed,
-        } => ConfigError::range(format!("emphasis.{key}"), found, allowed).into(),
-        other => Error::from(other),
-    })?;
+    sampling.sampler.validate(timesteps)?;
+    own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
-    ConfigError::unless_positive("loss.trajectory_scale", scale)?;
+    in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
     let projects = own.emphasis.kind != EmphasisKind::None;
-    if recipe == TRAJECTORY && projects {
-        let allowed = "\"none\": the trajectory model's four channels are not projected";
-        return Err(ConfigError::range("emphasis.kind", "a projection", allowed).into());
-    }
-    if scale != 1.0 && (projects || recipe == TRAJECTORY) {
-        let allowed = "1 in a projected space, where no channel is the trajectory's, and in recipe \
-                       `gmd_trajectory`, where all are";
-        return Err(ConfigError::range("loss.trajectory_scale", scale, allowed).into());
-    }
+    require(
+        !(recipe == TRAJECTORY && projects),
+        "emphasis.kind",
+        "a projection",
+        "\"none\": the trajectory model's four channels are not projected",
+    )?;
+    require(
+        !(projects && sampling.clip == Clip::TrainingRange),
+        "sampling.clip",
+        "\"training_range\"",
+        "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of those \
+         whose range is known",
+    )?;
+    require(
+        scale == 1.0 || !(projects || recipe == TRAJECTORY),
+        "loss.trajectory_scale",
+        scale,
+        "1 in a projected space, where no channel is the trajectory's, and in recipe \
+         `gmd_trajectory`, where all are",
+    )?;
     let evaluation = &own.evaluation;
-    if evaluation.goals == 0 {
-        return Err(ConfigError::range("evaluation.goals", 0, "1 or more").into());
-    }
+    in_range("evaluation.goals", evaluation.goals, 1..)?;
     let files = evaluation.evaluator.named();
     let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
     if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {
         let key = format!("evaluation.evaluator.{name}");
         let allowed = "a file: the evaluator needs weights, mean, std and word_vectors";
-        return Err(ConfigError::range(key, "empty", allowed).into());
+        return Err(InvalidSetting::new(key, "empty", allowed).into());
     }
-    config.sampling.steering.validate()
+    Ok(sampling.steering.validate().within("sampling.steering")?)
 }
 
 /// What is doubtful.

@@ -1,6 +1,8 @@
 //! What a recipe's paper says, beneath what a config says.
 
-use toml::{Table, Value};
+use kinegrad_models::NetworkConfig;
+use kinegrad_models::gmd::GmdUnetConfig;
+use toml::Table;
 
 use crate::config::lay_over;
 
@@ -10,8 +12,6 @@ const GMD: &str = r#"
 [data]
 kind = "humanml3d"
 target_frames = 196
-[model]
-kind = "gmd_unet"
 [diffusion]
 beta_schedule = "cosine"
 beta_min = 0.0
@@ -72,10 +72,10 @@ pub(super) fn of_recipe(recipe: &str, given: &Table) -> Table {
     let parse = |text: &str| text.parse::<Table>().expect("text of this file");
     let mut table = parse(GMD);
     lay_over(&mut table, parse(own));
-    // A named network brings its own sizes.
+    // The size is one of this kind's; another brings its own.
     let kind = given.get("model").and_then(|model| model.get("kind"));
-    if kind.and_then(Value::as_str) == Some("mdm_transformer") {
-        lay_over(&mut table, parse("[model]\nsize = \"mdm\""));
+    if kind.is_some_and(|kind| kind.as_str() != Some(GmdUnetConfig::KIND)) {
+        table.remove("model");
     }
     table
 }

@@ -4,6 +4,7 @@
 //! that the goal asks for; the motion model draws motion on that path, which is put in and guided
 //! to in every frame, rotation and height being free.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use burn::module::Module;
@@ -18,6 +19,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::{Refused, in_range, require};
 
 use super::networks::{TrainedClips, channels_of};
 use super::space::{FeatureSpace, GroundGoal};
@@ -102,7 +104,7 @@ impl ClipGenerator {
                 step: state.step,
                 config: state.config,
                 statistics,
-                longest: own.model.resolved().padded_frames,
+                longest: own.model.network.longest(),
                 channels,
             },
             device: device.clone(),
@@ -189,10 +191,14 @@ impl ClipGenerator {
             == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
         match own.train.recipe == MOTION && same {
             true => Ok(()),
-            false => Err(Error::OtherStage {
-                motion: own.run.name.clone(),
-                trajectory: other.run.name.clone(),
-            }),
+            false => Err(Error::usage(
+                format!(
+                    "`{}` cannot draw paths for `{}`",
+                    other.run.name, own.run.name
+                ),
+                "the first is to be a run of recipe `gmd_trajectory`, the second one of \
+                 `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
+            )),
         }
     }
 
@@ -206,9 +212,11 @@ impl ClipGenerator {
         key: Key,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Tensor<3>, Error> {
-        let most = self.trained.longest;
-        if let Some(most) = most.filter(|&most| frames > most) {
-            return Err(Error::TooLong { frames, most });
+        if let Some(most) = self.trained.longest {
+            in_range("frames", frames, 1..=most).hint(
+                "`model.padded_frames` is the most that the network draws: shorten the goal, or \
+                 ask for fewer `--frames` where there is none",
+            )?;
         }
         let (batch, channels) = (texts.len(), self.trained.channels);
         let values: Vec<f32> = (0..batch as u64)
@@ -231,7 +239,7 @@ impl ClipGenerator {
             },
             ..sampling.sampler.clone()
         };
-        let clip = sampling.clip.range(&self.trained.statistics)?;
+        let clip = sampling.clip.range(&self.trained.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
         if goals.is_empty() {
             let plain = &self.plain;
@@ -247,9 +255,13 @@ impl ClipGenerator {
             )?;
             return Ok(x);
         }
-        if self.trained.config.data.humanml3d.root == Root::Relative {
-            return Err(Error::RelativeRoot);
-        }
+        require(
+            self.trained.config.data.humanml3d.root == Root::Absolute,
+            "data.humanml3d.root",
+            "\"relative\" in the run's config",
+            "\"absolute\" where motion is led to positions",
+        )
+        .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
         let goal = GroundGoal {
             space: &self.space,
@@ -343,14 +355,13 @@ impl ClipGenerator {
 /// # Errors
 /// Names the file, the key, what was found and what is allowed.
 pub fn read_goal(path: &Path) -> Result<Goal, Error> {
-    let refused = |reason: String| Error::GoalFile {
-        path: path.to_path_buf(),
-        reason,
+    let refused = |reason: &dyn Display| {
+        let message = format!("{}: {reason}", path.display());
+        Error::usage(message, "docs/goals.md describes goals")
     };
-    let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
-    let goal: Goal = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
-    goal.validate()
-        .map_err(|error| refused(error.to_string()))?;
+    let text = std::fs::read_to_string(path).map_err(|error| refused(&error))?;
+    let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
+    goal.validate().map_err(|error| refused(&error))?;
     Ok(goal)
 }
 

@@ -6,8 +6,9 @@ use std::path::Path;
 use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
-use kinegrad_models::ModelSize;
+use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::{Backbone, NetworkConfig};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::Root;
@@ -199,20 +200,24 @@ fn settings(
         .to_string_lossy()
         .into_owned();
     let mut own = GmdConfig::of(&config)?;
-    let model = &mut own.model;
-    let published = model.resolved();
+    let Backbone::GmdUnet(unet) = &mut own.model.network else {
+        unreachable!("the recipe's own kind of network");
+    };
     let mults: Vec<f64> = sizes
         .levels
         .iter()
         .map(|&channels| channels as f64 / sizes.width as f64)
         .collect();
-    if published.latent_dim != Some(sizes.width) || published.dim_mults.as_ref() != Some(&mults) {
-        model.size = ModelSize::GmdMotion;
-        model.latent_dim = Some(sizes.width);
-        model.dim_mults = Some(mults);
+    if (unet.latent_dim, &unet.dim_mults) != (sizes.width, &mults) {
+        own.model.size = GmdUnetConfig::SIZES[0].0.into();
     }
-    model.adagn = Some(sizes.adagn);
-    model.padded_frames = Some(request.padded_frames);
+    *unet = GmdUnetConfig {
+        latent_dim: sizes.width,
+        dim_mults: mults,
+        adagn: sizes.adagn,
+        padded_frames: request.padded_frames,
+        ..unet.clone()
+    };
     let most = config.data.target_frames.min(request.padded_frames);
     config.data.target_frames = most;
     if request.projection.is_none() {

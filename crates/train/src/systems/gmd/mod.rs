@@ -27,7 +27,7 @@ pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundGoal};
 
 use super::{RecipeInfo, System};
-use crate::config::{Config, ConfigError, SystemTables};
+use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
@@ -77,11 +77,7 @@ impl System for Gmd {
         defaults::of_recipe(recipe.name, given)
     }
 
-    fn complete(
-        &self,
-        tables: &Table,
-        place: &dyn Fn(&str) -> String,
-    ) -> Result<Table, ConfigError> {
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
         Ok(GmdConfig::read(tables, place)?.to_table())
     }
 

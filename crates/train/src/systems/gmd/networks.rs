@@ -41,9 +41,9 @@ pub fn text_denoiser(
     channels: usize,
     device: &Device,
 ) -> Result<TextDenoiser, Error> {
-    let backbone = GmdConfig::of(config)?.model.backbone(channels)?;
+    let backbone = GmdConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
-    Ok(TextDenoiser::new(&backbone, &init)?)
+    Ok(TextDenoiser::new(&backbone, channels, &init)?)
 }
 
 /// [`text_denoiser`] in the space that `emphasis` of the config makes.

@@ -30,7 +30,7 @@ impl Sampler {
         config: &RolloutConfig,
         statistics: Arc<Statistics>,
     ) -> Result<Self, Error> {
-        let clip = config.clip.range(&statistics)?;
+        let clip = config.clip.range(&statistics, statistics.channels())?;
         let clip = match config.straight_through {
             true => kinegrad_diffusion::Clip::StraightThrough(Box::new(clip)),
             false => clip,

@@ -1,0 +1,186 @@
+//! The table `model`: `kind` says which network, `size` what its keys start from, and the rest is
+//! read by the network's own settings.
+
+use kinegrad_models::NetworkConfig;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::load::{Place, from_table, lay_over, not_among};
+use super::{ConfigError, PLAIN};
+
+/// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModelTable<N> {
+    /// Named size that the network's keys started from.
+    pub size: String,
+    /// The kind of network and its sizes.
+    #[serde(flatten)]
+    pub network: N,
+    /// Recompute cheap activations in the backward pass instead of keeping them.
+    #[serde(default)]
+    pub activation_checkpointing: bool,
+}
+
+/// Keys beside those of the network.
+pub(super) const KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
+
+/// A kind of network that a system takes.
+pub struct NetworkKind {
+    name: &'static str,
+    sizes: fn() -> Vec<&'static str>,
+    keys: fn(&str, Table, Place<'_>) -> Result<Table, ConfigError>,
+}
+
+impl NetworkKind {
+    /// The kind whose settings are `N`.
+    pub const fn of<N: NetworkConfig>() -> Self {
+        Self {
+            name: N::KIND,
+            sizes: || N::SIZES.iter().map(|(name, _)| *name).collect(),
+            keys: keys::<N>,
+        }
+    }
+
+    fn has(&self, key: &str) -> bool {
+        let keys = (self.keys)((self.sizes)()[0], Table::new(), &|_| String::new());
+        keys.is_ok_and(|keys| keys.contains_key(key))
+    }
+}
+
+/// The keys of a network with what `given` and, where it is silent, a size says.
+fn keys<N: NetworkConfig>(
+    size: &str,
+    given: Table,
+    place: Place<'_>,
+) -> Result<Table, ConfigError> {
+    /// So that errors name the table.
+    #[derive(Deserialize)]
+    struct Under<N> {
+        model: N,
+    }
+    let named = N::SIZES.iter().find(|(name, _)| *name == size);
+    let (_, of_size) = named.unwrap_or(&N::SIZES[0]);
+    let mut keys = Table::try_from(of_size()).expect(PLAIN);
+    lay_over(&mut keys, given);
+    let under = Table::from_iter([("model".to_string(), Value::Table(keys))]);
+    let mut network = from_table::<Under<N>>(&under, place)?.model;
+    network.complete();
+    Ok(Table::try_from(network).expect(PLAIN))
+}
+
+/// The table `model` with every key that its kind and size imply written out.
+///
+/// # Errors
+/// Names the place of a kind, size or key that is not one of these `kinds`.
+pub(super) fn complete(
+    kinds: &[NetworkKind],
+    mut given: Table,
+    place: Place<'_>,
+) -> Result<Table, ConfigError> {
+    let names: Vec<&str> = kinds.iter().map(|kind| kind.name).collect();
+    let name = chosen(&mut given, "kind", &names, place)?;
+    let kind = kinds
+        .iter()
+        .find(|kind| kind.name == name)
+        .expect("one of them");
+    let size = chosen(&mut given, "size", &(kind.sizes)(), place)?;
+    let checkpointing = given.remove("activation_checkpointing");
+    let keys = (kind.keys)(size, given, place).map_err(|error| of_other_kind(kinds, error))?;
+    let mut table = Table::new();
+    table.insert("kind".into(), name.into());
+    table.insert("size".into(), size.into());
+    table.extend(keys);
+    table.extend(checkpointing.map(|value| ("activation_checkpointing".into(), value)));
+    Ok(table)
+}
+
+/// Takes the value of `key` out of `given`: the one of `names` that it is, or the first.
+fn chosen<'a>(
+    given: &mut Table,
+    key: &str,
+    names: &[&'a str],
+    place: Place<'_>,
+) -> Result<&'a str, ConfigError> {
+    let Some(found) = given.remove(key) else {
+        return Ok(names[0]);
+    };
+    let named = names.iter().find(|name| found.as_str() == Some(name));
+    named.copied().ok_or_else(|| {
+        let key = format!("model.{key}");
+        not_among(place(&key), &key, &found.to_string(), names)
+    })
+}
+
+/// Says of an unknown key which kind it is of.
+fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
+    if let ConfigError::UnknownKey { key, hint, .. } = &mut error {
+        let own = key.strip_prefix("model.").unwrap_or(key);
+        if let Some(other) = kinds.iter().find(|kind| kind.has(own)) {
+            *hint = format!("it is a key of `model.kind = \"{}\"`", other.name);
+        }
+    }
+    error
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::parse;
+    use crate::systems::BUILT_IN;
+
+    fn read(model: &str) -> Result<toml::Table, (String, String)> {
+        let text = format!("[train]\nrecipe = \"gmd_motion\"\n[model]\n{model}");
+        let config = parse(BUILT_IN, &text, "c.toml", &[]).map_err(|error| {
+            let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
+            (error.to_string(), help.unwrap_or_default())
+        })?;
+        Ok(config.system["model"].as_table().expect("a table").clone())
+    }
+
+    #[test]
+    fn kind_and_size_fill_in_what_is_not_said() {
+        let model = read("kind = \"mdm_transformer\"\nff_size = 96").expect("a good table");
+        let expected = "size = \"mdm\"\nkind = \"mdm_transformer\"\nlatent_dim = 512\n\
+                        num_layers = 8\nnum_heads = 4\nff_size = 96\n\
+                        activation_checkpointing = false\n";
+        assert_eq!(toml::to_string(&model).expect("plain data"), expected);
+        // What configs of kinegrad 0.1 may say of every kind.
+        assert_eq!(read("size = \"small\""), read("size = \"gmd_motion\""));
+    }
+
+    #[test]
+    fn what_is_of_another_kind_is_refused_by_its_place() {
+        for (model, start, hint) in [
+            (
+                "\nff_size = 3",
+                "c.toml:5: unknown key `model.ff_size`",
+                "mdm_transformer",
+            ),
+            (
+                "latent_dims = 3",
+                "c.toml:4: unknown key",
+                "`model.latent_dim`?",
+            ),
+            ("siz = \"mdm\"", "c.toml:4: unknown key", "`model.size`?"),
+            (
+                "size = \"mdm\"",
+                "c.toml:4: `model.size`: \"mdm\"",
+                "gmd_motion",
+            ),
+            (
+                "kind = \"unet1d\"",
+                "c.toml:4: `model.kind`: \"unet1d\"",
+                "gmd_unet",
+            ),
+            ("adagn = 3", "c.toml:4: `model.adagn`: invalid type", ""),
+            (
+                "activation_checkpointing = 3",
+                "c.toml:4: `model.activation_checkpointing`",
+                "",
+            ),
+        ] {
+            let (text, help) = read(model).expect_err(model);
+            assert!(text.starts_with(start), "{text}");
+            assert!(help.contains(hint), "{help}");
+        }
+    }
+}
