@@ -512,10 +512,15 @@ fn a_system_of_ones_own_has_every_command() {
     );
 
     kinegrad(here, "check @/drawn-0.npy");
-    kinegrad(
-        here,
-        "check @/drawn-0.npy --profile strict --run @/whole/toy",
-    );
+    // A real circle is as smooth as those that were trained on; every frame by itself is not.
+    let smooth = Circle::new(2, 20).rows.clone();
+    let mut jerky = smooth.clone();
+    jerky.iter_mut().step_by(2).for_each(|value| *value += 0.3);
+    for (name, rows, expected) in [("smooth", smooth, 0), ("jerky", jerky, 1)] {
+        write_values(&here.join(format!("{name}.npy")), &[20, CHANNELS], &rows).expect("a file");
+        let line = format!("check @/{name}.npy --profile strict --run @/whole/toy");
+        kinegrad_ends(here, &line, expected);
+    }
     kinegrad(here, "plot @/drawn-0.npy --out @/drawn.svg");
     let picture = fs::read_to_string(here.join("drawn.svg")).expect("a picture");
     assert!(picture.contains("path from above") && picture.contains("height (m)"));

@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Tensor, TensorData};
-use kinegrad_diffusion::{Clip, DiffusionConfig, GaussianDiffusion, SamplerConfig, sample};
+use kinegrad_diffusion::{ClipRange, DiffusionConfig, GaussianDiffusion, SamplerConfig, sample};
 use kinegrad_models::Initializer;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::parity::tiny;
@@ -44,7 +44,7 @@ fn memory_stays_flat_over_200_sampler_calls() {
             tensor(25),
             &tensor(163),
             &sampler,
-            &Clip::None,
+            &ClipRange::None,
             key.at(index),
             &mut |_, _, _| {},
         );

@@ -7,8 +7,7 @@ use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
-use crate::passage::Passage;
-use crate::phrase_samples::Window;
+use crate::passage::{Passage, Window};
 use crate::{AugmentConfig, Crop, DataConfig};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.

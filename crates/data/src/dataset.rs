@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use kinegrad_motion::Statistics;
 
-use crate::item::{Item, ItemSet};
+use crate::item::Item;
+use crate::item_set::ItemSet;
 use crate::survey::{Listable, OpenProgress};
 use crate::{Counters, DataConfig, Digest, Error, LoaderReport};
 

@@ -32,6 +32,7 @@ mod files;
 pub mod humanml;
 mod inspect;
 mod item;
+mod item_set;
 mod layout;
 mod library;
 mod listing;
@@ -63,7 +64,8 @@ pub use error::{Error, FileError};
 pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
-pub use item::{Item, ItemSet};
+pub use item::Item;
+pub use item_set::ItemSet;
 pub use layout::{
     AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
 };

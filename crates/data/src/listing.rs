@@ -29,6 +29,11 @@ impl Listed {
     }
 }
 
+/// The ids of listed items.
+pub(crate) fn ids(listed: &[Listed]) -> impl Iterator<Item = &str> + Clone {
+    listed.iter().map(|item| item.id.as_str())
+}
+
 /// What is known of a file before it is read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Expected {

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::batch::SampleShape;
-use crate::item::{Item, ItemSet};
+use crate::item::Item;
+use crate::item_set::ItemSet;
 use crate::order::Order;
 use crate::prefetch::Prefetch;
 use crate::{Batch, Counters, DataConfig, Error, LoaderReport};

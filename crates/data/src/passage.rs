@@ -9,7 +9,6 @@ use kinegrad_motion::phrase::{POSITION, VELOCITY};
 use kinegrad_motion::{FPS, Motion};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures};
-use crate::phrase_samples::Window;
 use crate::{Error, Phrase, PhraseSet};
 
 /// A phrase and what was recorded around it.
@@ -21,6 +20,15 @@ pub struct Passage {
     pub(crate) own: Range<usize>,
     /// The phrase's id.
     pub(crate) id: String,
+}
+
+/// Some frames of motion or audio, which is copied only where it was changed.
+#[derive(Clone, Debug)]
+pub(crate) struct Window<'a, T: Clone> {
+    /// What they are frames of.
+    pub of: Cow<'a, T>,
+    /// Which.
+    pub frames: Range<usize>,
 }
 
 impl Passage {

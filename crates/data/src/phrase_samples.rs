@@ -1,7 +1,5 @@
 //! From phrases to samples: passage, crop, augmentation, normalisation.
 
-use std::borrow::Cow;
-use std::ops::Range;
 use std::sync::Arc;
 
 use kinegrad_motion::{CHANNELS, Statistics};
@@ -20,15 +18,6 @@ pub struct PhraseSamples {
     statistics: Arc<Statistics>,
     sampler: Sampler,
     target_frames: usize,
-}
-
-/// Some frames of motion or audio, which is copied only where it was changed.
-#[derive(Clone, Debug)]
-pub(crate) struct Window<'a, T: Clone> {
-    /// What they are frames of.
-    pub of: Cow<'a, T>,
-    /// Which.
-    pub frames: Range<usize>,
 }
 
 impl PhraseSamples {

@@ -7,10 +7,11 @@ use kinegrad_motion::Phrases;
 
 use crate::features::FEATURES;
 use crate::files::Files;
-use crate::item::{Item, ItemSet};
+use crate::item::Item;
+use crate::item_set::ItemSet;
 use crate::layout::{features_path, motion_path};
 use crate::library::{Origin, Reading};
-use crate::listing::{Expected, Listed, Listing};
+use crate::listing::{Expected, Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
 use crate::phrase::Named;
@@ -80,7 +81,9 @@ impl Listable for Phrase {
                 ));
             }
         };
-        survey.warnings.extend(split.idle_entries(&survey.listed));
+        survey
+            .warnings
+            .extend(split.idle_entries(ids(&survey.listed)));
         survey.split = Some(split);
         Ok(survey)
     }

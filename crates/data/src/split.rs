@@ -6,7 +6,6 @@ use std::path::Path;
 use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
-use crate::listing::Listed;
 use crate::{Error, ValidationSplit};
 
 /// Share held out where neither the config nor the dataset says anything.
@@ -91,9 +90,9 @@ impl Split {
         }
     }
 
-    /// A warning for each id or pattern of the rule that holds out none of the `listed` items.
-    pub fn idle_entries(&self, listed: &[Listed]) -> Vec<String> {
-        let idle = |pattern: &&String| !listed.iter().any(|item| matches(pattern, &item.id));
+    /// A warning for each id or pattern of the rule that holds out none of `ids`.
+    pub fn idle_entries<'a>(&self, ids: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+        let idle = |pattern: &&String| !ids.clone().any(|id| matches(pattern, id));
         let warning = |pattern| format!("data.validation: `{pattern}` matches no phrase");
         self.patterns.iter().filter(idle).map(warning).collect()
     }
@@ -190,7 +189,7 @@ mod tests {
             [true, false, true, false]
         );
         assert_eq!(
-            rule.idle_entries(&Listed::made_up(4, |index| ids[index].to_owned())),
+            rule.idle_entries(ids.into_iter()),
             ["data.validation: `X_*` matches no phrase"]
         );
         fs::write(&file, "").unwrap();

@@ -7,7 +7,8 @@ use kinegrad_motion::Statistics;
 use rayon::prelude::*;
 
 use crate::cache::MemoryCache;
-use crate::item::{Item, ItemSet};
+use crate::item::Item;
+use crate::item_set::ItemSet;
 use crate::library::{Entry, Library, Met, Origin};
 use crate::listing::Listed;
 use crate::split::{Side, Split};

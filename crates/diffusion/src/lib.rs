@@ -47,13 +47,13 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    Clip, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, SamplerKind,
-    StepInput, StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
-    sample, timesteps,
+    ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
+    SamplerKind, StepInput, StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step,
+    dpmpp_2m, draw, heun, sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Goal, Guidance, Imputation, Networks, Space, Steered, SteeredInput, SteeredOutput, Steering,
-    steered_sample, steered_step,
+    Guidance, Imputation, Networks, Objective, Space, Steered, SteeredInput, SteeredOutput,
+    Steering, steered_sample, steered_step,
 };
 pub use time::Time;

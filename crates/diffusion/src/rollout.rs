@@ -7,7 +7,7 @@
 //!
 //! The cosine schedule makes the naive rollout useless: from t = 999 of 1000 a noise prediction is
 //! multiplied by 1/sqrt(abar) = 64179. What tames it is a matter of settings: predict the clean
-//! motion, clip it ([`Clip::StraightThrough`]), start from a lower timestep, let the gradient
+//! motion, clip it ([`ClipRange::StraightThrough`]), start from a lower timestep, let the gradient
 //! decay from step to step (`gradient_decay`).
 
 use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
@@ -16,7 +16,8 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::sampler::timesteps_of;
 use crate::{
-    Clip, Denoiser, Error, GaussianDiffusion, Path, Prediction, SamplerConfig, Time, ddim, guided,
+    ClipRange, Denoiser, Error, GaussianDiffusion, Path, Prediction, SamplerConfig, Time, ddim,
+    guided,
 };
 
 /// What a rollout keeps for its backward pass.
@@ -39,7 +40,7 @@ pub struct Rollout {
     /// The process, whose prediction type the network has.
     pub diffusion: GaussianDiffusion,
     /// What the predicted clean motion is clipped to.
-    pub clip: Clip,
+    pub clip: ClipRange,
     /// Weight of the condition: 1 as trained ([`guided`]).
     pub guidance_scale: f64,
     /// Factor on the gradient that a step hands to the one before it: 1 leaves it exact.

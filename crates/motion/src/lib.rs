@@ -44,7 +44,8 @@ pub use moments::ChannelMoments;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
 pub use postprocess::{ClampLimits, Differences, Hemisphere, PostProcessConfig, process};
 pub use representation::{
-    Curves, JointFeatures, JointPositions, Measured, Phrases, Representation, phrase_statistics,
+    Curves, GroundPath, JointFeatures, JointPositions, Measured, Phrases, Representation,
+    phrase_statistics,
 };
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, SanityThresholds, Threshold, Value, check};

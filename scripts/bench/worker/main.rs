@@ -28,7 +28,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
-    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
+    ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::gmd::GmdUnetConfig;
@@ -248,7 +248,7 @@ impl Work for Sampling {
             self.start_noise.clone(),
             &self.cond,
             &self.sampler,
-            &Clip::None,
+            &ClipRange::None,
             Key::new(0, Purpose::Noise), // no noise is drawn: eta is 0
             &mut |_, _, _| {},
         )?;

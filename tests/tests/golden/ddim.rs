@@ -3,7 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, Clip, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
+    BetaSchedule, ClipRange, DiffusionConfig, FinalAlpha, GaussianDiffusion, PredictionType,
     SamplerConfig, SamplerKind, TimestepSpacing, sample,
 };
 use kinegrad_models::{Initializer, parameters};
@@ -51,8 +51,8 @@ fn golden_ddim_sampling(golden: Golden) {
         })
         .expect("a valid process");
         let (clip, tolerance) = match parts[1] {
-            "clip" => (Clip::Symmetric(1.0), 2e-4),
-            "noclip" => (Clip::None, 2e-5),
+            "clip" => (ClipRange::Symmetric(1.0), 2e-4),
+            "noclip" => (ClipRange::None, 2e-5),
             other => panic!("clipping {other}"),
         };
         let sampler = SamplerConfig {

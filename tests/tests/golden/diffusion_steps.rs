@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, Clip, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig,
+    BetaSchedule, ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig,
     StepInput, ddim_step, ddpm_step,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
@@ -41,11 +41,11 @@ fn process(schedule: &str, prediction: &str, total: usize) -> GaussianDiffusion 
 }
 
 /// `noclip`, `clip` (to 1) or `clip` and a number.
-fn clip_of(name: &str) -> Clip {
+fn clip_of(name: &str) -> ClipRange {
     match name.strip_prefix("clip") {
-        None => Clip::None,
-        Some("") => Clip::Symmetric(1.0),
-        Some(bound) => Clip::Symmetric(bound.parse().expect("a number after clip")),
+        None => ClipRange::None,
+        Some("") => ClipRange::Symmetric(1.0),
+        Some(bound) => ClipRange::Symmetric(bound.parse().expect("a number after clip")),
     }
 }
 
@@ -79,7 +79,7 @@ impl Steps {
         &self,
         kind: &str,
         tolerance: f64,
-        actual: impl Fn(&GaussianDiffusion, &Clip, Tensor<3>, Tensor<3>, &[usize]) -> Tensor<3>,
+        actual: impl Fn(&GaussianDiffusion, &ClipRange, Tensor<3>, Tensor<3>, &[usize]) -> Tensor<3>,
     ) {
         for case in self.golden.names_under(&format!("out.{kind}.")) {
             // The clip's bound may hold a point: take the parts from both ends.
@@ -149,16 +149,17 @@ fn golden_posterior_mean(golden: Golden) {
 fn golden_ddpm_step(golden: Golden) {
     let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
-    let step = |diffusion: &GaussianDiffusion, clip: &Clip, model_output, x_t, at: &[usize], z| {
-        let input = StepInput {
-            model_output,
-            x_t,
-            noise: z,
-            timesteps: at,
-            prev_timesteps: &one_down(at),
+    let step =
+        |diffusion: &GaussianDiffusion, clip: &ClipRange, model_output, x_t, at: &[usize], z| {
+            let input = StepInput {
+                model_output,
+                x_t,
+                noise: z,
+                timesteps: at,
+                prev_timesteps: &one_down(at),
+            };
+            ddpm_step(diffusion, input, clip).expect("sizes that fit")
         };
-        ddpm_step(diffusion, input, clip).expect("sizes that fit")
-    };
     steps.compare(
         "p_sample",
         TOLERANCE,

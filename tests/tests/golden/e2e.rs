@@ -6,7 +6,9 @@ use std::collections::HashMap;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_diffusion::{Clip, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps};
+use kinegrad_diffusion::{
+    ClipRange, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps,
+};
 use kinegrad_models::{UNet1d, parameters};
 use kinegrad_tests::end_to_end::Case;
 use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, wide};
@@ -170,7 +172,7 @@ impl Denoiser for Noting<'_> {
 fn rollout(case: &Case) -> Rollout {
     Rollout {
         diffusion: case.diffusion.clone(),
-        clip: Clip::None,
+        clip: ClipRange::None,
         guidance_scale: 1.0,
         gradient_decay: 1.0,
     }

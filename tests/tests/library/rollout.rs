@@ -3,7 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{
-    Clip, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode, Time,
+    ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode, Time,
     rollout_timesteps,
 };
 use kinegrad_models::{GradientSum, Initializer, UNet1d, UNet1dConfig};
@@ -37,7 +37,7 @@ fn gradients(steps: usize, guidance_scale: f64, mode: RolloutMode) -> Vec<Vec<f3
     };
     let rollout = Rollout {
         diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
-        clip: Clip::StraightThrough(Box::new(Clip::Symmetric(3.0))),
+        clip: ClipRange::StraightThrough(Box::new(ClipRange::Symmetric(3.0))),
         guidance_scale,
         gradient_decay: 1.0,
     };

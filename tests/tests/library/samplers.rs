@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, Clip, Denoiser, DiffusionConfig, GaussianDiffusion, PredictionType,
+    BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, PredictionType,
     SamplerConfig, SamplerKind, Time, sample,
 };
 use kinegrad_random::{Key, Purpose};
@@ -68,7 +68,7 @@ fn every_state_is_that_of_diffusers() {
                     file.tensor("x_T", &device),
                     &(),
                     &config,
-                    &Clip::None,
+                    &ClipRange::None,
                     Key::new(0, Purpose::Sampling),
                     &mut |_, _, x| {
                         let state = x.to_data().try_to_vec::<f32>();

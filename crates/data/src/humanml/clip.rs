@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use kinegrad_motion::JointFeatures;
-use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
@@ -13,7 +13,7 @@ use crate::listing::Expected;
 use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
 
 use super::config::SkeletonName;
-use super::embeddings::{EMBEDDING_CHANNELS, Embeddings};
+use super::embeddings::Embeddings;
 use super::{Caption, parse_captions, texts};
 
 /// The folder of all features and the folder of all captions.
@@ -302,4 +302,4 @@ impl Origin<Clip> for ClipFiles {
 }
 
 /// An embedding for a clip or caption that has none.
-pub(super) const NO_EMBEDDING: [f32; EMBEDDING_CHANNELS] = [0.0; EMBEDDING_CHANNELS];
+pub(super) const NO_EMBEDDING: [f32; TEXT_CHANNELS] = [0.0; TEXT_CHANNELS];

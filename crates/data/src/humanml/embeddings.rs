@@ -3,13 +3,11 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
 use crate::{Digest, FileError};
-
-/// Numbers of a caption's embedding: those of CLIP's ViT-B/32.
-pub const EMBEDDING_CHANNELS: usize = 512;
 
 /// The longest file of embeddings.
 pub(super) const MAX_BYTES: u64 = 1 << 33;
@@ -90,8 +88,8 @@ pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
         .map_err(|_| refused(&format!("no tensor `{key}`")))?;
     let tensor = match *tensor.shape() {
         // One embedding by itself.
-        [EMBEDDING_CHANNELS] => {
-            let shape = vec![1, EMBEDDING_CHANNELS];
+        [TEXT_CHANNELS] => {
+            let shape = vec![1, TEXT_CHANNELS];
             TensorView::new(tensor.dtype(), shape, tensor.data())
                 .map_err(|error| refused(&error.to_string()))?
         }
@@ -112,18 +110,18 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
     let values = numbers(tensor)
         .ok_or_else(|| unexpected(format!("{:?} numbers", tensor.dtype()), "F32 or F16"))?;
     match *tensor.shape() {
-        [_, EMBEDDING_CHANNELS] => {}
+        [_, TEXT_CHANNELS] => {}
         ref found => {
-            let expected = format!("[captions, {EMBEDDING_CHANNELS}]");
+            let expected = format!("[captions, {TEXT_CHANNELS}]");
             return Err(unexpected(format!("shape {found:?}"), &expected));
         }
     }
     if let Some(place) = values.iter().position(|value| !value.is_finite()) {
-        let (row, channel) = (place / EMBEDDING_CHANNELS, place % EMBEDDING_CHANNELS);
+        let (row, channel) = (place / TEXT_CHANNELS, place % TEXT_CHANNELS);
         let found = format!("{} in row {row}, channel {channel}", values[place]);
         return Err(unexpected(found, "finite numbers"));
     }
-    let rows = values.chunks_exact(EMBEDDING_CHANNELS);
+    let rows = values.chunks_exact(TEXT_CHANNELS);
     Ok(rows.map(Arc::from).collect())
 }
 
@@ -167,7 +165,7 @@ pub(super) fn serialize<'a>(clips: impl Iterator<Item = (&'a str, Vec<&'a [f32]>
         })
         .collect();
     let views = clips.iter().map(|(id, captions, bytes)| {
-        let shape = vec![*captions, EMBEDDING_CHANNELS];
+        let shape = vec![*captions, TEXT_CHANNELS];
         let view = TensorView::new(Dtype::F32, shape, bytes);
         (*id, view.expect("so many bytes"))
     });

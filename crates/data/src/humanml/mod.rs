@@ -36,7 +36,7 @@ mod word_vectors;
 
 pub use clip::{Clip, ClipSet, parse_features, write_features};
 pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
-pub use embeddings::{EMBEDDING_CHANNELS, read_embedding};
+pub use embeddings::read_embedding;
 pub use samples::ClipSamples;
 pub use synthetic::{synthetic_id, walk, write_walks};
 pub use texts::{Caption, parse_captions};

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::{JointFeatures, Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
 
@@ -10,7 +11,7 @@ use crate::loader::Samples;
 use crate::{Batch, Crop, DataConfig, Error};
 
 use super::clip::NO_EMBEDDING;
-use super::{Clip, ClipSet, EMBEDDING_CHANNELS};
+use super::{Clip, ClipSet};
 
 /// Samples of clips, conditioned on the embedding of a caption: as long as whole units of
 /// `data.humanml3d.unit_frames` allow.
@@ -72,7 +73,7 @@ impl Samples for ClipSamples {
         SampleShape {
             channels: self.channels,
             frames: self.target_frames,
-            conditions: vec![(TEXT, EMBEDDING_CHANNELS, 1)],
+            conditions: vec![(TEXT, TEXT_CHANNELS, 1)],
         }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::files::Files;
-use crate::listing::{Expected, Listed};
+use crate::listing::{Expected, Listed, ids};
 use crate::split::Split;
 use crate::store::Store;
 use crate::survey::{Listable, Survey};
@@ -38,7 +38,7 @@ fn made_up(config: &DataConfig) -> Result<Survey<Clip>, Error> {
     Ok(Survey {
         representation: config.humanml3d.representation(),
         given: None,
-        warnings: split.idle_entries(&listed),
+        warnings: split.idle_entries(ids(&listed)),
         split: Some(split),
         origin: Box::new(Walks::new(config, conditional)),
         counters: Arc::default(),

@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use kinegrad_motion::humanml::walk::{self, Course};
-use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
+use kinegrad_motion::humanml::{Extraction, Joints, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
@@ -21,7 +21,7 @@ use crate::{
 };
 
 use super::clip::{self, features_path, texts_path, write_features};
-use super::{Caption, Clip, EMBEDDING_CHANNELS, embeddings};
+use super::{Caption, Clip, embeddings};
 
 /// Id of synthetic walk number `index`: `walk_00007`.
 pub fn synthetic_id(index: usize) -> String {
@@ -187,7 +187,7 @@ impl Plan {
 fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
     let noise = Key::new(0, Purpose::Synthetic)
         .named(&text)
-        .normals(EMBEDDING_CHANNELS);
+        .normals(TEXT_CHANNELS);
     let square: f64 = noise.iter().map(|&value| f64::from(value).powi(2)).sum();
     let unit = noise.iter().map(|value| value / square.sqrt() as f32);
     Caption {
@@ -367,7 +367,7 @@ mod tests {
                 assert!(frames.len() >= 40, "{caption:?}");
                 let embedding = caption.embedding.as_deref().unwrap();
                 let square: f32 = embedding.iter().map(|value| value * value).sum();
-                assert!((square - 1.0).abs() < 1e-5 && embedding.len() == EMBEDDING_CHANNELS);
+                assert!((square - 1.0).abs() < 1e-5 && embedding.len() == TEXT_CHANNELS);
                 said.insert(caption.text.clone());
             }
         }

@@ -36,7 +36,7 @@ fn rollout(prediction_type: PredictionType) -> Rollout {
     };
     Rollout {
         diffusion: GaussianDiffusion::new(&config).unwrap(),
-        clip: Clip::Symmetric(1.5),
+        clip: ClipRange::Symmetric(1.5),
         guidance_scale: 1.0,
         gradient_decay: 1.0,
     }
@@ -105,7 +105,11 @@ fn checkpointed_gradients_are_those_of_the_full_graph() {
     use PredictionType::{Epsilon, Sample, VPrediction};
     for prediction_type in [Epsilon, Sample, VPrediction] {
         for (guidance_scale, gradient_decay) in [(1.0, 1.0), (2.5, 1.0), (1.0, 0.5)] {
-            for clip in [Clip::Symmetric(1.5), straight_through(1.5), Clip::None] {
+            for clip in [
+                ClipRange::Symmetric(1.5),
+                straight_through(1.5),
+                ClipRange::None,
+            ] {
                 let rollout = Rollout {
                     clip,
                     guidance_scale,
@@ -124,14 +128,14 @@ fn checkpointed_gradients_are_those_of_the_full_graph() {
     }
 }
 
-fn straight_through(bound: f32) -> Clip {
-    Clip::StraightThrough(Box::new(Clip::Symmetric(bound)))
+fn straight_through(bound: f32) -> ClipRange {
+    ClipRange::StraightThrough(Box::new(ClipRange::Symmetric(bound)))
 }
 
 #[test]
 fn the_start_gradient_agrees_with_finite_differences() {
     let rollout = Rollout {
-        clip: Clip::None,
+        clip: ClipRange::None,
         ..rollout(PredictionType::Sample)
     };
     let found = run(&rollout, 4, RolloutMode::Full);

@@ -9,7 +9,7 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 /// and 1.9). Normalised real motion leaves that range by far in single channels; bounds per
 /// channel, taken from the training data, keep the purpose without cutting motion.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub enum Clip {
+pub enum ClipRange {
     /// No bounds.
     #[default]
     None,
@@ -25,10 +25,10 @@ pub enum Clip {
     /// To the bounds within, but gradients pass as if nothing were clipped (the straight-through
     /// estimator, Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>): a rollout whose early
     /// steps leave the bounds everywhere would else lose its gradient there.
-    StraightThrough(Box<Clip>),
+    StraightThrough(Box<ClipRange>),
 }
 
-impl Clip {
+impl ClipRange {
     /// Refuses bounds that do not fit a motion of `channels` channels.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ impl Clip {
     /// - x, output: `[batch, channels, time]`
     ///
     /// # Errors
-    /// As [`Clip::validate`].
+    /// As [`ClipRange::validate`].
     pub fn apply(&self, x: Tensor<3>) -> Result<Tensor<3>, InvalidSetting> {
         let shape = x.dims();
         let channels = shape[1];
@@ -99,7 +99,7 @@ mod tests {
 
     use super::*;
 
-    fn clipped(clip: &Clip) -> Vec<f32> {
+    fn clipped(clip: &ClipRange) -> Vec<f32> {
         let values = vec![-9.0f32, 0.5, 9.0, -9.0, 0.5, 9.0];
         let x = Tensor::from_data(TensorData::new(values, [1, 2, 3]), &Device::flex());
         clip.apply(x)
@@ -111,12 +111,12 @@ mod tests {
 
     #[test]
     fn each_channel_has_its_bounds() {
-        assert_eq!(clipped(&Clip::None), [-9.0, 0.5, 9.0, -9.0, 0.5, 9.0]);
+        assert_eq!(clipped(&ClipRange::None), [-9.0, 0.5, 9.0, -9.0, 0.5, 9.0]);
         assert_eq!(
-            clipped(&Clip::Symmetric(2.0)),
+            clipped(&ClipRange::Symmetric(2.0)),
             [-2.0, 0.5, 2.0, -2.0, 0.5, 2.0]
         );
-        let clip = Clip::PerChannel {
+        let clip = ClipRange::PerChannel {
             min: vec![-1.0, 0.0],
             max: vec![2.0, 0.25],
         };
@@ -125,11 +125,11 @@ mod tests {
 
     #[test]
     fn bounds_that_cannot_be_are_refused() {
-        let clip = |min: &[f32], max: &[f32]| Clip::PerChannel {
+        let clip = |min: &[f32], max: &[f32]| ClipRange::PerChannel {
             min: min.into(),
             max: max.into(),
         };
-        let found = |clip: Clip| clip.validate(2).unwrap_err().found;
+        let found = |clip: ClipRange| clip.validate(2).unwrap_err().found;
         assert_eq!(
             found(clip(&[0.0], &[1.0, 1.0])),
             "bounds of 1 and 2 channels"
@@ -140,8 +140,8 @@ mod tests {
         ] {
             assert!(found(bad).ends_with("in channel 1"));
         }
-        assert!(Clip::Symmetric(-1.0).validate(2).is_err());
-        assert!(Clip::Symmetric(f32::NAN).validate(2).is_err());
+        assert!(ClipRange::Symmetric(-1.0).validate(2).is_err());
+        assert!(ClipRange::Symmetric(f32::NAN).validate(2).is_err());
         clip(&[0.0, 1.0], &[1.0, 1.0]).validate(2).unwrap();
     }
 }

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::step::{Alphas, coefficients};
 use super::{
-    Clip, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput,
+    ClipRange, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput,
 };
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
@@ -65,7 +65,7 @@ pub fn ddim_step(
     diffusion: &GaussianDiffusion,
     input: StepInput<'_>,
     config: &SamplerConfig,
-    clip: &Clip,
+    clip: &ClipRange,
 ) -> Result<StepOutput, Error> {
     let prediction = input.prediction(diffusion, clip)?;
     let StepInput {

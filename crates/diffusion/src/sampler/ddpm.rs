@@ -2,7 +2,9 @@
 
 use burn::tensor::Tensor;
 
-use super::{Clip, NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput};
+use super::{
+    ClipRange, NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput,
+};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
@@ -67,7 +69,7 @@ pub fn ddpm(
 pub fn ddpm_step(
     diffusion: &GaussianDiffusion,
     input: StepInput<'_>,
-    clip: &Clip,
+    clip: &ClipRange,
 ) -> Result<StepOutput, Error> {
     let prediction = input.prediction(diffusion, clip)?;
     let StepInput {

@@ -20,7 +20,7 @@ mod step;
 
 use burn::tensor::Tensor;
 
-pub use clip::Clip;
+pub use clip::ClipRange;
 pub use config::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
 pub use ddim::{ddim, ddim_step};
 pub(crate) use ddpm::step as ddpm_step_of;
@@ -71,7 +71,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
     x_T: Tensor<3>,
     cond: &D::Cond,
     config: &SamplerConfig,
-    clip: &Clip,
+    clip: &ClipRange,
     keys: impl Into<NoiseKeys<'k>>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {

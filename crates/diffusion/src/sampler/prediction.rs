@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::Clip;
+use super::ClipRange;
 use crate::steering::Steered;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
@@ -38,7 +38,7 @@ impl<'s> Prediction<'s> {
         model_output: Tensor<3>,
         x_t: Tensor<3>,
         timesteps: &[usize],
-        clip: &Clip,
+        clip: &ClipRange,
     ) -> Result<Self, Error> {
         let (found, expected) = (model_output.dims(), x_t.dims());
         if found != expected {
@@ -50,7 +50,7 @@ impl<'s> Prediction<'s> {
         let x_start = diffusion.pred_original_sample(model_output.clone(), x_t.clone(), timesteps);
         Ok(Self {
             x_start: clip.apply(x_start)?,
-            clipped: *clip != Clip::None,
+            clipped: *clip != ClipRange::None,
             x_t,
             model_output,
             steered: None,

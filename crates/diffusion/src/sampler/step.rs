@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{Clip, Prediction};
+use super::{ClipRange, Prediction};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -39,7 +39,7 @@ impl StepInput<'_> {
     pub(super) fn prediction(
         &self,
         diffusion: &GaussianDiffusion,
-        clip: &Clip,
+        clip: &ClipRange,
     ) -> Result<Prediction<'static>, Error> {
         let batch = self.x_t.dims()[0];
         assert_eq!(self.timesteps.len(), batch, "one timestep per sample");

@@ -107,7 +107,7 @@ fn try_run<D: Denoiser>(
         normal(1),
         cond,
         config,
-        &Clip::None,
+        &ClipRange::None,
         key,
         ignore,
     )
@@ -221,7 +221,7 @@ fn a_sample_does_not_depend_on_its_batch() {
         first,
         &(),
         &config,
-        &Clip::None,
+        &ClipRange::None,
         key(5),
         ignore,
     );
@@ -236,7 +236,7 @@ fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
         ..Default::default()
     };
     let draw = |start: Tensor<3>, keys: &[Key]| {
-        let (clip, keys) = (Clip::None, NoiseKeys::Samples(keys));
+        let (clip, keys) = (ClipRange::None, NoiseKeys::Samples(keys));
         let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
         sample(&diffusion, &Waves, start, &(), &config, &clip, keys, ignore).unwrap()
     };
@@ -274,7 +274,7 @@ fn on_step_sees_every_state_and_the_last_is_the_sample() {
     let on_step = &mut |step: usize, total: usize, x: &Tensor<3>| {
         seen.push((step, total, x.to_data()));
     };
-    let clip = Clip::Symmetric(1.0);
+    let clip = ClipRange::Symmetric(1.0);
     let x = sample(
         &diffusion,
         &Waves,
@@ -297,7 +297,7 @@ fn on_step_sees_every_state_and_the_last_is_the_sample() {
 #[test]
 fn the_clipped_motion_is_what_the_last_step_lands_on() {
     let diffusion = process(50, PredictionType::Epsilon);
-    let clip = Clip::PerChannel {
+    let clip = ClipRange::PerChannel {
         min: vec![-0.1, -0.2, -0.3],
         max: vec![0.4, 0.5, 0.6],
     };
@@ -329,7 +329,7 @@ fn the_clipped_motion_is_what_the_last_step_lands_on() {
 #[test]
 fn recomputed_noise_belongs_to_the_clipped_motion() {
     let diffusion = process(50, PredictionType::Epsilon);
-    let clip = Clip::Symmetric(0.1);
+    let clip = ClipRange::Symmetric(0.1);
     let step = |recompute_epsilon| {
         let input = StepInput {
             model_output: normal(2),
@@ -360,7 +360,7 @@ fn what_does_not_fit_is_an_error() {
         num_inference_steps: 51,
         ..good.clone()
     };
-    let clip = Clip::None;
+    let clip = ClipRange::None;
     let result = sample(
         &diffusion,
         &Waves,
@@ -372,7 +372,7 @@ fn what_does_not_fit_is_an_error() {
         ignore,
     );
     assert!(matches!(result, Err(Error::Setting(_))));
-    let narrow = Clip::PerChannel {
+    let narrow = ClipRange::PerChannel {
         min: vec![0.0],
         max: vec![1.0],
     };

@@ -17,11 +17,12 @@ pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
 
 use crate::sampler::draw;
 use crate::{
-    Clip, Denoiser, Error, GaussianDiffusion, NoiseKeys, OnStep, SamplerConfig, SamplerKind, Time,
+    ClipRange, Denoiser, Error, GaussianDiffusion, NoiseKeys, OnStep, SamplerConfig, SamplerKind,
+    Time,
 };
 
 /// A loss of the clean motion.
-pub trait Goal {
+pub trait Objective {
     /// The gradient of the loss with respect to the predicted clean motion.
     ///
     /// # Shapes
@@ -33,8 +34,8 @@ pub trait Goal {
 /// How strongly a draw is led to a goal.
 #[derive(Clone, Copy)]
 pub struct Guidance<'a> {
-    /// The goal.
-    pub goal: &'a dyn Goal,
+    /// What the sample shall keep small.
+    pub objective: &'a dyn Objective,
     /// The factor `s` of the gradient; it is multiplied by the step's variance too.
     pub scale: f64,
 }
@@ -94,7 +95,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     x_T: Tensor<3>,
     cond: &Tensor<3>,
     config: &SamplerConfig,
-    clip: &Clip,
+    clip: &ClipRange,
     steering: &dyn Fn(usize) -> Steering<'s>,
     keys: impl Into<NoiseKeys<'s>>,
     on_step: &mut OnStep<'_>,

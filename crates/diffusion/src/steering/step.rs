@@ -5,7 +5,9 @@ use burn::tensor::Tensor;
 use super::{Guidance, Imputation, Networks, Steering};
 use crate::per_sample::per_sample;
 use crate::sampler::{Posterior, ddpm_step_of, timesteps_of};
-use crate::{Clip, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided};
+use crate::{
+    ClipRange, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided,
+};
 
 /// What leads a step of DDPM to a goal.
 pub struct Steered<'a> {
@@ -134,7 +136,7 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     networks: Networks<'_, D>,
     input: SteeredInput,
     cond: &Tensor<3>,
-    clip: &Clip,
+    clip: &ClipRange,
     steering: &Steering<'_>,
 ) -> Result<SteeredOutput, Error> {
     let SteeredInput {
@@ -197,7 +199,7 @@ pub(super) fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     time: &[Time],
     cond: &Tensor<3>,
     guidance_scale: f64,
-    clip: &Clip,
+    clip: &ClipRange,
     steering: Steering<'s>,
 ) -> Result<Prediction<'s>, Error> {
     let timesteps = timesteps_of(time);
@@ -205,7 +207,7 @@ pub(super) fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let output = guided(network, x_t.clone(), time, cond, guidance_scale);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)
     };
-    let Some(Guidance { goal, scale }) = steering.guidance else {
+    let Some(Guidance { objective, scale }) = steering.guidance else {
         let steered = Steered {
             scaled_gradient: None,
             imputation: steering.imputation,
@@ -219,7 +221,7 @@ pub(super) fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
     let x_start = prediction.x_start.clone().without_autodiff();
     // The gradient of this sum with respect to x_t is that of the loss.
-    let cotangent = goal.gradient(&x_start).autodiff();
+    let cotangent = objective.gradient(&x_start).autodiff();
     let mut gradients = (prediction.x_start * cotangent).sum().backward();
     let gradient = match tracked.grad_remove(&mut gradients) {
         Some(gradient) => gradient.without_autodiff(),

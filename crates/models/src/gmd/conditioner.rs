@@ -4,12 +4,10 @@ use burn::module::Module;
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 
 use crate::Initializer;
 use crate::layers::Linear;
-
-/// Width of a text's pooled feature (CLIP ViT-B/32).
-pub const TEXT_CHANNELS: usize = 512;
 
 /// Rows of the sinusoid table of width `dim` (even): column `2i` is `sin(t f_i)` and column
 /// `2i + 1` is `cos(t f_i)` with `f_i = 10000^(-2i / dim)`.

@@ -10,7 +10,7 @@ mod projection;
 mod res_block;
 mod unet;
 
-pub use conditioner::{Conditioner, TEXT_CHANNELS, interleaved_sinusoidal};
+pub use conditioner::{Conditioner, interleaved_sinusoidal};
 pub use projection::{Projection, times};
 pub use res_block::GmdResBlock;
 pub use unet::{GmdUnet, GmdUnetConfig};

@@ -33,6 +33,10 @@
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
+/// Numbers of a text's pooled feature: those of CLIP's ViT-B/32, as published models are
+/// conditioned on.
+pub const TEXT_CHANNELS: usize = 512;
+
 mod builtin;
 mod error;
 pub mod extract;
@@ -48,7 +52,7 @@ pub mod walk;
 #[cfg(test)]
 mod moving;
 #[cfg(test)]
-use moving::moving;
+pub(crate) use moving::moving;
 
 pub use error::FeatureError;
 pub use extract::Extraction;

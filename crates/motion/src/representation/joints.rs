@@ -183,6 +183,10 @@ impl Representation for JointPositions {
         self.skeleton.description().fps
     }
 
+    fn shape(&self) -> String {
+        format!("[T, {}, 3]", self.skeleton.joints())
+    }
+
     fn channel_name(&self, channel: usize) -> String {
         format!("joint_{}.{}", channel / 3, ["x", "y", "z"][channel % 3])
     }
@@ -197,6 +201,39 @@ impl Representation for JointPositions {
 
     fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
+    }
+}
+
+/// Where a root stands on the ground, `[frames, 2]`: x and z in metres.
+#[derive(Clone, Copy, Debug)]
+pub struct GroundPath {
+    /// Frames per second.
+    pub fps: f64,
+}
+
+impl Representation for GroundPath {
+    fn name(&self) -> String {
+        "ground path".to_owned()
+    }
+
+    fn channels(&self) -> usize {
+        2
+    }
+
+    fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    fn channel_name(&self, channel: usize) -> String {
+        ["x", "z"][channel].to_owned()
+    }
+
+    /// The root on the ground.
+    fn joints(&self, rows: &[f32]) -> Option<Joints> {
+        let places = rows
+            .chunks_exact(2)
+            .map(|place| [place[0].into(), 0.0, place[1].into()]);
+        Joints::new(places.collect(), 1).ok()
     }
 }
 

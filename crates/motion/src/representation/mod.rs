@@ -11,7 +11,7 @@ mod phrases;
 use std::fmt::Debug;
 use std::ops::Range;
 
-pub use joints::{JointFeatures, JointPositions};
+pub use joints::{GroundPath, JointFeatures, JointPositions};
 pub use phrases::{Phrases, phrase_statistics};
 
 use crate::humanml::{Joints, Skeleton};
@@ -30,6 +30,11 @@ pub trait Representation: Debug + Send + Sync {
 
     /// Rows of a second.
     fn fps(&self) -> f64;
+
+    /// The shape of an array of such rows, for messages.
+    fn shape(&self) -> String {
+        format!("[T, {}]", self.channels())
+    }
 
     /// Name of a channel, such as `position.x`; for messages and tables.
     fn channel_name(&self, channel: usize) -> String;

@@ -141,3 +141,70 @@ fn floor(joints: &Joints) -> Check {
         format!("lowest joint at {lowest:.3} m"),
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::humanml::moving;
+    use crate::representation::{JointPositions, Representation, statistics_of};
+
+    fn representation() -> JointPositions {
+        JointPositions {
+            skeleton: Skeleton::humanml3d(),
+        }
+    }
+
+    /// The checks that a good clip fails after a change of its joints, `[frames, 22, 3]`.
+    fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
+        let representation = representation();
+        let good = moving(&representation.skeleton, 40).to_f32();
+        let statistics = statistics_of(&representation, [&good[..]]);
+        let training = Statistics {
+            rms_speed: Some(1.0),
+            ..statistics.expect("a clip")
+        };
+        let mut rows = good;
+        let (places, _) = rows.as_chunks_mut::<3>();
+        for (index, place) in places.iter_mut().enumerate() {
+            change(index / 22, index % 22, place);
+        }
+        let report = representation.check(&rows, Profile::Strict, Some(&training));
+        let failed = report.expect("a report").checks.into_iter();
+        failed
+            .filter(|check| !check.passed)
+            .map(|check| check.name)
+            .collect()
+    }
+
+    #[test]
+    fn each_check_has_a_motion_that_fails_it() {
+        assert!(failing(|_, _, _| ()).is_empty());
+        assert_eq!(
+            failing(|t, j, p| if (t, j) == (7, 3) {
+                p[1] = f32::NAN
+            }),
+            ["finite"]
+        );
+        let stretched = failing(|t, j, p| {
+            if j == 20 {
+                p[0] += 0.004 * t as f32
+            }
+        });
+        assert_eq!(stretched, ["bone_length"]);
+        assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor"]);
+        assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
+        let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);
+        assert_eq!(trembling, ["jerk"]);
+    }
+
+    #[test]
+    fn feet_that_slide_along_the_floor_fail() {
+        let [.., foot] = Skeleton::humanml3d().contact_joints();
+        let sliding = failing(|t, j, p| {
+            if j == foot {
+                *p = [0.1 * t as f32, 0.01, 0.0]
+            }
+        });
+        assert!(sliding.contains(&"skating"), "{sliding:?}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use kinegrad_diffusion::{Clip as ClipRange, SamplerConfig};
+use kinegrad_diffusion::{ClipRange, SamplerConfig};
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use serde::{Deserialize, Serialize};

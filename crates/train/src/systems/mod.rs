@@ -168,7 +168,7 @@ impl<'a> Systems<'a> {
             path: path.to_path_buf(),
             shape: shape.to_vec(),
             known: known()
-                .map(|known| known.name())
+                .map(|known| format!("{} {}", known.name(), known.shape()))
                 .collect::<Vec<_>>()
                 .join("; "),
         })

@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, Clip, Denoiser, DiffusionConfig, GaussianDiffusion, Networks, PredictionType,
-    SteeredInput, SteeredOutput, Steering, Time, steered_step,
+    BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
+    PredictionType, SteeredInput, SteeredOutput, Steering, Time, steered_step,
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
@@ -60,7 +60,7 @@ pub struct Bench<'a> {
     pub diffusion: GaussianDiffusion,
     tracked: Toy,
     plain: Toy,
-    clip: Clip,
+    clip: ClipRange,
 }
 
 impl<'a> Bench<'a> {
@@ -72,8 +72,8 @@ impl<'a> Bench<'a> {
             plain: Toy::read(golden, prefix, &device),
             diffusion: process(prediction_type),
             clip: match prediction_type {
-                PredictionType::Sample => Clip::None,
-                _ => Clip::Symmetric(6.0),
+                PredictionType::Sample => ClipRange::None,
+                _ => ClipRange::Symmetric(6.0),
             },
             golden,
             device,

@@ -1,14 +1,12 @@
 //! Steps that are led by the gradient of a goal.
 
 use burn::tensor::Tensor;
-use kinegrad_diffusion::{Goal, Guidance, PredictionType, Steering};
-use kinegrad_motion::goal::{
-    Goal as RootGoal, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle,
-};
+use kinegrad_diffusion::{Guidance, Objective, PredictionType, Steering};
+use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceLoss, GuidanceNorm, Keyframe, Obstacle};
 use kinegrad_tests::golden::{Golden, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::GroundGoal;
+use kinegrad_train::systems::gmd::GroundObjective;
 
 use super::bench::{Bench, space};
 
@@ -18,7 +16,7 @@ pub fn tests() -> Vec<GoldenTest> {
 }
 
 /// The goals of the file, one for each sample; with its obstacles where they count.
-pub fn goals(golden: &Golden, obstacles: bool) -> Vec<RootGoal> {
+pub fn goals(golden: &Golden, obstacles: bool) -> Vec<Goal> {
     let (mask, target) = (golden.get("in.target_mask"), golden.get("in.target_xz"));
     let [batch, frames] = mask.shape[..] else {
         panic!("a mask for each sample and frame");
@@ -26,7 +24,7 @@ pub fn goals(golden: &Golden, obstacles: bool) -> Vec<RootGoal> {
     let discs = golden.get("in.obstacles");
     (0..batch)
         .map(|sample| {
-            let mut goal = RootGoal::new(frames);
+            let mut goal = Goal::new(frames);
             goal.keyframes = (0..frames)
                 .filter(|frame| mask.values[sample * frames + frame] != 0.0)
                 .map(|frame| {
@@ -85,14 +83,14 @@ fn golden_gmd_guidance(golden: Golden) {
             };
             let goals = goals(&golden, with_obstacles);
             let loss = GuidanceLoss::new(&config, &goals, frames).expect("goals");
-            let goal = GroundGoal {
+            let goal = GroundObjective {
                 space: &space,
                 loss: &loss,
             };
             for (index, &timestep) in timesteps.iter().enumerate() {
                 let steering = Steering {
                     guidance: Some(Guidance {
-                        goal: &goal as &dyn Goal,
+                        objective: &goal as &dyn Objective,
                         scale: 100.0,
                     }),
                     imputation: None,

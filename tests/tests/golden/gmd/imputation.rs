@@ -2,11 +2,11 @@
 
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Guidance, Imputation, PredictionType, Space, Steering};
-use kinegrad_motion::goal::{Goal as RootGoal, GuidanceConfig, GuidanceLoss, Keyframe};
+use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceLoss, Keyframe};
 use kinegrad_tests::golden::{Golden, Reference, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::systems::gmd::{FeatureSpace, GroundGoal};
+use kinegrad_train::systems::gmd::{FeatureSpace, GroundObjective};
 
 use super::bench::{Bench, space};
 
@@ -117,7 +117,7 @@ fn golden_gmd_imputation_of_trajectories(golden: Golden) {
 }
 
 /// The goals that values in metres `[batch, channels, frames]` state where the mask is 1.
-fn goals_of(target: &Tensor<3>, mask: &Reference) -> Vec<RootGoal> {
+fn goals_of(target: &Tensor<3>, mask: &Reference) -> Vec<Goal> {
     let [batch, channels, frames] = target.dims();
     let target = target
         .clone()
@@ -128,7 +128,7 @@ fn goals_of(target: &Tensor<3>, mask: &Reference) -> Vec<RootGoal> {
     };
     (0..batch)
         .map(|sample| {
-            let mut goal = RootGoal::new(frames);
+            let mut goal = Goal::new(frames);
             let at = |channel: usize, frame: usize| {
                 f64::from(target[(sample * channels + channel) * frames + frame])
             };
@@ -161,7 +161,7 @@ fn golden_gmd_guided_imputation(golden: Golden) {
         let points = golden.get("in.mask_points").flat();
         let goals = goals_of(&target, &points);
         let loss = GuidanceLoss::new(&GuidanceConfig::default(), &goals, frames).expect("goals");
-        let goal = GroundGoal {
+        let goal = GroundObjective {
             space: &space,
             loss: &loss,
         };
@@ -186,7 +186,7 @@ fn golden_gmd_guided_imputation(golden: Golden) {
             let steering = match timestep {
                 20.. => Steering {
                     guidance: Some(Guidance {
-                        goal: &goal,
+                        objective: &goal,
                         scale: 100.0,
                     }),
                     imputation: Some(Imputation {

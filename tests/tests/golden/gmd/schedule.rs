@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    Clip, PredictionType, SamplerConfig, StepInput, TimestepSpacing, ddpm_step, timesteps,
+    ClipRange, PredictionType, SamplerConfig, StepInput, TimestepSpacing, ddpm_step, timesteps,
 };
 use kinegrad_tests::golden::{Golden, values, wide};
 use kinegrad_tests::trials;
@@ -138,7 +138,7 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
             timesteps: &kept,
             prev_timesteps: &before,
         };
-        let step = ddpm_step(&diffusion, input, &Clip::None).expect("sizes that fit");
+        let step = ddpm_step(&diffusion, input, &ClipRange::None).expect("sizes that fit");
         wide(&values(step.prev_sample))
     };
     let stored = golden.get("out.ddim100_posterior_variance");

@@ -14,15 +14,14 @@ use kinegrad_diffusion::{
     steered_sample,
 };
 use kinegrad_models::TextDenoiser;
-use kinegrad_models::gmd::TEXT_CHANNELS;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
-use kinegrad_motion::humanml::{Features, Root};
+use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, require};
 
 use super::networks::{TrainedClips, channels_of};
-use super::space::{FeatureSpace, GroundGoal};
+use super::space::{FeatureSpace, GroundObjective};
 use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::Weights;
 use crate::config::{Config, SamplingConfig, SystemTables};
@@ -263,7 +262,7 @@ impl ClipGenerator {
         )
         .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
-        let goal = GroundGoal {
+        let objective = GroundObjective {
             space: &self.space,
             loss: &loss,
         };
@@ -277,7 +276,7 @@ impl ClipGenerator {
             };
             Steering {
                 guidance: (steering.scale > 0.0).then_some(Guidance {
-                    goal: &goal,
+                    objective: &objective,
                     scale: steering.scale,
                 }),
                 imputation: steering.imputation.then(|| known.clone()),

@@ -18,13 +18,13 @@ mod train;
 use burn::tensor::Device;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::humanml::{Root, Skeleton};
-use kinegrad_motion::{JointFeatures, JointPositions, Representation};
+use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation};
 use toml::Table;
 
 pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
 pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
-pub use space::{FeatureSpace, GroundGoal};
+pub use space::{FeatureSpace, GroundObjective};
 
 use super::{RecipeInfo, System};
 use crate::config::{Config, ConfigError, Place, SystemTables};
@@ -62,7 +62,8 @@ impl System for Gmd {
     }
 
     fn representations(&self) -> Vec<Box<dyn Representation>> {
-        let mut all: Vec<Box<dyn Representation>> = Vec::new();
+        let fps = Skeleton::humanml3d().description().fps;
+        let mut all: Vec<Box<dyn Representation>> = vec![Box::new(GroundPath { fps })];
         for skeleton in [Skeleton::humanml3d(), Skeleton::kit()] {
             for root in [Root::Relative, Root::Absolute] {
                 let skeleton = skeleton.clone();

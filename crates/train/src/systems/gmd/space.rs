@@ -1,7 +1,7 @@
 //! Between the space a network of clips works in and metres.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::{Goal, Space};
+use kinegrad_diffusion::{Objective, Space};
 use kinegrad_models::gmd::times;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
@@ -98,16 +98,16 @@ impl Space for FeatureSpace {
     }
 }
 
-/// A goal of the root's ground path.
+/// The guidance loss of the root's ground path.
 #[derive(Clone, Copy, Debug)]
-pub struct GroundGoal<'a> {
+pub struct GroundObjective<'a> {
     /// Where the network works.
     pub space: &'a FeatureSpace,
     /// What the path is measured by.
     pub loss: &'a GuidanceLoss,
 }
 
-impl Goal for GroundGoal<'_> {
+impl Objective for GroundObjective<'_> {
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = pred_original_sample.dims();
         let positions = self

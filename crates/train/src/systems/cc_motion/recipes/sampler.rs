@@ -32,7 +32,7 @@ impl Sampler {
     ) -> Result<Self, Error> {
         let clip = config.clip.range(&statistics, statistics.channels())?;
         let clip = match config.straight_through {
-            true => kinegrad_diffusion::Clip::StraightThrough(Box::new(clip)),
+            true => kinegrad_diffusion::ClipRange::StraightThrough(Box::new(clip)),
             false => clip,
         };
         Ok(Self {

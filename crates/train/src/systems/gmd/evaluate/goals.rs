@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::humanml::{Clip, EMBEDDING_CHANNELS};
+use kinegrad_data::humanml::Clip;
 use kinegrad_motion::goal::{Goal, Keyframe, Obstacle};
-use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::humanml::{Joints, TEXT_CHANNELS};
 use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
 use serde::Serialize;
 
@@ -182,7 +182,7 @@ pub fn evaluate_goals(
 /// The embedding of a clip's first caption.
 pub fn embedding(clip: &Clip) -> Option<Vec<f32>> {
     let embedding = clip.captions.first()?.embedding.as_deref()?;
-    debug_assert_eq!(embedding.len(), EMBEDDING_CHANNELS);
+    debug_assert_eq!(embedding.len(), TEXT_CHANNELS);
     Some(embedding.to_vec())
 }
 

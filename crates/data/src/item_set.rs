@@ -1,0 +1,172 @@
+//! Some of the items of a dataset.
+
+use std::sync::Arc;
+
+use kinegrad_motion::{Measured, Statistics};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::item::Item;
+use crate::library::Library;
+
+/// Items that are measured at a time: enough for all cores, few enough for any memory.
+const CHUNK: usize = 256;
+
+/// Some of the items of a dataset in the order of their ids, read when they are asked for. A clone
+/// is another handle to the same ones.
+#[derive(Debug)]
+pub struct ItemSet<T> {
+    library: Arc<Library<T>>,
+    /// Their numbers in the library.
+    indices: Arc<[usize]>,
+}
+
+impl<T> Clone for ItemSet<T> {
+    fn clone(&self) -> Self {
+        Self {
+            library: self.library.clone(),
+            indices: self.indices.clone(),
+        }
+    }
+}
+
+impl<T: Item> ItemSet<T> {
+    pub(crate) fn new(library: Arc<Library<T>>, indices: Vec<usize>) -> Self {
+        Self {
+            library,
+            indices: indices.into(),
+        }
+    }
+
+    /// Number of items.
+    pub fn len(&self) -> usize {
+        self.indices.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.indices.is_empty()
+    }
+
+    /// Their ids, in order.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.indices
+            .iter()
+            .map(|&index| self.library.entries[index].id.as_str())
+    }
+
+    /// Frames of item `position`, without reading it.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn frames(&self, position: usize) -> usize {
+        self.library.entries[self.indices[position]].frames
+    }
+
+    /// Id of item `position`, without reading it.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn id(&self, position: usize) -> &str {
+        &self.library.entries[self.indices[position]].id
+    }
+
+    /// Item `position`.
+    ///
+    /// # Errors
+    /// [`Error::BadItem`] if its files are gone, have changed or cannot be read any more.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
+        self.library.get(self.indices[position])
+    }
+
+    /// The item `id`; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
+        let position = self.ids().position(|found| found == id);
+        position.map(|position| self.get(position)).transpose()
+    }
+
+    /// Most items worth reading at once from afar; 0 where they are not far.
+    pub(crate) fn concurrency(&self) -> usize {
+        self.library.concurrency
+    }
+
+    /// Whether item `position` is in memory now.
+    pub(crate) fn is_at_hand(&self, position: usize) -> bool {
+        self.library.is_at_hand(self.indices[position])
+    }
+
+    /// The items whose ids `choose` picks.
+    #[must_use]
+    pub fn filter(&self, choose: impl Fn(&str) -> bool) -> Self {
+        let chosen = |index: &&usize| choose(&self.library.entries[**index].id);
+        let indices = self.indices.iter().filter(chosen).copied().collect();
+        Self::new(self.library.clone(), indices)
+    }
+
+    /// All of them at once, to be held in memory.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn load(&self) -> Result<Vec<Arc<T>>, Error> {
+        (0..self.len())
+            .into_par_iter()
+            .map(|position| self.get(position))
+            .collect()
+    }
+
+    /// The statistics of their motion as rows of `representation`; none of no items.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn statistics(
+        &self,
+        representation: &T::Representation,
+    ) -> Result<Option<Statistics>, Error> {
+        let measure = |item: &T| Measured::of(representation, &item.rows(representation));
+        let mut all: Option<Measured> = None;
+        self.measure(measure, |measured| match &mut all {
+            Some(all) => all.merge(measured),
+            None => all = Some(measured),
+        })?;
+        Ok(all.map(|all| all.statistics(representation)))
+    }
+
+    /// Measures each item, some at a time on all cores, and hands the measures to `take` in the
+    /// items' order.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub(crate) fn measure<M: Send>(
+        &self,
+        measure: impl Fn(&T) -> M + Sync,
+        mut take: impl FnMut(M),
+    ) -> Result<(), Error> {
+        let positions: Vec<usize> = (0..self.len()).collect();
+        for chunk in positions.chunks(CHUNK) {
+            let measured: Vec<M> = chunk
+                .par_iter()
+                .map(|&position| Ok(measure(&*self.get(position)?)))
+                .collect::<Result<_, Error>>()?;
+            measured.into_iter().for_each(&mut take);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn counters(&self) -> &Arc<crate::Counters> {
+        &self.library.counters
+    }
+}
+
+impl<T: Item> From<Vec<Arc<T>>> for ItemSet<T> {
+    /// Items that stay in memory, in this order.
+    fn from(items: Vec<Arc<T>>) -> Self {
+        let indices = (0..items.len()).collect();
+        Self::new(Arc::new(Library::held(items)), indices)
+    }
+}
