@@ -157,7 +157,12 @@ mod tests {
     /// The checks that a good clip fails after a change of its joints, `[frames, 22, 3]`.
     fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
         let representation = representation();
-        let good = moving(&representation.skeleton, 40).to_f32();
+        let mut good = moving(&representation.skeleton, 40).to_f32();
+        // High enough that no swinging foot reaches the floor.
+        good.iter_mut()
+            .skip(1)
+            .step_by(3)
+            .for_each(|height| *height += 0.5);
         let statistics = statistics_of(&representation, [&good[..]]);
         let training = Statistics {
             rms_speed: Some(1.0),
@@ -191,7 +196,8 @@ mod tests {
             }
         });
         assert_eq!(stretched, ["bone_length"]);
-        assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor"]);
+        // What is below the floor stands on it, too: its feet slide.
+        assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor", "skating"]);
         assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
         let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);
         assert_eq!(trembling, ["jerk"]);
