@@ -94,9 +94,10 @@ impl System for CcMotion {
         match saved {
             // A resumed run does not need its start any more.
             Some(saved) => start::inherited(saved, Some(saved)).map(Some),
-            None => Starts::named(config)?
-                .map(|starts| starts.tables())
-                .transpose(),
+            None => {
+                let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
+                starts.map(|starts| starts.tables()).transpose()
+            }
         }
     }
 

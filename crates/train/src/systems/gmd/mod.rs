@@ -34,7 +34,7 @@ use crate::import::{ImportRequest, Imported};
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
-use networks::ClipStart;
+use crate::start::Start;
 
 /// The system.
 pub struct Gmd;
@@ -91,8 +91,10 @@ impl System for Gmd {
             // A resumed run does not need its start any more.
             Some(saved) => networks::inherited(saved).map(Some),
             None => {
-                let start = ClipStart::named(config)?;
-                start.map(|start| start.tables()).transpose()
+                let init = GmdConfig::of(config)?.init;
+                let start = Start::named("init.diffusion", &init.diffusion)?;
+                let tables = |start: Start| networks::inherited(&start.state()?.config);
+                start.map(tables).transpose()
             }
         }
     }
