@@ -77,9 +77,9 @@ pub(crate) struct Reading<T> {
 
 impl<T> Reading<T> {
     /// An item without files, about which nothing is odd.
-    pub fn of(item: T) -> Self {
+    pub fn of(item: impl Into<Arc<T>>) -> Self {
         Self {
-            item: Arc::new(item),
+            item: item.into(),
             note: None,
             left_out: None,
             content: Vec::new(),
@@ -130,12 +130,7 @@ impl<T: Item> Origin<T> for Held<T> {
         _expected: &[Expected],
         _recorded: &'static str,
     ) -> Result<Reading<T>, FileError> {
-        Ok(Reading {
-            item: self.0[number].clone(),
-            note: None,
-            left_out: None,
-            content: Vec::new(),
-        })
+        Ok(Reading::of(self.0[number].clone()))
     }
 
     fn is_memory(&self) -> bool {

@@ -157,10 +157,9 @@ pub(super) fn check_width(
         }
         [.., found] if shape.len() == axes && found != channels => {
             let hint = match SkeletonName::of_channels(found) {
-                Some(other) => format!(
-                    "{found} channels are those of data.humanml3d.skeleton = \"{}\"",
-                    other.as_str()
-                ),
+                Some(other) => {
+                    format!("{found} channels are those of data.humanml3d.skeleton = \"{other}\"")
+                }
                 None => usual.to_owned(),
             };
             let found = format!("{found} channels");

@@ -26,13 +26,13 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
         "fps" => numbers(&|row| Some(row.fps)),
         "beats" => numbers(&|row| row.beats),
         "tempo" => numbers(&|row| row.tempo),
-        "split" => some_texts(&|row| row.split.map(|side| side.as_str().to_owned())),
+        "split" => some_texts(&|row| row.split.map(|side| side.to_string())),
         "motion_bytes" => integers(&|row| row.motion_bytes),
         "motion_sha256" => texts(&|row| row.motion_sha256.to_string()),
         "audio_bytes" => integers(&|row| row.audio_bytes),
         "audio_sha256" => texts(&|row| row.audio_sha256.to_string()),
         "flags" => texts(&|row| {
-            row.flags.iter().map(|flag| flag.as_str()).collect::<Vec<_>>().join(",")
+            row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
     )
 }
@@ -94,7 +94,8 @@ pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
                 }
             };
             let flags = flags[row].as_deref().unwrap_or_default().split(',');
-            let flags = flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.as_str() == text));
+            let flags =
+                flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.to_string() == text));
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
                 audio_source: audio_source[row].clone(),
