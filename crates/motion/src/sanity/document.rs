@@ -94,6 +94,7 @@ fn coherence(name: &'static str, what: &str, unit: &str, errors: &[[f64; 3]], be
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
     use crate::wandering::wandering;
 

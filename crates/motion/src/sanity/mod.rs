@@ -109,6 +109,7 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::CHANNELS;
     use crate::wandering::wandering;
 
     #[test]

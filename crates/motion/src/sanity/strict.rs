@@ -75,6 +75,7 @@ fn coherence(name: &'static str, what: &str, errors: &[[f64; 3]], scale: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
     use crate::wandering::wandering;
 

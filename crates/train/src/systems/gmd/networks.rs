@@ -5,10 +5,10 @@ use std::path::Path;
 use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
+use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 use toml::Table;
 
-use super::recipes::motion::TRAJECTORY_CHANNELS;
 use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};

@@ -14,13 +14,11 @@ use burn::tensor::Device;
 use kinegrad_data::Batch;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
+use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 
 use super::loss::clip_loss;
 use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
-
-/// Channels that a trajectory scale is about: root rotation, x, z and height.
-pub const TRAJECTORY_CHANNELS: usize = 4;
 
 /// Trains a [`TextDenoiser`] on whole motion.
 pub struct GmdMotionRecipe {

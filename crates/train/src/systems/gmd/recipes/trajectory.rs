@@ -12,9 +12,9 @@ use burn::tensor::Device;
 use kinegrad_data::Batch;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
+use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 
 use super::loss::clip_loss;
-use super::motion::TRAJECTORY_CHANNELS;
 use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
