@@ -3,9 +3,7 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_models::parameters;
 use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
@@ -115,10 +113,4 @@ pub fn must_agree<T: SystemTables>(
             Err(refused.hint(hint).into())
         }
     }
-}
-
-/// The values of all parameters, in the module's order.
-pub fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
-    let parameters = parameters::export(module).into_iter();
-    parameters.map(|parameter| parameter.values).collect()
 }

@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
-use crate::library::{Origin, Reading};
+use crate::library::{Origin, Reading, Wanted};
 use crate::listing::Expected;
 use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
 
@@ -235,14 +235,9 @@ impl ClipFiles {
 }
 
 impl Origin<Clip> for ClipFiles {
-    fn read(
-        &self,
-        _number: usize,
-        id: &str,
-        expected: &[Expected],
-        recorded: &'static str,
-    ) -> Result<Reading<Clip>, FileError> {
-        let [features, captions @ ..] = expected else {
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
+        let Wanted { id, recorded, .. } = wanted;
+        let [features, captions @ ..] = wanted.expected else {
             unreachable!("a clip has a file of features");
         };
         let path = features_path(id);

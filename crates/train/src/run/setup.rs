@@ -154,10 +154,7 @@ impl Setup {
             name: config.run.name.clone(),
             folder: folder.clone(),
             device: device_name,
-            parameters: parameters::infos(&model)
-                .iter()
-                .map(|info| info.len())
-                .sum(),
+            parameters: parameters::count(&model),
             train_phrases: material.train,
             validation_phrases: material.validation,
             skipped: material.skipped,

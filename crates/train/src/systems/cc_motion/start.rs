@@ -9,7 +9,7 @@ use super::networks::{Trained, decoder, denoiser, trainable};
 use super::{CcMotionConfig, InitConfig};
 use crate::config::Config;
 use crate::error::Error;
-use crate::start::{Start, must_agree, tables_of, values};
+use crate::start::{Start, must_agree, tables_of};
 
 /// The checkpoints that a fine-tuning starts from.
 #[derive(Clone, Debug)]
@@ -59,7 +59,7 @@ impl Starts {
         let statistics = base.state.statistics_of(&Phrases)?;
         // Networks of this config, whose dropout and coherence may be others, with the values of
         // the start.
-        let unet = parameters::replace(denoiser(config, device)?, values(&base.unet));
+        let unet = parameters::replace(denoiser(config, device)?, parameters::values(&base.unet));
         let mut decoder = decoder(config, statistics, device)?;
         if let Some(given) = &self.decoder {
             let start = given.load(device, Trained::load)?;
@@ -74,7 +74,7 @@ impl Starts {
                       `init.diffusion`",
                 ));
             }
-            decoder = parameters::replace(decoder, values(&trained));
+            decoder = parameters::replace(decoder, parameters::values(&trained));
         }
         trainable(MotionModel { unet, decoder }, config, device)
     }

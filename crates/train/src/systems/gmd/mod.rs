@@ -16,7 +16,7 @@ mod space;
 mod train;
 
 use burn::tensor::Device;
-use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, JointPositions, Representation};
 use toml::Table;
@@ -102,8 +102,7 @@ impl System for Gmd {
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         // Parameters are lazy: no weight is drawn and no memory taken.
         let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
-        let infos = parameters::infos(&denoiser);
-        Ok(infos.iter().map(ParameterInfo::len).sum())
+        Ok(parameters::count(&denoiser))
     }
 
     fn architectures(&self) -> &'static [&'static str] {

@@ -13,7 +13,7 @@ use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
-use crate::start::{Start, must_agree, tables_of, values};
+use crate::start::{Start, must_agree, tables_of};
 
 /// Parameter of the matrix of a projected space.
 pub(super) const MATRIX: &str = "projection.matrix";
@@ -155,7 +155,8 @@ pub(super) fn started(
         Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),
         None => fresh,
     };
-    Ok(parameters::replace(fresh, values(&trained.model)))
+    let weights = parameters::values(&trained.model);
+    Ok(parameters::replace(fresh, weights))
 }
 
 /// Tables that follow from what a run starts from.
