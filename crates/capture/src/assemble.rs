@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use kinegrad_motion::FPS;
 
+use crate::error::{require, require_positive};
 use crate::{Error, RootSource, RootTrack};
 
 /// Two times closer than this are the same, in seconds: what sums of durations lose to rounding.
@@ -57,9 +58,8 @@ pub struct Moment {
 /// a segment left out. A frame on the border of two segments belongs to the later one.
 ///
 /// # Errors
-/// [`Error::InvalidSegment`] for a take that does not exist, a number that is not finite,
-/// a length that is not positive or a segment that begins before the one before it ends;
-/// [`Error::InvalidSetting`] for no frames.
+/// [`Error::Setting`] for a take that does not exist, a number that is not finite, a length that is
+/// not positive, a segment that begins before the one before it ends, and for no frames.
 pub fn assemble(
     takes: &[&dyn RootSource],
     segments: &[Segment],
@@ -99,34 +99,22 @@ fn playing(segments: &[Segment], seconds: f64) -> Option<usize> {
 fn check(takes: &[&dyn RootSource], segments: &[Segment]) -> Result<(), Error> {
     let mut end_of_last = f64::NEG_INFINITY;
     for (index, segment) in segments.iter().enumerate() {
-        let fail = |key, found: String, allowed| {
-            Err(Error::InvalidSegment {
-                index,
-                key,
-                found,
-                allowed,
-            })
-        };
-        if segment.take >= takes.len() {
-            let found = format!("{} of {} takes", segment.take, takes.len());
-            return fail("take", found, "the index of a take, counted from 0");
-        }
+        let key = |field: &str| format!("segment[{index}].{field}");
+        let found = format!("{} of {} takes", segment.take, takes.len());
+        let allowed = "the index of a take, counted from 0";
+        require(segment.take < takes.len(), key("take"), found, allowed)?;
         let Range { start, end } = segment.capture_frames;
-        if !(start.is_finite() && end.is_finite() && start <= end) {
-            let found = format!("{start} to {end}");
-            let allowed = "two frame numbers, the first not larger";
-            return fail("capture_frames", found, allowed);
-        }
-        if !(segment.seconds.is_finite() && segment.seconds > 0.0) {
-            let found = segment.seconds.to_string();
-            return fail("seconds", found, "a positive number of seconds");
-        }
+        let sound = start.is_finite() && end.is_finite() && start <= end;
+        let allowed = "two frame numbers, the first not larger";
+        let found = format!("{start} to {end}");
+        require(sound, key("capture_frames"), found, allowed)?;
+        let seconds = segment.seconds;
+        require_positive(key("seconds"), seconds, "a positive number of seconds")?;
         let start = segment.start_seconds;
-        if !(start >= end_of_last - SAME_TIME && start.is_finite()) {
-            let found = format!("{start} while the one before ends at {end_of_last}");
-            let allowed = "a moment at or after the end of the segment before";
-            return fail("start_seconds", found, allowed);
-        }
+        let follows = start >= end_of_last - SAME_TIME && start.is_finite();
+        let found = format!("{start} while the one before ends at {end_of_last}");
+        let allowed = "a moment at or after the end of the segment before";
+        require(follows, key("start_seconds"), found, allowed)?;
         end_of_last = segment.end_seconds();
     }
     Ok(())
@@ -220,7 +208,7 @@ mod tests {
         for (expected, wrong) in bad {
             let error = assemble(&[&take], &[good.clone(), wrong], 90).unwrap_err();
             assert!(
-                matches!(error, Error::InvalidSegment { index: 1, key, .. } if key == expected),
+                matches!(&error, Error::Setting(refused) if refused.key == format!("segment[1].{expected}")),
                 "{error:?}"
             );
         }

@@ -1,8 +1,10 @@
 //! What can be wrong with capture files, marker sets and plans.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use kinegrad_data::StoreError;
+use kinegrad_settings::{InvalidSetting, Refused};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -97,31 +99,10 @@ pub enum Error {
         frame: usize,
     },
 
-    /// A segment of a plan cannot be played.
-    #[error("segment {index} (counted from 0): `{key}` is {found}")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidSegment {
-        /// Position of the segment in the plan.
-        index: usize,
-        /// The field.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
-
-    /// A setting is out of range.
-    #[error("`{key}` is {found}, which is out of range")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidSetting {
-        /// Name of the setting.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
+    /// A setting, or a field of a segment, is out of range.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
 
     /// A plan, or a file it names, cannot be followed.
     #[error("{file}: {problem}")]
@@ -179,30 +160,19 @@ impl Error {
     }
 }
 
-/// An [`Error::InvalidSetting`] unless `holds`.
+/// An [`Error::Setting`] unless `holds`.
 pub(crate) fn require(
     holds: bool,
-    key: &'static str,
-    found: impl ToString,
-    allowed: &'static str,
+    key: impl Display,
+    found: impl Display,
+    allowed: impl Display,
 ) -> Result<(), Error> {
-    if holds {
-        return Ok(());
-    }
-    let found = found.to_string();
-    Err(Error::InvalidSetting {
-        key,
-        found,
-        allowed,
-    })
+    let checked = kinegrad_settings::require(holds, key, found, allowed);
+    Ok(checked.hint("docs/dataset.md describes plans; configs/prepare.toml is one")?)
 }
 
 /// [`require`] of a finite number above 0.
-pub(crate) fn require_positive(
-    key: &'static str,
-    number: f64,
-    allowed: &'static str,
-) -> Result<(), Error> {
+pub(crate) fn require_positive(key: impl Display, number: f64, allowed: &str) -> Result<(), Error> {
     require(number.is_finite() && number > 0.0, key, number, allowed)
 }
 

@@ -41,7 +41,7 @@ impl Joining {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if `max_step_seconds` is not positive.
+    /// [`Error::Setting`] if `max_step_seconds` is not positive.
     pub fn check(&self) -> Result<(), Error> {
         let seconds = self.max_step_seconds;
         let allowed = "a positive number of seconds of capture";
@@ -54,7 +54,7 @@ impl Joining {
 /// where it was captured.
 ///
 /// # Errors
-/// [`Error::InvalidSetting`] if `max_step_seconds` is not positive.
+/// [`Error::Setting`] if `max_step_seconds` is not positive.
 pub fn join(assembly: &Assembly, joining: &Joining) -> Result<(RootTrack, Vec<usize>), Error> {
     joining.check()?;
     let track = &assembly.track;

@@ -46,7 +46,7 @@ impl Beats {
     /// has passed, from 0 to below 1.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if a number is out of range.
+    /// [`Error::Setting`] if a number is out of range.
     pub fn phase(&self, frames: usize, fps: f64) -> Result<Vec<f64>, Error> {
         self.check()?;
         let seconds = (0..frames).map(|t| t as f64 / fps);
@@ -59,7 +59,7 @@ impl Beats {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if one is out of range.
+    /// [`Error::Setting`] if one is out of range.
     pub fn check(&self) -> Result<(), Error> {
         let beats_per_bar = match self {
             Self::Grid(grid) => {

@@ -25,10 +25,10 @@ pub struct Stretch {
 /// `[frames]` is that of the whole track; style is measured over each run ([`style::describe`]).
 ///
 /// # Errors
-/// [`Error::InvalidSetting`] for a track at another rate,
+/// [`Error::Setting`] for a track at another rate,
 /// [`kinegrad_motion::Error::LengthMismatch`] for a phase of another length.
 pub fn stretches(track: &RootTrack, phase: &[f64]) -> Result<Vec<Stretch>, Error> {
-    let allowed = "phrases have 30 frames per second: resample the track first";
+    let allowed = "30 frames per second, as of all phrases: resample the track first";
     require(track.rate() == FPS, "rate", track.rate(), allowed)?;
     if phase.len() != track.frames() {
         return Err(Error::Motion(kinegrad_motion::Error::LengthMismatch {
@@ -67,7 +67,7 @@ impl Stretch {
     /// the last ones repeat.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if the range is empty or reaches beyond the stretch.
+    /// [`Error::Setting`] if the range is empty or reaches beyond the stretch.
     pub fn phrase(&self, frames: Range<usize>) -> Result<Motion, Error> {
         let within = !frames.is_empty() && frames.end <= self.frames();
         let found = format!("{frames:?} of {}", self.frames());
@@ -89,7 +89,7 @@ impl Stretch {
     /// every `hop` frames from frame `first` on. What is left at the end is dropped.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if `length` or `hop` is 0.
+    /// [`Error::Setting`] if `length` or `hop` is 0.
     pub fn starts(&self, first: usize, length: usize, hop: usize) -> Result<Vec<usize>, Error> {
         for (key, value) in [("length", length), ("hop", hop)] {
             require(value > 0, key, value, "at least one frame")?;

@@ -58,7 +58,7 @@ impl RootTrack {
     ///
     /// # Errors
     /// [`kinegrad_motion::Error::LengthMismatch`] for arrays of different length,
-    /// [`Error::InvalidSetting`] for no frames or a rate out of 0.1 to 100000,
+    /// [`Error::Setting`] for no frames or a rate out of 0.1 to 100000,
     /// [`Error::NonFinite`] for a frame that is not finite,
     /// [`Error::NoRotation`] for a quaternion of next to no length.
     pub fn new(
@@ -91,12 +91,7 @@ impl RootTrack {
     pub fn from_poses(poses: Vec<Option<RootPose>>, rate: f64) -> Result<Self, Error> {
         check_rate(rate)?;
         let frames = poses.len();
-        require(
-            frames > 0,
-            "frames",
-            frames,
-            "a track has at least one frame",
-        )?;
+        require(frames > 0, "frames", frames, "at least one")?;
         for (frame, pose) in poses.iter().enumerate() {
             let Some(pose) = pose else { continue };
             let norm = pose.orientation.norm();
@@ -187,7 +182,7 @@ impl RootSource for RootTrack {
 /// every frame that fits into the take, which ends at its last frame: nothing is extrapolated.
 ///
 /// # Errors
-/// [`Error::InvalidSetting`] if a rate is out of 0.1 to 100000 frames per second.
+/// [`Error::Setting`] if a rate is out of 0.1 to 100000 frames per second.
 pub fn resample(source: &dyn RootSource, rate: f64) -> Result<RootTrack, Error> {
     check_rate(source.rate())?;
     check_rate(rate)?;

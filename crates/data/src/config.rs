@@ -1,5 +1,6 @@
 //! The `data` table of a training config.
 
+use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -96,15 +97,10 @@ pub enum DataKind {
     SyntheticWalks,
 }
 
-impl DataKind {
+impl fmt::Display for DataKind {
     /// Its name in a config.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Phrases => "phrases",
-            Self::Synthetic => "synthetic",
-            Self::Humanml3d => "humanml3d",
-            Self::SyntheticWalks => "synthetic_walks",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What can be wrong with a dataset's settings, its folder and its files.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
@@ -233,6 +233,15 @@ pub enum Error {
 }
 
 impl FileError {
+    /// A [`FileError::Read`].
+    pub(crate) fn read(file: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let file = file.display().to_string();
+        move |reason| Self::Read {
+            file,
+            reason: reason.to_string(),
+        }
+    }
+
     /// A [`FileError::Damaged`].
     pub(crate) fn damaged(file: &str, problem: impl Into<String>, hint: &'static str) -> Self {
         Self::Damaged {
@@ -298,7 +307,7 @@ impl Error {
 
     /// An [`Error::Config`] of `data.kind`.
     pub(crate) fn wrong_kind(kind: DataKind, allowed: &str, hint: &str) -> Self {
-        let found = format!("\"{}\"", kind.as_str());
+        let found = format!("\"{kind}\"");
         InvalidSetting::new("data.kind", found, allowed)
             .hint(hint)
             .into()

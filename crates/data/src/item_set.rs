@@ -109,6 +109,15 @@ impl<T: Item> ItemSet<T> {
         Self::new(self.library.clone(), indices)
     }
 
+    /// The first `count` of them, or all where there are fewer.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn first(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
+        let positions = 0..count.min(self.len());
+        positions.map(|position| self.get(position)).collect()
+    }
+
     /// All of them at once, to be held in memory.
     ///
     /// # Errors

@@ -38,20 +38,25 @@ pub(crate) struct Entry {
     number: usize,
 }
 
+/// Which item is to be read.
+#[derive(Clone, Copy)]
+pub(crate) struct Wanted<'a> {
+    /// Its number in its origin.
+    pub number: usize,
+    pub id: &'a str,
+    /// What its files are to be.
+    pub expected: &'a [Expected],
+    /// Where that comes from.
+    pub recorded: &'static str,
+}
+
 /// A maker of items.
 pub(crate) trait Origin<T>: Debug + Send + Sync {
-    /// Item `number`, called `id`, from files that are as `expected`; `recorded` says where that
-    /// comes from.
+    /// The item that is `wanted`.
     ///
     /// # Errors
     /// [`FileError`].
-    fn read(
-        &self,
-        number: usize,
-        id: &str,
-        expected: &[Expected],
-        recorded: &'static str,
-    ) -> Result<Reading<T>, FileError>;
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError>;
 
     /// Whether every item is in memory already.
     fn is_memory(&self) -> bool {
@@ -77,9 +82,9 @@ pub(crate) struct Reading<T> {
 
 impl<T> Reading<T> {
     /// An item without files, about which nothing is odd.
-    pub fn of(item: T) -> Self {
+    pub fn of(item: impl Into<Arc<T>>) -> Self {
         Self {
-            item: Arc::new(item),
+            item: item.into(),
             note: None,
             left_out: None,
             content: Vec::new(),
@@ -101,7 +106,12 @@ impl<T: Item> Met<T> {
     /// # Errors
     /// [`FileError`].
     pub fn read(origin: &dyn Origin<T>, listed: &Listed, number: usize) -> Result<Self, FileError> {
-        let read = origin.read(number, &listed.id, &listed.files, "in manifest.parquet")?;
+        let read = origin.read(Wanted {
+            number,
+            id: &listed.id,
+            expected: &listed.files,
+            recorded: "in manifest.parquet",
+        })?;
         let entry = Entry {
             id: listed.id.clone(),
             frames: read.item.frames(),
@@ -123,19 +133,8 @@ impl<T: Item> Met<T> {
 struct Held<T>(Vec<Arc<T>>);
 
 impl<T: Item> Origin<T> for Held<T> {
-    fn read(
-        &self,
-        number: usize,
-        _id: &str,
-        _expected: &[Expected],
-        _recorded: &'static str,
-    ) -> Result<Reading<T>, FileError> {
-        Ok(Reading {
-            item: self.0[number].clone(),
-            note: None,
-            left_out: None,
-            content: Vec::new(),
-        })
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError> {
+        Ok(Reading::of(self.0[wanted.number].clone()))
     }
 
     fn is_memory(&self) -> bool {
@@ -196,12 +195,12 @@ impl<T: Item> Library<T> {
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);
         let expected: Vec<Expected> = expected.collect();
-        let read = self.origin.read(
-            entry.number,
-            &entry.id,
-            &expected,
-            "when the dataset was opened",
-        );
+        let read = self.origin.read(Wanted {
+            number: entry.number,
+            id: &entry.id,
+            expected: &expected,
+            recorded: "when the dataset was opened",
+        });
         let item = read
             .map_err(|cause| Error::bad::<T>(&entry.id, cause))?
             .item;

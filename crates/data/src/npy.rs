@@ -77,10 +77,7 @@ pub(crate) fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError
     let mut bytes = Vec::new();
     File::open(path)
         .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
-        .map_err(|reason| FileError::Read {
-            file: path.display().to_string(),
-            reason: reason.to_string(),
-        })?;
+        .map_err(FileError::read(path))?;
     Ok(bytes)
 }
 

@@ -10,8 +10,8 @@ use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::layout::{features_path, motion_path};
-use crate::library::{Origin, Reading};
-use crate::listing::{Expected, Listed, Listing, ids};
+use crate::library::{Origin, Reading, Wanted};
+use crate::listing::{Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
 use crate::phrase::Named;
@@ -138,14 +138,9 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
 pub(crate) struct PhraseFiles(pub Files);
 
 impl Origin<Phrase> for PhraseFiles {
-    fn read(
-        &self,
-        _number: usize,
-        id: &str,
-        expected: &[Expected],
-        recorded: &'static str,
-    ) -> Result<Reading<Phrase>, FileError> {
-        let [motion, audio] = expected else {
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
+        let Wanted { id, recorded, .. } = wanted;
+        let [motion, audio] = wanted.expected else {
             unreachable!("a phrase has two files");
         };
         let Self(files) = self;
@@ -175,15 +170,9 @@ impl Origin<Phrase> for PhraseFiles {
 pub(crate) struct MadeUpPhrases(pub SyntheticConfig);
 
 impl Origin<Phrase> for MadeUpPhrases {
-    fn read(
-        &self,
-        number: usize,
-        _id: &str,
-        _expected: &[Expected],
-        _recorded: &'static str,
-    ) -> Result<Reading<Phrase>, FileError> {
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
-        Ok(Reading::of(synthetic::phrase(number, frames, seed)))
+        Ok(Reading::of(synthetic::phrase(wanted.number, frames, seed)))
     }
 
     fn fingerprint(&self) -> String {

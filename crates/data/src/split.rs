@@ -1,5 +1,6 @@
 //! Which phrases are held out for validation.
 
+use std::fmt;
 use std::fs;
 use std::path::Path;
 
@@ -28,13 +29,10 @@ pub enum Side {
     Validation,
 }
 
-impl Side {
+impl fmt::Display for Side {
     /// `train` or `validation`.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Validation => "validation",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

@@ -65,49 +65,29 @@ impl NoiseSchedule {
 
     fn from_betas(betas: Vec<f64>) -> Self {
         let steps = betas.len();
-        let mut schedule = Self {
-            alphas: betas.iter().map(|beta| 1.0 - beta).collect(),
-            betas,
-            alphas_cumprod: Vec::with_capacity(steps),
-            alphas_cumprod_prev: Vec::with_capacity(steps),
-            one_minus_alphas_cumprod: Vec::with_capacity(steps),
-            sqrt_alphas_cumprod: Vec::with_capacity(steps),
-            sqrt_one_minus_alphas_cumprod: Vec::with_capacity(steps),
-            sqrt_recip_alphas_cumprod: Vec::with_capacity(steps),
-            sqrt_recipm1_alphas_cumprod: Vec::with_capacity(steps),
-            posterior_mean_coef1: Vec::with_capacity(steps),
-            posterior_mean_coef2: Vec::with_capacity(steps),
-            posterior_variance: Vec::with_capacity(steps),
-        };
-        let (mut abar_prev, mut one_minus_prev) = (1.0, 0.0);
-        for t in 0..steps {
-            let (alpha, beta) = (schedule.alphas[t], schedule.betas[t]);
-            let abar: f64 = abar_prev * alpha;
+        // From before the first step on: entry t + 1 is that of timestep t.
+        let (mut abar, mut rest) = (vec![1.0], vec![0.0]);
+        for (t, beta) in betas.iter().enumerate() {
             // 1 - abar = (1 - abar_prev) + abar_prev beta: only positive terms, nothing cancels.
-            let one_minus: f64 = one_minus_prev + abar_prev * beta;
-            schedule.alphas_cumprod.push(abar);
-            schedule.alphas_cumprod_prev.push(abar_prev);
-            schedule.one_minus_alphas_cumprod.push(one_minus);
-            schedule.sqrt_alphas_cumprod.push(abar.sqrt());
-            schedule
-                .sqrt_one_minus_alphas_cumprod
-                .push(one_minus.sqrt());
-            schedule.sqrt_recip_alphas_cumprod.push((1.0 / abar).sqrt());
-            schedule
-                .sqrt_recipm1_alphas_cumprod
-                .push((one_minus / abar).sqrt());
-            schedule
-                .posterior_mean_coef1
-                .push(beta * abar_prev.sqrt() / one_minus);
-            schedule
-                .posterior_mean_coef2
-                .push(one_minus_prev * alpha.sqrt() / one_minus);
-            schedule
-                .posterior_variance
-                .push(beta * one_minus_prev / one_minus);
-            (abar_prev, one_minus_prev) = (abar, one_minus);
+            rest.push(rest[t] + abar[t] * beta);
+            abar.push(abar[t] * (1.0 - beta));
         }
-        schedule
+        let alphas: Vec<f64> = betas.iter().map(|beta| 1.0 - beta).collect();
+        let table = |entry: &dyn Fn(usize) -> f64| (0..steps).map(entry).collect();
+        Self {
+            sqrt_alphas_cumprod: table(&|t| abar[t + 1].sqrt()),
+            sqrt_one_minus_alphas_cumprod: table(&|t| rest[t + 1].sqrt()),
+            sqrt_recip_alphas_cumprod: table(&|t| (1.0 / abar[t + 1]).sqrt()),
+            sqrt_recipm1_alphas_cumprod: table(&|t| (rest[t + 1] / abar[t + 1]).sqrt()),
+            posterior_mean_coef1: table(&|t| betas[t] * abar[t].sqrt() / rest[t + 1]),
+            posterior_mean_coef2: table(&|t| rest[t] * alphas[t].sqrt() / rest[t + 1]),
+            posterior_variance: table(&|t| betas[t] * rest[t] / rest[t + 1]),
+            alphas_cumprod: abar[1..].to_vec(),
+            alphas_cumprod_prev: abar[..steps].to_vec(),
+            one_minus_alphas_cumprod: rest[1..].to_vec(),
+            alphas,
+            betas,
+        }
     }
 
     /// T, the number of timesteps.

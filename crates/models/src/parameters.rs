@@ -130,6 +130,17 @@ pub fn export<M: Module>(module: &M) -> Vec<HostParameter> {
         .collect()
 }
 
+/// The values of all parameters on the host, in the module's order.
+pub fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
+    let parameters = export(module).into_iter();
+    parameters.map(|parameter| parameter.values).collect()
+}
+
+/// Number of elements of all parameters; initialises none.
+pub fn count<M: Module>(module: &M) -> usize {
+    infos(module).iter().map(ParameterInfo::len).sum()
+}
+
 /// Everything in which the `found` parameters are not the `expected` ones: what is missing, of
 /// another shape or not known.
 pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<String> {

@@ -3,6 +3,9 @@
 //! Everything is a forward difference: the value of frame t is taken from frames t and t + 1, and
 //! the last frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
 
+use std::ops::Range;
+
+use crate::humanml::kinematics::minus;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, STYLE, VELOCITY};
 use crate::rotation::length;
 use crate::{CHANNELS, Error, Motion, Quaternion};
@@ -93,19 +96,13 @@ pub fn derive(
 /// Replaces velocity, acceleration and angular velocity by those that follow from the stored
 /// positions and quaternions.
 pub fn rederive(motion: &mut Motion) {
-    let frames = motion.frames();
-    let vectors = |motion: &Motion, channels: std::ops::Range<usize>| -> Vec<[f64; 3]> {
-        (0..frames)
-            .map(|t| motion.vector(t, channels.clone()))
-            .collect()
-    };
     let velocity = forward_differences(&vectors(motion, POSITION), FPS);
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
     }
     // From the velocity as rounded to single precision: that is what the checks compare with.
     let acceleration = forward_differences(&vectors(motion, VELOCITY), FPS);
-    let quaternions: Vec<Quaternion> = (0..frames).map(|t| motion.quaternion(t)).collect();
+    let quaternions: Vec<Quaternion> = (0..motion.frames()).map(|t| motion.quaternion(t)).collect();
     let turning = angular_velocity(&quaternions, FPS);
     for (t, (a, w)) in acceleration.into_iter().zip(turning).enumerate() {
         motion.set_vector(t, ACCELERATION, a);
@@ -125,9 +122,7 @@ pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
 
 /// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
 pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
-    let frames = 0..motion.frames();
-    let acceleration: Vec<[f64; 3]> = frames.map(|t| motion.vector(t, ACCELERATION)).collect();
-    differences(&acceleration, FPS)
+    differences(&vectors(motion, ACCELERATION), FPS)
 }
 
 /// Mean over frames of the Euclidean norm of the [`jerk`], in metres per second cubed; 0 for a
@@ -152,23 +147,23 @@ pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
     total / (3 * vectors.len()).max(1) as f64
 }
 
-fn errors(
-    motion: &Motion,
-    base: std::ops::Range<usize>,
-    explicit: std::ops::Range<usize>,
-) -> Vec<[f64; 3]> {
-    let base: Vec<[f64; 3]> = (0..motion.frames())
-        .map(|t| motion.vector(t, base.clone()))
-        .collect();
-    let derived = differences(&base, FPS);
-    derived
-        .into_iter()
-        .enumerate()
-        .map(|(t, derived)| {
-            let stored = motion.vector(t, explicit.clone());
-            [0, 1, 2].map(|axis| stored[axis] - derived[axis])
-        })
+fn errors(motion: &Motion, base: Range<usize>, explicit: Range<usize>) -> Vec<[f64; 3]> {
+    let derived = differences(&vectors(motion, base), FPS);
+    let stored = vectors(motion, explicit).into_iter();
+    stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
+}
+
+fn vectors(motion: &Motion, channels: Range<usize>) -> Vec<[f64; 3]> {
+    (0..motion.frames())
+        .map(|t| motion.vector(t, channels.clone()))
         .collect()
+}
+
+/// Third differences of positions `[frames, 3]` in metres, times the cube of `fps`: jerk in metres
+/// per second cubed, three fewer than the positions.
+pub(crate) fn jerk_of(positions: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
+    let derive = |values: &[[f64; 3]]| differences(values, fps);
+    derive(&derive(&derive(positions)))
 }
 
 /// Forward differences of vectors `[frames, 3]` times `fps`, one fewer than the vectors.

@@ -18,7 +18,7 @@ pub(crate) const CONSTANT: f64 = 1e-8;
 ///
 /// A normalised value is `(value - mean) / std`. Reading refuses lists of unequal length, values
 /// that are not finite, and a `std` that is not positive.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "Stored", into = "Stored")]
 pub struct Statistics {
     /// What normalisation subtracts, `[channels]`.
@@ -48,13 +48,15 @@ impl Statistics {
     /// Those of motion that is its own normalised form, in -1 to 1.
     pub fn unit(channels: usize) -> Self {
         Self {
+            mean: vec![0.0; channels],
+            std: vec![1.0; channels],
             range: Some([vec![-1.0; channels], vec![1.0; channels]]),
             frames: 1,
             items: 1,
             rms_speed: Some(1.0),
             rms_acceleration: Some(1.0),
             jerk_p95: Some(1.0),
-            ..Self::given(vec![0.0; channels], vec![1.0; channels])
+            ..Self::default()
         }
     }
 
@@ -72,24 +74,12 @@ impl Statistics {
             *deviation = 1.0;
         }
         Self {
+            mean,
+            std,
             range: Some([min, max]),
             frames,
             items,
-            ..Self::given(mean, std)
-        }
-    }
-
-    fn given(mean: Vec<f64>, std: Vec<f64>) -> Self {
-        Self {
-            mean,
-            std,
-            range: None,
-            frames: 0,
-            items: 0,
-            rms_speed: None,
-            rms_acceleration: None,
-            jerk_p95: None,
-            root: None,
+            ..Self::default()
         }
     }
 
@@ -99,8 +89,10 @@ impl Statistics {
     /// [`Error::InvalidStatistics`] if a value is not finite or a deviation not positive.
     pub fn new(mean: Vec<f64>, std: Vec<f64>, root: Option<Root>) -> Result<Self, Error> {
         Self {
+            mean,
+            std,
             root,
-            ..Self::given(mean, std)
+            ..Self::default()
         }
         .checked()
     }

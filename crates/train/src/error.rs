@@ -41,24 +41,6 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
-    /// An array whose rows are no motion that a system knows.
-    #[error("{}: an array of shape {shape:?} is no motion that is known", path.display())]
-    #[diagnostic(help("known are: {known}"))]
-    UnknownMotion {
-        /// Its file.
-        path: PathBuf,
-        /// Its shape.
-        shape: Vec<usize>,
-        /// Names of the representations that are known.
-        known: String,
-    },
-    /// The range of the training motion is not known.
-    #[error("the checkpoint does not hold the range of the motion it was trained on")]
-    #[diagnostic(help(
-        "its statistics came with the dataset, or it was written by an older version: set `clip` \
-         to \"six\", \"unit\" or \"none\""
-    ))]
-    NoRange,
     /// A run on another representation of motion than is needed.
     #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
     #[diagnostic(help("give a run of a recipe that does"))]
@@ -67,33 +49,6 @@ pub enum Error {
         recipe: String,
         /// Name of the representation that is needed.
         expected: String,
-    },
-    /// Parts of the text-motion evaluator that do not belong together.
-    #[error("{what} is {found} numbers wide where {reader} takes {expected}")]
-    #[diagnostic(help(
-        "weights, mean and deviation, and word vectors must be those that were published together, \
-         for features of the same kind as the clips"
-    ))]
-    EvaluatorWidth {
-        /// What is read.
-        what: &'static str,
-        /// What reads it.
-        reader: &'static str,
-        /// Its width.
-        found: usize,
-        /// The width needed.
-        expected: usize,
-    },
-    /// A clip is too short for the text-motion evaluator.
-    #[error("clip {clip} (counted from 0) has {found} frames, at least {needed} needed")]
-    #[diagnostic(help("leave out such clips; the published evaluation uses 40 frames or more"))]
-    TooShort {
-        /// Position of the clip in the list.
-        clip: usize,
-        /// Its frames.
-        found: usize,
-        /// Frames needed.
-        needed: usize,
     },
     /// Joint features that are none.
     #[error(transparent)]
@@ -138,15 +93,6 @@ pub enum Error {
         /// What is needed.
         allowed: String,
     },
-    /// A new run in a folder that is taken.
-    #[error("the run `{name}` exists already: {}", path.display())]
-    #[diagnostic(help("add `--resume` to continue it, or choose another `--name`"))]
-    RunExists {
-        /// Name of the run.
-        name: String,
-        /// Its folder.
-        path: PathBuf,
-    },
     /// A run or checkpoint that is not there.
     #[error("there is no run or checkpoint at {}", path.display())]
     #[diagnostic(help("{hint}"))]
@@ -155,13 +101,6 @@ pub enum Error {
         path: PathBuf,
         /// What to give instead.
         hint: String,
-    },
-    /// Another process trains in the same folder.
-    #[error("another process is using the run folder {}", path.display())]
-    #[diagnostic(help("wait for it to end; the lock ends with its process"))]
-    RunLocked {
-        /// The run's folder.
-        path: PathBuf,
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]

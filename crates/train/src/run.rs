@@ -126,7 +126,12 @@ pub fn train_config(
         || system.has_begun(&folder)
         || !Checkpoints::of(&folder).steps().is_empty();
     match (exists, resume) {
-        (true, false) => return Err(Error::RunExists { name, path: folder }),
+        (true, false) => {
+            return Err(Error::usage(
+                format!("the run `{name}` exists already: {}", folder.display()),
+                "add `--resume` to continue it, or choose another `--name`",
+            ));
+        }
         (false, true) if !folder.exists() => {
             let hint = "without `--resume` a new run of that name is started".into();
             return Err(Error::RunMissing { path: folder, hint });

@@ -3,12 +3,11 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use burn::module::Module;
-use kinegrad_models::parameters;
+use burn::tensor::Device;
 use kinegrad_settings::InvalidSetting;
 use toml::Table;
 
-use crate::checkpoint::resolve_checkpoint;
+use crate::checkpoint::{State, Weights, resolve_checkpoint};
 use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
 
@@ -24,21 +23,55 @@ const FREE_KEYS: [&str; 8] = [
     "decoder.init",
 ];
 
-/// The best checkpoint of the run, or the checkpoint, that `key` names; none where the path is
-/// empty.
-///
-/// # Errors
-/// If it is not there.
-pub fn named(key: &str, path: &Path) -> Result<Option<PathBuf>, Error> {
-    if path.as_os_str().is_empty() {
-        return Ok(None);
-    }
-    let found = resolve_checkpoint(path, |_| {});
-    found.map(Some).map_err(|error| refused(key, path, &error))
+/// A checkpoint that a key of `init` names.
+#[derive(Clone, Debug)]
+pub struct Start {
+    key: &'static str,
+    path: PathBuf,
 }
 
-/// The error of a checkpoint that cannot be started from.
-pub fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
+impl Start {
+    /// The best checkpoint of the run, or the checkpoint, that `key` names; none where the path is
+    /// empty.
+    ///
+    /// # Errors
+    /// If it is not there.
+    pub fn named(key: &'static str, path: &Path) -> Result<Option<Self>, Error> {
+        if path.as_os_str().is_empty() {
+            return Ok(None);
+        }
+        let found = resolve_checkpoint(path, |_| {});
+        let path = found.map_err(|error| refused(key, path, &error))?;
+        Ok(Some(Self { key, path }))
+    }
+
+    /// Config, step, statistics.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged.
+    pub fn state(&self) -> Result<State, Error> {
+        State::read(&self.path)
+    }
+
+    /// What `load` makes of the averaged weights on `device`.
+    ///
+    /// # Errors
+    /// Names the key and why the checkpoint does not fit.
+    pub fn load<T>(
+        &self,
+        device: &Device,
+        load: impl FnOnce(&Path, Weights, &Device) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        load(&self.path, Weights::Ema, device).map_err(|error| self.refused(&error))
+    }
+
+    /// The error of a checkpoint that cannot be started from.
+    pub fn refused(&self, reason: &dyn Display) -> Error {
+        refused(self.key, &self.path, reason)
+    }
+}
+
+fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
     let path = path.display();
     Error::usage(
         format!("`{key}` is {path}, which cannot be started from: {reason}"),
@@ -80,10 +113,4 @@ pub fn must_agree<T: SystemTables>(
             Err(refused.hint(hint).into())
         }
     }
-}
-
-/// The values of all parameters, in the module's order.
-pub fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
-    let parameters = parameters::export(module).into_iter();
-    parameters.map(|parameter| parameter.values).collect()
 }

@@ -127,10 +127,7 @@ impl<R: Recipe> Trainer<R> {
             }
             None => {
                 let optimizer = AdamW::new(&config.optim, lengths);
-                let first = parameters::export(&model)
-                    .into_iter()
-                    .map(|p| p.values)
-                    .collect();
+                let first = parameters::values(&model);
                 (
                     0,
                     Progress::default(),
@@ -395,14 +392,10 @@ impl<R: Recipe> Trainer<R> {
             checksums: Default::default(),
         };
         let model = self.model.as_ref().expect("held between updates");
-        let weights: Vec<Vec<f32>> = parameters::export(model)
-            .into_iter()
-            .map(|p| p.values)
-            .collect();
         let path = self.checkpoints.save(CheckpointRef {
             state: &state,
             infos: &self.infos,
-            model: &weights,
+            model: &parameters::values(model),
             ema: self.ema.shadow(),
             moments: self.optimizer.moments(),
         })?;

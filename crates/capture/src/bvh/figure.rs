@@ -23,7 +23,7 @@ impl Bvh {
     /// them begins with a joint of its own in the same place, named as `pelvis_to_left_hip`.
     ///
     /// # Errors
-    /// [`Error::Features`] if they are not joints of `skeleton`; [`Error::InvalidSetting`] if
+    /// [`Error::Features`] if they are not joints of `skeleton`; [`Error::Setting`] if
     /// `units_per_metre` is not positive, for a name that BVH cannot hold or values that overflow.
     pub fn from_joints(
         clip: &Joints,

@@ -63,7 +63,7 @@ impl Bvh {
     /// faces +z in files that follow the convention of the phrases.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if `metres_per_unit` is not positive, there is no such
+    /// [`Error::Setting`] if `metres_per_unit` is not positive, there is no such
     /// joint or the frame time is out of the range of rates; [`Error::NonFinite`] if a
     /// number of the file is so large that the place overflows.
     pub fn joint_track(

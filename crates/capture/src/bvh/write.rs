@@ -50,7 +50,7 @@ impl Bvh {
     /// channels, every other joint three, `Zrotation Xrotation Yrotation`.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] for a frame time that is not positive, joints that make no
+    /// [`Error::Setting`] for a frame time that is not positive, joints that make no
     /// tree, a name that the text cannot hold, no frames, another number of rotations than
     /// joints and frames make, or a value that is not finite.
     pub fn from_rotations(

@@ -61,7 +61,7 @@ impl MarkerMap {
     /// The root of a take.
     ///
     /// # Errors
-    /// [`Error::InvalidSetting`] if a group is empty, [`Error::MissingMarker`] and
+    /// [`Error::Setting`] if a group is empty, [`Error::MissingMarker`] and
     /// [`Error::AmbiguousMarker`] for names that the file lacks or has several times,
     /// [`Error::NoValidFrame`] if the root is nowhere known.
     pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
@@ -75,7 +75,7 @@ impl MarkerMap {
             ("right", &self.right),
         ];
         for (key, names) in groups {
-            let allowed = "name at least one marker";
+            let allowed = "the name of at least one marker";
             require(!names.is_empty(), key, "an empty list", allowed)?;
             let mut tracks = Vec::new();
             for name in names {

@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
 
 use crate::files::Files;
-use crate::library::{Origin, Reading};
+use crate::library::{Origin, Reading, Wanted};
 use crate::listing::Expected;
 use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
 
@@ -157,10 +157,9 @@ pub(super) fn check_width(
         }
         [.., found] if shape.len() == axes && found != channels => {
             let hint = match SkeletonName::of_channels(found) {
-                Some(other) => format!(
-                    "{found} channels are those of data.humanml3d.skeleton = \"{}\"",
-                    other.as_str()
-                ),
+                Some(other) => {
+                    format!("{found} channels are those of data.humanml3d.skeleton = \"{other}\"")
+                }
                 None => usual.to_owned(),
             };
             let found = format!("{found} channels");
@@ -236,14 +235,9 @@ impl ClipFiles {
 }
 
 impl Origin<Clip> for ClipFiles {
-    fn read(
-        &self,
-        _number: usize,
-        id: &str,
-        expected: &[Expected],
-        recorded: &'static str,
-    ) -> Result<Reading<Clip>, FileError> {
-        let [features, captions @ ..] = expected else {
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
+        let Wanted { id, recorded, .. } = wanted;
+        let [features, captions @ ..] = wanted.expected else {
             unreachable!("a clip has a file of features");
         };
         let path = features_path(id);

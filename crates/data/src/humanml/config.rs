@@ -1,5 +1,7 @@
 //! The `data.humanml3d` table of a training config.
 
+use std::fmt;
+
 use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
@@ -64,14 +66,6 @@ pub enum SkeletonName {
 }
 
 impl SkeletonName {
-    /// Its name in a config.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Humanml3d => "humanml3d",
-            Self::Kit => "kit",
-        }
-    }
-
     /// The skeleton.
     pub fn skeleton(self) -> Skeleton {
         match self {
@@ -85,6 +79,13 @@ impl SkeletonName {
         [Self::Humanml3d, Self::Kit]
             .into_iter()
             .find(|name| name.skeleton().layout().channels() == channels)
+    }
+}
+
+impl fmt::Display for SkeletonName {
+    /// Its name in a config.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -142,7 +143,7 @@ impl Humanml3dConfig {
         require(
             self.skeleton == SkeletonName::Humanml3d,
             "data.humanml3d.skeleton",
-            format!("\"{}\"", self.skeleton.as_str()),
+            format!("\"{}\"", self.skeleton),
             "\"humanml3d\" with data.kind = \"synthetic_walks\"",
         )
         .hint("leave the key out")?;

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use half::f16;
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
@@ -77,10 +78,7 @@ pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
         Some((key, row)) => (key, row.parse().map_err(|_| refused("no row number"))?),
         None => (key, 0usize),
     };
-    let bytes = std::fs::read(path).map_err(|reason| FileError::Read {
-        file: path.to_owned(),
-        reason: reason.to_string(),
-    })?;
+    let bytes = std::fs::read(path).map_err(FileError::read(path.as_ref()))?;
     let tensors = SafeTensors::deserialize(&bytes)
         .map_err(|error| refused(&format!("no safetensors file ({error})")))?;
     let tensor = tensors
@@ -135,24 +133,11 @@ pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
         }
         Dtype::F16 => {
             let (numbers, _) = tensor.data().as_chunks();
-            let half = |&bytes| from_half(u16::from_le_bytes(bytes));
+            let half = |&bytes| f16::from_le_bytes(bytes).to_f32();
             numbers.iter().map(half).collect()
         }
         _ => return None,
     })
-}
-
-/// The number that a half-precision float stands for (IEEE 754, binary16).
-fn from_half(bits: u16) -> f32 {
-    let sign = if bits >> 15 == 0 { 1.0 } else { -1.0 };
-    let exponent = i32::from(bits >> 10 & 0x1f);
-    let fraction = f32::from(bits & 0x3ff) / 1024.0;
-    sign * match exponent {
-        0 => fraction * 2f32.powi(-14),
-        31 if fraction == 0.0 => f32::INFINITY,
-        31 => f32::NAN,
-        _ => (1.0 + fraction) * 2f32.powi(exponent - 15),
-    }
 }
 
 /// The bytes of a file of embeddings: `[captions, 512]` float32 for each clip.
@@ -200,18 +185,6 @@ mod tests {
 
     #[test]
     fn half_precision_is_understood() {
-        for (bits, value) in [
-            (0x0000, 0.0),
-            (0x3c00, 1.0),
-            (0xc000, -2.0),
-            (0x3555, 0.333_251_95),
-            (0x7bff, 65504.0),
-            (0x0001, 5.960_464_5e-8),
-            (0x7c00, f32::INFINITY),
-        ] {
-            assert_eq!(from_half(bits), value, "{bits:x}");
-        }
-        assert!(from_half(0x7e00).is_nan());
         let bytes: Vec<u8> = (0..512).flat_map(|_| 0x3800u16.to_le_bytes()).collect();
         let read = parse(Dtype::F16, &[1, 512], &bytes).unwrap();
         assert_eq!(read.of("000021", 1).unwrap()[0][..], [0.5; 512]);

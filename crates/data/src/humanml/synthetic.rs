@@ -11,8 +11,7 @@ use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
-use crate::library::{Origin, Reading};
-use crate::listing::Expected;
+use crate::library::{Origin, Reading, Wanted};
 use crate::split::Split;
 use crate::synthetic::write_whole;
 use crate::{
@@ -218,14 +217,8 @@ impl Walks {
 }
 
 impl Origin<Clip> for Walks {
-    fn read(
-        &self,
-        number: usize,
-        _id: &str,
-        _expected: &[Expected],
-        _recorded: &'static str,
-    ) -> Result<Reading<Clip>, FileError> {
-        let mut clip = walk(number, self.config.frames, self.config.seed);
+    fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Clip>, FileError> {
+        let mut clip = walk(wanted.number, self.config.frames, self.config.seed);
         clip.drop_short_captions(Skeleton::humanml3d().description().fps, self.min_frames);
         if !self.conditional {
             clip.captions

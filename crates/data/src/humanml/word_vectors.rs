@@ -23,12 +23,8 @@ const HINT: &str = "docs/dataset.md shows how to make the file of the published 
 /// [`FileError::Read`]; [`FileError::Unexpected`] for what is no such file, for words that come
 /// twice, numbers that are not finite, and without the word `unk`.
 pub fn read_word_vectors(path: &Path) -> Result<WordVectors, FileError> {
-    let file = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|reason| FileError::Read {
-        file: file.clone(),
-        reason: reason.to_string(),
-    })?;
-    parse_word_vectors(&bytes, &file)
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    parse_word_vectors(&bytes, &path.display().to_string())
 }
 
 /// Parses what [`read_word_vectors`] reads; `file` names it in errors.

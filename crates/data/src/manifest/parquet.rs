@@ -4,14 +4,14 @@ use std::io::Cursor;
 
 use kinegrad_audio::guard::guarded;
 use polars::prelude::{
-    BooleanChunked, Column, DataFrame, DataType, NewChunkedArray, ParquetReader, ParquetWriter,
-    PolarsError, SerReader,
+    BooleanChunked, Column, DataFrame, NewChunkedArray, ParquetReader, ParquetWriter, PolarsError,
+    SerReader,
 };
 
 use super::filter::Filter;
 use super::footer;
 use super::row::ManifestRow;
-use super::table::{rows, table};
+use super::table::{self, rows};
 use crate::layout::MANIFEST;
 use crate::{Error, Store};
 
@@ -98,7 +98,7 @@ impl Manifest {
 
     pub(super) fn to_bytes(&self) -> Result<Vec<u8>, PolarsError> {
         let mut bytes = Vec::new();
-        ParquetWriter::new(&mut bytes).finish(&mut table(&self.rows)?)?;
+        ParquetWriter::new(&mut bytes).finish(&mut table::table(&self.rows)?)?;
         Ok(bytes)
     }
 }
@@ -142,22 +142,15 @@ impl Selection {
 
     /// The values of a column of text; missing ones are empty. `None` if there is no such column.
     pub fn texts(&self, column: &str) -> Option<Vec<String>> {
-        let column = self.frame.column(column).ok()?;
-        let texts = column.cast(&DataType::String).ok()?;
-        let texts = texts.str().ok()?;
-        Some(
-            texts
-                .iter()
-                .map(|text| text.unwrap_or_default().to_owned())
-                .collect(),
-        )
+        self.frame.column(column).ok()?;
+        let texts = table::texts(&self.frame, column).ok()?.into_iter();
+        Some(texts.map(Option::unwrap_or_default).collect())
     }
 
     /// The values of a column of numbers. `None` if there is no such column.
     pub fn numbers(&self, column: &str) -> Option<Vec<Option<f64>>> {
-        let column = self.frame.column(column).ok()?;
-        let numbers = column.cast(&DataType::Float64).ok()?;
-        Some(numbers.f64().ok()?.iter().collect())
+        self.frame.column(column).ok()?;
+        table::numbers(&self.frame, column).ok()
     }
 }
 
@@ -300,7 +293,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_selection_keeps_columns_that_others_added() {
-        let mut frame = table(&[row("a"), row("b")]).unwrap();
+        let mut frame = table::table(&[row("a"), row("b")]).unwrap();
         frame
             .with_column(Column::new("dancer".into(), ["kim", "lou"]))
             .unwrap();

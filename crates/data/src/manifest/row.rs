@@ -1,5 +1,7 @@
 //! What a manifest says of one phrase.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Digest, Side};
@@ -66,16 +68,11 @@ impl Flag {
         Self::FailsDocumentChecks,
         Self::DamagedAudio,
     ];
+}
 
+impl fmt::Display for Flag {
     /// As the manifest writes it.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::NoAudio => "no_audio",
-            Self::NoBeats => "no_beats",
-            Self::JoinedUnits => "joined_units",
-            Self::FilledGaps => "filled_gaps",
-            Self::FailsDocumentChecks => "fails_document_checks",
-            Self::DamagedAudio => "damaged_audio",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use polars::df;
-use polars::prelude::{Column, DataFrame, DataType, PolarsError};
+use polars::prelude::{DataFrame, DataType, PolarsError};
 
 use super::row::{Flag, ManifestRow};
 use crate::layout::check_id;
@@ -26,13 +26,13 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
         "fps" => numbers(&|row| Some(row.fps)),
         "beats" => numbers(&|row| row.beats),
         "tempo" => numbers(&|row| row.tempo),
-        "split" => some_texts(&|row| row.split.map(|side| side.as_str().to_owned())),
+        "split" => some_texts(&|row| row.split.map(|side| side.to_string())),
         "motion_bytes" => integers(&|row| row.motion_bytes),
         "motion_sha256" => texts(&|row| row.motion_sha256.to_string()),
         "audio_bytes" => integers(&|row| row.audio_bytes),
         "audio_sha256" => texts(&|row| row.audio_sha256.to_string()),
         "flags" => texts(&|row| {
-            row.flags.iter().map(|flag| flag.as_str()).collect::<Vec<_>>().join(",")
+            row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
     )
 }
@@ -40,37 +40,28 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
 /// The rows of a table; in an error, what is wrong with it. Only ids and checksums must be there:
 /// a manifest written by hand need not know the rest.
 pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
-    let required = |name: &str| {
-        frame
-            .column(name)
-            .map_err(|_| format!("column `{name}` is missing"))
-    };
-    let height = frame.height();
-    let ids = texts(required("id")?)?;
-    let motion_sha256 = texts(required("motion_sha256")?)?;
-    let audio_sha256 = texts(required("audio_sha256")?)?;
-    let optional_texts = |name: &str| match frame.column(name) {
-        Ok(column) => texts(column),
-        Err(_) => Ok(vec![None; height]),
-    };
-    let optional_numbers = |name: &str| match frame.column(name) {
-        Ok(column) => numbers(column),
-        Err(_) => Ok(vec![None; height]),
-    };
-    let motion_source = optional_texts("motion_source")?;
-    let audio_source = optional_texts("audio_source")?;
-    let split = optional_texts("split")?;
-    let flags = optional_texts("flags")?;
-    let first_frame = optional_numbers("first_frame")?;
-    let frames = optional_numbers("frames")?;
-    let fps = optional_numbers("fps")?;
-    let beats = optional_numbers("beats")?;
-    let tempo = optional_numbers("tempo")?;
-    let motion_bytes = optional_numbers("motion_bytes")?;
-    let audio_bytes = optional_numbers("audio_bytes")?;
+    for name in ["id", "motion_sha256", "audio_sha256"] {
+        let missing = |_| format!("column `{name}` is missing");
+        frame.column(name).map_err(missing)?;
+    }
+    let (texts, numbers) = (|name| texts(frame, name), |name| numbers(frame, name));
+    let ids = texts("id")?;
+    let motion_sha256 = texts("motion_sha256")?;
+    let audio_sha256 = texts("audio_sha256")?;
+    let motion_source = texts("motion_source")?;
+    let audio_source = texts("audio_source")?;
+    let split = texts("split")?;
+    let flags = texts("flags")?;
+    let first_frame = numbers("first_frame")?;
+    let frames = numbers("frames")?;
+    let fps = numbers("fps")?;
+    let beats = numbers("beats")?;
+    let tempo = numbers("tempo")?;
+    let motion_bytes = numbers("motion_bytes")?;
+    let audio_bytes = numbers("audio_bytes")?;
     let whole = |number: Option<f64>| number.unwrap_or_default() as i64;
     let mut seen = HashSet::new();
-    (0..height)
+    (0..frame.height())
         .map(|row| {
             let id = ids[row].clone().ok_or(format!("row {row}: no id"))?;
             check_id(&id).map_err(|error| format!("row {row}: {error}"))?;
@@ -94,7 +85,8 @@ pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
                 }
             };
             let flags = flags[row].as_deref().unwrap_or_default().split(',');
-            let flags = flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.as_str() == text));
+            let flags =
+                flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.to_string() == text));
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
                 audio_source: audio_source[row].clone(),
@@ -115,15 +107,23 @@ pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
         .collect()
 }
 
-fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
-    let broken = |error: PolarsError| format!("column `{}`: {error}", column.name());
+/// The values of a column of text; all missing where there is no such column.
+pub(super) fn texts(frame: &DataFrame, name: &str) -> Result<Vec<Option<String>>, String> {
+    let broken = |error: PolarsError| format!("column `{name}`: {error}");
+    let Ok(column) = frame.column(name) else {
+        return Ok(vec![None; frame.height()]);
+    };
     let texts = column.cast(&DataType::String).map_err(broken)?;
     let texts = texts.str().map_err(broken)?;
     Ok(texts.iter().map(|text| text.map(str::to_owned)).collect())
 }
 
-fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
-    let broken = |error: PolarsError| format!("column `{}`: {error}", column.name());
+/// The values of a column of numbers; all missing where there is no such column.
+pub(super) fn numbers(frame: &DataFrame, name: &str) -> Result<Vec<Option<f64>>, String> {
+    let broken = |error: PolarsError| format!("column `{name}`: {error}");
+    let Ok(column) = frame.column(name) else {
+        return Ok(vec![None; frame.height()]);
+    };
     let numbers = column.cast(&DataType::Float64).map_err(broken)?;
     Ok(numbers.f64().map_err(broken)?.iter().collect())
 }

@@ -1,5 +1,7 @@
 //! The settings of a sampler.
 
+use std::fmt;
+
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
@@ -19,15 +21,10 @@ pub enum SamplerKind {
     Heun,
 }
 
-impl SamplerKind {
+impl fmt::Display for SamplerKind {
     /// Its name in a config.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ddim => "ddim",
-            Self::Ddpm => "ddpm",
-            Self::Dpmpp2m => "dpmpp_2m",
-            Self::Heun => "heun",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

@@ -17,10 +17,6 @@ use crate::{Error, GaussianDiffusion};
 ///
 /// # Errors
 /// Those of `predict`.
-#[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
 pub fn ddim(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -34,11 +30,8 @@ pub fn ddim(
     for index in 0..path.len() {
         let (now, next) = (path.timesteps(index), path.landings(index));
         let prediction = predict(x, &path.time(index))?;
-        let moves = next
-            .iter()
-            .zip(now)
-            .any(|(next, now)| next.is_some_and(|next| next != *now));
-        let noise = (config.eta > 0.0 && moves).then(|| keys.noise(index, None, &prediction.x_t));
+        let noise = (config.eta > 0.0 && path.stays_noisy(index))
+            .then(|| keys.noise(index, None, &prediction.x_t));
         x = step(diffusion, &prediction, now, &next, noise, config);
         on_step(index + 1, path.len(), &x);
     }

@@ -15,10 +15,6 @@ use crate::{Error, GaussianDiffusion};
 ///
 /// # Errors
 /// Those of `predict`.
-#[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
 pub fn ddpm(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -31,11 +27,9 @@ pub fn ddpm(
     for index in 0..path.len() {
         let (now, next) = (path.timesteps(index), path.landings(index));
         let prediction = predict(x, &path.time(index))?;
-        let moves = next
-            .iter()
-            .zip(now)
-            .any(|(next, now)| next.is_some_and(|next| next != *now));
-        let noise = moves.then(|| keys.noise(index, None, &prediction.x_t));
+        let noise = path
+            .stays_noisy(index)
+            .then(|| keys.noise(index, None, &prediction.x_t));
         let imputation_noise = prediction
             .steered
             .as_ref()

@@ -20,10 +20,6 @@ const STEPS_OF_SECOND_ORDER: usize = 15;
 ///
 /// # Errors
 /// Those of `predict`.
-#[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
 pub fn dpmpp_2m(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

@@ -18,10 +18,6 @@ use crate::{Error, GaussianDiffusion, Time};
 ///
 /// # Errors
 /// Those of `predict`.
-#[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

@@ -5,6 +5,11 @@
 //! network; [`draw`] does with any [`Predict`]. The steps of DDIM and DDPM are public too, and take
 //! their noise as an argument, for whoever writes another loop.
 
+#![expect(
+    non_snake_case,
+    reason = "x_T is the field's symbol for the start noise"
+)]
+
 mod clip;
 mod config;
 mod ddim;
@@ -58,10 +63,6 @@ pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 /// If the sampler's settings are not valid for this process, the clipping bounds do not fit the
 /// channels, or the network's output has other sizes than its input.
 #[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
-#[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
 )]
@@ -90,10 +91,6 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
 ///
 /// # Errors
 /// If the sampler's settings are not valid for this process, and those of `predict`.
-#[expect(
-    non_snake_case,
-    reason = "x_T is the field's symbol for the start noise"
-)]
 pub fn draw(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

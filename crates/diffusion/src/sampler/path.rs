@@ -69,6 +69,14 @@ impl Path {
         Time::of(self.timesteps(index))
     }
 
+    /// Whether a sample goes to another timestep in step `index`, and not to the clean motion.
+    pub(super) fn stays_noisy(&self, index: usize) -> bool {
+        let landings = self.landings(index).into_iter().zip(self.timesteps(index));
+        landings
+            .filter_map(|(next, now)| Some((next?, now)))
+            .any(|(next, now)| next != *now)
+    }
+
     /// Where each sample is after step `index`.
     ///
     /// # Panics

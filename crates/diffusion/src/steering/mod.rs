@@ -103,7 +103,7 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     require(
         config.kind == SamplerKind::Ddpm,
         "sampling.sampler.kind",
-        format!("\"{}\"", config.kind.name()),
+        format!("\"{}\"", config.kind),
         "\"ddpm\" where a draw is led to a goal",
     )
     .hint("the shift is scaled by the variance of the step, which the others have none of")?;

@@ -1,11 +1,9 @@
 //! What a projection costs: conditioning, evenness of the variances, error of a round trip.
 
-use std::fmt;
-
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
-use super::{EmphasisConfig, EmphasisError, EmphasisKind, EmphasisProjection};
+use super::EmphasisProjection;
 
 /// Frames of the round trip.
 const FRAMES: usize = 196;
@@ -63,75 +61,4 @@ impl EmphasisProjection {
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     let count = values.len();
     values.sum::<f64>() / count as f64
-}
-
-/// One row of the table that [`compare`] makes. It prints as a line of a Markdown table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct EmphasisRow {
-    /// Which matrix.
-    pub kind: EmphasisKind,
-    /// Its scale.
-    pub scale: f64,
-    /// What it comes to.
-    pub measures: EmphasisMeasures,
-}
-
-impl EmphasisRow {
-    /// The two lines above the rows of the table.
-    pub const HEADING: &'static str = "\
-| kind | scale | condition number | variance min | mean | max | std | trajectory share \
-| round trip max | mean |
-|---|---|---|---|---|---|---|---|---|---|";
-}
-
-impl fmt::Display for EmphasisRow {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = match self.kind {
-            EmphasisKind::None => "none",
-            EmphasisKind::Gaussian => "gaussian",
-            EmphasisKind::Orthogonal => "orthogonal",
-        };
-        let m = &self.measures;
-        write!(f, "| {kind} | {} | {:.1} ", self.scale, m.condition_number)?;
-        for number in [
-            m.variance_min,
-            m.variance_mean,
-            m.variance_max,
-            m.variance_std,
-            m.trajectory_share,
-        ] {
-            write!(f, "| {number:.3} ")?;
-        }
-        let (max, mean) = (m.round_trip_max, m.round_trip_mean);
-        write!(f, "| {max:.1e} | {mean:.1e} |")
-    }
-}
-
-/// Measures both kinds of matrix at each of the `scales`, the Gaussian ones first, all drawn from
-/// `seed`.
-///
-/// # Errors
-/// Those of [`EmphasisConfig::projection`].
-pub fn compare(
-    dimension: usize,
-    scales: &[f64],
-    seed: u64,
-) -> Result<Vec<EmphasisRow>, EmphasisError> {
-    let mut rows = Vec::new();
-    for kind in [EmphasisKind::Gaussian, EmphasisKind::Orthogonal] {
-        for &scale in scales {
-            let config = EmphasisConfig {
-                kind,
-                scale,
-                seed,
-                ..EmphasisConfig::default()
-            };
-            rows.extend(config.projection(dimension)?.map(|projection| EmphasisRow {
-                kind,
-                scale,
-                measures: projection.measure(seed),
-            }));
-        }
-    }
-    Ok(rows)
 }

@@ -15,7 +15,7 @@ mod measures;
 
 pub use config::{EmphasisConfig, EmphasisKind};
 pub use error::EmphasisError;
-pub use measures::{EmphasisMeasures, EmphasisRow, compare};
+pub use measures::EmphasisMeasures;
 
 use nalgebra::DMatrix;
 

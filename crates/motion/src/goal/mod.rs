@@ -42,7 +42,7 @@ mod targets;
 pub use guidance::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 pub use obstacle::Obstacle;
 pub use schedule::{GuidanceSchedule, Phase};
-pub use targets::{GROUND_X, GROUND_Z, GroundTargets, TRAJECTORY_CHANNELS};
+pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};

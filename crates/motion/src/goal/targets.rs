@@ -4,10 +4,8 @@ use super::Keyframe;
 
 /// Channels of the trajectory model, in its order: root rotation, x, z, height.
 pub const TRAJECTORY_CHANNELS: usize = 4;
-/// The x channel, of the trajectory model as of a motion's features.
+/// The x channel, of the trajectory model as of a motion's features; z is the next.
 pub const GROUND_X: usize = 1;
-/// The z channel, of the trajectory model as of a motion's features.
-pub const GROUND_Z: usize = 2;
 
 /// Ground positions in metres for some frames of a clip.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,45 +82,19 @@ impl GroundTargets {
         targets.filter_map(|(frame, target)| target.map(|target| (frame, target)))
     }
 
-    /// Which values of the trajectory model's channels are given, `[4, frames]`: x and z of the
-    /// frames that have a target.
-    pub fn channel_mask(&self) -> Vec<bool> {
-        self.channels(|channel, target| target.is_some() && [GROUND_X, GROUND_Z].contains(&channel))
-    }
-
-    /// The targets as values of the trajectory model's channels, `[4, frames]`, in metres; zero
-    /// where nothing is given.
-    pub fn motion_space(&self) -> Vec<f32> {
-        self.channels(|channel, target| value(channel, target) as f32)
-    }
-
-    /// [`motion_space`](Self::motion_space) normalised, `(value - mean) / std`. Where nothing is
-    /// given a normalised zero stands, which means nothing.
-    pub fn model_space(
-        &self,
-        mean: &[f64; TRAJECTORY_CHANNELS],
-        std: &[f64; TRAJECTORY_CHANNELS],
-    ) -> Vec<f32> {
-        self.channels(|channel, target| {
-            ((value(channel, target) - mean[channel]) / std[channel]) as f32
-        })
-    }
-
-    /// Channel-major values `[4, frames]`.
-    fn channels<T>(&self, value: impl Fn(usize, Option<[f64; 2]>) -> T) -> Vec<T> {
-        let of_channel = |channel| self.targets.iter().map(move |target| (channel, *target));
-        let places = (0..TRAJECTORY_CHANNELS).flat_map(of_channel);
-        places
-            .map(|(channel, target)| value(channel, target))
-            .collect()
-    }
-}
-
-fn value(channel: usize, target: Option<[f64; 2]>) -> f64 {
-    match (channel, target) {
-        (GROUND_X, Some([x, _])) => x,
-        (GROUND_Z, Some([_, z])) => z,
-        _ => 0.0,
+    /// The targets as values `[channels, frames]` of a clip that may be longer, in metres, and which
+    /// of them are given: 1 for x and z of the frames that have a target. All else is 0 in both.
+    pub fn in_channels(&self, channels: usize, frames: usize) -> [Vec<f32>; 2] {
+        let mut values = vec![0.0; channels * frames];
+        let mut given = values.clone();
+        for (frame, position) in self.masked() {
+            for (axis, value) in position.into_iter().enumerate() {
+                let place = (GROUND_X + axis) * frames + frame;
+                values[place] = value as f32;
+                given[place] = 1.0;
+            }
+        }
+        [values, given]
     }
 }
 
@@ -166,11 +138,10 @@ mod tests {
     #[test]
     fn targets_fill_two_of_four_channels() {
         let targets = GroundTargets::trajectory(&[[1.0, 2.0]], 1, 2);
-        let (t, f) = (true, false);
-        assert_eq!(targets.channel_mask(), [f, f, f, t, f, t, f, f]);
-        let expected = [0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 0.0];
-        assert_eq!(targets.motion_space(), expected);
-        let model = targets.model_space(&[1.0, 1.0, 0.0, 0.5], &[2.0, 1.0, 4.0, 1.0]);
-        assert_eq!(model, [-0.5, -0.5, -1.0, 0.0, 0.0, 0.5, -0.5, -0.5]);
+        let [values, given] = targets.in_channels(4, 2);
+        assert_eq!(values, [0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 0.0]);
+        assert_eq!(given, [0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+        let [longer, _] = targets.in_channels(3, 3);
+        assert_eq!(longer, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0]);
     }
 }

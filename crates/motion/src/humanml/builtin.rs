@@ -103,7 +103,7 @@ impl Skeleton {
                     right: [8, 11],
                 },
                 leg_joints: [5, 8],
-                ..blank()
+                ..SkeletonDescription::default()
             },
         )
     }
@@ -146,36 +146,13 @@ impl Skeleton {
                     right: [14, 15],
                 },
                 leg_joints: [17, 18],
-                ..blank()
+                ..SkeletonDescription::default()
             },
         )
     }
 }
 
-/// The fields that [`built_in`] fills from its table, with the rest empty.
-fn blank() -> SkeletonDescription {
-    SkeletonDescription {
-        name: String::new(),
-        fps: 1.0,
-        joint_names: Vec::new(),
-        chains: Vec::new(),
-        raw_directions: Vec::new(),
-        rest_offsets: Vec::new(),
-        face_joints: FaceJoints {
-            right_hip: 0,
-            left_hip: 0,
-            right_shoulder: 0,
-            left_shoulder: 0,
-        },
-        mirrored_joints: Vec::new(),
-        feet: Feet {
-            left: [0; 2],
-            right: [0; 2],
-        },
-        leg_joints: [0; 2],
-    }
-}
-
+/// The skeleton of these joints; the description says all else.
 fn built_in(joints: &[Joint], description: SkeletonDescription) -> Skeleton {
     let joint_names = joints.iter().map(|(name, ..)| name.to_string()).collect();
     Skeleton::new(SkeletonDescription {

@@ -1,5 +1,6 @@
 //! What can be wrong with skeletons, features and their statistics.
 
+use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -95,14 +96,7 @@ pub enum FeatureError {
     },
 
     /// A setting is out of range.
-    #[error("`{key}` is {found}, which is out of range")]
-    #[diagnostic(help("{allowed}"))]
-    InvalidSetting {
-        /// Name of the setting.
-        key: &'static str,
-        /// The value found.
-        found: String,
-        /// What is allowed, in words.
-        allowed: &'static str,
-    },
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
 }

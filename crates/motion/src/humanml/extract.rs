@@ -2,6 +2,7 @@
 //!
 //! Source: HumanML3D (docs/sources.md, section 3.3).
 
+use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{
@@ -38,7 +39,7 @@ impl Extraction {
     /// ([`canonicalize`]).
     ///
     /// # Errors
-    /// [`FeatureError::InvalidSetting`] for a contact threshold that is negative or not finite;
+    /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite;
     /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
     /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::NoLegs`] if there is no
     /// scale to be found; [`FeatureError::NonFinite`] if coordinates are so large that something
@@ -62,13 +63,8 @@ impl Extraction {
         skeleton: &Skeleton,
         joints: &Joints,
     ) -> Result<Features, FeatureError> {
-        if !(self.contact_threshold.is_finite() && self.contact_threshold >= 0.0) {
-            return Err(FeatureError::InvalidSetting {
-                key: "contact_threshold",
-                found: self.contact_threshold.to_string(),
-                allowed: "a number of square metres, not negative; 0.002 in the published data set",
-            });
-        }
+        in_range("contact_threshold", self.contact_threshold, 0.0..)
+            .hint("square metres; 0.002 in the published data set")?;
         skeleton.accept(joints)?;
         if joints.frames() < 2 {
             return Err(FeatureError::TooFewFrames {

@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
 use super::FeatureError;
@@ -54,15 +55,9 @@ impl FeatureLayout {
     /// The layout of a skeleton with `joints` joints.
     ///
     /// # Errors
-    /// [`FeatureError::InvalidSetting`] for fewer than two joints.
+    /// [`FeatureError::Setting`] for fewer than two joints.
     pub fn of_joints(joints: usize) -> Result<Self, FeatureError> {
-        if joints < 2 {
-            return Err(FeatureError::InvalidSetting {
-                key: "joints",
-                found: joints.to_string(),
-                allowed: "at least 2 joints: the root and one that it moves",
-            });
-        }
+        in_range("joints", joints, 2..).hint("the root and one that it moves")?;
         Ok(Self { joints })
     }
 

@@ -24,11 +24,9 @@ pub enum Root {
 }
 
 impl fmt::Display for Root {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Relative => "relative",
-            Self::Absolute => "absolute",
-        })
+    /// Its name in a config.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

@@ -9,7 +9,7 @@ use crate::rotation::length;
 /// The description of a skeleton, as written in files; [`Skeleton`] is its checked form.
 ///
 /// Joints are given by their indices. Axes: +x left, +y up, +z forward.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkeletonDescription {
     /// Name, for messages and files.
@@ -37,7 +37,7 @@ pub struct SkeletonDescription {
 }
 
 /// The joints that show where the body faces.
-#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaceJoints {
     /// Right hip.
@@ -51,7 +51,7 @@ pub struct FaceJoints {
 }
 
 /// The joints of the feet: ankle and foot of each side.
-#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Feet {
     /// Of the left foot.

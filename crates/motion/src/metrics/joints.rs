@@ -1,6 +1,6 @@
 //! How a body moves: feet that slide, and how jerky the joints are.
 
-use crate::kinematics::{differences, mean_norm};
+use crate::kinematics::{self, mean_norm};
 
 /// A foot below this height stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;
@@ -82,8 +82,7 @@ impl<'a> JointTracks<'a> {
         }
         let jerk_of = |joint: usize| {
             let track: Vec<_> = (0..self.frames()).map(|t| self.at(t, joint)).collect();
-            let derive = |values: Vec<_>| differences(&values, self.fps);
-            mean_norm(&derive(derive(derive(track))))
+            mean_norm(&kinematics::jerk_of(&track, self.fps))
         };
         Some((0..self.joints).map(jerk_of).sum::<f64>() / self.joints as f64)
     }

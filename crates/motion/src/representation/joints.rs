@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{Curves, Representation};
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
-use crate::kinematics::differences;
+use crate::kinematics::{differences, jerk_of};
 use crate::rotation::length;
 use crate::statistics::{CONSTANT, percentile};
 use crate::{ChannelMoments, Statistics};
@@ -250,9 +250,8 @@ pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> 
     };
     let jerks: Vec<Vec<f64>> = (0..joints.joints())
         .map(|joint| {
-            let derive = |values: Vec<_>| differences(&values, fps);
-            let jerk = derive(derive(derive(track(joint))));
-            jerk.into_iter().map(length).collect()
+            let jerk = jerk_of(&track(joint), fps).into_iter();
+            jerk.map(length).collect()
         })
         .collect();
     let steps = 0..jerks[0].len();

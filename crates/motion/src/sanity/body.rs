@@ -1,6 +1,7 @@
 //! Checks of a body: bones that keep their lengths, feet on the floor, and how jerky it moves.
 
-use super::{Check, Profile, Report, Threshold, Value, range};
+use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
+use crate::humanml::kinematics::minus;
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::JointTracks;
 use crate::rotation::length;
@@ -14,9 +15,6 @@ const FLOOR_TOLERANCE: f64 = 0.05;
 const SKATING_SHARE: f64 = 0.5;
 /// How many times the training clips' root mean square the root's speed may be.
 const SPEED_FACTOR: f64 = 3.0;
-/// How many times the training clips' 95th percentile the mean jerk may be.
-const JERK_FACTOR: f64 = 3.0;
-
 /// Checks the `joints` that `rows` stand for; none where a value is not finite. The profile
 /// `strict` compares with training motion, too.
 ///
@@ -59,7 +57,7 @@ pub(crate) fn tracks(joints: &Joints, fps: f64) -> JointTracks<'_> {
 }
 
 fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
-    length([0, 1, 2].map(|axis| b[axis] - a[axis]))
+    length(minus(b, a))
 }
 
 fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
@@ -74,7 +72,7 @@ fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
     let largest = bones.map(variation).fold(0.0, f64::max);
     Check::new(
         "bone_length",
-        Value::Number(largest),
+        largest,
         Threshold::Below(BONE_TOLERANCE),
         format!(
             "largest change of a bone's length: {:.1} %",
@@ -87,7 +85,7 @@ fn skating(joints: &Joints, skeleton: &Skeleton, fps: f64) -> Option<Check> {
     let ratio = tracks(joints, fps).skating_ratio(&skeleton.contact_joints())?;
     Some(Check::new(
         "skating",
-        Value::Number(ratio),
+        ratio,
         Threshold::AtMost(SKATING_SHARE),
         format!("a foot slides in {:.0} % of the steps", 100.0 * ratio),
     ))
@@ -102,7 +100,7 @@ fn speed(joints: &Joints, fps: f64, rms_speed: f64) -> Check {
     let rms = (squares.sum::<f64>() / steps.max(1) as f64).sqrt();
     Check::new(
         "speed",
-        Value::Number(rms),
+        rms,
         Threshold::AtMost(SPEED_FACTOR * rms_speed),
         format!("root mean square of the root's speed: {rms:.2} m/s"),
     )
@@ -112,23 +110,10 @@ fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
     let mean = tracks(joints, fps).mean_jerk()?;
     Some(Check::new(
         "jerk",
-        Value::Number(mean),
+        mean,
         Threshold::AtMost(JERK_FACTOR * jerk_p95),
         format!("mean jerk of the joints: {mean:.1} m/s^3"),
     ))
-}
-
-fn finite(rows: &[f32]) -> Check {
-    let bad = rows.iter().filter(|value| !value.is_finite()).count();
-    Check::new(
-        "finite",
-        Value::Number(bad as f64),
-        Threshold::AtMost(0.0),
-        match bad {
-            0 => "all values are finite".to_owned(),
-            _ => format!("{bad} of {} values are not finite", rows.len()),
-        },
-    )
 }
 
 fn floor(joints: &Joints) -> Check {
@@ -136,7 +121,7 @@ fn floor(joints: &Joints) -> Check {
     let [lowest, _] = range(heights);
     Check::new(
         "floor",
-        Value::Number(lowest),
+        lowest,
         Threshold::Above(-FLOOR_TOLERANCE),
         format!("lowest joint at {lowest:.3} m"),
     )

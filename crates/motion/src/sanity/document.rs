@@ -1,11 +1,8 @@
 //! CC-MotionGen's five checks, as they stand.
 
-use super::{Check, Report, Threshold, Value, finite, range};
+use super::{Check, Report, Threshold, Value, finite_phrase, jerk, phase};
 use crate::Motion;
-use crate::kinematics::{
-    acceleration_errors, mean_absolute_component, mean_jerk_norm, velocity_errors,
-};
-use crate::phrase::PHASE;
+use crate::kinematics::{acceleration_errors, mean_absolute_component, velocity_errors};
 
 /// Thresholds of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section 10.1;
 /// docs/sources.md, section 1.13).
@@ -46,13 +43,25 @@ impl SanityThresholds {
     pub fn check(&self, motion: &Motion) -> Report {
         let mut checks = vec![
             self.quaternion(motion),
-            self.phase(motion),
-            self.jerk(motion),
-            self.velocity_coherence(motion),
-            self.accel_coherence(motion),
+            phase(motion, [self.phase_min, self.phase_max]),
+            jerk(motion, Threshold::Below(self.max_jerk)),
+            coherence(
+                "velocity_coherence",
+                "velocity",
+                "m/s",
+                &velocity_errors(motion),
+                self.max_velocity_error,
+            ),
+            coherence(
+                "accel_coherence",
+                "acceleration",
+                "m/s^2",
+                &acceleration_errors(motion),
+                self.max_acceleration_error,
+            ),
         ];
         // The five do not look at style and angular velocity.
-        let finite = finite(motion);
+        let finite = finite_phrase(motion);
         if !finite.passed {
             checks.push(finite);
         }
@@ -68,62 +77,24 @@ impl SanityThresholds {
         let threshold = Threshold::Within([self.quaternion_norm_min, self.quaternion_norm_max]);
         Check::new(
             "quaternion",
-            Value::Number(mean),
+            mean,
             threshold,
             format!("mean quaternion norm {mean:.4}"),
         )
     }
+}
 
-    fn phase(&self, motion: &Motion) -> Check {
-        let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
-        Check::new(
-            "phase",
-            Value::Range([low, high]),
-            Threshold::Within([self.phase_min, self.phase_max]),
-            format!("phase from {low:.4} to {high:.4}"),
-        )
-    }
-
-    fn jerk(&self, motion: &Motion) -> Check {
-        let mean = mean_jerk_norm(motion);
-        Check::new(
-            "jerk",
-            Value::Number(mean),
-            Threshold::Below(self.max_jerk),
-            format!("mean jerk {mean:.1} m/s^3"),
-        )
-    }
-
-    fn velocity_coherence(&self, motion: &Motion) -> Check {
-        let error = mean_absolute_component(&velocity_errors(motion));
-        Check::new(
-            "velocity_coherence",
-            Value::Number(error),
-            Threshold::Below(self.max_velocity_error),
-            format!(
-                "mean component of the velocity error {} m/s",
-                Value::Number(error)
-            ),
-        )
-    }
-
-    fn accel_coherence(&self, motion: &Motion) -> Check {
-        let error = mean_absolute_component(&acceleration_errors(motion));
-        Check::new(
-            "accel_coherence",
-            Value::Number(error),
-            Threshold::Below(self.max_acceleration_error),
-            format!(
-                "mean component of the acceleration error {} m/s^2",
-                Value::Number(error)
-            ),
-        )
-    }
+/// The mean absolute component of the `errors` of what a channel says, called `what`.
+fn coherence(name: &'static str, what: &str, unit: &str, errors: &[[f64; 3]], below: f64) -> Check {
+    let error = Value::Number(mean_absolute_component(errors));
+    let message = format!("mean component of the {what} error {error} {unit}");
+    Check::new(name, error, Threshold::Below(below), message)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
     use crate::wandering::wandering;
 

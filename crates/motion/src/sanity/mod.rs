@@ -15,7 +15,12 @@ use serde::{Deserialize, Serialize};
 pub use document::SanityThresholds;
 pub use report::{Check, Report, Threshold, Value};
 
-use crate::{CHANNELS, Error, Motion, Statistics, channel_name};
+use crate::kinematics::mean_jerk_norm;
+use crate::phrase::PHASE;
+use crate::{Error, Motion, Statistics, channel_name};
+
+/// How many times the training motion's 95th percentile the mean jerk may be.
+const JERK_FACTOR: f64 = 3.0;
 
 /// Which checks are made.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
@@ -30,11 +35,9 @@ pub enum Profile {
 }
 
 impl std::fmt::Display for Profile {
+    /// Its name in a config.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Document => "document",
-            Self::Strict => "strict",
-        })
+        self.serialize(f)
     }
 }
 
@@ -57,27 +60,38 @@ pub fn check(
     }
 }
 
-/// No NaN and no infinity in any channel.
-fn finite(motion: &Motion) -> Check {
-    let bad = motion
-        .as_slice()
-        .iter()
-        .filter(|value| !value.is_finite())
-        .count();
-    let message = match motion.first_non_finite() {
-        None => "all values are finite".to_string(),
-        Some((frame, channel)) => format!(
-            "{bad} of {} values are not finite, the first in frame {frame}, channel `{}`",
-            motion.frames() * CHANNELS,
-            channel_name(channel)
-        ),
+/// No NaN and no infinity among values.
+fn finite(values: &[f32]) -> Check {
+    let bad = values.iter().filter(|value| !value.is_finite()).count();
+    let message = match bad {
+        0 => "all values are finite".to_owned(),
+        _ => format!("{bad} of {} values are not finite", values.len()),
     };
-    Check::new(
-        "finite",
-        Value::Number(bad as f64),
-        Threshold::AtMost(0.0),
-        message,
-    )
+    Check::new("finite", bad as f64, Threshold::AtMost(0.0), message)
+}
+
+/// [`finite`] of a phrase, which names the first place where it is not.
+fn finite_phrase(motion: &Motion) -> Check {
+    let mut check = finite(motion.as_slice());
+    if let Some((frame, channel)) = motion.first_non_finite() {
+        let channel = channel_name(channel);
+        check.message += &format!(", the first in frame {frame}, channel `{channel}`");
+    }
+    check
+}
+
+/// The phase of every frame.
+fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
+    let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
+    let message = format!("phase from {low:.4} to {high:.4}");
+    let value = Value::Range([low, high]);
+    Check::new("phase", value, Threshold::Within(allowed), message)
+}
+
+/// The mean jerk norm, metres per second cubed.
+fn jerk(motion: &Motion, allowed: Threshold) -> Check {
+    let mean = mean_jerk_norm(motion);
+    Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
 }
 
 /// Smallest and largest value; both NaN if one of the values is.
@@ -95,6 +109,7 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::CHANNELS;
     use crate::wandering::wandering;
 
     #[test]

@@ -43,7 +43,13 @@ pub struct Check {
 
 impl Check {
     /// A check that passes where the threshold admits the value.
-    pub fn new(name: &'static str, value: Value, threshold: Threshold, message: String) -> Self {
+    pub fn new(
+        name: &'static str,
+        value: impl Into<Value>,
+        threshold: Threshold,
+        message: String,
+    ) -> Self {
+        let value = value.into();
         Self {
             name,
             passed: threshold.admits(value),
@@ -62,6 +68,12 @@ pub enum Value {
     Number(f64),
     /// Smallest and largest of many.
     Range([f64; 2]),
+}
+
+impl From<f64> for Value {
+    fn from(number: f64) -> Self {
+        Self::Number(number)
+    }
 }
 
 /// What a check allows. In JSON an object such as `{"below": 5.0}` or `{"within": [0.0, 1.0]}`.

@@ -1,8 +1,7 @@
 //! Checks of every frame, with bounds taken from the training phrases.
 
-use super::{Check, Report, Threshold, Value, finite, range};
-use crate::kinematics::{acceleration_errors, mean_jerk_norm, mean_norm, velocity_errors};
-use crate::phrase::PHASE;
+use super::{Check, JERK_FACTOR, Report, Threshold, Value, finite_phrase, jerk, phase, range};
+use crate::kinematics::{acceleration_errors, mean_norm, velocity_errors};
 use crate::{Motion, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
@@ -12,17 +11,14 @@ const NORM_TOLERANCE: f64 = 1e-3;
 /// counts as incoherent.
 const COHERENCE_SHARE: f64 = 0.1;
 
-/// How many times the training phrases' 95th percentile the mean jerk may be.
-const JERK_FACTOR: f64 = 3.0;
-
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
 /// not say how lively training motion is.
 pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     Some(Report::new(vec![
-        finite(motion),
+        finite_phrase(motion),
         quaternion_norm(motion),
         quaternion_sign(motion),
-        phase(motion),
+        phase(motion, [0.0, 1.0]),
         coherence(
             "velocity_coherence",
             "velocity error {error} m/s",
@@ -35,7 +31,7 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
             &acceleration_errors(motion),
             training.rms_acceleration?,
         ),
-        jerk(motion, training.jerk_p95?),
+        jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
     ]))
 }
 
@@ -44,7 +40,7 @@ fn quaternion_norm(motion: &Motion) -> Check {
     let [_, largest] = range(deviations);
     Check::new(
         "quaternion_norm",
-        Value::Number(largest),
+        largest,
         Threshold::Below(NORM_TOLERANCE),
         format!("largest deviation of a quaternion's norm from 1: {largest:.2e}"),
     )
@@ -59,48 +55,27 @@ fn quaternion_sign(motion: &Motion) -> Check {
     };
     Check::new(
         "quaternion_sign",
-        Value::Number(smallest),
+        smallest,
         Threshold::Above(0.0),
         format!("smallest product of neighbouring quaternions: {smallest:.4}"),
     )
 }
 
-fn phase(motion: &Motion) -> Check {
-    let [low, high] = range((0..motion.frames()).map(|t| f64::from(motion.frame(t)[PHASE])));
-    Check::new(
-        "phase",
-        Value::Range([low, high]),
-        Threshold::Within([0.0, 1.0]),
-        format!("phase from {low:.4} to {high:.4}"),
-    )
-}
-
 fn coherence(name: &'static str, what: &str, errors: &[[f64; 3]], scale: f64) -> Check {
-    let error = mean_norm(errors);
+    let error = Value::Number(mean_norm(errors));
+    let message = format!("mean {}", what.replace("{error}", &error.to_string()));
     Check::new(
         name,
-        Value::Number(error),
+        error,
         Threshold::Below(COHERENCE_SHARE * scale),
-        format!(
-            "mean {}",
-            what.replace("{error}", &Value::Number(error).to_string())
-        ),
-    )
-}
-
-fn jerk(motion: &Motion, jerk_p95: f64) -> Check {
-    let mean = mean_jerk_norm(motion);
-    Check::new(
-        "jerk",
-        Value::Number(mean),
-        Threshold::AtMost(JERK_FACTOR * jerk_p95),
-        format!("mean jerk {mean:.1} m/s^3"),
+        message,
     )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phrase::PHASE;
     use crate::phrase::{ACCELERATION, VELOCITY};
     use crate::wandering::wandering;
 

@@ -208,11 +208,18 @@ impl Clip {
     /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
-    /// [`Error::NoRange`] where the range of the training motion is asked for and not known.
+    /// Where the range of the training motion is asked for and not known.
     pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
         Ok(match self {
             Self::TrainingRange => {
-                let [mut min, mut max] = statistics.normalized_range().ok_or(Error::NoRange)?;
+                let unknown = || {
+                    Error::usage(
+                        "the checkpoint does not hold the range of the motion it was trained on",
+                        "its statistics came with the dataset, or it was written by an older \
+                         version: set `clip` to \"six\", \"unit\" or \"none\"",
+                    )
+                };
+                let [mut min, mut max] = statistics.normalized_range().ok_or_else(unknown)?;
                 min.truncate(channels);
                 max.truncate(channels);
                 ClipRange::PerChannel { min, max }

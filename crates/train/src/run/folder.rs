@@ -31,9 +31,13 @@ pub(super) fn lock(folder: &Path) -> Result<File, Error> {
         .map_err(Error::io("open", &path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(Error::RunLocked {
-            path: folder.to_path_buf(),
-        }),
+        Err(TryLockError::WouldBlock) => Err(Error::usage(
+            format!(
+                "another process is using the run folder {}",
+                folder.display()
+            ),
+            "wait for it to end; the lock ends with its process",
+        )),
         Err(TryLockError::Error(error)) => Err(Error::io("lock", &path)(error)),
     }
 }

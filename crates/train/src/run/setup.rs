@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::path::PathBuf;
 
 use burn::tensor::Device;
-use kinegrad_data::{Digest, Loader};
+use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
@@ -12,6 +12,7 @@ use super::Outcome;
 use super::folder::write_config;
 use crate::checkpoint::{Checkpoint, Checkpoints};
 use crate::config::Config;
+use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
 use crate::recipe::Recipe;
@@ -50,6 +51,34 @@ pub struct Material {
     pub statistics: Statistics,
     /// The stream of batches from a number on.
     pub loader: Box<MakeLoader>,
+}
+
+impl Material {
+    /// What a run takes of `dataset`, as the `samples` of its items: the items to train on, and
+    /// those held out, which are in memory from now on.
+    ///
+    /// # Errors
+    /// If an item held out cannot be read.
+    pub fn new<T: Item, S: Samples>(
+        dataset: Dataset<T>,
+        statistics: Statistics,
+        config: &Config,
+        samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
+    ) -> Result<(Self, HeldOut), Error> {
+        let held_out = samples(dataset.validation.load()?.into(), config);
+        let material = Self {
+            train: dataset.train.len(),
+            validation: dataset.validation.len(),
+            skipped: dataset.skipped,
+            digest: dataset.digest,
+            statistics,
+            loader: Box::new(move |config, first_batch| {
+                let samples = samples(dataset.train, config);
+                Loader::new(samples, &config.data, config.run.seed, first_batch)
+            }),
+        };
+        Ok((material, HeldOut::new(held_out, &config.validation)))
+    }
 }
 
 /// Makes the stream of batches of a config from a number on.
@@ -125,10 +154,7 @@ impl Setup {
             name: config.run.name.clone(),
             folder: folder.clone(),
             device: device_name,
-            parameters: parameters::infos(&model)
-                .iter()
-                .map(|info| info.len())
-                .sum(),
+            parameters: parameters::count(&model),
             train_phrases: material.train,
             validation_phrases: material.validation,
             skipped: material.skipped,

@@ -155,7 +155,7 @@ impl<'a> Systems<'a> {
     /// What the rows of an array of this `shape` with these values are.
     ///
     /// # Errors
-    /// [`Error::UnknownMotion`] if no system knows; `path` is where they were read.
+    /// If no system knows; `path` is where they were read.
     pub fn representation_of(
         self,
         path: &Path,
@@ -164,13 +164,14 @@ impl<'a> Systems<'a> {
     ) -> Result<Box<dyn Representation>, Error> {
         let known = || self.0.iter().flat_map(|system| system.representations());
         let found = known().find(|representation| representation.accepts(shape, values));
-        found.ok_or_else(|| Error::UnknownMotion {
-            path: path.to_path_buf(),
-            shape: shape.to_vec(),
-            known: known()
-                .map(|known| format!("{} {}", known.name(), known.shape()))
-                .collect::<Vec<_>>()
-                .join("; "),
+        found.ok_or_else(|| {
+            let named = known().map(|known| format!("{} {}", known.name(), known.shape()));
+            let names: Vec<String> = named.collect();
+            let path = path.display();
+            Error::usage(
+                format!("{path}: an array of shape {shape:?} is no motion that is known"),
+                format!("known are: {}", names.join("; ")),
+            )
         })
     }
 

@@ -1,19 +1,17 @@
-use std::fs::{File, OpenOptions};
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::path::Path;
+use std::time::Instant;
 
 use kinegrad_data::LoaderReport;
 use serde::Serialize;
 
+use super::appended::{Appended, now};
 use crate::Error;
 
 /// Writer of `loader.jsonl`: what loading cost. It depends on the clock and on what caches held,
 /// so none of it stands in the metrics that a resumed run must repeat.
 #[derive(Debug)]
 pub struct LoaderLog {
-    file: File,
-    path: PathBuf,
+    file: Appended,
     last: (Instant, LoaderReport),
 }
 
@@ -36,11 +34,8 @@ impl LoaderLog {
     /// # Errors
     /// If it cannot be opened.
     pub fn open(folder: &Path, report: LoaderReport) -> Result<Self, Error> {
-        let path = folder.join("loader.jsonl");
-        let file = OpenOptions::new().create(true).append(true).open(&path);
         Ok(Self {
-            file: file.map_err(Error::io("open", &path))?,
-            path,
+            file: Appended::open(&folder.join("loader.jsonl"))?,
             last: (Instant::now(), report),
         })
     }
@@ -52,21 +47,16 @@ impl LoaderLog {
     pub fn write(&mut self, step: u64, report: LoaderReport) -> Result<(), Error> {
         let (then, before) = self.last;
         let seconds = then.elapsed().as_secs_f64().max(1e-9);
-        let time = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0.0, |t| t.as_secs_f64());
         let line = Line {
             step,
-            time,
+            time: now(),
             samples_per_second: (report.samples - before.samples) as f64 / seconds,
             wait_share: (report.wait_seconds - before.wait_seconds) / seconds,
             report,
         };
         let mut text = serde_json::to_string(&line).expect("plain numbers");
         text.push('\n');
-        self.file
-            .write_all(text.as_bytes())
-            .map_err(Error::io("write", &self.path))?;
+        self.file.write(text.as_bytes())?;
         self.last = (Instant::now(), report);
         Ok(())
     }

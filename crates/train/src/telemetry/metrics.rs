@@ -1,11 +1,12 @@
-use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::time::Instant;
 
 use serde_json::{Map, Value};
 
 use super::EventFile;
+use super::appended::{Appended, now};
 use crate::Error;
 
 /// One line of metrics: a step and named scalars, in the order they were added.
@@ -52,8 +53,7 @@ impl Record {
 /// `steps_per_second` depend on the clock; the rest is a function of config, data and build.
 #[derive(Debug)]
 pub struct Metrics {
-    file: File,
-    path: PathBuf,
+    file: Appended,
     events: EventFile,
     started: Instant,
     first_step: u64,
@@ -68,21 +68,13 @@ impl Metrics {
     pub fn open(folder: &Path, step: u64) -> Result<Self, Error> {
         let path = folder.join("metrics.jsonl");
         // At step 0 a run starts anew, and measures its start again.
-        let kept = if step == 0 {
-            0
-        } else {
-            kept_bytes(&path, step)?
+        let kept = match step {
+            0 => 0,
+            _ => kept_bytes(&path, step)?,
         };
-        let file = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .map_err(Error::io("open", &path))?;
-        file.set_len(kept).map_err(Error::io("cut back", &path))?;
         let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step)?;
         Ok(Self {
-            file,
-            path,
+            file: Appended::open(&path)?.cut_back(kept)?,
             events,
             started: Instant::now(),
             first_step: step,
@@ -94,9 +86,7 @@ impl Metrics {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&mut self, record: &Record) -> Result<(), Error> {
-        let time = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0.0, |t| t.as_secs_f64());
+        let time = now();
         let elapsed = self.started.elapsed().as_secs_f64();
         let speed = (record.step - self.first_step) as f64 / elapsed.max(1e-9);
         let clock = [
@@ -113,9 +103,7 @@ impl Metrics {
             line.push_str(&format!(",{}:{}", Value::from(name), Value::from(value)));
         }
         line.push_str("}\n");
-        self.file
-            .write_all(line.as_bytes())
-            .map_err(Error::io("write", &self.path))?;
+        self.file.write(line.as_bytes())?;
         self.events.write(record.step, time, &record.scalars)
     }
 
@@ -124,9 +112,7 @@ impl Metrics {
     /// # Errors
     /// If the file system refuses.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.file
-            .sync_data()
-            .map_err(Error::io("flush", &self.path))?;
+        self.file.sync()?;
         self.events.sync()
     }
 }
@@ -181,6 +167,9 @@ pub fn read_metrics(folder: &Path) -> Result<Vec<Record>, Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::OpenOptions;
+    use std::io::Write;
+
     use super::*;
 
     #[test]

@@ -1,6 +1,7 @@
 //! What a run reports: metrics as JSON lines, the same scalars for TensorBoard, and
 //! what loading cost.
 
+mod appended;
 mod loader_log;
 mod metrics;
 mod tensorboard;

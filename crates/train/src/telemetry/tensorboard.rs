@@ -1,7 +1,8 @@
-use std::fs::{File, OpenOptions};
-use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
 
+use super::appended::Appended;
 use crate::Error;
 
 /// A TensorBoard event file with scalars.
@@ -12,8 +13,7 @@ use crate::Error;
 /// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float).
 #[derive(Debug)]
 pub struct EventFile {
-    file: File,
-    path: PathBuf,
+    file: Appended,
 }
 
 impl EventFile {
@@ -28,28 +28,17 @@ impl EventFile {
             file.read_to_end(&mut bytes)
                 .map_err(Error::io("read", path))?;
         }
-        let kept = if step == 0 {
-            0
-        } else {
-            kept_bytes(&bytes, step)
+        let kept = match step {
+            0 => 0,
+            _ => kept_bytes(&bytes, step),
         };
-        let mut file = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(path)
-            .map_err(Error::io("open", path))?;
-        file.set_len(kept as u64)
-            .map_err(Error::io("cut back", path))?;
+        let mut file = Appended::open(path)?.cut_back(kept as u64)?;
         if kept == 0 {
             let mut event = Vec::new();
             field_bytes(&mut event, 3, b"brain.Event:2");
-            file.write_all(&record(&event))
-                .map_err(Error::io("write", path))?;
+            file.write(&record(&event))?;
         }
-        Ok(Self {
-            file,
-            path: path.to_path_buf(),
-        })
+        Ok(Self { file })
     }
 
     /// Appends the scalars of one step; `time` in seconds since 1970.
@@ -70,9 +59,7 @@ impl EventFile {
         event.push(2 << 3);
         varint(&mut event, step);
         field_bytes(&mut event, 5, &summary);
-        self.file
-            .write_all(&record(&event))
-            .map_err(Error::io("write", &self.path))
+        self.file.write(&record(&event))
     }
 
     /// Makes sure that what was written survives a crash.
@@ -80,9 +67,7 @@ impl EventFile {
     /// # Errors
     /// If the file system refuses.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.file
-            .sync_data()
-            .map_err(Error::io("flush", &self.path))
+        self.file.sync()
     }
 }
 

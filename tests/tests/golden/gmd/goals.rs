@@ -45,20 +45,24 @@ fn golden_key_frames_become_points_and_lines(golden: Golden) {
         let all = |of: &dyn Fn(&GroundTargets) -> Vec<f64>| -> Vec<f64> {
             targets.iter().flat_map(of).collect()
         };
-        let mask = all(&|targets| {
-            let mask = targets.channel_mask().into_iter();
-            mask.map(|given| f64::from(u8::from(given))).collect()
-        });
+        let placed = |targets: &GroundTargets| targets.in_channels(4, targets.frames());
+        let mask = all(&|targets| wide(&placed(targets)[1]));
         golden.compare(&format!("out.traj_mask_{name}"), &mask, 0.0);
         golden.compare(&format!("out.motion_mask_{name}"), &mask, 0.0);
-        let motion = all(&|targets| wide(&targets.motion_space()));
+        let motion = all(&|targets| wide(&placed(targets)[0]));
         golden.compare(&format!("out.motion_{name}"), &motion, 1e-5);
-        let model = all(&|targets| wide(&targets.model_space(&mean, &std)));
+        let model = all(&|targets| {
+            let motion = wide(&placed(targets)[0]).into_iter().enumerate();
+            let channel = |place: usize| place / targets.frames();
+            motion
+                .map(|(place, value)| (value - mean[channel(place)]) / std[channel(place)])
+                .collect()
+        });
         golden.compare(&format!("out.traj_{name}"), &model, 1e-5);
         if phase == Phase::Dense {
             let ground = all(&|targets| {
                 let frames = targets.frames();
-                wide(&targets.motion_space()[frames..3 * frames])
+                wide(&placed(targets)[0][frames..3 * frames])
             });
             golden.compare("out.traj_p2p_motion_space_xz", &ground, 1e-5);
         }

@@ -322,21 +322,11 @@ impl CcMotionConfig {
         }
         let timesteps = self.diffusion.num_train_timesteps;
         let steps = rollout.steps;
-        let allowed = format!("1 to diffusion.num_train_timesteps ({timesteps})");
-        require(
-            (1..=timesteps).contains(&steps),
-            "rollout.steps",
-            steps,
-            allowed,
-        )?;
-        let last_k = rollout.last_k;
-        let allowed = format!("1 to rollout.steps ({steps})");
-        require(
-            (1..=steps).contains(&last_k),
-            "rollout.last_k",
-            last_k,
-            allowed,
-        )?;
+        in_range("rollout.steps", steps, 1..=timesteps).hint(format!(
+            "at most diffusion.num_train_timesteps ({timesteps})"
+        ))?;
+        in_range("rollout.last_k", rollout.last_k, 1..=steps)
+            .hint(format!("at most rollout.steps ({steps})"))?;
         let [lowest, highest] = rollout.start_timesteps;
         require(
             lowest <= highest && lowest.min(timesteps - 1) + 1 >= steps,

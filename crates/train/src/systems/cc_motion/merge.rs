@@ -38,11 +38,7 @@ pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
             unet: model.unet.merge_adapters(),
             decoder: model.decoder,
         };
-        let (infos, values) = parameters::export(&model)
-            .into_iter()
-            .map(|parameter| (parameter.info, parameter.values))
-            .collect::<(Vec<_>, Vec<_>)>();
-        Ok((infos, values))
+        Ok((parameters::infos(&model), parameters::values(&model)))
     };
     let (infos, model) = merged(Weights::Model)?;
     let (_, ema) = merged(Weights::Ema)?;

@@ -18,8 +18,7 @@ mod train;
 use std::path::{Path, PathBuf};
 
 use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_models::{DecoderConfig, Initializer};
+use kinegrad_models::{DecoderConfig, Initializer, parameters};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
@@ -94,9 +93,10 @@ impl System for CcMotion {
         match saved {
             // A resumed run does not need its start any more.
             Some(saved) => start::inherited(saved, Some(saved)).map(Some),
-            None => Starts::named(config)?
-                .map(|starts| starts.tables())
-                .transpose(),
+            None => {
+                let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
+                starts.map(|starts| starts.tables()).transpose()
+            }
         }
     }
 
@@ -107,8 +107,7 @@ impl System for CcMotion {
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
         let device = burn::tensor::Device::flex();
-        let count = |infos: Vec<ParameterInfo>| infos.iter().map(ParameterInfo::len).sum::<usize>();
-        let unet = count(parameters::infos(&networks::denoiser(config, &device)?));
+        let unet = parameters::count(&networks::denoiser(config, &device)?);
         if !rolls_out(config) {
             return Ok(unet);
         }
@@ -121,7 +120,7 @@ impl System for CcMotion {
             std: vec![1.0; CHANNELS],
         };
         let decoder = random.init(unit, &Initializer::new(0, &device))?;
-        Ok(unet + count(parameters::infos(&decoder)))
+        Ok(unet + parameters::count(&decoder))
     }
 
     fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {

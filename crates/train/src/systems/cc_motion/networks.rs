@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::Normalization;
@@ -9,7 +10,7 @@ use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameter
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Statistics};
 
-use super::{CcMotionConfig, CcMotionNetwork, rolls_out};
+use super::{CcMotionConfig, CcMotionNetwork, DECODER, rolls_out};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -77,7 +78,7 @@ pub(crate) fn decoder(
     Ok(decoder.init(normalization, &init)?)
 }
 
-/// Denoiser (with adapters, if the config has them) and decoder, with fresh weights.
+/// Denoiser and decoder as the config's recipe trains them, with fresh weights.
 ///
 /// # Errors
 /// If one cannot be built.
@@ -90,24 +91,27 @@ pub(crate) fn networks(
         unet: denoiser(config, device)?,
         decoder: decoder(config, statistics, device)?,
     };
-    with_adapters(model, config, device)
+    trainable(model, config, device)
 }
 
-/// Puts the config's adapters, if it has any, on a denoiser that has its weights.
+/// `model`, which has its weights, as the config's recipe trains it: with a denoiser that does not
+/// change under recipe `decoder`, or is changed by the config's adapters.
 ///
 /// # Errors
-/// If they cannot be built.
-pub(crate) fn with_adapters(
+/// If the adapters cannot be built.
+pub(crate) fn trainable(
     model: MotionModel,
     config: &Config,
     device: &Device,
 ) -> Result<MotionModel, Error> {
-    let Some(lora) = CcMotionConfig::of(config)?.lora else {
-        return Ok(model);
+    let MotionModel { unet, decoder } = model;
+    let unet = match CcMotionConfig::of(config)?.lora {
+        Some(lora) => {
+            let init = Initializer::new(config.run.seed, device).at("unet");
+            unet.with_adapters(&lora, &init)?
+        }
+        None if config.train.recipe == DECODER => unet.no_grad(),
+        None => unet,
     };
-    let init = Initializer::new(config.run.seed, device).at("unet");
-    Ok(MotionModel {
-        unet: model.unet.with_adapters(&lora, &init)?,
-        decoder: model.decoder,
-    })
+    Ok(MotionModel { unet, decoder })
 }

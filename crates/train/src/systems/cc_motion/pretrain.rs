@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use super::start::Starts;
 use super::{CcMotion, CcMotionConfig, InitConfig};
 use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
 use crate::error::Error;
@@ -23,16 +22,14 @@ pub(super) fn has_begun(folder: &Path) -> bool {
     folder.join(BASE).join("config.toml").exists()
 }
 
-/// Trains, continues or finds both runs. The inner error is the outcome of a run that the user
-/// interrupted; resuming the outer one continues it.
+/// Trains, continues or finds both runs, and says how to start from them. The inner error is the
+/// outcome of a run that the user interrupted; resuming the outer one continues it.
 pub(super) fn run(
     config: &Config,
     folder: &Path,
     observer: &mut dyn Observer,
-) -> Result<Result<Starts, Box<Outcome>>, Error> {
+) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
     let pretrain = CcMotionConfig::of(config)?.init.pretrain;
-    let systems = Systems(&[&CcMotion]);
-    let base = folder.join(BASE);
     observer.note(&format!(
         "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
          steps), in {}",
@@ -40,43 +37,42 @@ pub(super) fn run(
         pretrain.decoder_steps,
         folder.display()
     ));
-    let steps = pretrain.diffusion_steps;
-    let rate = pretrain.diffusion_learning_rate;
-    let stage = stage(config, BASE, super::DIFFUSION, None, steps, rate)?;
-    let begun = base.join("config.toml").exists();
-    let outcome = train_config(systems, stage, folder, begun, observer)?;
-    if outcome.ending == Some(Ending::Interrupted) {
-        return Ok(Err(Box::new(outcome)));
+    let base = (pretrain.diffusion_steps, pretrain.diffusion_learning_rate);
+    let decoder = (pretrain.decoder_steps, pretrain.decoder_learning_rate);
+    let mut init = InitConfig::default();
+    for (name, recipe, (steps, rate)) in [
+        (BASE, super::DIFFUSION, base),
+        (DECODER, super::DECODER, decoder),
+    ] {
+        if steps == 0 {
+            continue;
+        }
+        let stage = stage(config, name, recipe, &init, steps, rate)?;
+        let run = folder.join(name);
+        let begun = run.join("config.toml").exists();
+        let outcome = train_config(Systems(&[&CcMotion]), stage, folder, begun, observer)?;
+        if outcome.ending == Some(Ending::Interrupted) {
+            return Ok(Err(Box::new(outcome)));
+        }
+        match recipe {
+            super::DECODER => init.decoder = run,
+            _ => init.diffusion = run,
+        }
     }
-    if pretrain.decoder_steps == 0 {
-        return Starts::at(&base, None).map(Ok);
-    }
-    let steps = pretrain.decoder_steps;
-    let rate = pretrain.decoder_learning_rate;
-    let stage = self::stage(config, DECODER, super::DECODER, Some(&base), steps, rate)?;
-    let decoder = folder.join(DECODER);
-    let begun = decoder.join("config.toml").exists();
-    let outcome = train_config(systems, stage, folder, begun, observer)?;
-    if outcome.ending == Some(Ending::Interrupted) {
-        return Ok(Err(Box::new(outcome)));
-    }
-    Starts::at(&base, Some(&decoder)).map(Ok)
+    Ok(Ok(init))
 }
 
-/// The config of one of the two: `config` with another recipe, starting from `base`.
+/// The config of one of the two: `config` with another recipe, starting from `init`.
 fn stage(
     config: &Config,
     name: &str,
     recipe: &str,
-    base: Option<&Path>,
+    init: &InitConfig,
     steps: u64,
     rate: f64,
 ) -> Result<Config, Error> {
     let own = CcMotionConfig {
-        init: InitConfig {
-            diffusion: base.map(Path::to_path_buf).unwrap_or_default(),
-            ..InitConfig::default()
-        },
+        init: init.clone(),
         lora: None,
         ..CcMotionConfig::of(config)?
     };

@@ -63,10 +63,7 @@ fn for_held_out(
 ) -> Result<Remark, Error> {
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
-    let phrases = dataset.held_out();
-    let chosen: Vec<_> = (0..count.min(phrases.len()))
-        .map(|position| phrases.get(position))
-        .collect::<Result<_, _>>()?;
+    let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;

@@ -15,7 +15,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::Statistics;
-use kinegrad_motion::goal::{GROUND_X, Goal, GuidanceLoss, Phase, Trajectory};
+use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, require};
@@ -300,30 +300,21 @@ impl ClipGenerator {
         Ok(x)
     }
 
-    /// The ground positions that `goals` know in a phase.
+    /// The ground positions that `goals` know in a phase that acts.
     fn known(&self, goals: &[Goal], phase: Phase, frames: usize) -> Imputation<'_> {
         let channels = self.trained.channels;
-        let mut target = vec![0.0f32; goals.len() * channels * frames];
-        let mut mask = target.clone();
-        for (index, goal) in goals.iter().enumerate() {
-            let targets = goal.targets(phase);
-            let masked = targets.iter().flat_map(|targets| targets.masked());
-            for (frame, position) in masked {
-                for (axis, value) in position.into_iter().enumerate() {
-                    let place = (index * channels + GROUND_X + axis) * frames + frame;
-                    target[place] = value as f32;
-                    mask[place] = 1.0;
-                }
-            }
-        }
-        let tensor = |values: Vec<f32>| {
-            let data = TensorData::new(values, [goals.len(), channels, frames]);
+        let targets = goals.iter().filter_map(|goal| goal.targets(phase));
+        let (targets, masks): (Vec<_>, Vec<_>) = targets
+            .map(|targets| targets.in_channels(channels, frames).into())
+            .unzip();
+        let tensor = |values: Vec<Vec<f32>>| {
+            let data = TensorData::new(values.concat(), [goals.len(), channels, frames]);
             Tensor::from_data(data, &self.device)
         };
         Imputation {
             space: &self.space,
-            target: tensor(target),
-            mask: tensor(mask),
+            target: tensor(targets),
+            mask: tensor(masks),
         }
     }
 

@@ -7,8 +7,7 @@ use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::read_array;
 use kinegrad_models::gmd::GmdUnetConfig;
-use kinegrad_models::parameters::{self, ParameterInfo};
-use kinegrad_models::{Backbone, NetworkConfig};
+use kinegrad_models::{Backbone, NetworkConfig, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::Root;
@@ -83,8 +82,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         )?;
         model = in_space_of(model, matrix, &device);
     }
-    let weights = parameters::export(&model);
-    let (infos, values): (Vec<_>, Vec<_>) = weights.into_iter().map(|p| (p.info, p.values)).unzip();
+    let (infos, values) = (parameters::infos(&model), parameters::values(&model));
     let state = State {
         format: FORMAT,
         kinegrad: env!("CARGO_PKG_VERSION").to_string(),
@@ -97,7 +95,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     };
     Ok(Imported {
         path: write_weights(&request.out, &state, &infos, &values, &values)?,
-        parameters: infos.iter().map(ParameterInfo::len).sum(),
+        parameters: parameters::count(&model),
         part,
         skipped,
         config,

@@ -16,7 +16,7 @@ mod space;
 mod train;
 
 use burn::tensor::Device;
-use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation};
 use toml::Table;
@@ -34,7 +34,7 @@ use crate::import::{ImportRequest, Imported};
 use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
-use networks::ClipStart;
+use crate::start::Start;
 
 /// The system.
 pub struct Gmd;
@@ -92,8 +92,10 @@ impl System for Gmd {
             // A resumed run does not need its start any more.
             Some(saved) => networks::inherited(saved).map(Some),
             None => {
-                let start = ClipStart::named(config)?;
-                start.map(|start| start.tables()).transpose()
+                let init = GmdConfig::of(config)?.init;
+                let start = Start::named("init.diffusion", &init.diffusion)?;
+                let tables = |start: Start| networks::inherited(&start.state()?.config);
+                start.map(tables).transpose()
             }
         }
     }
@@ -101,8 +103,7 @@ impl System for Gmd {
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         // Parameters are lazy: no weight is drawn and no memory taken.
         let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
-        let infos = parameters::infos(&denoiser);
-        Ok(infos.iter().map(ParameterInfo::len).sum())
+        Ok(parameters::count(&denoiser))
     }
 
     fn architectures(&self) -> &'static [&'static str] {

@@ -1,6 +1,6 @@
 //! The networks of runs on clips: built from a config, read from a checkpoint, started from one.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
@@ -13,7 +13,7 @@ use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
-use crate::start::{must_agree, named, refused, tables_of, values};
+use crate::start::{Start, must_agree, tables_of};
 
 /// Parameter of the matrix of a projected space.
 pub(super) const MATRIX: &str = "projection.matrix";
@@ -129,61 +129,34 @@ pub(super) fn statistics_in(state: &State) -> Result<&Statistics, Error> {
     state.statistics_of(&state.config.data.humanml3d.representation())
 }
 
-/// The checkpoint that `init.diffusion` names, for a run on clips.
-pub(crate) struct ClipStart(PathBuf);
-
-impl ClipStart {
-    /// The start of `config`; none where the key is empty.
-    ///
-    /// # Errors
-    /// If it is not there.
-    pub fn named(config: &Config) -> Result<Option<Self>, Error> {
-        let path = GmdConfig::of(config)?.init.diffusion;
-        Ok(named("init.diffusion", &path)?.map(Self))
+/// The averaged weights of `start`, in its space, on an autodiff device.
+///
+/// # Errors
+/// Names the key in which the start differs from `config`.
+pub(super) fn started(
+    start: &Start,
+    config: &Config,
+    device: &Device,
+) -> Result<TextDenoiser, Error> {
+    let trained = start.load(device, TrainedClips::load)?;
+    let base = &trained.state.config;
+    let (given, recipe) = (&config.train.recipe, &base.train.recipe);
+    if given != recipe {
+        return Err(start.refused(&format!("its recipe is `{recipe}`, not `{given}`")));
     }
-
-    /// The statistics that the start's clips were normalised by.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged or is not of a recipe on clips.
-    pub fn statistics(&self) -> Result<Statistics, Error> {
-        Ok(statistics_in(&State::read(&self.0)?)?.clone())
+    must_agree::<GmdConfig>(config, base, &INHERITED)?;
+    let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
+    if (given.root, given.skeleton) != (found.root, found.skeleton) {
+        let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
+        return Err(start.refused(&reason));
     }
-
-    /// What the start's config says of network, process and space: it stands beneath the new one.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged.
-    pub fn tables(&self) -> Result<Table, Error> {
-        inherited(&State::read(&self.0)?.config)
-    }
-
-    /// The start's averaged weights, in its space, on an autodiff device.
-    ///
-    /// # Errors
-    /// Names the key in which the start differs from `config`.
-    pub fn model(&self, config: &Config, device: &Device) -> Result<TextDenoiser, Error> {
-        let start = TrainedClips::load(&self.0, Weights::Ema, device)
-            .map_err(|error| refused("init.diffusion", &self.0, &error))?;
-        let (given, recipe) = (&config.train.recipe, &start.state.config.train.recipe);
-        if given != recipe {
-            let reason = format!("its recipe is `{recipe}`, not `{given}`");
-            return Err(refused("init.diffusion", &self.0, &reason));
-        }
-        let base = &start.state.config;
-        must_agree::<GmdConfig>(config, base, &INHERITED)?;
-        let (given, found) = (&config.data.humanml3d, &base.data.humanml3d);
-        if (given.root, given.skeleton) != (found.root, found.skeleton) {
-            let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
-            return Err(refused("init.diffusion", &self.0, &reason));
-        }
-        let fresh = text_denoiser(config, channels_of(config), device)?;
-        let fresh = match &start.projection {
-            Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),
-            None => fresh,
-        };
-        Ok(parameters::replace(fresh, values(&start.model)))
-    }
+    let fresh = text_denoiser(config, channels_of(config), device)?;
+    let fresh = match &trained.projection {
+        Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),
+        None => fresh,
+    };
+    let weights = parameters::values(&trained.model);
+    Ok(parameters::replace(fresh, weights))
 }
 
 /// Tables that follow from what a run starts from.

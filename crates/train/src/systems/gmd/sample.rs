@@ -102,10 +102,7 @@ fn for_held_out(
 ) -> Result<Option<Remark>, Error> {
     let config = &subject.config;
     let dataset = Dataset::<Clip>::open(&config.data)?;
-    let clips = dataset.held_out();
-    let chosen: Vec<_> = (0..count.min(clips.len()))
-        .map(|position| clips.get(position))
-        .collect::<Result<_, _>>()?;
+    let chosen = dataset.held_out().first(count)?;
     let request = |clip: &Arc<Clip>| ClipRequest {
         goal: None,
         text: embedding(clip),

@@ -24,7 +24,7 @@ impl Sampler {
     /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
     ///
     /// # Errors
-    /// [`Error::NoRange`].
+    /// If the range of the training motion is not known.
     pub fn new(
         diffusion: GaussianDiffusion,
         config: &RolloutConfig,

@@ -39,9 +39,7 @@ pub fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let wanted = asked.goals;
-    let held_out = (0..dataset.validation.len().min(wanted))
-        .map(|position| dataset.validation.get(position))
-        .collect::<Result<Vec<_>, _>>()?;
+    let held_out = dataset.validation.first(wanted)?;
     let mut remarks = Vec::new();
     if held_out.len() < wanted {
         remarks.push(format!(

@@ -60,7 +60,7 @@ impl TextMotion {
     /// deviation that they were trained with, for features with relative root.
     ///
     /// # Errors
-    /// [`Error::EvaluatorWidth`] where the parts do not fit each other; [`Error::Features`] for
+    /// [`Error::Usage`] where the parts do not fit each other; [`Error::Features`] for
     /// statistics of the absolute root.
     pub fn new(
         encoders: TextMotionEncoders,
@@ -74,14 +74,14 @@ impl TextMotion {
         }
         let layout = FeatureLayout::of_channels(statistics.channels())?;
         let frame = layout.contacts().start;
-        let fits = |what, found, reader, expected| match found == expected {
+        let fits = |what: &str, found: usize, reader: &str, expected: usize| match found == expected
+        {
             true => Ok(()),
-            false => Err(Error::EvaluatorWidth {
-                what,
-                reader,
-                found,
-                expected,
-            }),
+            false => Err(Error::usage(
+                format!("{what} is {found} numbers wide where {reader} takes {expected}"),
+                "weights, mean and deviation, and word vectors must be those that were published \
+                 together, for features of the same kind as the clips",
+            )),
         };
         fits(
             "a frame without contact flags",
@@ -106,18 +106,20 @@ impl TextMotion {
     /// The embedding of each clip, `[clips, width]`, with the root in either reading.
     ///
     /// # Errors
-    /// [`Error::TooShort`] for fewer than [`UNIT_FRAMES`] frames; [`Error::Features`] for features
+    /// [`Error::Usage`] for fewer than [`UNIT_FRAMES`] frames; [`Error::Features`] for features
     /// of another skeleton than the statistics'.
     pub fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error> {
         let mut normalized = Vec::with_capacity(clips.len());
         for (clip, features) in clips.iter().enumerate() {
-            let (found, needed) = (features.frames(), UNIT_FRAMES);
-            if found < needed {
-                return Err(Error::TooShort {
-                    clip,
-                    found,
-                    needed,
-                });
+            let found = features.frames();
+            if found < UNIT_FRAMES {
+                return Err(Error::usage(
+                    format!(
+                        "clip {clip} (counted from 0) has {found} frames, at least {UNIT_FRAMES} \
+                         needed"
+                    ),
+                    "leave out such clips; the published evaluation uses 40 frames or more",
+                ));
             }
             let (expected, found) = (self.statistics.channels(), features.layout().channels());
             if found != expected {

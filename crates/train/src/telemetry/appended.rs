@@ -1,0 +1,61 @@
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::Error;
+
+/// A file that grows at its end.
+#[derive(Debug)]
+pub(super) struct Appended {
+    file: File,
+    path: PathBuf,
+}
+
+impl Appended {
+    /// Opens the file at `path`, or makes it; what earlier processes wrote stays.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        Ok(Self {
+            file: file.map_err(Error::io("open", path))?,
+            path: path.to_path_buf(),
+        })
+    }
+
+    /// Cuts the file back to its first `kept` bytes.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn cut_back(self, kept: u64) -> Result<Self, Error> {
+        let cut = self.file.set_len(kept);
+        cut.map_err(Error::io("cut back", &self.path))?;
+        Ok(self)
+    }
+
+    /// Appends `bytes`.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        let written = self.file.write_all(bytes);
+        written.map_err(Error::io("write", &self.path))
+    }
+
+    /// Makes sure that what was written survives a crash.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn sync(&mut self) -> Result<(), Error> {
+        let flushed = self.file.sync_data();
+        flushed.map_err(Error::io("flush", &self.path))
+    }
+}
+
+/// Seconds since 1970.
+pub(super) fn now() -> f64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0.0, |time| time.as_secs_f64())
+}
