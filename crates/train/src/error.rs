@@ -95,7 +95,7 @@ pub enum Error {
         /// Frames needed.
         needed: usize,
     },
-    /// Joint features that are none.
+/// Invalid joint features.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
@@ -199,10 +199,10 @@ pub enum Error {
         step: u64,
         /// The first tensor found to hold an infinity or NaN.
         tensor: String,
-        /// Path of the last good checkpoint, or that there is none.
+/// Path of the last good checkpoint, or a note that there is none.
         last_good: String,
     },
-    /// What was asked for does not fit the model or each other.
+/// A request that does not fit the model, or contradictory options.
     #[error("{message}")]
     #[diagnostic(help("{hint}"))]
     Usage {

@@ -1,4 +1,4 @@
-//! Measuring trained models: what a system is asked, and numbers that reports put side by side.
+//! Evaluating trained models: requests, and results that reports show side by side.
 
 use std::path::PathBuf;
 

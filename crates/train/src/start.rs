@@ -1,4 +1,4 @@
-//! What systems share about starting from a trained model: `init.*`.
+//! Starting from a trained model (`init.*`), shared by all systems.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};

@@ -1,10 +1,10 @@
-//! The table `sampling.steering`: how a draw is led to its goal.
+//! The table `sampling.steering`: guidance and imputation for goals.
 
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use serde::{Deserialize, Serialize};
 
-/// How a draw is led to its goal (Guided Motion Diffusion, appendix F).
+/// Guidance and imputation for goals (Guided Motion Diffusion, appendix F).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SteeringConfig {
@@ -30,7 +30,7 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
-    /// Refuses what no draw can be led by.
+/// Validates the settings.
     ///
     /// # Errors
     /// Names the first key with a bad value.

@@ -208,7 +208,7 @@ impl Clip {
     /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
-    /// [`Error::NoRange`] where the range of the training motion is asked for and not known.
+/// [`Error::NoRange`] if the range of the training motion is needed but not known.
     pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
         Ok(match self {
             Self::TrainingRange => {
@@ -224,17 +224,17 @@ impl Clip {
     }
 }
 
-/// The table `sampling`: how the run's samples are drawn, at its end and by `kinegrad sample`.
+/// The table `sampling`: sampler settings of the run, for samples at its end and `kinegrad sample`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {
-    /// Samples drawn, post-processed and checked when training ends; 0 draws none.
+/// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
     /// What the predicted clean motion is clipped to.
     pub clip: Clip,
     /// The sampler.
     pub sampler: SamplerConfig,
-    /// How draws of recipes on clips are led to their goals.
+/// Guidance and imputation for goals, for recipes on clips.
     pub steering: SteeringConfig,
 }
 

@@ -1,4 +1,4 @@
-//! Bringing a checkpoint's tensors into the module's order.
+//! Reordering a checkpoint's tensors to match the module.
 
 use std::path::Path;
 

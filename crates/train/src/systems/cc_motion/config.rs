@@ -1,4 +1,4 @@
-//! The tables of a config that are this system's own, and what must hold of them.
+//! The system's own config tables and their validation.
 
 use std::ops::Bound;
 use std::path::PathBuf;
@@ -247,7 +247,7 @@ pub struct EvaluationConfig {
     /// Draw for the first so many held-out phrases; without this key for all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phrases: Option<usize>,
-    /// What the model hears.
+/// The audio condition.
     pub cond: CondSource,
 }
 

@@ -1,4 +1,4 @@
-//! The tables of a config that are this system's own, and what must hold of them.
+//! The system's own config tables and their validation.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub struct GmdConfig {
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
-    /// What an evaluation asks for.
+/// The evaluation.
     pub evaluation: GmdEvaluationConfig,
 }
 
@@ -67,7 +67,7 @@ pub struct GmdEvaluationConfig {
     pub goals: usize,
     /// Key frames of each goal.
     pub keyframes: usize,
-    /// Obstacles on the way of each goal, of which then the last key frame alone is asked for.
+/// Obstacles on the path of each goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
     /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
     pub evaluator: EvaluatorFiles,
@@ -84,7 +84,7 @@ impl Default for GmdEvaluationConfig {
     }
 }
 
-/// The table `evaluation.evaluator`: where the evaluator's parts lie; empty where there is none.
+/// The table `evaluation.evaluator`: files of the text-motion evaluator; empty without one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluatorFiles {

@@ -1,8 +1,8 @@
-//! From checkpoints to clips, led to goals or free.
+//! Generating clips from checkpoints, with or without goals.
 //!
-//! In two stages (Guided Motion Diffusion, appendix F): a trajectory model draws the ground path
-//! that the goal asks for; the motion model draws motion on that path, which is put in and guided
-//! to in every frame, rotation and height being free.
+//! Two-stage sampling (Guided Motion Diffusion, appendix F): a trajectory model generates a ground
+//! path for the goal; the motion model generates motion along that path, with imputation and
+//! guidance in every frame. Rotation and height are not constrained.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -40,7 +40,7 @@ pub enum Stage {
 /// One clip to draw.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// What its root shall do.
+/// Position control of the root.
     pub goal: Option<Goal>,
     /// Pooled text feature, 512 numbers; none draws without a text.
     pub text: Option<Vec<f32>>,
@@ -202,7 +202,7 @@ impl ClipGenerator {
         }
     }
 
-    /// Motion in the network's space, led to `goals` where there are any.
+/// Motion in the network's space, guided to `goals` if there are any.
     fn draw(
         &self,
         texts: &[Option<&[f32]>],

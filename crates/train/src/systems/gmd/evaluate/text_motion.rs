@@ -19,7 +19,7 @@ const PADDED_FRAMES: usize = 196;
 const GROUP: usize = 32;
 use crate::systems::gmd::EvaluatorFiles;
 
-/// The evaluator, ready to measure.
+/// The evaluator, ready to use.
 pub struct TextMotion {
     encoders: TextMotionEncoders,
     statistics: Statistics,
@@ -27,7 +27,7 @@ pub struct TextMotion {
     device: Device,
 }
 
-/// How drawn and real motion match their captions.
+/// How generated and real motion match their captions.
 #[derive(Clone, Debug, Serialize)]
 pub struct TextMotionReports {
     /// The drawn clips.
