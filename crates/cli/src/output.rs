@@ -1,4 +1,4 @@
-//! How results and errors reach the user.
+//! Output of results and errors.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};

@@ -39,7 +39,7 @@ pub struct DataConfig {
     pub join_neighbours: bool,
     /// Samples in a batch; may exceed the number of phrases.
     pub batch_size: usize,
-    /// Threads that prepare batches ahead; 0 prepares each when it is asked for, on all cores.
+    /// Threads that prefetch batches; with 0 each batch is prepared on demand, on all cores.
     pub num_workers: usize,
     /// Whether a phrase that cannot be used ends the run.
     pub on_bad_phrase: OnBadPhrase,

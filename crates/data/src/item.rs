@@ -44,7 +44,7 @@ pub trait Item: Debug + Send + Sync + 'static {
     }
 }
 
-/// Some of the items of a dataset in the order of their ids, read when they are asked for. A clone
+/// Some of the items of a dataset in the order of their ids, read on demand. A clone
 /// is another handle to the same ones.
 #[derive(Debug)]
 pub struct ItemSet<T> {

@@ -1,4 +1,4 @@
-//! Denoiser and decoder as one set of weights.
+//! Denoiser and decoder as one module.
 
 use burn::module::Module;
 

@@ -1,4 +1,4 @@
-//! What a run remembers of its training motion: how to normalise, and what real motion is like.
+//! Statistics of training motion: normalisation, and bounds of real motion for sanity checks.
 //!
 //! The source trains on raw values and clips predicted data to +-1 while positions range over +-100
 //! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit

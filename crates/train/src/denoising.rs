@@ -56,7 +56,7 @@ impl Conditions {
     /// The condition of that name.
     ///
     /// # Panics
-/// Panics if there is none: recipes use conditions that their dataset provides.
+    /// Panics if there is none: recipes use conditions that their dataset provides.
     pub fn get(&self, name: &str) -> &Tensor<3> {
         let found = self.0.iter().find(|(known, _)| *known == name);
         &found.unwrap_or_else(|| panic!("no condition `{name}`")).1

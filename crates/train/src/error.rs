@@ -42,8 +42,8 @@ pub enum Error {
     #[diagnostic(transparent)]
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
     /// An array whose rows are no motion that a system knows.
-    #[error("{}: an array of shape {shape:?} is no motion that is known", path.display())]
-    #[diagnostic(help("known are: {known}"))]
+    #[error("{}: an array of shape {shape:?} is not a known motion representation", path.display())]
+    #[diagnostic(help("known representations: {known}"))]
     UnknownMotion {
         /// Its file.
         path: PathBuf,
@@ -95,7 +95,7 @@ pub enum Error {
         /// Frames needed.
         needed: usize,
     },
-/// Invalid joint features.
+    /// Invalid joint features.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
@@ -118,8 +118,8 @@ pub enum Error {
         differences.join("\n  ")
     )]
     #[diagnostic(help(
-        "the weights belong to another network: check `--arch`; `--evaluator` takes the published \
-         `finest.tar` of the dataset at hand"
+        "the weights belong to another network: check `--arch`; `evaluation.evaluator.weights` \
+         is the published `finest.tar` of the same dataset"
     ))]
     ForeignWeights {
         /// The file.
@@ -199,10 +199,10 @@ pub enum Error {
         step: u64,
         /// The first tensor found to hold an infinity or NaN.
         tensor: String,
-/// Path of the last good checkpoint, or a note that there is none.
+        /// Path of the last good checkpoint, or a note that there is none.
         last_good: String,
     },
-/// A request that does not fit the model, or contradictory options.
+    /// A request that does not fit the model, or contradictory options.
     #[error("{message}")]
     #[diagnostic(help("{hint}"))]
     Usage {

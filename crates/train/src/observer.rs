@@ -4,24 +4,24 @@ use std::path::{Path, PathBuf};
 
 /// Callbacks of a training run.
 pub trait Observer {
-/// The run has been set up and starts training (or was already finished).
+    /// The run has been set up and starts training (or was already finished).
     fn started(&mut self, summary: &RunSummary);
-/// An optimiser step was done.
+    /// An optimiser step was done.
     fn stepped(&mut self, report: &StepReport);
-/// The validation loss was computed; `best` if it is the lowest so far.
+    /// The validation loss was computed; `best` if it is the lowest so far.
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
-/// An informational message.
+    /// An informational message.
     fn note(&mut self, text: &str);
-/// A warning that does not stop the run.
+    /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
-/// Returns a callback for the progress of opening the dataset, called from several threads with
+    /// Returns a callback for the progress of opening the dataset, called from several threads with
     /// the number of items read and in total.
     fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
         Box::new(|_, _| {})
     }
-/// Whether the run should stop; it then writes a checkpoint.
+    /// Whether the run should stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;
 }
 
@@ -30,7 +30,7 @@ pub trait Observer {
 pub struct StepReport {
     /// Steps done, this one included.
     pub step: u64,
-/// Steps in total.
+    /// Steps in total.
     pub max_steps: u64,
     /// Loss, averaged over the micro-batches.
     pub loss: f64,
@@ -51,13 +51,13 @@ pub struct RunSummary {
     pub device: String,
     /// Number of parameters.
     pub parameters: usize,
-/// Number of training items.
+    /// Number of training items.
     pub train_phrases: usize,
-/// Number of held-out items.
+    /// Number of held-out items.
     pub validation_phrases: usize,
-/// Unusable items that were skipped, with the reason.
+    /// Unusable items that were skipped, with the reason.
     pub skipped: Vec<(String, String)>,
-/// Steps already done.
+    /// Steps already done.
     pub step: u64,
     /// Steps in all.
     pub max_steps: u64,

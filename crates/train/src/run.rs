@@ -22,9 +22,9 @@ pub struct TrainRequest {
     pub config: PathBuf,
     /// `KEY=VALUE` overrides.
     pub overrides: Vec<String>,
-/// Folder that contains the runs.
+    /// Folder that contains the runs.
     pub runs_dir: PathBuf,
-/// Resume the run instead of starting it.
+    /// Resume the run instead of starting it.
     pub resume: bool,
 }
 
@@ -33,7 +33,7 @@ pub struct TrainRequest {
 pub struct Outcome {
     /// The run's folder.
     pub folder: PathBuf,
-/// How training ended; `None` if the run was already finished.
+    /// How training ended; `None` if the run was already finished.
     pub ending: Option<Ending>,
     /// Steps done.
     pub step: u64,

@@ -14,20 +14,20 @@ use crate::systems::Systems;
 pub struct Subject {
     /// Its checkpoint.
     pub checkpoint: PathBuf,
-/// The config of its run, with the `sampling` table to use.
+    /// The config of its run, with the `sampling` table to use.
     pub config: Config,
-/// Whether to use the trained weights or their moving average.
+    /// Whether to use the trained weights or their moving average.
     pub weights: Weights,
-/// The device to run on, without gradients.
+    /// The device to run on, without gradients.
     pub device: Device,
 }
 
 impl Subject {
-/// Opens the checkpoint in `path`, with `overrides` of its run's tables
-/// `sampling` and `evaluation`, on `device` or by default that of its run.
+    /// Opens the checkpoint in `path`, with `overrides` of its run's tables
+    /// `sampling` and `evaluation`, on `device` or by default that of its run.
     ///
     /// # Errors
-/// If the checkpoint is damaged, an override is invalid, or the device is not available.
+    /// If the checkpoint is damaged, an override is invalid, or the device is not available.
     pub fn open(
         systems: Systems<'_>,
         path: &Path,
@@ -52,11 +52,11 @@ impl Subject {
 /// A request for samples. Systems reject conditions that their models do not support.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-/// The conditions.
+    /// The conditions.
     pub conditions: Conditions,
-/// Samples per condition.
+    /// Samples per condition.
     pub count: usize,
-/// Frames to generate.
+    /// Frames to generate.
     pub frames: Option<usize>,
     /// Seed of the noise.
     pub seed: u64,
@@ -65,7 +65,7 @@ pub struct Request {
 /// The sources of conditions.
 #[derive(Clone, Debug, Default)]
 pub struct Conditions {
-/// Dataset that contains the item, instead of the run's own.
+    /// Dataset that contains the item, instead of the run's own.
     pub source: Option<String>,
     /// Id of the item, or a pattern.
     pub item: Option<String>,
@@ -73,20 +73,20 @@ pub struct Conditions {
     pub audio_features: Option<PathBuf>,
     /// Song.
     pub song: Option<PathBuf>,
-/// Position in the song, in seconds, at which the motion starts.
+    /// Position in the song, in seconds, at which the motion starts.
     pub start: f64,
-/// Goal files.
+    /// Goal files.
     pub goals: Vec<PathBuf>,
-/// Checkpoint of the trajectory model that generates the ground path in a first stage.
+    /// Checkpoint of the trajectory model that generates the ground path in a first stage.
     pub trajectory: Option<PathBuf>,
-/// Text embedding, `FILE#KEY`.
+    /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
-/// Use the first so many held-out items of the run's own dataset.
+    /// Use the first so many held-out items of the run's own dataset.
     pub held_out: Option<usize>,
 }
 
 impl Conditions {
-/// Rejects conditions that are set but listed in `unknown`, by their command-line names.
+    /// Rejects conditions that are set but listed in `unknown`, by their command-line names.
     ///
     /// # Errors
     /// [`Error::Usage`] for the first that is set.
@@ -111,27 +111,27 @@ impl Conditions {
 /// One sample, as files.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-/// Suffix that distinguishes it from other samples of the request; empty for a single sample.
+    /// Suffix that distinguishes it from other samples of the request; empty for a single sample.
     pub name: String,
-/// Its files by extension, such as `.npy`; the first is the motion itself.
+    /// Its files by extension, such as `.npy`; the first is the motion itself.
     pub files: Vec<(&'static str, Contents)>,
 }
 
 /// Contents of a file.
 #[derive(Clone, Debug)]
 pub enum Contents {
-/// A row-major float32 array.
+    /// A row-major float32 array.
     Array {
-/// Shape.
+        /// Shape.
         shape: Vec<usize>,
-/// Values.
+        /// Values.
         values: Vec<f32>,
     },
-/// An animated skeleton, written as BVH.
+    /// An animated skeleton, written as BVH.
     Figure {
-/// Joint positions.
+        /// Joint positions.
         joints: Joints,
-/// The skeleton.
+        /// The skeleton.
         skeleton: Box<Skeleton>,
     },
 }
@@ -141,19 +141,19 @@ pub enum Contents {
 pub enum Remark {
     /// Lines of text.
     Text(String),
-/// A table whose first row is the header.
+    /// A table whose first row is the header.
     Table(Vec<Vec<String>>),
 }
 
 /// Receives samples and progress.
 pub trait Receiver {
-/// Called after each denoising step with the number of steps done and in total; `stage` is
+    /// Called after each denoising step with the number of steps done and in total; `stage` is
     /// empty if there is only one.
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize);
 
-/// Called with each sample.
+    /// Called with each sample.
     ///
     /// # Errors
-/// If it cannot be stored; sampling stops then.
+    /// If it cannot be stored; sampling stops then.
     fn drawn(&mut self, drawn: Drawn) -> Result<(), Error>;
 }

@@ -57,7 +57,7 @@ pub fn tables_of<T: SystemTables>(config: &Config, names: &[&str]) -> Result<Tab
     Ok(tables.collect())
 }
 
-/// Refuses a config whose networks or process, the tables `names`, are not those of its start.
+/// Rejects a config whose networks or process, the tables `names`, are not those of its start.
 ///
 /// # Errors
 /// Names the first key that differs.

@@ -73,7 +73,7 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
             true => format!("{} has no {MANIFEST}", store.uri()),
             false => format!("there is no folder {}", store.uri()),
         };
-        let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
+        let hint = "`--where` and `--plot` need the manifest, which `kinegrad data prepare` \
                     writes";
         return Err(Error::usage(message, hint));
     };

@@ -58,7 +58,7 @@ impl Checkpoints {
         steps
     }
 
-/// The latest valid checkpoint, if there are any checkpoints; `skipped` is called
+    /// The latest valid checkpoint, if there are any checkpoints; `skipped` is called
     /// of each damaged one.
     ///
     /// # Errors
@@ -119,7 +119,7 @@ impl Checkpoints {
         Ok(target)
     }
 
-/// Records the best step, or removes the record.
+    /// Records the best step, or removes the record.
     ///
     /// # Errors
     /// If it cannot be written.

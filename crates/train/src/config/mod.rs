@@ -105,7 +105,7 @@ fn toml_value(json: serde_json::Value) -> Option<Value> {
     })
 }
 
-/// Refuses values that cannot work and returns what is doubtful.
+/// Rejects values that cannot work and returns what is doubtful.
 ///
 /// # Errors
 /// Names the first key with a bad value, what it is, what is allowed and how to mend it.

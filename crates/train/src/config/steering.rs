@@ -30,7 +30,7 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
-/// Validates the settings.
+    /// Validates the settings.
     ///
     /// # Errors
     /// Names the first key with a bad value.

@@ -208,7 +208,7 @@ impl Clip {
     /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
-/// [`Error::NoRange`] if the range of the training motion is needed but not known.
+    /// [`Error::NoRange`] if the range of the training motion is needed but not known.
     pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
         Ok(match self {
             Self::TrainingRange => {
@@ -228,17 +228,17 @@ impl Clip {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {
-/// Number of samples generated when training ends; phrases are post-processed and checked.
+    /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
     /// What the predicted clean motion is clipped to.
     pub clip: Clip,
     /// The sampler.
     pub sampler: SamplerConfig,
-/// Guidance and imputation for goals, for recipes on clips.
+    /// Guidance and imputation for goals, for recipes on clips.
     pub steering: SteeringConfig,
 }
 
-/// Refuses bad values in the tables above.
+/// Rejects bad values in the tables above.
 pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
     let Config {
         optim,

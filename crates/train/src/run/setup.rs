@@ -70,7 +70,7 @@ impl Setup {
         }
     }
 
-    /// Refuses to continue on another dataset than the one trained on so far.
+    /// Rejects to continue on another dataset than the one trained on so far.
     ///
     /// # Errors
     /// If it is another.

@@ -25,9 +25,9 @@ use crate::sampling::{Receiver, Remark, Request, Subject};
 /// A training recipe of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecipeInfo {
-/// Its name, the value of `train.recipe`, unique across systems.
+    /// Its name, the value of `train.recipe`, unique across systems.
     pub name: &'static str,
-/// The parameter groups it trains, each with its own learning rate (`optim.groups`).
+    /// The parameter groups it trains, each with its own learning rate (`optim.groups`).
     pub groups: &'static [&'static str],
 }
 
@@ -36,60 +36,60 @@ pub trait System: Sync {
     /// Its name.
     fn name(&self) -> &'static str;
 
-/// Its recipes.
+    /// Its recipes.
     fn recipes(&self) -> &'static [RecipeInfo];
 
-/// The representations of motion that its models are trained on or generate.
+    /// The representations of motion that its models are trained on or generate.
     fn representations(&self) -> Vec<Box<dyn Representation>>;
 
-/// Default values of the recipe for keys that are missing in `given`, the config as written.
+    /// Default values of the recipe for keys that are missing in `given`, the config as written.
     fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
         Table::new()
     }
 
-/// The system's own config tables with all defaults filled in; `place` maps a dotted key to its
+    /// The system's own config tables with all defaults filled in; `place` maps a dotted key to its
     /// location in the file.
     ///
     /// # Errors
-/// For an unknown key or a wrong type; the error names the location.
+    /// For an unknown key or a wrong type; the error names the location.
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError>;
 
-/// Validates the system's own tables and returns warnings; the common tables are validated
+    /// Validates the system's own tables and returns warnings; the common tables are validated
     /// elsewhere.
     ///
     /// # Errors
-/// For the first invalid value; the error names the key.
+    /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
-/// Config values that follow from what a run starts from, used as defaults: from the `saved`
+    /// Config values that follow from what a run starts from, used as defaults: from the `saved`
     /// config of a resumed run, otherwise from the checkpoints that `config` names.
     ///
     /// # Errors
-/// If such a checkpoint is missing or damaged.
+    /// If such a checkpoint is missing or damaged.
     fn inherited(&self, _config: &Config, _saved: Option<&Config>) -> Result<Option<Table>, Error> {
         Ok(None)
     }
 
-/// Whether a run in `folder` has started stages that precede its own training.
+    /// Whether a run in `folder` has started stages that precede its own training.
     fn has_begun(&self, _folder: &Path) -> bool {
         false
     }
 
-/// Number of parameters of the networks of `config`, without adapters.
+    /// Number of parameters of the networks of `config`, without adapters.
     ///
     /// # Errors
     /// If a network cannot be built.
     fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
 
-/// Names of the architectures that [`import`](Self::import) supports.
+    /// Names of the architectures that [`import`](Self::import) supports.
     fn architectures(&self) -> &'static [&'static str] {
         &[]
     }
 
-/// Converts weights of another program to a run with one checkpoint.
+    /// Converts weights of another program to a run with one checkpoint.
     ///
     /// # Errors
-/// If they cannot be read or do not match; nothing is written then.
+    /// If they cannot be read or do not match; nothing is written then.
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
         Err(Error::usage(
             format!("the system `{}` imports no weights", self.name()),
@@ -97,7 +97,7 @@ pub trait System: Sync {
         ))
     }
 
-/// Merges the adapters of the checkpoint in `path` into its weights and writes the result to
+    /// Merges the adapters of the checkpoint in `path` into its weights and writes the result to
     /// `out`, a new or empty folder, as a run with one checkpoint. Returns the checkpoint's path.
     ///
     /// # Errors
@@ -108,10 +108,10 @@ pub trait System: Sync {
         })
     }
 
-/// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
+    /// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
     ///
     /// # Errors
-/// If a condition is not supported by the model or cannot be read, or if the receiver fails.
+    /// If a condition is not supported by the model or cannot be read, or if the receiver fails.
     fn sample(
         &self,
         subject: &Subject,
@@ -119,20 +119,20 @@ pub trait System: Sync {
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error>;
 
-/// Validates the request and returns a function that evaluates a trained model on held-out motion.
+    /// Validates the request and returns a function that evaluates a trained model on held-out motion.
     ///
     /// # Errors
-/// If the request does not apply to its models, or nothing is held out.
+    /// If the request does not apply to its models, or nothing is held out.
     fn evaluate<'a>(
         &self,
         subject: &'a Subject,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error>;
 
-/// Trains until the end or until interrupted, with [`Setup::train`].
+    /// Trains until the end or until interrupted, with [`Setup::train`].
     ///
     /// # Errors
-/// If the run is rejected, before anything is written, or if it fails.
+    /// If the run is rejected, before anything is written, or if it fails.
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error>;
 }
 
@@ -149,10 +149,10 @@ impl<'a> Systems<'a> {
         self.0.iter().flat_map(|system| system.recipes())
     }
 
-/// The representation of an array of this `shape` with these values.
+    /// The representation of an array of this `shape` with these values.
     ///
     /// # Errors
-/// [`Error::UnknownMotion`] if no system recognises it; `path` is the file, for the message.
+    /// [`Error::UnknownMotion`] if no system recognises it; `path` is the file, for the message.
     pub fn representation_of(
         self,
         path: &Path,
@@ -171,7 +171,7 @@ impl<'a> Systems<'a> {
         })
     }
 
-/// The recipe of that name and its system.
+    /// The recipe of that name and its system.
     pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
         self.0.iter().find_map(|system| {
             let recipe = system.recipes().iter().find(|recipe| recipe.name == name);
@@ -182,7 +182,7 @@ impl<'a> Systems<'a> {
     /// The system and the recipe of a run.
     ///
     /// # Errors
-/// If no system has the recipe.
+    /// If no system has the recipe.
     pub fn of(
         self,
         config: &Config,
@@ -195,7 +195,7 @@ impl<'a> Systems<'a> {
         })
     }
 
-/// A config that was saved by another version, with the defaults of this version filled in.
+    /// A config that was saved by another version, with the defaults of this version filled in.
     ///
     /// # Errors
     /// As [`of`](Self::of), and [`ConfigError`] for tables that the system cannot read.

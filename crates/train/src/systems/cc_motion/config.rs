@@ -247,7 +247,7 @@ pub struct EvaluationConfig {
     /// Draw for the first so many held-out phrases; without this key for all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phrases: Option<usize>,
-/// The audio condition.
+    /// The audio condition.
     pub cond: CondSource,
 }
 
@@ -261,7 +261,7 @@ impl Default for EvaluationConfig {
     }
 }
 
-/// Refuses what this system cannot work with.
+/// Rejects what this system cannot work with.
 ///
 /// # Errors
 /// Names the first key with a bad value.
@@ -297,7 +297,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
 }
 
 impl CcMotionConfig {
-    /// Refuses bad values in `init`, `rollout` and `loss`.
+    /// Rejects bad values in `init`, `rollout` and `loss`.
     fn validate_fine_tuning(&self, recipe: &str) -> Result<(), InvalidSetting> {
         let Self {
             init,

@@ -23,7 +23,7 @@ const BATCH: usize = 32;
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
 pub struct Sample {
-/// The raw model output, decoded or de-normalised.
+    /// The raw model output, decoded or de-normalised.
     pub raw: Motion,
     /// Post-processed.
     pub motion: Motion,
@@ -72,17 +72,17 @@ impl Generator {
         &self.statistics
     }
 
-/// Number of steps it was trained for.
+    /// Number of steps it was trained for.
     pub fn step(&self) -> u64 {
         self.state.step
     }
 
-/// Generates one sample per condition, as a batch; all conditions have the same number of
+    /// Generates one sample per condition, as a batch; all conditions have the same number of
     /// frames. Sample i depends on `seed` and i alone, up to rounding not on the number of samples.
-/// `on_step` is called with the number of sampling steps done and in total.
+    /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
-/// If the sampler's settings are invalid.
+    /// If the sampler's settings are invalid.
     pub fn sample(
         &self,
         conditions: &[AudioFeatures],

@@ -23,7 +23,7 @@ pub(super) fn sample(
     request.conditions.refuse(
         &["--goal", "--trajectory-run", "--text-embedding"],
         "a run on phrases",
-"goals and text embeddings are conditions of recipes `gmd_motion` and `gmd_trajectory`",
+        "goals and text embeddings are conditions of recipes `gmd_motion` and `gmd_trajectory`",
     )?;
     if let Some(count) = request.conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver).map(Some);

@@ -29,7 +29,7 @@ pub struct GmdConfig {
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
-/// The evaluation.
+    /// The evaluation.
     pub evaluation: GmdEvaluationConfig,
 }
 
@@ -65,9 +65,9 @@ impl Default for GmdLossConfig {
 pub struct GmdEvaluationConfig {
     /// Held-out clips with a goal each.
     pub goals: usize,
-    /// Key frames of each goal.
+    /// Keyframes of each goal.
     pub keyframes: usize,
-/// Obstacles on the path of each goal; if not 0, only the last frame is a keyframe.
+    /// Obstacles on the path of each goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
     /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
     pub evaluator: EvaluatorFiles,
@@ -125,7 +125,7 @@ impl SystemTables for GmdConfig {
     ];
 }
 
-/// Refuses what this system cannot work with.
+/// Rejects what this system cannot work with.
 ///
 /// # Errors
 /// Names the first key with a bad value.
@@ -189,7 +189,7 @@ pub(super) fn warnings(config: &Config) -> Option<String> {
     let overtrains = config.train.recipe == TRAJECTORY
         && (config.train.patience == 0 || config.validation.every_steps == 0);
     overtrains.then(|| {
-        "a trajectory model that has learned its paths by heart resists guidance, and this run \
+        "an overfitted trajectory model responds poorly to guidance, and this run \
          never stops early: set `train.patience` and `validation.every_steps`"
             .to_string()
     })

@@ -40,7 +40,7 @@ pub enum Stage {
 /// One clip to draw.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-/// Position control of the root.
+    /// Position control of the root.
     pub goal: Option<Goal>,
     /// Pooled text feature, 512 numbers; none draws without a text.
     pub text: Option<Vec<f32>>,
@@ -123,7 +123,7 @@ impl ClipGenerator {
 
     /// Draws the clips of `requests` as one batch of `frames` frames; `trajectory`, where there is
     /// one, draws their ground paths first. Clip i depends on `seed`, i and its request, and, by
-    /// the published guidance's divisor, on how many key frames the whole batch has. `on_step` is
+    /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
     /// told the stage and its steps done and in all.
     ///
     /// # Errors
@@ -184,7 +184,7 @@ impl ClipGenerator {
             .collect())
     }
 
-    /// Refuses a trajectory model of other clips, or before another trajectory model.
+    /// Rejects a trajectory model of other clips, or before another trajectory model.
     fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
@@ -202,7 +202,7 @@ impl ClipGenerator {
         }
     }
 
-/// Motion in the network's space, guided to `goals` if there are any.
+    /// Motion in the network's space, guided to `goals` if there are any.
     fn draw(
         &self,
         texts: &[Option<&[f32]>],
@@ -214,8 +214,8 @@ impl ClipGenerator {
     ) -> Result<Tensor<3>, Error> {
         if let Some(most) = self.trained.longest {
             in_range("frames", frames, 1..=most).hint(
-                "`model.padded_frames` is the most that the network draws: shorten the goal, or \
-                 ask for fewer `--frames` where there is none",
+                "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
+                 fewer `--frames` without one",
             )?;
         }
         let (batch, channels) = (texts.len(), self.trained.channels);
@@ -259,7 +259,7 @@ impl ClipGenerator {
             self.trained.config.data.humanml3d.root == Root::Absolute,
             "data.humanml3d.root",
             "\"relative\" in the run's config",
-            "\"absolute\" where motion is led to positions",
+            "\"absolute\" for position control",
         )
         .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;

@@ -26,7 +26,7 @@ pub struct Measures {
     pub frechet_held_out: Option<f64>,
     /// Fréchet distance to the training phrases. Needs two of each.
     pub frechet_training: Option<f64>,
-/// Beat alignment with the phrase's own music, regardless of the condition; mean over the
+    /// Beat alignment with the phrase's own music, regardless of the condition; mean over the
     /// motions that have beats.
     pub beat_alignment: Option<f64>,
     /// Mean jerk norm, metres per second cubed.

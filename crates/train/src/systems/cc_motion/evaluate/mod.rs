@@ -41,7 +41,7 @@ pub struct EvaluationSettings {
     pub seeds: usize,
     /// Seed of all noise.
     pub seed: u64,
-/// The audio condition.
+    /// The audio condition.
     pub cond: CondSource,
     /// The sampler, and what the predicted clean motion is clipped to.
     #[serde(flatten)]

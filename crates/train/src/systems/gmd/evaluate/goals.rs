@@ -25,17 +25,17 @@ const DIVERSITY_PAIRS: usize = 200;
 /// How a goal is derived from a held-out clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GoalTask {
-/// Number of keyframes, evenly spaced, the last one in the last frame.
+    /// Number of keyframes, evenly spaced, the last one in the last frame.
     pub keyframes: usize,
-/// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its start
+    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its start
     /// or end are left out. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
-/// Maximum number of frames.
+    /// Maximum number of frames.
     pub frames: usize,
 }
 
 impl GoalTask {
-/// The goal derived from `clip`.
+    /// The goal derived from `clip`.
     pub fn goal(&self, clip: &Clip) -> Goal {
         let frames = clip.features.frames().min(self.frames);
         let path = clip
@@ -79,9 +79,9 @@ impl GoalTask {
 /// Settings of an evaluation of goals.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GoalSettings {
-/// How goals are derived.
+    /// How goals are derived.
     pub task: GoalTask,
-/// The sampler, guidance and imputation.
+    /// The sampler, guidance and imputation.
     #[serde(flatten)]
     pub sampling: SamplingConfig,
     /// Seed of the noise.
@@ -95,17 +95,17 @@ pub struct GoalEvaluation {
     pub run: String,
     /// Step of its checkpoint.
     pub step: u64,
-/// Name of the run of the trajectory model.
+    /// Name of the run of the trajectory model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory_run: Option<String>,
-/// The settings.
+    /// The settings.
     #[serde(flatten)]
     pub settings: GoalSettings,
-/// The generated clips.
+    /// The generated clips.
     pub drawn: GoalReport,
-/// The held-out clips, by the same metrics.
+    /// The held-out clips, by the same metrics.
     pub real: GoalReport,
-/// How they match their captions, if the evaluator is given.
+    /// How they match their captions, if the evaluator is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_motion: Option<TextMotionReports>,
 }
