@@ -43,7 +43,7 @@ pub struct DataConfig {
     pub num_workers: usize,
     /// Whether a phrase that cannot be used ends the run.
     pub on_bad_phrase: OnBadPhrase,
-    /// Use only the first so many ids, in sorted order.
+    /// Use only this many ids, in sorted order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub num_phrases: Option<usize>,
     /// Which phrases are held out.

@@ -132,7 +132,7 @@ impl Contents {
     }
 }
 
-/// Looks at every item of the dataset that `config` describes, whatever `on_bad_phrase` says.
+/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`.
 ///
 /// An item that can be read is held against both profiles of the checks, the strict one with the
 /// statistics of the training items (of all items, where none is left to train on).

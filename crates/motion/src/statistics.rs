@@ -156,7 +156,7 @@ impl Statistics {
 
     /// Widens the range of the horizontal `vectors` to what they reach when motion is turned about
     /// the vertical by any angle (their length, at most), and of the `signed` channels to +-1. A
-    /// model trained on turned motion draws it in all directions, which the range as measured
+    /// model trained on rotated motion generates it in all directions, which the range as measured
     /// would clip.
     pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
         let Some([min, max]) = &mut self.range else {

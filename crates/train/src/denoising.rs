@@ -1,4 +1,4 @@
-//! Training a denoiser on noised motion: a batch on the device, what is drawn for it, the loss, and
+//! Training a denoiser on noised motion: a batch on the device, its random inputs, the loss, and
 //! the held-out motion. Recipes of all systems share it.
 
 use std::ops::Range;

@@ -12,7 +12,7 @@ use crate::checkpoint::resolve_checkpoint;
 use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
 
-/// Keys that a fine-tuning may set anew, as the weights fit whatever they say.
+/// Keys that fine-tuning may change, because the weights do not depend on them.
 const FREE_KEYS: [&str; 8] = [
     "model.dropout",
     "model.activation_checkpointing",

@@ -132,7 +132,7 @@ pub fn prepare(
         reports.push(journal.report);
     }
     if rows.is_empty() {
-        let problem = format!("no phrase could be made of any take{}", reasons(&reports));
+        let problem = format!("no take produced a phrase{}", reasons(&reports));
         return Err(Error::plan(plan_file, problem));
     }
     for row in &mut rows {

@@ -64,7 +64,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
 }
 
-/// Lists or draws the rows of a dataset's manifest.
+/// Lists or plots the rows of a dataset's manifest.
 fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {

@@ -110,7 +110,7 @@ impl SamplerConfig {
         )
         .hint("20 to 50 are usual for ddim")?;
         in_range("sampling.sampler.eta", self.eta, 0.0..=1.0)
-            .hint("0 draws no noise, 1 as much as ddpm")?;
+            .hint("0 adds no noise, 1 as much as ddpm")?;
         in_range(
             "sampling.sampler.guidance_scale",
             self.guidance_scale,

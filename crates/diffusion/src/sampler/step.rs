@@ -14,7 +14,7 @@ pub struct StepInput<'a> {
     /// The noisy motion: `[batch, channels, time]`.
     pub x_t: Tensor<3>,
     /// Standard normal noise `[batch, channels, time]`. None stands for zeros: right where the
-    /// step draws no noise, and the mean of the step elsewhere.
+    /// step adds no noise, and the mean of the step elsewhere.
     pub noise: Option<Tensor<3>>,
     /// Where each sample is.
     pub timesteps: &'a [usize],

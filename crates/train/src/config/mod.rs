@@ -57,7 +57,7 @@ pub struct Config {
     pub checkpoint: CheckpointConfig,
     /// When and how to measure on held-out motion.
     pub validation: ValidationConfig,
-    /// How to draw samples from the trained model.
+    /// Sampling settings of the trained model.
     pub sampling: SamplingConfig,
 }
 

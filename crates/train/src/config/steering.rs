@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct SteeringConfig {
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
     pub scale: f64,
-    /// Whether known positions are put into the draw.
+    /// Whether known positions are imputed.
     pub imputation: bool,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,

@@ -118,7 +118,7 @@ impl Default for TrainConfig {
     }
 }
 
-/// The table `ema`: the moving average of the weights that samples are drawn from.
+/// The table `ema`: the exponential moving average of the weights, used for sampling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmaConfig {
@@ -171,7 +171,7 @@ impl Default for CheckpointConfig {
 pub struct ValidationConfig {
     /// Steps between validations; 0 never validates.
     pub every_steps: u64,
-    /// Noise draws per held-out phrase, of the diffusion loss; a rollout is drawn once.
+    /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled once.
     pub draws: usize,
     /// Phrases per forward pass; for phrases of one length it does not change the result beyond
     /// rounding.

@@ -31,11 +31,11 @@ pub struct CcMotionConfig {
     pub lora: Option<LoraConfig>,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
-    /// The sampler that gradients pass through, in recipes `decoder` and `e2e`.
+    /// The differentiable sampler, in recipes `decoder` and `e2e`.
     pub rollout: RolloutConfig,
     /// The losses on decoded motion, in recipes `decoder` and `e2e`.
     pub loss: LossConfig,
-    /// What an evaluation draws.
+    /// The evaluation.
     pub evaluation: EvaluationConfig,
 }
 
@@ -49,7 +49,7 @@ impl SystemTables for CcMotionConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum CcMotionNetwork {
-    /// A UNet under audio.
+    /// The audio-conditioned UNet.
     Unet1d(UNet1dConfig),
 }
 
@@ -59,16 +59,16 @@ impl Default for CcMotionNetwork {
     }
 }
 
-/// The table `init`: what a fine-tuning starts from.
+/// The table `init`: the initial checkpoints of fine-tuning.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitConfig {
-    /// Run or checkpoint of the diffusion model; its averaged weights are taken, and its network,
-    /// process and statistics. Empty in recipe `e2e`: one is trained first.
+    /// Run or checkpoint of the diffusion model, whose EMA weights, network, process and statistics
+    /// are used. If empty in recipe `e2e`, one is trained first.
     pub diffusion: PathBuf,
-    /// Run or checkpoint that holds a decoder made on that base. Empty: a fresh one.
+    /// Run or checkpoint with a decoder for that base model; if empty, a new one is initialised.
     pub decoder: PathBuf,
-    /// The training of what is missing.
+    /// Training of missing initial checkpoints.
     pub pretrain: PretrainConfig,
 }
 
@@ -81,7 +81,7 @@ pub struct PretrainConfig {
     pub diffusion_steps: u64,
     /// Their learning rate.
     pub diffusion_learning_rate: f64,
-    /// Steps of recipe `decoder`; 0 leaves the decoder fresh.
+    /// Steps of recipe `decoder`; 0 leaves the decoder untrained.
     pub decoder_steps: u64,
     /// Their learning rate.
     pub decoder_learning_rate: f64,
@@ -98,13 +98,13 @@ impl Default for PretrainConfig {
     }
 }
 
-/// What a rollout keeps for its backward pass.
+/// What a rollout stores for its backward pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutMode {
     /// One graph over all steps: memory grows with them.
     Full,
-    /// The states alone; each step is recomputed in the backward pass. Same gradients.
+    /// The states only; each step is recomputed in the backward pass. Same gradients.
     #[default]
     Checkpointed,
     /// A graph over the last `rollout.last_k` steps: a truncated gradient.
@@ -115,16 +115,16 @@ pub enum RolloutMode {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutStart {
-    /// The batch's motion, noised to the start timestep. Below the last timesteps it shares
-    /// something with its ground truth, so that reconstruction has a meaning.
+    /// The batch's motion, noised to the start timestep. Except at the last timesteps it contains
+    /// signal of its ground truth, so a reconstruction loss is meaningful.
     #[default]
     Motion,
-    /// Pure noise at the last timestep (CC-MotionGen): reconstruction, where it counts, then pulls
-    /// towards the mean motion.
+    /// Pure noise at the last timestep (CC-MotionGen): a reconstruction loss then pulls samples towards
+    /// the mean motion.
     Noise,
 }
 
-/// The table `rollout`: the sampler that gradients pass through.
+/// The table `rollout`: the differentiable sampler.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RolloutConfig {
@@ -238,13 +238,13 @@ impl Default for LossConfig {
     }
 }
 
-/// The table `evaluation`: what `kinegrad eval` draws and measures.
+/// The table `evaluation`: the settings of `kinegrad eval`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluationConfig {
     /// Samples for each held-out phrase; two tell how much they differ.
     pub seeds: usize,
-    /// Draw for the first so many held-out phrases; without this key for all of them.
+    /// Number of held-out phrases to use; all of them by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phrases: Option<usize>,
     /// The audio condition.

@@ -53,7 +53,7 @@ pub(super) fn sample(
     Ok(None)
 }
 
-/// Draws one sample for each of the first `count` held-out phrases, or of those trained on where none
+/// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
 /// are held out, and checks them.
 fn for_held_out(
     subject: &Subject,

@@ -37,12 +37,12 @@ pub enum Stage {
     Motion,
 }
 
-/// One clip to draw.
+/// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
     /// Position control of the root.
     pub goal: Option<Goal>,
-    /// Pooled text feature, 512 numbers; none draws without a text.
+    /// Pooled text feature, 512 values; unconditional if `None`.
     pub text: Option<Vec<f32>>,
 }
 
@@ -57,7 +57,7 @@ pub struct ClipSample {
     pub path: Option<Vec<[f64; 2]>>,
 }
 
-/// A trained denoiser of clips, ready to draw.
+/// A trained denoiser of clips, ready to generate samples.
 pub struct ClipGenerator {
     plain: TextDenoiser,
     tracked: TextDenoiser,
@@ -72,7 +72,7 @@ struct TrainedParts {
     step: u64,
     statistics: Statistics,
     channels: usize,
-    /// Frames that the network draws at most.
+    /// Maximum number of frames of the network.
     longest: Option<usize>,
 }
 
@@ -121,10 +121,10 @@ impl ClipGenerator {
         self.trained.step
     }
 
-    /// Draws the clips of `requests` as one batch of `frames` frames; `trajectory`, where there is
-    /// one, draws their ground paths first. Clip i depends on `seed`, i and its request, and, by
+    /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
+    /// generates their ground paths first. Clip i depends on `seed`, i and its request, and, by
     /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
-    /// told the stage and its steps done and in all.
+    /// called with the stage and its steps done and in total.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
@@ -193,10 +193,10 @@ impl ClipGenerator {
             true => Ok(()),
             false => Err(Error::usage(
                 format!(
-                    "`{}` cannot draw paths for `{}`",
+                    "`{}` cannot generate paths for `{}`",
                     other.run.name, own.run.name
                 ),
-                "the first is to be a run of recipe `gmd_trajectory`, the second one of \
+                "the first must be a run of recipe `gmd_trajectory`, the second one of \
                  `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
             )),
         }

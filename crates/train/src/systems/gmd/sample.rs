@@ -47,7 +47,7 @@ pub(super) fn sample(
         .map(|path| read_goal(path))
         .collect::<Result<_, _>>()?;
     if goals.is_empty() && conditions.trajectory.is_some() {
-        let hint = "the first stage draws the path to a goal: give `--goal GOAL.toml` too";
+        let hint = "the first stage generates a path for a goal: pass `--goal GOAL.toml` too";
         return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
     }
     if let (Some(_), Some(goal)) = (request.frames, goals.first()) {

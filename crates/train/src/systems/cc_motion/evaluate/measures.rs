@@ -22,7 +22,7 @@ pub struct Measures {
     pub diversity: Option<f64>,
     /// The same for two samples of one phrase. Needs two seeds.
     pub same_phrase_diversity: Option<f64>,
-    /// Fréchet distance to the held-out phrases that were drawn for. Needs two of each.
+    /// Fréchet distance to the held-out phrases that were used. Needs two of each.
     pub frechet_held_out: Option<f64>,
     /// Fréchet distance to the training phrases. Needs two of each.
     pub frechet_training: Option<f64>,

@@ -34,7 +34,7 @@ pub enum CondSource {
     Noise,
 }
 
-/// How an evaluation draws its samples.
+/// Settings of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EvaluationSettings {
     /// Samples for each phrase.
@@ -55,9 +55,9 @@ pub struct Evaluation {
     pub run: String,
     /// Step of its checkpoint.
     pub step: u64,
-    /// Held-out phrases drawn for.
+    /// Number of held-out phrases.
     pub phrases: usize,
-    /// How the samples were drawn.
+    /// The settings.
     #[serde(flatten)]
     pub settings: EvaluationSettings,
     /// The samples after post-processing.
@@ -74,7 +74,7 @@ pub fn phrase_seed(seed: u64, id: &str) -> u64 {
     Key::new(seed, Purpose::PhraseSeed).named(id).seed()
 }
 
-/// Draws `settings.seeds` samples for each of the `held_out` phrases and measures them against
+/// Generates `settings.seeds` samples for each of the `held_out` phrases and compares them with
 /// the held-out and the `training` phrases. Sample k of a phrase depends on the seed, the
 /// phrase's id and k alone: the same as from `kinegrad sample`. `on_step` is called with the
 /// denoising steps done and in all.

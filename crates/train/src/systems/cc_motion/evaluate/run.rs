@@ -11,7 +11,7 @@ use crate::sampling::Subject;
 use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::Generator;
 
-/// An evaluation that draws for the held-out phrases and measures.
+/// An evaluation on the held-out phrases.
 ///
 /// # Errors
 /// If the request does not apply, or nothing is held out.

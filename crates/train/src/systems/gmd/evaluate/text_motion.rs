@@ -30,7 +30,7 @@ pub struct TextMotion {
 /// How generated and real motion match their captions.
 #[derive(Clone, Debug, Serialize)]
 pub struct TextMotionReports {
-    /// The drawn clips.
+    /// The generated clips.
     pub drawn: TextMotionReport,
     /// The held-out clips.
     pub real: TextMotionReport,
@@ -176,7 +176,7 @@ impl TextMotion {
         )
     }
 
-    /// Measures drawn clips, one for each of the `real` ones, by the first caption of each.
+    /// Evaluates generated clips, one for each of the `real` ones, with the first caption of each.
     ///
     /// # Errors
     /// If features are of another layout than the evaluator's.

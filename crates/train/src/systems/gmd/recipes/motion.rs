@@ -19,7 +19,7 @@ use super::loss::clip_loss;
 use crate::denoising::{Draws, HeldOut, Inputs};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
-/// Channels that a trajectory scale is about: root rotation, x, z and height.
+/// Channels that the trajectory scale applies to: root rotation, x, z and height.
 pub const TRAJECTORY_CHANNELS: usize = 4;
 
 /// Trains a [`TextDenoiser`] on whole motion.
