@@ -111,7 +111,7 @@ pub enum RolloutMode {
     LastK,
 }
 
-/// What a rollout starts from.
+/// The start of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutStart {
@@ -130,7 +130,7 @@ pub enum RolloutStart {
 pub struct RolloutConfig {
     /// DDIM steps K.
     pub steps: usize,
-    /// What is kept for the backward pass.
+    /// What is stored for the backward pass.
     pub mode: RolloutMode,
     /// Steps with a graph in mode `last_k`.
     pub last_k: usize,
@@ -140,13 +140,13 @@ pub struct RolloutConfig {
     /// them. Values beyond the
     /// last timestep mean the last.
     pub start_timesteps: [usize; 2],
-    /// What the predicted clean motion is clipped to.
+    /// Clipping of the predicted clean motion.
     pub clip: Clip,
-    /// Whether gradients pass a clip as if it were not there.
+    /// Whether clipping has a straight-through gradient.
     pub straight_through: bool,
-    /// Factor on the gradient that a step hands to the one before it.
+    /// Factor of the gradient passed from each step to the previous one.
     pub gradient_decay: f64,
-    /// Weight of the condition, 1 as trained.
+    /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
 }
 
@@ -177,14 +177,14 @@ impl RolloutConfig {
     }
 }
 
-/// How much each sample's reconstruction counts.
+/// Weighting of the reconstruction loss of each sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReconstructionWeighting {
-    /// By `abar` of its start timestep: the share of the ground truth in the start state.
+    /// By `abar` of its start timestep, the signal in the start state.
     #[default]
     Signal,
-    /// All alike (CC-MotionGen).
+    /// Uniform (CC-MotionGen).
     Uniform,
 }
 
@@ -198,9 +198,9 @@ pub struct LossConfig {
     pub w_dec: f64,
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
-    /// Weight of the reconstruction of all components, in units of their deviations. CC-MotionGen
-    /// has none: a phase that stands still, or a constant orientation, then costs next to nothing
-    /// and is what the temporal terms like best.
+    /// Weight of the reconstruction of all components, in units of their standard deviations.
+    /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase and a
+    /// constant orientation.
     pub w_components: f64,
     /// How much each sample's reconstruction counts.
     pub reconstruction_weighting: ReconstructionWeighting,
@@ -242,7 +242,7 @@ impl Default for LossConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluationConfig {
-    /// Samples for each held-out phrase; two tell how much they differ.
+    /// Samples per held-out phrase; at least two are needed for same-phrase diversity.
     pub seeds: usize,
     /// Number of held-out phrases to use; all of them by default.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -261,10 +261,10 @@ impl Default for EvaluationConfig {
     }
 }
 
-/// Rejects what this system cannot work with.
+/// Validates the tables of this system.
 ///
 /// # Errors
-/// Names the first key with a bad value.
+/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = CcMotionConfig::of(config)?;
     let recipe = &config.train.recipe;
