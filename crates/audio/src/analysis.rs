@@ -1,4 +1,4 @@
-//! Every tensor between the samples and the features.
+//! Intermediate tensors between the samples and the features.
 
 use crate::onset::{self, OnsetStrength};
 use crate::{

@@ -1,4 +1,4 @@
-//! What can be wrong with an audio file or its samples.
+//! Errors about an audio file or its samples.
 
 use miette::Diagnostic;
 use thiserror::Error;

@@ -1,4 +1,4 @@
-//! Calling libraries that panic on forged input.
+//! Calling libraries that may panic on malformed input.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::sync::Once;

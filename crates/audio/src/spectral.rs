@@ -1,5 +1,5 @@
-//! What is read from the shared short-time Fourier transform: both mel spectrograms and the
-//! spectral centroid.
+//! Features from the shared short-time Fourier transform: both mel spectrograms and the spectral
+//! centroid.
 
 use rayon::prelude::*;
 

@@ -1,4 +1,4 @@
-//! How far the music is from concert pitch.
+//! Tuning: the deviation from concert pitch.
 //!
 //! Source: librosa 0.11 `estimate_tuning` with 36 bins an octave.
 

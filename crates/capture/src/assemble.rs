@@ -1,4 +1,4 @@
-//! Laying pieces of takes on a music time line.
+//! Placing segments of takes on the timeline of a song.
 
 use std::ops::Range;
 

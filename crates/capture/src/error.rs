@@ -1,4 +1,4 @@
-//! What can be wrong with capture files, marker sets and plans.
+//! Errors about capture files, marker sets and plans.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -8,7 +8,7 @@ use kinegrad_settings::{InvalidSetting, Refused};
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// An error about recorded motion or about how it shall be used.
+/// An error about motion capture or a plan.
 #[derive(Debug, Diagnostic, Error)]
 pub enum Error {
     /// A capture file breaks its format.
@@ -41,7 +41,7 @@ pub enum Error {
         available: String,
     },
 
-    /// A BVH file lacks the joint that shall be the root.
+    /// A BVH file has no joint of the name given for the root.
     #[error("`{file}` has no joint `{joint}`")]
     #[diagnostic(help("its joints are: {available}"))]
     MissingJoint {

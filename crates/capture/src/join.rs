@@ -1,4 +1,4 @@
-//! Joining what was captured apart: the root goes on where it was.
+//! Joining separately captured segments so that the root is continuous.
 //!
 //! Where two frames in a row are not neighbours in the capture, everything after is turned about
 //! the vertical so that the heading stays, and moved so that the place goes on with the last

@@ -1,4 +1,4 @@
-//! Recorded motion: from motion-capture files to phrases of 25 channels, and to datasets of them.
+//! Motion capture: from capture files to phrases of 25 channels, and to datasets of them.
 //!
 //! A capture file ([`Bvh`], [`C3d`]) becomes a [`RootSource`], the place and orientation of the
 //! pelvis at any moment of the take. [`Segment`]s of takes are laid on a music time line

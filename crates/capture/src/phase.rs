@@ -1,4 +1,4 @@
-//! Where in the bar the music is.
+//! The musical phase: position in the bar.
 
 use serde::{Deserialize, Serialize};
 

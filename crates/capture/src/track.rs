@@ -1,4 +1,4 @@
-//! The way of a root through time, and how to read it between its frames.
+//! The root track over time and its interpolation.
 
 use std::ops::RangeInclusive;
 

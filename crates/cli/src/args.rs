@@ -1,4 +1,4 @@
-//! The command line: what can be asked, nothing of how it is done.
+//! Command-line arguments, parsed with clap. The commands themselves are in `commands`.
 
 use std::path::PathBuf;
 
@@ -15,10 +15,10 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 #[command(version, arg_required_else_help = true, max_term_width = 100)]
 #[command(after_help = "\
 Exit codes:
-  0    done
-  1    a check or the run failed
-  2    bad input: arguments, config, data, checkpoint, a run in use
-  130  stopped by Ctrl-C, after writing a checkpoint")]
+  0    success
+  1    a check failed, or the run failed
+  2    invalid input: arguments, config, data, checkpoint, or a run that is in use
+  130  interrupted by Ctrl-C, after writing a checkpoint")]
 pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
@@ -26,35 +26,35 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Train a model from a config file, or continue a run
+    /// Train a model from a config file, or resume a run
     Train(TrainArguments),
-    /// Draw motion from a trained model
+    /// Generate motion with a trained model
     Sample(SampleArguments),
-    /// Make a run of published PyTorch weights
+    /// Convert published PyTorch weights to a run
     Import(ImportArguments),
-    /// Add the low-rank adapters of a fine-tuned model to its weights
+    /// Merge the LoRA adapters of a fine-tuned model into its weights
     Merge(MergeArguments),
     /// Check motion files for physical sanity
     Check(CheckArguments),
-    /// Measure trained models on held-out phrases, side by side
+    /// Evaluate trained models on held-out data, side by side
     Eval(EvalArguments),
-    /// Draw a motion file, or the loss curves of a run
+    /// Plot a motion file, or the loss curves of a run
     Plot(PlotArguments),
-    /// Make and look at datasets
+    /// Create and inspect datasets
     #[command(subcommand)]
     Data(DataCommand),
-    /// Hear what is in songs
+    /// Extract audio features from songs
     #[command(subcommand)]
     Audio(AudioCommand),
-    /// Look at configs
+    /// Inspect configs
     #[command(subcommand)]
     Config(ConfigCommand),
-    /// List the devices this build can run on
+    /// List the devices that this build supports
     Devices,
 }
 
-/// The run goes to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
-/// checkpoints. Ctrl-C writes a checkpoint before it stops; `--resume` continues bit for bit.
+/// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
+/// checkpoints. Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -64,32 +64,32 @@ Examples:
 pub struct TrainArguments {
     /// The config file
     pub config: PathBuf,
-    /// Override a key of the config, for example optim.learning_rate=2e-4
+    /// Override a config key, for example optim.learning_rate=2e-4
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
     /// Name of the run [default: `run.name`, else the config file's name]
     #[arg(long)]
     pub name: Option<String>,
-    /// Folder that holds the runs
+    /// Folder that contains the runs
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs_dir: PathBuf,
     /// Device to train on, see `kinegrad devices` [default: `run.device`]
     #[arg(long)]
     pub device: Option<String>,
-    /// Continue the run from its newest good checkpoint
+    /// Resume the run from its latest valid checkpoint
     #[arg(long)]
     pub resume: bool,
 }
 
-/// Writes PATH.npy (post-processed) and PATH.raw.npy (as the model drew it), both `[T, 25]`
-/// float32 in the dataset's layout and units; with several samples PATH-000.npy and so on. The
-/// condition is a phrase of a dataset, a features.npz, a song, or by default the first held-out
-/// phrase of the run's own dataset. Sampler settings default to those of the run's config.
+/// Phrase models write PATH.npy (post-processed) and PATH.raw.npy (the raw model output), both
+/// `[T, 25]` float32 in the dataset's layout and units; with several samples PATH-000.npy and so
+/// on. The audio condition is a phrase of a dataset, a features.npz, a song, or by default the
+/// first held-out phrase of the run's own dataset. Sampler settings default to the run's config.
 ///
-/// A run of recipe `gmd_motion` gives joints `[T, J, 3]` in metres as PATH.npy, the features as
-/// PATH.features.npy, PATH.bvh in centimetres, and the path of a trajectory run as PATH.path.npy;
-/// one of recipe `gmd_trajectory` the ground path
-/// `[T, 2]`.
+/// Runs of recipe `gmd_motion` write joint positions `[T, J, 3]` in metres to PATH.npy, joint
+/// features to PATH.features.npy and a BVH file in centimetres to PATH.bvh; with
+/// `--trajectory-run`, also the generated ground path to PATH.path.npy. Runs of recipe
+/// `gmd_trajectory` write the ground path `[T, 2]` to PATH.npy.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -100,26 +100,27 @@ Examples:
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --out dance
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
 pub struct SampleArguments {
-    /// Folder of a run (its best checkpoint is taken) or of a checkpoint
+    /// Folder of a run (its best checkpoint is used) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
     pub run: PathBuf,
-    /// Where to write; `.npy` is added
+    /// Output path without extension; `.npy` is appended
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
-    /// Dataset that holds the phrase [default: the run's own]
+    /// Dataset that contains the phrase [default: the run's dataset]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
-    /// Phrase whose audio features are the condition; `*` matches any text, and several phrases
-    /// give a file each, PATH-ID.npy
+    /// Phrase whose audio features are the condition; `*` matches any text, and each matching
+    /// phrase is written to PATH-ID.npy
     #[arg(long, value_name = "ID", conflicts_with = "cond")]
     pub phrase: Option<String>,
-    /// Audio features that are the condition
+    /// Audio features to use as the condition
     #[arg(long, value_name = "FEATURES.npz", conflicts_with = "source")]
     pub cond: Option<PathBuf>,
-    /// Song (mp3, wav, flac, ogg) that is the condition; its features are those of the whole song
+    /// Song (mp3, wav, flac, ogg) to use as the condition; features are computed over the whole
+    /// song
     #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "phrase", "cond"])]
     pub audio: Option<PathBuf>,
-    /// Seconds into the song at which the motion begins
+    /// Position in the song, in seconds, at which the motion starts
     #[arg(
         long,
         value_name = "SECONDS",
@@ -127,80 +128,82 @@ pub struct SampleArguments {
         requires = "audio"
     )]
     pub start: f64,
-    /// Where the root shall be when, and what it shall keep out of; several goals are drawn as one
-    /// batch
+    /// Goal for position control: keyframes or a trajectory for the root, and obstacles to avoid;
+    /// several goals are sampled as one batch
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Vec<PathBuf>,
-    /// Run of recipe `gmd_trajectory` that draws the ground path to the goal first
+    /// Run of recipe `gmd_trajectory` that generates the ground path in a first stage
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Text that is the condition: 512 numbers in a file of safetensors, tensor KEY, or row N of it
-    /// with KEY:N
+    /// Text embedding to use as the condition: 512 values in tensor KEY of a safetensors file, or
+    /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
-    /// Frames to draw, at most those of the condition [default: all of them; of a song, and of a
-    /// clip without a goal, as many as the run trained on]
+    /// Frames to generate, at most the length of the condition [default: its full length; for a
+    /// song, or a clip without a goal, the length that the run was trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     #[command(flatten)]
     pub draw: DrawArguments,
-    /// Seed of the noise
+    /// Random seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }
 
-/// How motion is drawn from a trained model.
+/// Sampling options shared by `sample` and `eval`.
 #[derive(Debug, Args)]
 pub struct DrawArguments {
-    /// Override a key of the run's tables `sampling` and `evaluation`, for example
+    /// Override a key of the run's `sampling` or `evaluation` table, for example
     /// sampling.sampler.kind=dpmpp_2m
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Denoising steps [default: the run's]
+    /// Number of denoising steps [default: from the run's config]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
-    /// Classifier-free guidance, 1 is none [default: the run's]
+    /// Classifier-free guidance scale; 1 disables guidance [default: from the run's config]
     #[arg(long, value_name = "SCALE")]
     pub guidance_scale: Option<f64>,
-    /// Draw from the trained weights instead of their moving average
+    /// Use the trained weights instead of their exponential moving average
     #[arg(long)]
     pub no_ema: bool,
-    /// Device to run on [default: the run's]
+    /// Device to run on [default: from the run's config]
     #[arg(long)]
     pub device: Option<String>,
 }
 
-/// Reads a file that `torch.save` wrote: one with `model` and `model_avg`, of which the average is
-/// taken, or a bare state dict. Sizes are read off the shapes. The result is a run with one
-/// checkpoint: to sample, to evaluate, to start a training from (`init.diffusion`).
+/// Reads a file written by `torch.save`: either a bare state dict, or a dict with `model` and
+/// `model_avg`, of which `model_avg` is used. Network sizes are inferred from the tensor shapes.
+/// The result is a run with one checkpoint that can be sampled, evaluated and fine-tuned
+/// (`init.diffusion`).
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
   kinegrad import model000500000.pt --arch gmd_motion --mean Mean_abs_3d.npy --std Std_abs_3d.npy \
 --projection rand_proj.npy --out runs/gmd")]
 pub struct ImportArguments {
-    /// The weights
+    /// The PyTorch file
     #[arg(value_name = "WEIGHTS.pt")]
     pub weights: PathBuf,
-    /// What they are of: gmd_motion or gmd_trajectory
+    /// Model architecture: gmd_motion or gmd_trajectory
     #[arg(long)]
     pub arch: String,
-    /// Mean of the training data, one number a feature: all of them, of a trajectory model too
+    /// Mean of the training data, one value per feature; all features are required, for a
+    /// trajectory model too
     #[arg(long, value_name = "M.npy")]
     pub mean: Option<PathBuf>,
     /// Standard deviation of the training data
     #[arg(long, value_name = "S.npy")]
     pub std: Option<PathBuf>,
-    /// Matrix of the emphasis projection that the model works in
+    /// Emphasis projection matrix that the model was trained with
     #[arg(long, value_name = "P.npy")]
     pub projection: Option<PathBuf>,
-    /// Frames that the network pads every clip to
+    /// Length in frames that the network pads every clip to
     #[arg(long, default_value_t = 224, value_name = "T")]
     pub padded_frames: usize,
-    /// Take `model`, the weights of the last step, instead of `model_avg`
+    /// Use `model`, the weights of the last step, instead of `model_avg`
     #[arg(long)]
     pub last: bool,
     /// Folder to write; a new or an empty one
@@ -208,14 +211,14 @@ pub struct ImportArguments {
     pub out: PathBuf,
 }
 
-/// The result is a run with one checkpoint of plain weights: to sample, to evaluate, to start
-/// another training from.
+/// The result is a run with one checkpoint of plain weights that can be sampled, evaluated and
+/// fine-tuned.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
   kinegrad merge runs/e2e-lora --out runs/e2e-merged")]
 pub struct MergeArguments {
-    /// Folder of a run (its best checkpoint is taken) or of a checkpoint
+    /// Folder of a run (its best checkpoint is used) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
     pub run: PathBuf,
     /// Folder to write; a new or an empty one
@@ -223,8 +226,10 @@ pub struct MergeArguments {
     pub out: PathBuf,
 }
 
-/// PATH is a motion file, or a folder whose motion files are all checked. The `strict` profile
-/// needs the training phrases' statistics: give the run (`--run`) or the dataset (`--source`).
+/// PATH is a motion file, or a folder that is searched for motion files. The representation is
+/// recognised from the array: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
+/// positions `[T, J, 3]`. The `strict` profile compares with statistics of training motion: pass
+/// the run (`--run`) or the dataset (`--source`).
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -232,17 +237,17 @@ Examples:
   kinegrad check runs/quickstart/samples --profile strict --run runs/quickstart
   kinegrad check dance.npy --json")]
 pub struct CheckArguments {
-    /// Motion files (.npy, [T, 25]) or folders of them
+    /// Motion files (.npy), or folders of them
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// Which checks: `document`, CC-MotionGen's five on means over all frames, or `strict`, on every
-    /// frame with bounds from the training phrases
+    /// Which checks to run: `document`, for phrases CC-MotionGen's five checks on means over all
+    /// frames, or `strict`, with bounds from training motion, for phrases on every frame
     #[arg(long, value_parser = named::<Profile>, default_value = "document")]
     pub profile: Profile,
     /// Run or checkpoint whose training statistics `strict` uses
     #[arg(long, value_name = "RUN", conflicts_with = "source")]
     pub run: Option<PathBuf>,
-    /// Dataset whose phrases' statistics `strict` uses, all of them
+    /// Dataset whose statistics `strict` uses
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
     /// Print JSON
@@ -250,13 +255,15 @@ pub struct CheckArguments {
     pub json: bool,
 }
 
-/// Draws samples for the held-out phrases of each run's dataset and prints their metrics beside
-/// those of the real phrases; docs/evaluation.md defines them. What is drawn, and how, say the tables
-/// `evaluation` and `sampling` of each run's config, or `--set`. Writes eval.json and eval.csv, with
-/// evaluation.cond=noise eval-noise.json and eval-noise.csv.
+/// Generates samples for the held-out phrases of each run's dataset and prints their metrics next
+/// to those of the real phrases; docs/evaluation.md defines the metrics. The `evaluation` and
+/// `sampling` tables of each run's config set what is sampled and how; override them with `--set`.
+/// Writes eval.json and eval.csv, or eval-noise.json and eval-noise.csv with
+/// evaluation.cond=noise.
 ///
-/// A run of recipe `gmd_motion` or `gmd_trajectory` is led to goals on the way of held-out clips,
-/// and measured by how near it comes; the reports are eval-goals.json and eval-goals.csv.
+/// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on position control: goals are
+/// taken from held-out clips, and the distance to them is measured. The reports are
+/// eval-goals.json and eval-goals.csv.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -265,58 +272,59 @@ Examples:
   kinegrad eval runs/phrases --set evaluation.cond=noise --json
   kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
 pub struct EvalArguments {
-    /// Folders of runs (the best checkpoint of each is taken) or of checkpoints
+    /// Folders of runs (the best checkpoint of each is used) or of checkpoints
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
-    /// Run of recipe `gmd_trajectory` that draws the ground paths to the goals first
+    /// Run of recipe `gmd_trajectory` that generates the ground paths in a first stage
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
     #[command(flatten)]
     pub draw: DrawArguments,
-    /// Seed of the noise
+    /// Random seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Dataset with the held-out motion, split as the run's config says [default: the run's own]
+    /// Dataset with the held-out motion, split as in the run's config [default: the run's dataset]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Folder to write to [default: RUN/reports, for each run its own]
+    /// Output folder [default: RUN/reports of each run]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
 
-/// A motion file is drawn as its path from above, all channels over time, quaternion norm and
-/// jerk; a run as its loss curves.
+/// Motion files are plotted as the root path from above and curves over time: all channels,
+/// quaternion norm and jerk of phrases `[T, 25]`; root, feet and jerk of joint features `[T, 263]`
+/// or `[T, 251]` and of joint positions `[T, J, 3]`. Runs are plotted as loss curves.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad plot dance.npy --out dance.svg
   kinegrad plot runs/quickstart --out losses.svg")]
 pub struct PlotArguments {
-    /// A motion file (.npy, [T, 25]) or the folder of a run
+    /// Motion file (.npy) or folder of a run
     #[arg(value_name = "MOTION.npy|RUN")]
     pub input: PathBuf,
-    /// The picture to write
+    /// Image to write
     #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub out: PathBuf,
 }
 
 #[derive(Debug, Subcommand)]
 pub enum DataCommand {
-    /// Make a dataset of synthetic phrases: smooth motion driven by a beat that its audio
-    /// features carry; or of synthetic walks in the layout of HumanML3D
+    /// Create a synthetic dataset: phrases with smooth motion that follows the beat of their audio
+    /// features, or walks in the HumanML3D layout
     Synth(SynthArguments),
-    /// Make a dataset from motion captures and songs, as a plan says
+    /// Create a phrase dataset from motion captures and songs, following a plan
     Prepare(PrepareArguments),
-    /// Count and measure a dataset, and list the problems found
+    /// Summarise a dataset and list problems
     Inspect(InspectArguments),
 }
 
-/// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts phrases and writes
-/// them with a manifest into a folder or bucket; docs/dataset.md describes plans. Stopped, it goes
-/// on with what is left when it is run again. Exit code 1 if nothing could be made of a take.
+/// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts them into phrases
+/// and writes these with a manifest to a folder or bucket; docs/dataset.md describes plans. An
+/// interrupted run continues where it stopped when it is run again. Exits with 1 if a take failed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -325,13 +333,13 @@ pub struct PrepareArguments {
     /// The plan
     #[arg(value_name = "PLAN.toml")]
     pub plan: PathBuf,
-    /// Where to write: a folder, gs:// or s3:// [default: the plan's `output`]
+    /// Output folder, gs:// or s3:// URI [default: the plan's `output`]
     #[arg(long, value_name = "URI")]
     pub out: Option<String>,
-    /// Make every take again, whatever has been made before
+    /// Process every take again, even if it is up to date
     #[arg(long)]
     pub again: bool,
-    /// Remove phrases of takes that the plan no longer has
+    /// Remove phrases of takes that are no longer in the plan
     #[arg(long)]
     pub prune: bool,
     /// Print JSON
@@ -341,12 +349,12 @@ pub struct PrepareArguments {
 
 #[derive(Debug, Subcommand)]
 pub enum AudioCommand {
-    /// Write the audio features of songs, as the dataset stores them
+    /// Compute the audio features of songs, in the format of a dataset
     Features(FeaturesArguments),
 }
 
 /// Writes DIR/NAME/features.npz for each song: mel, chroma, mfcc, rms, spectral_centroid and
-/// onset_strength at 30 frames per second, and beside them tempo and beat_times.
+/// onset_strength at 30 frames per second, plus tempo and beat_times.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -355,10 +363,10 @@ pub struct FeaturesArguments {
     /// Songs (mp3, wav, flac, ogg)
     #[arg(required = true, value_name = "SONG")]
     pub songs: Vec<PathBuf>,
-    /// Folder to write to
+    /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Draw them as well, with the beats, into DIR/NAME/features.png
+    /// Also plot features and beats to DIR/NAME/features.png
     #[arg(long)]
     pub plot: bool,
 }
@@ -368,19 +376,19 @@ pub struct FeaturesArguments {
 Example:
   kinegrad data synth --out phrases --phrases 64 --frames 120 --seed 0")]
 pub struct SynthArguments {
-    /// Folder to write; it must not exist or be empty
+    /// Output folder; it must not exist or be empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write walks in the layout of HumanML3D instead of phrases
+    /// Create walks in the HumanML3D layout instead of phrases
     #[arg(long)]
     pub walks: bool,
     /// Number of phrases or walks
     #[arg(long, default_value_t = 64, value_name = "N")]
     pub phrases: usize,
-    /// Frames of each: 30 a second of a phrase, 20 of a walk
+    /// Frames of each phrase (30 per second) or walk (20 per second)
     #[arg(long, default_value_t = 120, value_name = "T")]
     pub frames: usize,
-    /// Seed
+    /// Random seed
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }
@@ -391,21 +399,21 @@ Examples:
   kinegrad data inspect phrases
   kinegrad data inspect gs://bucket/dances --where 'tempo > 100 and split = train' --plot tempo.png")]
 pub struct InspectArguments {
-    /// The dataset: a folder, file://, gs://, s3://, http:// or https:// URI; endpoint and
-    /// credentials come from the environment
+    /// The dataset: a folder, or a file://, gs://, s3://, http:// or https:// URI; endpoint and
+    /// credentials are read from the environment
     #[arg(value_name = "URI")]
     pub source: String,
-    /// List the phrases of the manifest that meet a condition on its columns, as `tempo > 100` or
-    /// `split = train and not flags like *no_audio*`, without reading them
+    /// List the phrases of the manifest that match a condition on its columns, such as
+    /// `tempo > 100` or `split = train and not flags like *no_audio*`, without reading the phrases
     #[arg(long = "where", value_name = "CONDITION")]
     pub condition: Option<String>,
-    /// Draw tempo, length and beats of the manifest's phrases, of those that meet the condition
+    /// Plot tempo, length and beats of the manifest's phrases that match the condition
     #[arg(long, value_name = "FILE.png|FILE.svg")]
     pub plot: Option<PathBuf>,
-    /// The dataset is one in the layout of HumanML3D
+    /// Read the dataset as clips in the HumanML3D layout
     #[arg(long, conflicts_with_all = ["condition", "plot"])]
     pub humanml3d: bool,
-    /// Whose joints it has: humanml3d or kit
+    /// Skeleton of the clips: humanml3d or kit
     #[arg(long, value_parser = named::<SkeletonName>, default_value = "humanml3d", requires = "humanml3d")]
     pub skeleton: SkeletonName,
     /// Print JSON
@@ -415,7 +423,7 @@ pub struct InspectArguments {
 
 #[derive(Debug, Subcommand)]
 pub enum ConfigCommand {
-    /// Print a config with every default filled in, and the model's number of parameters
+    /// Print a config with all defaults filled in, and the number of model parameters
     Show(ShowArguments),
 }
 
@@ -431,7 +439,7 @@ pub struct ShowArguments {
     pub overrides: Vec<String>,
 }
 
-/// Options that `kinegrad eval` had, and the keys that say the same.
+/// Former options of `kinegrad eval` and the config keys that replace them.
 const REPLACED: [(&str, &str); 10] = [
     ("--seeds", "seeds=N"),
     ("--phrases", "phrases=N"),
@@ -445,7 +453,7 @@ const REPLACED: [(&str, &str); 10] = [
     ("--word-vectors", "evaluator.word_vectors=FILE"),
 ];
 
-/// What to say of an option that has become a key of the config.
+/// The error for an option that a config key has replaced.
 pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
     let found = error.get(ContextKind::InvalidArg);
     let (ErrorKind::UnknownArgument, "eval", Some(ContextValue::String(found))) =
@@ -454,14 +462,14 @@ pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
         return None;
     };
     let (option, key) = REPLACED.iter().find(|(option, _)| option == found)?;
-    let message = format!("`{option}` is no option any more: it is a key of the config");
+    let message = format!("`{option}` has been replaced by a config key");
     Some(Error::usage(
         message,
         format!("use `--set evaluation.{key}`"),
     ))
 }
 
-/// A choice of the config by its name there.
+/// Parses a config enum by its serde name.
 fn named<T: DeserializeOwned>(name: &str) -> Result<T, ValueError> {
     T::deserialize(name.into_deserializer())
 }

@@ -1,6 +1,6 @@
-//! The command line of kinegrad, for any list of systems.
+//! The `kinegrad` command line, for any list of systems.
 //!
-//! A program with systems of its own has all commands for them:
+//! A program with its own systems gets all commands for them:
 //!
 //! ```no_run
 //! use kinegrad_train::systems::{BUILT_IN, System, Systems};
@@ -32,7 +32,7 @@ use kinegrad_train::systems::Systems;
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand};
 
-/// Does what the command line says, with these systems, and returns the exit code.
+/// Parses and runs a command line with the given systems, and returns the exit code.
 pub fn run(
     systems: Systems<'_>,
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,

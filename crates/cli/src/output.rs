@@ -1,4 +1,4 @@
-//! How results and errors reach the user.
+//! Output of results and errors.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
@@ -52,7 +52,7 @@ pub fn failure(error: &Error) {
     }
 }
 
-/// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
+/// Plots the panels to `out`, `columns` side by side, each of `size` pixels.
 pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Error> {
     kinegrad_report::draw(panels, columns, size, out).map_err(unusable)
 }

@@ -1,4 +1,4 @@
-//! How training shows itself: a bar on a terminal, lines elsewhere.
+//! Progress of training: a bar on a terminal, lines elsewhere.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,4 +1,4 @@
-//! Writing a file whole or not at all.
+//! Atomic file writes.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};

@@ -1,4 +1,4 @@
-//! From a phrase to a training sample: which window of it, and how it is changed.
+//! Training samples of phrases: cropping and augmentation.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -19,7 +19,7 @@ const FLIP: u64 = 4;
 const AUDIO_MASKS: u64 = 5;
 const AUDIO_REPLACE: u64 = 6;
 
-/// Makes training samples. Sample n of a seed is the same whoever makes it, and whenever.
+/// Creates training samples. Sample n is a function of the seed and n alone.
 #[derive(Clone, Debug)]
 pub(crate) struct Sampler {
     seed: u64,

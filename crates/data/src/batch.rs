@@ -1,4 +1,4 @@
-//! A batch: normalised motion, what it is conditioned on and a mask, as flat host arrays.
+//! A batch: normalised motion, conditions and a mask, as flat host arrays.
 
 use std::ops::Range;
 

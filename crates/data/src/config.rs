@@ -16,23 +16,24 @@ pub const MIN_FRAMES: usize = 4;
 /// The frames that a sample may have.
 const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 
-/// Where the phrases come from and how batches are made of them. What is said of phrases holds for
-/// [clips](crate::humanml) as well, where nothing else is said.
+/// The dataset and its loading. What is said of phrases also applies to [clips](crate::humanml), unless
+/// stated otherwise.
 ///
 /// Defaults follow CC-MotionGen, sections 6.1 and 6.3 (120 frames, batches of 32, four workers).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
-    /// Phrases from files, or made up.
+    /// Kind of the dataset.
     pub kind: DataKind,
-    /// Where the dataset lies: a folder as a path or `file://` URI, a bucket as `gs://BUCKET/PREFIX`
+    /// Location of the dataset: a folder as a path or `file://` URI, a bucket as `gs://BUCKET/PREFIX`
     /// or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`. Needed for
     /// `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Frames of a sample (30 a second; 20 in HumanML3D, where 196 are usual). Longer phrases are cropped, shorter ones padded and masked.
+    /// Frames of a sample (30 per second; 20 in HumanML3D, where 196 is common). Longer phrases are
+    /// cropped, shorter ones padded and masked.
     pub target_frames: usize,
-    /// Which part of a longer phrase a sample takes.
+    /// Cropping of longer phrases.
     pub crop: Crop,
     /// Joins training phrases of one recording that follow each other, which are known by ids of
     /// the form `NAME_FIRSTFRAME`, so that random crops may begin anywhere up to half a phrase
@@ -40,22 +41,22 @@ pub struct DataConfig {
     pub join_neighbours: bool,
     /// Samples in a batch; may exceed the number of phrases.
     pub batch_size: usize,
-    /// Threads that prepare batches ahead; 0 prepares each when it is asked for, on all cores.
+    /// Threads that prefetch batches; with 0 each batch is prepared on demand, on all cores.
     pub num_workers: usize,
-    /// Whether a phrase that cannot be used ends the run.
+    /// What to do with unusable phrases.
     pub on_bad_phrase: OnBadPhrase,
-    /// Use only the first so many ids, in sorted order.
+    /// Use only this many ids, in sorted order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub num_phrases: Option<usize>,
-    /// Which phrases are held out.
+    /// Held-out phrases.
     pub validation: ValidationSplit,
-    /// Changes made to training samples.
+    /// Data augmentation.
     pub augment: AugmentConfig,
-    /// What is kept of what has been read.
+    /// Caches.
     pub cache: CacheConfig,
-    /// How buckets and web servers are spoken to.
+    /// Access to buckets and web servers.
     pub store: StoreConfig,
-    /// The made-up phrases of `kind = "synthetic"` and walks of `kind = "synthetic_walks"`.
+    /// The phrases of `kind = "synthetic"` and walks of `kind = "synthetic_walks"`.
     pub synthetic: SyntheticConfig,
     /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
     pub humanml3d: Humanml3dConfig,
@@ -104,11 +105,11 @@ impl fmt::Display for DataKind {
     }
 }
 
-/// Which `target_frames` of a longer phrase a training sample takes.
+/// Cropping of longer phrases to `target_frames`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Crop {
-    /// Another random window each time.
+    /// A new random window each time.
     Random,
     /// The first frames (CC-MotionGen, section 6.1).
     Leading,
@@ -118,7 +119,7 @@ pub enum Crop {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnBadPhrase {
-    /// Stop and say what is wrong.
+    /// Stop with an error.
     Error,
     /// Leave it out, and count it in [`Dataset::skipped`](crate::Dataset::skipped).
     Skip,
@@ -142,14 +143,14 @@ pub struct ValidationSplit {
     pub ids_file: Option<String>,
 }
 
-/// What is kept of what has been read. Changes speed and memory, never a batch.
+/// Caches. They change speed and memory, never a batch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CacheConfig {
-    /// Most phrases kept in memory, in MiB; a phrase of 120 frames takes 0.09. The held-out
+    /// Maximum size of phrases in memory, in MiB; a phrase of 120 frames takes 0.09. The held-out
     /// phrases are always kept.
     pub memory_mib: usize,
-    /// Most files of remote datasets kept on disk, in MiB, for all runs together; 0 keeps none.
+    /// Maximum size of remote files on disk, in MiB, for all runs together; 0 disables it.
     pub disk_mib: u64,
     /// The folder they are kept in. By default `kinegrad` in `XDG_CACHE_HOME`, else in `~/.cache`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -177,7 +178,7 @@ impl CacheConfig {
         self.disk_mib << 20
     }
 
-    /// The cache's folder; `None` where the system names no place for one.
+    /// The cache's folder; `None` if the system defines no cache location.
     pub(crate) fn folder(&self) -> Option<PathBuf> {
         if let Some(dir) = &self.dir {
             return Some(PathBuf::from(dir));
@@ -190,20 +191,20 @@ impl CacheConfig {
     }
 }
 
-/// How buckets and web servers are spoken to. Credentials come from the environment.
+/// Access to buckets and web servers. Credentials come from the environment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StoreConfig {
-    /// Base address to use instead of the service's own, for emulators and other providers.
+    /// Base URL to use instead of the service's own, for emulators and other providers.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub endpoint: Option<String>,
     /// Send no credentials: for public buckets and emulators.
     pub anonymous: bool,
-    /// Seconds without a byte after which a request is given up.
+    /// Seconds without data after which a request times out.
     pub timeout_seconds: f64,
-    /// How often a failed request is tried again, after pauses from 0.1 s that double up to 20 s.
+    /// Number of retries of a failed request, with exponential backoff from 0.1 s to 20 s.
     pub max_retries: usize,
-    /// Most requests at a time; so many phrases of a training batch are read at once.
+    /// Maximum number of concurrent requests, and of phrases of a batch that are read in parallel.
     pub concurrency: usize,
 }
 
@@ -223,25 +224,25 @@ impl Default for StoreConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentConfig {
-    /// Turn the motion about the vertical by an angle from [0, 2 pi).
+    /// Rotate the motion about the vertical axis by a random angle from [0, 2 pi).
     pub rotate_yaw: bool,
     /// Mirror the motion left to right in half of the samples.
     pub mirror: bool,
     /// Negate the whole quaternion sequence in half of the samples: q and -q are the same
-    /// orientation, and a recording's choice between them says nothing.
+    /// orientation, and the choice between them is arbitrary.
     pub flip_quaternion: bool,
-    /// Cut a random window of at least so many frames out of the crop; the rest of the sample is
+    /// Cut a random window of at least this many frames out of the crop; the rest of the sample is
     /// padding.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_frames: Option<usize>,
     /// Standard deviation of Gaussian noise added to the audio features.
     pub audio_noise: f64,
-    /// So many stretches of time, each up to a fifth of the sample, and as many bands of adjoining
+    /// Number of time masks, each up to a fifth of the sample, and of masks of adjacent
     /// features, each up to a quarter of them, are set to zero (SpecAugment, Park et al. 2019,
     /// <https://arxiv.org/abs/1904.08779>).
     pub audio_masks: usize,
-    /// With this probability a sample's audio features are standard normal noise instead, so that
-    /// the model learns to dance to what it does not know.
+    /// Probability of replacing a sample's audio features by standard normal noise, for robustness to
+    /// unfamiliar music.
     pub audio_replace_prob: f64,
 }
 
@@ -249,11 +250,11 @@ pub struct AugmentConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SyntheticConfig {
-    /// How many phrases.
+    /// Number of phrases.
     pub phrases: usize,
-    /// Frames of each (30 a second).
+    /// Frames of each (30 per second).
     pub frames: usize,
-    /// Phrases of another seed are other dances to other music.
+    /// Seed of the dances and their music.
     pub seed: u64,
 }
 

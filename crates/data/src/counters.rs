@@ -1,4 +1,4 @@
-//! What reading cost: counts for a run's `loader.jsonl`, never part of its metrics.
+//! Loading statistics for a run's `loader.jsonl`, which are not part of its metrics.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! A dataset: every item read once, checked and put on its side of the split.
+//! A dataset: every item is read once, checked and assigned to a split.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ pub struct Dataset<T: Item> {
     /// Id and reason of each item that is in order and does not belong here: clips that are too
     /// short, too long, or have captions of short passages only.
     pub left_out: Vec<(String, String)>,
-    /// What a user should hear of without the run being stopped: unequal lengths of motion and
+    /// Warnings that do not stop a run: unequal lengths of motion and
     /// audio, unpaired folders, captions that cannot be used, validation patterns that match
     /// nothing.
     pub warnings: Vec<String>,

@@ -1,4 +1,4 @@
-//! What can be wrong with a dataset's settings, its folder and its files.
+//! Errors about a dataset's settings, its folder and its files.
 
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub enum FileError {
         /// What to do.
         hint: &'static str,
     },
-    /// The array has another shape than the layout asks for.
+    /// The array has a shape that does not match the layout.
     #[error("{file}: shape {found} found, {allowed} allowed")]
     #[diagnostic(help(
         "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
@@ -43,7 +43,7 @@ pub enum FileError {
         file: String,
         /// The shape found, as `[a, b]`.
         found: String,
-        /// The shape asked for.
+        /// The expected shape.
         allowed: String,
     },
     /// Something in a file of a HumanML3D dataset is not as its layout asks.
@@ -103,7 +103,7 @@ pub enum Error {
         "build it with `cargo build --release --features full` (or `--features {feature}`)"
     ))]
     Feature {
-        /// What was asked for.
+        /// The requested object.
         what: String,
         /// The Cargo feature.
         feature: &'static str,
@@ -123,7 +123,7 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
-    /// The dataset's folder, or one that the layout asks for, is not there.
+    /// The dataset's folder, or one that the layout requires, is missing.
     #[error("data.source: folder {} not found", path.display())]
     #[diagnostic(help(
         "a dataset holds audio_features/ID/features.npz and motion/ID/trajectory.npy; make one \

@@ -1,4 +1,4 @@
-//! The files of a dataset: a store, with the cache that stands before a remote one.
+//! The files of a dataset: a store, with a cache for remote ones.
 
 use crate::cache::DiskCache;
 use crate::digest::Digest;

@@ -1,4 +1,4 @@
-//! What is in a dataset, and what is wrong with it.
+//! Summary and problems of a dataset.
 
 use std::ops::Range;
 
@@ -15,22 +15,22 @@ use crate::{DataConfig, DataKind, Dataset, Error, OnBadPhrase, Phrase};
 pub struct Inspection {
     /// The dataset's address, or `synthetic` or `synthetic_walks`.
     pub source: String,
-    /// What an item is called: `phrase` or `clip`.
+    /// Kind of the items: `phrase` or `clip`.
     pub kind: &'static str,
-    /// What its rows of numbers are.
+    /// Name of the representation.
     pub representation: String,
     /// Items that are used.
     pub items: usize,
     /// Items that cannot be used.
     pub bad_items: usize,
-    /// Items that are in order and do not belong here: clips that are too short, too long, or have
-    /// captions of short passages only.
+    /// Valid items that are left out: clips that are too short, too long, or have only captions of short
+    /// segments.
     pub left_out: usize,
     /// Items to train on.
     pub train: usize,
     /// Items held out for validation.
     pub validation: usize,
-    /// Frames of all items together.
+    /// Total number of frames.
     pub frames: usize,
     /// Their length in hours.
     pub hours: f64,
@@ -44,13 +44,13 @@ pub struct Inspection {
     pub channels: usize,
     /// Counts of conditions, by name.
     pub counts: Vec<(&'static str, usize)>,
-    /// Each channel of the motion, or group of them taken together, in the dataset's units.
+    /// Summary of each channel of the motion, or group of channels, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
-    /// The numbers of each condition, taken together.
+    /// Summary of each condition.
     pub conditions: Vec<ChannelSummary>,
     /// What is wrong with single items, by id.
     pub problems: Vec<Problem>,
-    /// What is odd about the dataset as a whole.
+    /// Warnings about the dataset as a whole.
     pub warnings: Vec<String>,
 }
 
@@ -132,7 +132,7 @@ impl Contents {
     }
 }
 
-/// Looks at every item of the dataset that `config` describes, whatever `on_bad_phrase` says.
+/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`.
 ///
 /// An item that can be read is held against both profiles of the checks, the strict one with the
 /// statistics of the training items (of all items, where none is left to train on).
@@ -474,7 +474,7 @@ mod tests {
         assert!(
             found.problems[1]
                 .problem
-                .contains("joint rotations are none in frame 0")
+                .contains("joint rotations are invalid in frame 0")
         );
         assert!(found.warnings[0].contains("clip `walk_00002`: too short: 30 frames"));
     }

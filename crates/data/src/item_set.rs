@@ -12,7 +12,7 @@ use crate::library::Library;
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
 const CHUNK: usize = 256;
 
-/// Some of the items of a dataset in the order of their ids, read when they are asked for. A clone
+/// Some of the items of a dataset in the order of their ids, read on demand. A clone
 /// is another handle to the same ones.
 #[derive(Debug)]
 pub struct ItemSet<T> {

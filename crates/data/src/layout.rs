@@ -27,7 +27,7 @@ pub fn features_path(id: &str) -> String {
     format!("{}/{id}/{}", AUDIO_FILE.0, AUDIO_FILE.1)
 }
 
-/// Refuses ids that are no plain name.
+/// Rejects ids that are no plain name.
 ///
 /// # Errors
 /// [`StoreError::Path`].
@@ -43,7 +43,7 @@ pub fn check_id(id: &str) -> Result<(), StoreError> {
     })
 }
 
-/// Refuses paths that are absolute, lead upwards, or are spelt so that another reader could take
+/// Rejects paths that are absolute, lead upwards, or are spelt so that another reader could take
 /// them for something else.
 pub(crate) fn check_path(path: &str) -> Result<(), StoreError> {
     let odd = |part: &str| matches!(part, "" | "." | "..");

@@ -1,4 +1,4 @@
-//! The items of an opened dataset, read when they are asked for.
+//! The items of an open dataset, read on demand.
 //!
 //! Opening a dataset reads every item once and notes the checksums of its files. From then on an
 //! item comes from memory, from the disk cache or from the store again, and in the last two

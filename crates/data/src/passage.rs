@@ -79,7 +79,7 @@ fn reach(frames: usize) -> usize {
     frames / 2
 }
 
-/// A passage for each phrase of a set, made when it is asked for.
+/// A passage for each phrase of a set, created on demand.
 #[derive(Clone, Debug)]
 pub(crate) struct Passages {
     phrases: PhraseSet,

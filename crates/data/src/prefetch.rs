@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// How many finished things may wait for each worker: one being handed out, one in reserve.
 const LOOK_AHEAD_PER_WORKER: u64 = 2;
 
-/// How often a consumer that waits asks whether it shall stop.
+/// How often a waiting consumer checks whether to stop.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);
 
 /// How long dropping waits for workers to end what they are at.

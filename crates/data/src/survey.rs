@@ -14,7 +14,7 @@ use crate::listing::Listed;
 use crate::split::{Side, Split};
 use crate::{Counters, DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Hears how many of how many items have been read; called from several threads.
+/// Progress callback with the number of items read and in total; called from several threads.
 pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
 /// A dataset whose items are known by name.

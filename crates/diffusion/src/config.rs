@@ -70,9 +70,9 @@ pub struct DiffusionConfig {
     pub beta_max: f64,
     /// What the network predicts.
     pub prediction_type: PredictionType,
-    /// How the prediction is compared with its target.
+    /// The distance between the prediction and its target.
     pub loss_type: LossType,
-    /// Cap of the signal-to-noise ratio in the loss weights of
+    /// Cap of the signal-to-noise ratio in the min-SNR loss weights of
     /// [`crate::GaussianDiffusion::loss_weights`] (Hang et al. 2023,
     /// <https://arxiv.org/abs/2303.09556>, who use 5); without it every timestep weighs the same.
     pub snr_gamma: Option<f64>,
@@ -80,8 +80,8 @@ pub struct DiffusionConfig {
     /// <https://arxiv.org/abs/2305.08891>, algorithm 1). Not with `epsilon` prediction. Sample
     /// with `trailing` or `linspace` spacing then: `leading` never visits the last timestep.
     pub rescale_betas_zero_snr: bool,
-    /// Share of the training samples that see the null condition, which is what classifier-free
-    /// guidance needs (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
+    /// Probability of replacing the condition by the null condition in training, for classifier-free
+    /// guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
     pub cond_drop_prob: f64,
 }
 
@@ -103,7 +103,7 @@ impl Default for DiffusionConfig {
     }
 }
 
-/// Tables of more timesteps than this are surely a slip of the pen.
+/// More timesteps than this are rejected as a mistake.
 const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
 
 /// Least share of the motion's variance at the last timestep: below, the factors that undo the
@@ -111,7 +111,7 @@ const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
 const MIN_SIGNAL: f64 = 1e-30;
 
 impl DiffusionConfig {
-    /// Refuses values that no process can work with.
+    /// Rejects values that no process can work with.
     ///
     /// # Errors
     /// Names the first bad key: what it is, what is allowed, how to mend it.

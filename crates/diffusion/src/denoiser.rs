@@ -1,11 +1,11 @@
-//! The seam between a process and a network, and classifier-free guidance across it.
+//! The interface between a diffusion process and a network, and classifier-free guidance.
 
 use burn::tensor::Tensor;
 
 use crate::Time;
 
-/// A network that answers a noisy motion with a prediction. What the prediction stands for is the
-/// process's `prediction_type`; the network does not know.
+/// A network that makes a prediction for a noisy motion. The process's `prediction_type` says what
+/// the prediction is; the network does not depend on it.
 pub trait Denoiser {
     /// The condition, for the whole batch: audio features `[batch, channels, time]`, a text
     /// embedding, or nothing.
@@ -17,8 +17,7 @@ pub trait Denoiser {
     /// - x_t, output: `[batch, channels, time]`
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Self::Cond) -> Tensor<3>;
 
-    /// The condition that stands for none, of the same sizes as `cond`: the one that training
-    /// presents in place of a dropped condition.
+    /// The null condition, of the same shape as `cond`, that training uses for dropped conditions.
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
 }
 
@@ -29,7 +28,7 @@ pub trait Denoiser {
 /// A scale of 1 is the conditional and a scale of 0 the unconditional prediction; both call the
 /// network once, every other scale twice.
 ///
-/// The raw outputs are mixed, whatever they stand for: with `x_t` fixed, noise, clean motion and
+/// The raw outputs are combined for any prediction type: with `x_t` fixed, noise, clean motion and
 /// velocity are affine in each other, and the two factors `1 - scale` and `scale` add up to 1, so
 /// that mixing before or after a conversion is the same. (Not so after clipping.)
 ///

@@ -2,7 +2,7 @@ use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What can be wrong with a process, a sampler or what they are given.
+/// Errors about a process, a sampler or what they are given.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A setting that no process or sampler can work with.

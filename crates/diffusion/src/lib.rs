@@ -1,5 +1,4 @@
-//! The diffusion process: how noise is added to a motion, what a network is trained to predict,
-//! and how a sampler takes the noise away again.
+//! The diffusion process: noise schedules, training targets and samplers.
 //!
 //! ```text
 //! DiffusionConfig --> NoiseSchedule (tables, f64) --> GaussianDiffusion (forward process, targets)
@@ -9,13 +8,13 @@
 //!                           rollout (gradients)        /
 //! ```
 //!
-//! Nothing here knows what a channel means, and no network is named: a network joins by the trait
-//! [`Denoiser`]. There is no hidden randomness either: noise is an argument, or comes from a
+//! The crate is independent of what channels mean and of specific networks: a network implements
+//! [`Denoiser`]. There is no hidden randomness: noise is an argument, or comes from a
 //! [`kinegrad_random::Key`].
 //!
 //! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy. The source
 //! (CC-MotionGen, section 5.3; docs/sources.md, section 1.2) writes 1 to T in its formulas and 0 to
-//! T-1 in its code; the code's reading is meant throughout.
+//! T-1 in its code; the convention of the code is used throughout.
 //!
 //! Symbols of the papers and their names here:
 //!

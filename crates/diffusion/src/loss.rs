@@ -1,4 +1,4 @@
-//! The training loss: a distance per element, and its mean over what is no padding.
+//! The training loss: a distance per element, averaged over all elements that are not padding.
 //!
 //! ```text
 //! d = model_output - target

@@ -1,4 +1,4 @@
-//! The forward process, the training target, and what a network's output says of the motion.
+//! The forward process, the training target, and conversions between prediction types.
 
 use burn::tensor::Tensor;
 use kinegrad_settings::InvalidSetting;
@@ -55,7 +55,7 @@ impl GaussianDiffusion {
         x_start * a + noise * s
     }
 
-    /// What the network should answer to `add_noise(x_start, noise, timesteps)`, by
+    /// The training target of the network for `add_noise(x_start, noise, timesteps)`, by
     /// `config.prediction_type`.
     ///
     /// # Shapes

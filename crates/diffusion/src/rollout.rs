@@ -1,14 +1,14 @@
-//! A sampler that gradients pass through, from the motion back to the start noise and the network
+//! A differentiable sampler, with gradients from the motion back to the start noise and the network
 //! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
-//! A rollout is deterministic DDIM over K timesteps, run in training. Its memory is what
-//! [`RolloutMode`] chooses between: one graph over all steps; no graph, with each step recomputed
-//! in the backward pass ([`Trace::backward`]); or a graph over the last steps alone.
+//! A rollout is deterministic DDIM over K timesteps, run during training. [`RolloutMode`] trades memory
+//! for compute: one graph over all steps; no graph, with each step recomputed in the backward pass
+//! ([`Trace::backward`]); or a graph over the last steps alone.
 //!
-//! The cosine schedule makes the naive rollout useless: from t = 999 of 1000 a noise prediction is
-//! multiplied by 1/sqrt(abar) = 64179. What tames it is a matter of settings: predict the clean
-//! motion, clip it ([`ClipRange::StraightThrough`]), start from a lower timestep, let the gradient
-//! decay from step to step (`gradient_decay`).
+//! With the cosine schedule a naive rollout is unstable: from t = 999 of 1000 a noise prediction is
+//! multiplied by 1/sqrt(abar) = 64179. To stabilise it, predict the clean motion, clip it
+//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient from step to step
+//! (`gradient_decay`).
 
 use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 

@@ -1,4 +1,4 @@
-//! The noise schedule: how much of the motion is left at each timestep.
+//! Noise schedules.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -18,7 +18,7 @@ use crate::{BetaSchedule, DiffusionConfig};
 ///          f(u) = cos^2(pi/2 (u + 0.008) / 1.008)
 /// ```
 ///
-/// Whoever uses a value rounds it to single precision once. Evaluated in single precision from a
+/// Values are rounded to single precision once, where they are used. Evaluated in single precision from a
 /// rounded `abar`, `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseSchedule {

@@ -1,4 +1,4 @@
-//! What a network is told of how noisy its input is.
+//! The time input of a network: the noise level.
 
 /// How far a sample is from clean motion, in the units that its network was trained with: in a
 /// diffusion process the timestep, 0 being the least noisy.

@@ -1,4 +1,4 @@
-//! What the table `model` of a training config asks of a network's settings.
+//! The interface between the `model` table of a training config and a network's config.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

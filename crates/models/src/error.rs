@@ -1,7 +1,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What can be wrong with weights meant for a network.
+/// Errors about weights meant for a network.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// Weights of another network.

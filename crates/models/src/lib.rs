@@ -1,11 +1,11 @@
-//! The networks: what predicts, knowing nothing of diffusion schedules, datasets or files' places.
+//! Networks, independent of diffusion schedules, datasets and file locations.
 //!
 //! [`UNet1d`] is the audio-conditioned denoiser of CC-MotionGen (docs/sources.md, section 1.5). Its
 //! parts are in [`layers`], with PyTorch's names and weight layouts, so that the path of a
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
-//! that name. [`lora`] puts low-rank adapters on them. [`gmd`] holds the networks of Guided Motion
-//! Diffusion, [`transformer`] the encoder that they are compared with, and [`TextDenoiser`] either
-//! of them under a text. [`text_motion`] holds the encoders that motions are measured by.
+//! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
+//! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a text-conditioned
+//! denoiser with either of them. [`text_motion`] contains the encoders of the text-motion evaluator.
 
 pub mod attention;
 pub mod config;

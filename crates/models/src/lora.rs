@@ -1,4 +1,4 @@
-//! Which layers get a low-rank adapter, and how one reaches every layer of a network.
+//! LoRA: selecting layers and adding adapters to a network.
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Denoiser and decoder as one set of weights.
+//! Denoiser and decoder as one module.
 
 use burn::module::Module;
 
@@ -8,7 +8,7 @@ use crate::{MotionDecoder, UNet1d};
 /// `unet.*` and `decoder.*` (CC-MotionGen, section 7.1; docs/sources.md, section 1.8).
 #[derive(Module, Debug)]
 pub struct MotionModel {
-    /// Draws latents.
+    /// Generates latents.
     pub unet: UNet1d,
     /// Decodes them.
     pub decoder: MotionDecoder,

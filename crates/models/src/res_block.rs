@@ -1,4 +1,4 @@
-//! The residual block with the timestep fed in.
+//! The residual block, conditioned on the timestep.
 
 use burn::module::Module;
 use burn::tensor::Tensor;

@@ -1,13 +1,12 @@
-//! What stands between a network's input and its output.
+//! Hooks on the intermediate outputs of a forward pass.
 
 use std::fmt::Arguments;
 
 use burn::tensor::Tensor;
 
-/// Is told what comes out of each stage of a forward pass. The empty tuple is told and forgets, at
-/// no cost: nothing is named, kept or computed for it.
+/// Receives the output of each stage of a forward pass. The empty tuple ignores them at no cost.
 pub trait Stages {
-    /// The stage `name` gave what `output` answers.
+    /// Called with the `name` of a stage and a closure that returns its output.
     fn stage<const D: usize>(&mut self, name: Arguments<'_>, output: impl FnOnce() -> Tensor<D>);
 }
 

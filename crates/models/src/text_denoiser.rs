@@ -1,4 +1,4 @@
-//! A denoiser of motion clips under a text, whatever its backbone.
+//! A text-conditioned denoiser of motion clips, with any backbone.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -10,7 +10,7 @@ use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
 use crate::transformer::{Encoder, EncoderConfig};
 use crate::{Initializer, Stages};
 
-/// Which network stands behind the conditioner, and its sizes.
+/// The backbone and its sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Backbone {
@@ -36,7 +36,7 @@ impl Backbone {
         }
     }
 
-    /// Most frames of a clip, where there is such a number.
+    /// Maximum number of frames of a clip, if there is one.
     pub fn longest(&self) -> Option<usize> {
         match self {
             Self::GmdUnet(config) => Some(config.padded_frames),
@@ -61,8 +61,8 @@ enum Network {
     Transformer(Encoder),
 }
 
-/// A denoiser told timestep and text: parameters `embed_timestep.*`, `embed_text.*`, those of the
-/// backbone, and `projection.matrix` where it works in a projected space.
+/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`, those of
+/// the backbone, and `projection.matrix` if it works in a projected space.
 ///
 /// The condition is the text's pooled feature `[batch, 512, 1]`; zeros stand for no text.
 #[derive(Module, Debug)]
@@ -73,7 +73,7 @@ pub struct TextDenoiser {
 }
 
 impl TextDenoiser {
-    /// A network for motion of `in_channels` with fresh weights, which works on it as it is.
+    /// A network for motion of `in_channels` with newly initialised weights and no projection.
     ///
     /// # Errors
     /// Names the key that no network can be built from.

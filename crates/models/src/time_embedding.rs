@@ -1,4 +1,4 @@
-//! How the network is told the timestep.
+//! The timestep embedding.
 
 use burn::module::Module;
 use burn::tensor::activation::silu;

@@ -1,4 +1,4 @@
-//! What can be wrong with motion data.
+//! Errors about motion data.
 
 use miette::Diagnostic;
 use thiserror::Error;

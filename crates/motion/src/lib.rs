@@ -1,8 +1,8 @@
-//! What motion is, on the host: the 25-channel phrase, rotations, derivatives, the training
-//! phrases' statistics, augmentation, post-processing, sanity checks and metrics; and the features
-//! of HumanML3D and its like ([`humanml`]), which have rates and skeletons of their own.
+//! Representations of motion on the host: the 25-channel phrase, rotations, derivatives, training
+//! statistics, augmentation, post-processing, sanity checks and metrics; and joint features as in
+//! HumanML3D ([`humanml`]), with their own frame rates and skeletons.
 //!
-//! Nothing here knows tensors with gradients or opens a file. Coordinates are metres and seconds,
+//! The crate has no tensors with gradients and no file I/O. Coordinates are metres and seconds,
 //! right-handed with +y up; a phrase runs at [`FPS`] frames per second. Source: CC-MotionGen,
 //! sections 2, 9 and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!

@@ -1,4 +1,4 @@
-//! What the channels of motion look like: range, mean and standard deviation as measured.
+//! Range, mean and standard deviation of the channels of motion.
 
 /// Range, mean and standard deviation of each channel, as measured, in the representation's units.
 ///

@@ -1,4 +1,4 @@
-//! What a run remembers of its training motion: how to normalise, and what real motion is like.
+//! Statistics of training motion: normalisation, and bounds of real motion for sanity checks.
 //!
 //! The source trains on raw values and clips predicted data to +-1 while positions range over +-100
 //! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit
@@ -148,7 +148,7 @@ impl Statistics {
 
     /// Widens the range of the horizontal `vectors` to what they reach when motion is turned about
     /// the vertical by any angle (their length, at most), and of the `signed` channels to +-1. A
-    /// model trained on turned motion draws it in all directions, which the range as measured
+    /// model trained on rotated motion generates it in all directions, which the range as measured
     /// would clip.
     pub fn widen_range_for_yaw(&mut self, vectors: &[Range<usize>], signed: Range<usize>) {
         let Some([min, max]) = &mut self.range else {

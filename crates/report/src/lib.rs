@@ -1,6 +1,4 @@
-//! Results for people and for other programs: tables, columns side by side, CSV and pictures.
-//!
-//! Takes names and numbers, and knows nothing of where they come from.
+//! Reports: tables, side-by-side columns, CSV and plots of named values.
 
 mod columns;
 mod picture;

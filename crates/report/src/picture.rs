@@ -148,7 +148,7 @@ impl Panel {
     }
 }
 
-/// Refuses an ending that no picture has.
+/// Rejects an ending that no picture has.
 ///
 /// # Errors
 /// [`PictureError::Ending`].

@@ -1,5 +1,4 @@
-//! What settings may be: the checks that the tables of a config are made of, and the one error that
-//! they end in.
+//! Validation of config values, and the error it returns.
 //!
 //! ```
 //! use kinegrad_settings::{Refused, in_range};
@@ -81,7 +80,7 @@ impl<T> Refused for Result<T, InvalidSetting> {
     }
 }
 
-/// Refuses a setting unless `holds`.
+/// Rejects a setting unless `holds`.
 ///
 /// # Errors
 /// [`InvalidSetting`] of `key`.
@@ -100,7 +99,7 @@ pub fn require(
 /// Every number above 0.
 pub const ABOVE_ZERO: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
 
-/// Refuses a number beyond `range`, and one that is not finite.
+/// Rejects a number beyond `range`, and one that is not finite.
 ///
 /// # Errors
 /// [`InvalidSetting`] of `key`.

@@ -1,4 +1,4 @@
-//! Training a denoiser on noised motion: a batch on the device, what is drawn for it, the loss, and
+//! Training a denoiser on noised motion: a batch on the device, its random inputs, the loss, and
 //! the held-out motion. Recipes of all systems share it.
 
 use std::ops::Range;
@@ -56,7 +56,7 @@ impl Conditions {
     /// The condition of that name.
     ///
     /// # Panics
-    /// Panics if there is none: a recipe asks for what its dataset's samples have.
+    /// Panics if there is none: recipes use conditions that their dataset provides.
     pub fn get(&self, name: &str) -> &Tensor<3> {
         let found = self.0.iter().find(|(known, _)| *known == name);
         &found.unwrap_or_else(|| panic!("no condition `{name}`")).1
@@ -126,7 +126,7 @@ pub fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
 /// ```
 ///
 /// with the target chosen by `diffusion.prediction_type`, and the condition zero where it is
-/// dropped. `distance` is told output, target and mask.
+/// dropped. `distance` is called with output, target and mask.
 pub fn denoising_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,

@@ -1,4 +1,4 @@
-//! The one place where a device is made from its name.
+//! Opening devices by name.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_kernels::{Mode, VARIABLE};

@@ -50,7 +50,7 @@ pub enum Error {
         /// Name of the representation that is needed.
         expected: String,
     },
-    /// Joint features that are none.
+    /// Invalid joint features.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Features(#[from] kinegrad_motion::humanml::FeatureError),
@@ -73,8 +73,8 @@ pub enum Error {
         differences.join("\n  ")
     )]
     #[diagnostic(help(
-        "the weights belong to another network: check `--arch`; `--evaluator` takes the published \
-         `finest.tar` of the dataset at hand"
+        "the weights belong to another network: check `--arch`; `evaluation.evaluator.weights` \
+         is the published `finest.tar` of the same dataset"
     ))]
     ForeignWeights {
         /// The file.
@@ -138,10 +138,10 @@ pub enum Error {
         step: u64,
         /// The first tensor found to hold an infinity or NaN.
         tensor: String,
-        /// Path of the last good checkpoint, or that there is none.
+        /// Path of the last good checkpoint, or a note that there is none.
         last_good: String,
     },
-    /// What was asked for does not fit the model or each other.
+    /// A request that does not fit the model, or contradictory options.
     #[error("{message}")]
     #[diagnostic(help("{hint}"))]
     Usage {

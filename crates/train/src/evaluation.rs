@@ -1,4 +1,4 @@
-//! Measuring trained models: what a system is asked, and numbers that reports put side by side.
+//! Evaluating trained models: requests, and results that reports show side by side.
 
 use std::path::PathBuf;
 
@@ -10,22 +10,21 @@ use crate::error::Error;
 /// apply to its models.
 #[derive(Clone, Debug, Default)]
 pub struct EvaluationRequest {
-    /// Dataset whose held-out items are drawn for, in place of the run's own.
+    /// Dataset whose held-out items are used, instead of the run's own.
     pub source: Option<String>,
-    /// Checkpoint of the model that draws the ground paths to the goals first.
+    /// Checkpoint of the trajectory model for two-stage sampling.
     pub trajectory: Option<PathBuf>,
     /// Seed of the noise.
     pub seed: u64,
 }
 
-/// An evaluation whose request has been checked: it is told of the stage, if there are several, and
-/// of the denoising steps done and in all.
+/// A validated evaluation, to be called with a progress callback.
 pub type Evaluate<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Evaluated, Error> + 'a>;
 
-/// What is told of a stage's denoising steps done and in all.
+/// Progress callback: stage, denoising steps done and in total.
 pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) + 'a;
 
-/// What an evaluation found of one run.
+/// Results of the evaluation of one run.
 #[derive(Clone, Debug)]
 pub struct Evaluated {
     /// Name of the run.
@@ -34,7 +33,7 @@ pub struct Evaluated {
     pub report: &'static str,
     /// Everything, as JSON.
     pub json: Value,
-    /// The numbers of what the model draws.
+    /// The metrics of the generated samples.
     pub drawn: Column,
     /// The same numbers of real motion.
     pub real: Column,

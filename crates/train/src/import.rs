@@ -1,4 +1,4 @@
-//! Weights of other programs as runs: what a system is asked, and what it says.
+//! Importing weights of other programs: requests and results.
 
 use std::path::PathBuf;
 

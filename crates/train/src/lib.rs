@@ -1,8 +1,31 @@
-//! Training: the config, the systems, the trainer's loop, checkpoints and telemetry.
+//! Configs, systems, the training loop, checkpoints and telemetry.
 //!
-//! One training step, down one path: [`run::train`] checks and sets up and hands the run to its
-//! [system](systems); [`Trainer`] takes a batch, asks the [recipe](Recipe) for its loss, clips,
-//! updates ([`optim`], [`ema`]) and records ([`checkpoint`], [`telemetry`]).
+//! [`run::train`] validates a request, sets up the run and passes it to its [system](systems).
+//! [`Trainer`] then loads a batch, computes the loss of the [recipe](Recipe), clips gradients,
+//! updates the weights ([`optim`], [`ema`]) and records ([`checkpoint`], [`telemetry`]).
+//!
+//! Generating motion from a trained run:
+//!
+//! ```no_run
+//! use std::path::Path;
+//!
+//! use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
+//! use kinegrad_train::systems::cc_motion::generate::Generator;
+//! use kinegrad_train::{Error, device};
+//!
+//! fn main() -> Result<(), Error> {
+//!     let checkpoint = resolve_checkpoint(Path::new("runs/phrases"), |damaged| eprintln!("{damaged}"))?;
+//!     let (device, _) = device::open("cpu")?;
+//!     let generator = Generator::load(&checkpoint, Weights::Ema, &device)?;
+//!
+//!     let audio = kinegrad_data::load_audio(Path::new("features.npz"))?;
+//!     let mut sampling = generator.config().sampling.clone();
+//!     sampling.sampler.num_inference_steps = 50;
+//!     let samples = generator.sample(&[audio], &sampling, 0, &mut |_, _| {})?;
+//!     println!("{} frames", samples[0].motion.frames());
+//!     Ok(())
+//! }
+//! ```
 
 pub mod checkpoint;
 pub mod config;

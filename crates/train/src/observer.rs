@@ -1,27 +1,27 @@
-//! What a training tells, and asks, whoever started it.
+//! Progress callbacks of a training run.
 
 use std::path::{Path, PathBuf};
 
-/// What the trainer tells, and asks, whoever started it.
+/// Callbacks of a training run.
 pub trait Observer {
-    /// The run was set up and trains from now on (or was finished before).
+    /// The run has been set up and starts training (or was already finished).
     fn started(&mut self, summary: &RunSummary);
-    /// A step was done.
+    /// An optimiser step was done.
     fn stepped(&mut self, report: &StepReport);
-    /// The held-out phrases were measured; `best` if no earlier loss was lower.
+    /// The validation loss was computed; `best` if it is the lowest so far.
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
-    /// Something the user should know of.
+    /// An informational message.
     fn note(&mut self, text: &str);
-    /// Something is doubtful and does not stop the run.
+    /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
-    /// What is told how many of how many phrases have been read while the dataset is opened; called
-    /// from several threads.
+    /// Returns a callback for the progress of opening the dataset, called from several threads with
+    /// the number of items read and in total.
     fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
         Box::new(|_, _| {})
     }
-    /// Whether the user wants the run to stop; it then writes a checkpoint.
+    /// Whether the run should stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;
 }
 
@@ -30,7 +30,7 @@ pub trait Observer {
 pub struct StepReport {
     /// Steps done, this one included.
     pub step: u64,
-    /// Steps in all.
+    /// Steps in total.
     pub max_steps: u64,
     /// Loss, averaged over the micro-batches.
     pub loss: f64,
@@ -40,7 +40,7 @@ pub struct StepReport {
     pub grad_norm: f64,
 }
 
-/// What a run is about, told before its first step.
+/// Summary of a run before its first step.
 #[derive(Clone, Debug)]
 pub struct RunSummary {
     /// Name of the run.
@@ -51,13 +51,13 @@ pub struct RunSummary {
     pub device: String,
     /// Number of parameters.
     pub parameters: usize,
-    /// Phrases trained on.
+    /// Number of training items.
     pub train_phrases: usize,
-    /// Phrases held out.
+    /// Number of held-out items.
     pub validation_phrases: usize,
-    /// Phrases left out as unusable, with the reason.
+    /// Unusable items that were skipped, with the reason.
     pub skipped: Vec<(String, String)>,
-    /// Steps done before.
+    /// Steps already done.
     pub step: u64,
     /// Steps in all.
     pub max_steps: u64,

@@ -1,4 +1,4 @@
-//! Files that other programs wrote: PyTorch's weights and NumPy's vectors.
+//! Files of other programs: PyTorch weights and NumPy arrays.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,7 +1,7 @@
-//! What a kind of training is to the trainer.
+//! The interface between a training recipe and the trainer.
 //!
-//! A recipe turns a batch into a loss and knows nothing of files, steps or devices' names; the
-//! [`crate::Trainer`] does the rest.
+//! A recipe computes the loss of a batch, independently of files, step counts and device names;
+//! the [`crate::Trainer`] does the rest.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};

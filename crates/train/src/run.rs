@@ -1,4 +1,4 @@
-//! Starting and resuming a run: what is checked before anything is written, and in which order.
+//! Starting and resuming a run: validation before anything is written.
 
 use std::path::{Path, PathBuf};
 
@@ -15,25 +15,25 @@ mod setup;
 use folder::{lock, saved_config};
 pub use setup::{Material, Setup};
 
-/// What `kinegrad train` is asked to do.
+/// A request to train.
 #[derive(Clone, Debug)]
 pub struct TrainRequest {
     /// The config file.
     pub config: PathBuf,
     /// `KEY=VALUE` overrides.
     pub overrides: Vec<String>,
-    /// Folder that holds the runs.
+    /// Folder that contains the runs.
     pub runs_dir: PathBuf,
-    /// Continue the run instead of starting it.
+    /// Resume the run instead of starting it.
     pub resume: bool,
 }
 
-/// How a request ended.
+/// Result of a training request.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The run's folder.
     pub folder: PathBuf,
-    /// How training ended; `None` if the run was finished before.
+    /// How training ended; `None` if the run was already finished.
     pub ending: Option<Ending>,
     /// Steps done.
     pub step: u64,
@@ -43,10 +43,10 @@ pub struct Outcome {
     pub config: Config,
 }
 
-/// Trains as asked, by the system of `systems` whose recipe the config names.
+/// Trains a run with the system of `systems` that has the config's recipe.
 ///
 /// # Errors
-/// If the request is wrong, before anything is written; or if the run fails.
+/// If the request is invalid, before anything is written, or if the run fails.
 pub fn train(
     systems: Systems<'_>,
     request: &TrainRequest,
@@ -73,8 +73,8 @@ pub fn train(
     train_config(systems, config, &request.runs_dir, request.resume, observer)
 }
 
-/// Reads a config with what follows from the checkpoints that it starts from; where one is not
-/// there, `warn` is told and the config is as it stands.
+/// Reads a config with the values inherited from its initial checkpoints. If one is missing, calls
+/// `warn` and returns the config without them.
 ///
 /// # Errors
 /// If the config cannot be read.
@@ -96,7 +96,7 @@ pub fn load_config(
     }
 }
 
-/// Number of parameters of the networks of a run of `config`, adapters left out.
+/// Number of parameters of the networks of `config`, without adapters.
 ///
 /// # Errors
 /// If a network cannot be built.
@@ -105,7 +105,7 @@ pub fn parameter_count(systems: Systems<'_>, config: &Config) -> Result<usize, E
     system.parameter_count(config)
 }
 
-/// Trains the run that a resolved config describes, in a folder of its name under `runs_dir`.
+/// Trains the run of a resolved config, in the folder of its name under `runs_dir`.
 ///
 /// # Errors
 /// As [`train`].

@@ -1,4 +1,4 @@
-//! Drawing motion from a trained model: what a system is asked, and what it gives.
+//! Generating motion with a trained model: requests and results.
 
 use std::path::{Path, PathBuf};
 
@@ -10,24 +10,24 @@ use crate::config::{self, Config};
 use crate::error::Error;
 use crate::systems::Systems;
 
-/// A trained model, and how to draw from it.
+/// A trained model and the settings to sample it with.
 pub struct Subject {
     /// Its checkpoint.
     pub checkpoint: PathBuf,
-    /// The config of its run, with the `sampling` that draws are made by.
+    /// The config of its run, with the `sampling` table to use.
     pub config: Config,
-    /// Which weights.
+    /// Whether to use the trained weights or their moving average.
     pub weights: Weights,
-    /// Where it runs, without gradients.
+    /// The device to run on, without gradients.
     pub device: Device,
 }
 
 impl Subject {
-    /// The model of the checkpoint in `path`, with `overrides` of its run's tables
-    /// `sampling` and `evaluation`, on `device` or else on that of its run.
+    /// Opens the checkpoint in `path`, with `overrides` of its run's tables
+    /// `sampling` and `evaluation`, on `device` or by default that of its run.
     ///
     /// # Errors
-    /// If the checkpoint is damaged, an override is wrong, or the device cannot be used.
+    /// If the checkpoint is damaged, an override is invalid, or the device is not available.
     pub fn open(
         systems: Systems<'_>,
         path: &Path,
@@ -49,23 +49,23 @@ impl Subject {
     }
 }
 
-/// What motion is asked for. A system refuses what its models cannot be told.
+/// A request for samples. Systems reject conditions that their models do not support.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// What the motion is drawn under.
+    /// The conditions.
     pub conditions: Conditions,
-    /// Samples of each condition.
+    /// Samples per condition.
     pub count: usize,
-    /// Frames to draw.
+    /// Frames to generate.
     pub frames: Option<usize>,
     /// Seed of the noise.
     pub seed: u64,
 }
 
-/// Where conditions come from.
+/// The sources of conditions.
 #[derive(Clone, Debug, Default)]
 pub struct Conditions {
-    /// Dataset whose items are drawn for, in place of the run's own.
+    /// Dataset that contains the item, instead of the run's own.
     pub source: Option<String>,
     /// Id of the item, or a pattern.
     pub item: Option<String>,
@@ -73,20 +73,20 @@ pub struct Conditions {
     pub audio_features: Option<PathBuf>,
     /// Song.
     pub song: Option<PathBuf>,
-    /// Seconds into the song at which the motion begins.
+    /// Position in the song, in seconds, at which the motion starts.
     pub start: f64,
-    /// Files of goals.
+    /// Goal files.
     pub goals: Vec<PathBuf>,
-    /// Checkpoint of the model that draws the ground path to the goal first.
+    /// Checkpoint of the trajectory model that generates the ground path in a first stage.
     pub trajectory: Option<PathBuf>,
-    /// File of a text's embedding, `FILE#KEY`.
+    /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
-    /// Draw for the first so many held-out items of the run's own dataset.
+    /// Use the first so many held-out items of the run's own dataset.
     pub held_out: Option<usize>,
 }
 
 impl Conditions {
-    /// Refuses what is set of `unknown`, given by the names of the command line.
+    /// Rejects conditions that are set but listed in `unknown`, by their command-line names.
     ///
     /// # Errors
     /// [`Error::Usage`] for the first that is set.
@@ -108,51 +108,52 @@ impl Conditions {
     }
 }
 
-/// One motion, as files.
+/// One sample, as files.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// What tells it from others of the same request; empty where there are none.
+    /// Suffix that distinguishes it from other samples of the request; empty for a single sample.
     pub name: String,
-    /// Its files by their endings, such as `.npy`; the first is the motion itself.
+    /// Its files by extension, such as `.npy`; the first is the motion itself.
     pub files: Vec<(&'static str, Contents)>,
 }
 
-/// What a file holds.
+/// Contents of a file.
 #[derive(Clone, Debug)]
 pub enum Contents {
-    /// Single-precision numbers, row by row.
+    /// A row-major float32 array.
     Array {
-        /// Sizes.
+        /// Shape.
         shape: Vec<usize>,
-        /// The numbers.
+        /// Values.
         values: Vec<f32>,
     },
-    /// A body that moves, for other programs.
+    /// An animated skeleton, written as BVH.
     Figure {
-        /// Places of its joints.
+        /// Joint positions.
         joints: Joints,
-        /// What they are the joints of.
+        /// The skeleton.
         skeleton: Box<Skeleton>,
     },
 }
 
-/// What is to be said of all motions of a request.
+/// A summary of all samples of a request.
 #[derive(Clone, Debug)]
 pub enum Remark {
     /// Lines of text.
     Text(String),
-    /// A table, the first row being its header.
+    /// A table whose first row is the header.
     Table(Vec<Vec<String>>),
 }
 
-/// Who asked for motion.
+/// Receives samples and progress.
 pub trait Receiver {
-    /// So many denoising steps of so many are done, in a stage if there are several.
+    /// Called after each denoising step with the number of steps done and in total; `stage` is
+    /// empty if there is only one.
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize);
 
-    /// A motion has been drawn.
+    /// Called with each sample.
     ///
     /// # Errors
-    /// If it cannot be kept; nothing more is drawn then.
+    /// If it cannot be stored; sampling stops then.
     fn drawn(&mut self, drawn: Drawn) -> Result<(), Error>;
 }

@@ -1,4 +1,4 @@
-//! What systems share about starting from a trained model: `init.*`.
+//! Starting from a trained model (`init.*`), shared by all systems.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::checkpoint::{State, Weights, resolve_checkpoint};
 use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
 
-/// Keys that a fine-tuning may set anew, as the weights fit whatever they say.
+/// Keys that fine-tuning may change, because the weights do not depend on them.
 const FREE_KEYS: [&str; 8] = [
     "model.dropout",
     "model.activation_checkpointing",
@@ -90,7 +90,7 @@ pub fn tables_of<T: SystemTables>(config: &Config, names: &[&str]) -> Result<Tab
     Ok(tables.collect())
 }
 
-/// Refuses a config whose networks or process, the tables `names`, are not those of its start.
+/// Rejects a config whose networks or process, the tables `names`, are not those of its start.
 ///
 /// # Errors
 /// Names the first key that differs.

@@ -1,4 +1,4 @@
-//! The one training loop.
+//! The training loop.
 
 mod not_finite;
 pub(crate) mod restore;
@@ -29,7 +29,7 @@ pub enum Ending {
     Finished,
     /// The validation loss stopped falling.
     EarlyStopped,
-    /// The user asked for it.
+    /// Interrupted by the user.
     Interrupted,
 }
 
@@ -238,7 +238,7 @@ impl<R: Recipe> Trainer<R> {
         patience > 0 && self.progress.validations_since_best >= patience
     }
 
-    /// One step; `None` if a stop was asked for while its data were waited for.
+    /// One step; `None` if a stop was requested while waiting for data.
     fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Option<Record>, Error> {
         let (train, optim) = (self.config.train.clone(), self.config.optim.clone());
         let micro_batches = train.gradient_accumulation_steps;

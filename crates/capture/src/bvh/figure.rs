@@ -1,4 +1,4 @@
-//! Joints as a BVH figure, for other programs.
+//! Converting joint positions to a BVH skeleton.
 
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::humanml::kinematics::{Across, between, forward, minus};

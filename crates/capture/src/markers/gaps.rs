@@ -1,4 +1,4 @@
-//! Frames in which a marker was not seen.
+//! Gaps: frames in which a marker was not captured.
 
 use crate::track::lerp;
 

@@ -1,4 +1,4 @@
-//! The root of a marker set: which markers carry the pelvis and how it turns.
+//! The root of a marker set: pelvis markers and their orientation.
 
 mod gaps;
 mod root;

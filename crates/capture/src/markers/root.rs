@@ -1,4 +1,4 @@
-//! The pose that a pelvis of markers stands in.
+//! The pelvis pose from markers.
 //!
 //! With `f` from the mean of the back markers to that of the front ones and `l` from the right to
 //! the left ones, the body axes are

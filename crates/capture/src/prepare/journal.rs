@@ -1,4 +1,4 @@
-//! What has been made of each take, kept beside the phrases.
+//! The record of finished takes, stored with the phrases.
 
 use std::collections::BTreeSet;
 

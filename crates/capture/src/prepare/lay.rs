@@ -1,4 +1,4 @@
-//! The motion of a take, laid on the time line of its music.
+//! Aligning the motion of a take with the timeline of its music.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;

@@ -1,9 +1,9 @@
 //! `kinegrad data prepare`: from captures and songs to a dataset of phrases.
 //!
-//! A plan names takes; each becomes phrases in the layout of the dataset, and all together a
-//! manifest, written last. What has been made of a take is noted in `prepare/TAKE.json` beside the
-//! phrases, so that an interrupted preparation goes on with the takes that are left, and a take
-//! whose plan and files have not changed is not made again.
+//! A plan lists takes; each is converted to phrases in the dataset layout, and the manifest is written
+//! last. Finished takes are recorded in `prepare/TAKE.json` next to the phrases, so that an interrupted
+//! preparation continues with the remaining takes, and takes whose plan and files have not changed are
+//! not processed again.
 
 mod choreonet;
 mod journal;
@@ -132,7 +132,7 @@ pub fn prepare(
         reports.push(journal.report);
     }
     if rows.is_empty() {
-        let problem = format!("no phrase could be made of any take{}", reasons(&reports));
+        let problem = format!("no take produced a phrase{}", reasons(&reports));
         return Err(Error::plan(plan_file, problem));
     }
     for row in &mut rows {
@@ -256,7 +256,7 @@ fn one(
         report,
         kept: false,
     };
-    // Where nothing can be made of any take, nothing shall be left behind.
+    // If no take produced a phrase, nothing is left behind.
     if !journal.rows.is_empty() {
         journal.write(output)?;
     }

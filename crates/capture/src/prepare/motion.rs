@@ -1,4 +1,4 @@
-//! From a capture file to the way of a root.
+//! From a capture file to a root track.
 
 use std::path::Path;
 

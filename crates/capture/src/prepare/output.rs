@@ -193,7 +193,7 @@ fn present(store: &Store) -> Result<HashMap<String, u64>, Error> {
     Ok(files)
 }
 
-/// Refuses to write among the phrases of somebody else.
+/// Rejects to write among the phrases of somebody else.
 fn refuse_foreign(store: &Store) -> Result<(), Error> {
     let there = |path| {
         store

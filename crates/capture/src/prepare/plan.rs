@@ -1,4 +1,4 @@
-//! What a plan says: which motion goes with which music, and how phrases are cut.
+//! Plans: which motion belongs to which music, and how phrases are cut.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -274,7 +274,7 @@ impl TakePlan {
         }
     }
 
-    /// Refuses keys that none of the take's capture files uses.
+    /// Rejects keys that none of the take's capture files uses.
     pub(super) fn check_kinds(&self, files: &[&Path]) -> Result<(), String> {
         let keys = [
             ("units", self.units.is_some(), &["bvh"][..]),

@@ -1,4 +1,4 @@
-//! What is told of a take.
+//! Reports of takes.
 
 use serde::{Deserialize, Serialize};
 

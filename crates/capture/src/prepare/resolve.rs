@@ -1,4 +1,4 @@
-//! From the takes of a plan to files that are there.
+//! Resolving the takes of a plan to existing files.
 
 use std::path::{Path, PathBuf};
 

@@ -64,7 +64,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
 }
 
-/// Lists or draws the rows of a dataset's manifest.
+/// Lists or plots the rows of a dataset's manifest.
 fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let store = Store::open(&arguments.source, &StoreConfig::default())?;
     let Some(all) = Selection::read(&store)? else {
@@ -73,7 +73,7 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
             true => format!("{} has no {MANIFEST}", store.uri()),
             false => format!("there is no folder {}", store.uri()),
         };
-        let hint = "`--where` and `--plot` answer from the manifest, which `kinegrad data prepare` \
+        let hint = "`--where` and `--plot` need the manifest, which `kinegrad data prepare` \
                     writes";
         return Err(Error::usage(message, hint));
     };

@@ -74,7 +74,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// Refuses runs that have no measure in common.
+/// Rejects runs that have no measure in common.
 fn must_compare(systems: Systems<'_>, subjects: &[Subject]) -> Result<(), Error> {
     let mut names = Vec::with_capacity(subjects.len());
     for subject in subjects {

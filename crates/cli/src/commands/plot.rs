@@ -12,7 +12,7 @@ use kinegrad_train::telemetry::{Record, read_metrics};
 use crate::args::PlotArguments;
 use crate::output::{draw, unusable};
 
-/// Draws a motion file or a run.
+/// Plots a motion file or a run.
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments { input, out } = arguments;
     check_ending(&out).map_err(unusable)?;

@@ -18,7 +18,7 @@ use crate::progress::Denoising;
 /// Units of a BVH file in a metre.
 const CENTIMETRES: f64 = 100.0;
 
-/// Draws motion and writes it.
+/// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
     if arguments.count == 0 {
         return Err(Error::usage(

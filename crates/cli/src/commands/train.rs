@@ -14,7 +14,7 @@ use super::sample::{Files, checkpoint, say_remark};
 use crate::args::TrainArguments;
 use crate::progress::{TrainProgress, duration};
 
-/// Trains, then draws the samples that the config asks for.
+/// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
     let mut overrides = arguments.overrides;
     for (key, value) in [
@@ -67,7 +67,7 @@ fn summarise(outcome: &Outcome, started: Instant) {
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// Draws samples for the first held-out items into the run's folder.
+/// Writes samples for the first held-out items to the run's folder.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = Subject::open(systems, &path, &[], Weights::Ema, None)?;

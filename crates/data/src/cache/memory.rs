@@ -1,4 +1,4 @@
-//! Items in memory, bounded in bytes; the one unused for longest goes first.
+//! Items in memory, bounded in bytes, with least-recently-used eviction.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

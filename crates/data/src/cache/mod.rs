@@ -1,4 +1,4 @@
-//! What has been read already: phrases in memory, files of remote datasets on disk.
+//! Caches: items in memory, files of remote datasets on disk.
 
 mod disk;
 mod memory;

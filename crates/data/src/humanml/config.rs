@@ -27,9 +27,9 @@ pub struct Humanml3dConfig {
     pub validation_list: String,
     /// Clips, and passages that captions speak of, with fewer frames are left out.
     pub min_frames: usize,
-    /// Clips with so many frames or more are left out.
+    /// Clips with this many frames or more are left out.
     pub max_frames: usize,
-    /// Samples are whole multiples of so many frames long.
+    /// Sample lengths are multiples of this.
     pub unit_frames: usize,
     /// File within the dataset with the embeddings of the captions; empty, or absent, where the
     /// model is not conditioned on text.

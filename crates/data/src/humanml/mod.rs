@@ -1,4 +1,4 @@
-//! Clips of HumanML3D and its like: features of motion with captions, and made-up walks.
+//! Clips in the HumanML3D format: joint features with captions, and synthetic walks.
 //!
 //! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy` (`[frames,
 //! 263]`, relative root), `texts/ID.txt` (captions) and lists of the clips of each side. See

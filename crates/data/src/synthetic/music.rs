@@ -26,7 +26,7 @@ const RMS: usize = 160;
 const CENTROID: usize = 161;
 const ONSET: usize = 162;
 
-/// The chord that is heard with each move, as pitch classes.
+/// The chord that accompanies each move, as pitch classes.
 const CHORDS: [[usize; 3]; MOVES] = [[0, 4, 7], [5, 9, 0], [7, 11, 2], [9, 0, 4]];
 
 /// What is played, before it becomes features.

@@ -1,4 +1,4 @@
-//! What a predicted clean motion is clipped to.
+//! Clipping of the predicted clean motion.
 
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_settings::{InvalidSetting, Refused, require};
@@ -29,7 +29,7 @@ pub enum ClipRange {
 }
 
 impl ClipRange {
-    /// Refuses bounds that do not fit a motion of `channels` channels.
+    /// Rejects bounds that do not fit a motion of `channels` channels.
     ///
     /// # Errors
     /// For a wrong number of bounds, and for a minimum above its maximum or a NaN.

@@ -5,14 +5,14 @@ use std::fmt;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-/// Which step a sampler takes.
+/// The sampling algorithm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SamplerKind {
     /// Deterministic at `eta` 0, and good with few steps: [`crate::ddim_step`].
     #[default]
     Ddim,
-    /// Draws from the posterior in every step: [`crate::ddpm_step`].
+    /// Ancestral sampling: samples from the posterior in every step: [`crate::ddpm_step`].
     Ddpm,
     /// Deterministic and of second order: [`crate::dpmpp_2m`].
     #[serde(rename = "dpmpp_2m")]
@@ -62,17 +62,17 @@ pub enum FinalAlpha {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplerConfig {
-    /// The step.
+    /// The sampling algorithm.
     pub kind: SamplerKind,
     /// Number of steps N, from 1 to the process's number of timesteps T.
     pub num_inference_steps: usize,
-    /// Share of the posterior's noise that DDIM draws, from 0 (none) to 1 (all: DDPM).
+    /// Scale of the noise added by DDIM, from 0 (deterministic) to 1 (as DDPM).
     pub eta: f64,
-    /// Weight of the condition: 1 as trained, above 1 exaggerated ([`crate::guided`]).
+    /// Classifier-free guidance scale; 1 disables guidance ([`crate::guided`]).
     pub guidance_scale: f64,
-    /// Which timesteps are visited.
+    /// Spacing of the timesteps.
     pub timestep_spacing: TimestepSpacing,
-    /// Where DDIM's last step lands. That of the others is on the clean motion.
+    /// Where DDIM's last step lands; other samplers end at the clean motion.
     pub final_alpha: FinalAlpha,
     /// After clipping the predicted motion, DDIM goes on with the noise that belongs to the
     /// clipped one; the source goes on with the network's, which then contradicts it.
@@ -94,7 +94,7 @@ impl Default for SamplerConfig {
 }
 
 impl SamplerConfig {
-    /// Refuses values that no sampler of a process with `num_train_timesteps` can work with.
+    /// Rejects values that no sampler of a process with `num_train_timesteps` can work with.
     ///
     /// # Errors
     /// Names the first bad key: what it is, what is allowed, how to mend it.
@@ -107,7 +107,7 @@ impl SamplerConfig {
         )
         .hint("20 to 50 are usual for ddim")?;
         in_range("sampling.sampler.eta", self.eta, 0.0..=1.0)
-            .hint("0 draws no noise, 1 as much as ddpm")?;
+            .hint("0 adds no noise, 1 as much as ddpm")?;
         in_range(
             "sampling.sampler.guidance_scale",
             self.guidance_scale,

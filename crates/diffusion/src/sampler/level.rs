@@ -1,4 +1,4 @@
-//! How much motion and how much noise a noisy motion holds.
+//! Signal and noise of a noisy motion.
 
 use crate::{GaussianDiffusion, NoiseSchedule};
 

@@ -1,9 +1,9 @@
-//! From noise to motion.
+//! Samplers: from noise to motion.
 //!
-//! A sampler is a function in a file of its own that owns its loop: it asks a [`Predict`] for the
-//! clean motion along a [`Path`] of noise levels. [`sample`] runs the one that a config names with a
-//! network; [`draw`] does with any [`Predict`]. The steps of DDIM and DDPM are public too, and take
-//! their noise as an argument, for whoever writes another loop.
+//! Each sampler is a function in its own file that contains its whole loop: it calls a [`Predict`]
+//! for the clean motion along a [`Path`] of noise levels. [`sample`] runs the sampler of a config with
+//! a network, [`draw`] with any [`Predict`]. The single steps of DDIM and DDPM are public too, with
+//! their noise as an argument, for custom loops.
 
 #![expect(
     non_snake_case,
@@ -41,18 +41,18 @@ pub use step::{StepInput, StepOutput};
 
 use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
 
-/// What is told, after each step, the number of steps done, 1 being the first, the number of steps
-/// in all, and the state `[batch, channels, time]` that the step led to.
+/// Callback after each step: the number of steps done, starting from 1, the total number of steps, and
+/// the new state `[batch, channels, time]`.
 pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 
-/// Draws one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
+/// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).
 ///
 /// Run it on a plain device with a network of plain weights (Burn: `Module::valid`): on a device
 /// with autodiff every step keeps its graph, and memory grows from call to call.
 ///
-/// `keys` are what the noise of the steps is drawn from, where there is any (`ddpm`, and `ddim` with
-/// `eta` above 0), on the host, so that it does not depend on the device.
+/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), which is generated on
+/// the host so that it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`

@@ -1,4 +1,4 @@
-//! Which stream the noise of each step and sample is drawn from.
+//! The random streams of the noise of each step and sample.
 
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_random::Key;

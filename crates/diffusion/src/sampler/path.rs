@@ -1,4 +1,4 @@
-//! Which noise levels a sampler visits.
+//! The noise levels that a sampler visits.
 
 use super::{SamplerConfig, timesteps};
 use crate::Time;
@@ -61,7 +61,7 @@ impl Path {
         &self.steps[index]
     }
 
-    /// The same as a network is told.
+    /// The same as the time input of a network.
     ///
     /// # Panics
     /// Panics if there are not so many steps.

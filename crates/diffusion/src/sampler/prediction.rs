@@ -1,4 +1,4 @@
-//! What a sampler learns of the clean motion at each noise level.
+//! Predictions of the clean motion at a noise level.
 
 use burn::tensor::Tensor;
 
@@ -6,7 +6,7 @@ use super::ClipRange;
 use crate::steering::Steered;
 use crate::{Error, GaussianDiffusion, PredictionType, Time};
 
-/// What a network says of a noisy motion: asked for by a sampler as often as it needs to, with the
+/// The prediction for a noisy motion, called by a sampler as often as it needs to, with the
 /// noisy motion `[batch, channels, time]` and one [`Time`] a sample.
 ///
 /// Guidance, clipping, steering and rollouts stand between network and sampler and show in what is

@@ -1,4 +1,4 @@
-//! Which timesteps a sampler visits.
+//! The timesteps that a sampler visits.
 
 use super::{SamplerConfig, TimestepSpacing};
 

@@ -1,4 +1,4 @@
-//! What a step takes and gives.
+//! Inputs and outputs of a sampling step.
 
 use burn::tensor::Tensor;
 
@@ -9,12 +9,12 @@ use crate::{Error, GaussianDiffusion};
 /// The input of [`super::ddim_step`] and [`super::ddpm_step`].
 #[derive(Clone, Debug)]
 pub struct StepInput<'a> {
-    /// The network's (guided) answer to `x_t`: `[batch, channels, time]`.
+    /// The network's (guided) output for `x_t`: `[batch, channels, time]`.
     pub model_output: Tensor<3>,
     /// The noisy motion: `[batch, channels, time]`.
     pub x_t: Tensor<3>,
     /// Standard normal noise `[batch, channels, time]`. None stands for zeros: right where the
-    /// step draws no noise, and the mean of the step elsewhere.
+    /// step adds no noise, and the mean of the step elsewhere.
     pub noise: Option<Tensor<3>>,
     /// Where each sample is.
     pub timesteps: &'a [usize],
@@ -32,7 +32,7 @@ pub struct StepOutput {
 }
 
 impl StepInput<'_> {
-    /// What the network's answer says.
+    /// The prediction from the network's output.
     ///
     /// # Panics
     /// Panics if there is not one timestep before and after for each sample.

@@ -1,29 +1,29 @@
-//! Known values put into a draw.
+//! Imputation of known values.
 
 use burn::tensor::Tensor;
 
-/// Two descriptions of the same motion: that of the network, and that in which values are known.
-/// Both maps are affine and each undoes the other.
+/// Conversion between the network's space and the space in which values are known. Both maps are
+/// affine and inverse to each other.
 pub trait Space {
-    /// From the network's description to the known one.
+    /// From the network's space to that of the known values.
     ///
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
     fn to_motion(&self, x: Tensor<3>) -> Tensor<3>;
 
-    /// From the known description to the network's.
+    /// From the space of the known values to the network's.
     ///
     /// # Shapes
     /// - motion, output: `[batch, channels, time]`
     fn to_network(&self, motion: Tensor<3>) -> Tensor<3>;
 }
 
-/// Values that a draw shall have.
+/// Known values to impute.
 #[derive(Clone)]
 pub struct Imputation<'a> {
-    /// The description in which they are known.
+    /// The space in which they are known.
     pub space: &'a dyn Space,
-    /// The values, `[batch, channels, time]`; only those under the mask count.
+    /// The values, `[batch, channels, time]`; only those under the mask are used.
     pub target: Tensor<3>,
     /// 1 where a value is known, else 0: `[batch, channels, time]`.
     pub mask: Tensor<3>,

@@ -1,9 +1,9 @@
-//! Draws that are led to a goal: by the gradient of a loss of the predicted clean motion, taken
-//! through the network (classifier guidance), and by putting known values in (imputation).
+//! Sampling with position control: classifier guidance, by the gradient of a loss of the predicted
+//! clean motion through the network, and imputation of known values.
 //!
 //! Source: Guided Motion Diffusion, appendix F, and Dhariwal and Nichol 2021,
 //! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
-//! Nothing here knows what a goal is about: it hears a predicted motion and answers a gradient.
+//! A [`Goal`] is any function from the predicted motion to the gradient of a loss.
 
 mod imputation;
 mod step;
@@ -31,25 +31,25 @@ pub trait Objective {
     fn gradient(&self, pred_original_sample: &Tensor<3>) -> Tensor<3>;
 }
 
-/// How strongly a draw is led to a goal.
+/// Guidance towards a goal.
 #[derive(Clone, Copy)]
 pub struct Guidance<'a> {
-    /// What the sample shall keep small.
+    /// The loss that guides the sample.
     pub objective: &'a dyn Objective,
-    /// The factor `s` of the gradient; it is multiplied by the step's variance too.
+    /// The guidance scale `s`; the gradient is also multiplied by the variance of the step.
     pub scale: f64,
 }
 
-/// What steers one step.
+/// Guidance and imputation of one step.
 #[derive(Clone, Default)]
 pub struct Steering<'a> {
     /// The gradient that shifts the mean.
     pub guidance: Option<Guidance<'a>>,
-    /// The values that are put in.
+    /// The known values to impute.
     pub imputation: Option<Imputation<'a>>,
 }
 
-/// A network twice: for gradients and without.
+/// The same network with and without gradients.
 #[derive(Debug)]
 pub struct Networks<'a, D: ?Sized> {
     /// On an autodiff device; its weights need no gradients.
@@ -66,12 +66,12 @@ impl<D: ?Sized> Clone for Networks<'_, D> {
 
 impl<D: ?Sized> Copy for Networks<'_, D> {}
 
-/// Draws one motion per sample of the start noise by DDPM, each step steered as `steering` says of
-/// its timestep.
+/// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
+/// that `steering` returns for each timestep.
 ///
 /// Noise is drawn as [`sample`](crate::sample) draws it, that of an imputation by the name
-/// `imputation`. `on_step` is told the number of steps done and in all,
-/// and the state that the step led to.
+/// `imputation`. `on_step` is called after each step with the number of steps done and in total, and
+/// the new state.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device
@@ -104,9 +104,9 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         config.kind == SamplerKind::Ddpm,
         "sampling.sampler.kind",
         format!("\"{}\"", config.kind),
-        "\"ddpm\" where a draw is led to a goal",
+        "\"ddpm\" when sampling with a goal",
     )
-    .hint("the shift is scaled by the variance of the step, which the others have none of")?;
+    .hint("guidance is scaled by the variance of the step, which only DDPM has")?;
     clip.validate(x_T.dims()[1])?;
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let steering = steering(time[0].timestep());

@@ -1,4 +1,4 @@
-//! One steered step.
+//! One sampling step with guidance and imputation.
 
 use burn::tensor::Tensor;
 
@@ -49,7 +49,7 @@ impl Steered<'_> {
         }
     }
 
-    /// Where the step lands that has led to `sample`.
+    /// Where the step that produced `sample` lands.
     pub(crate) fn landed(
         &self,
         diffusion: &GaussianDiffusion,

@@ -1,4 +1,4 @@
-//! What every denoiser of motion under a text is told: the timestep and the text, as one vector.
+//! The conditioning vector of text-conditioned denoisers: timestep and text embeddings.
 
 use burn::module::Module;
 use burn::tensor::activation::silu;

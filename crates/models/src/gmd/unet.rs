@@ -15,13 +15,13 @@ use crate::{Initializer, NamedSizes, NetworkConfig, Stages};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdUnetConfig {
-    /// Width of the condition inside the network, and what the multipliers are of.
+    /// Width of the condition inside the network, and base of the multipliers.
     pub latent_dim: usize,
-    /// Channels of each level over `latent_dim`.
+    /// Channels of each level divided by `latent_dim`.
     pub dim_mults: Vec<f64>,
     /// The condition scales and shifts (AdaGN) instead of being added.
     pub adagn: bool,
-    /// Second convolutions and the last one begin at zero: a fresh network answers 0.
+    /// Second convolutions and the last one are initialised to zero, so that a new network outputs 0.
     pub zero_init: bool,
     /// Frames that every clip is padded to.
     pub padded_frames: usize,
@@ -139,8 +139,8 @@ impl GmdUnetConfig {
         .hint("every level but the last halves the length; the published models have 224")
     }
 
-    /// Builds the network for motion of `in_channels`, told things by a vector of `cond_dim`
-    /// numbers; its parameters are drawn when they are first used.
+    /// Builds the network for motion of `in_channels`, conditioned on a vector of width `cond_dim`; its
+    /// parameters are initialised when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).

@@ -1,7 +1,7 @@
-//! The field's published pair of encoders, which say how well motions match their captions.
+//! The published text-motion evaluator: encoders that measure how well motions match captions.
 //!
-//! One maps a clip of HumanML3D features, the other a caption, to embeddings that lie close together
-//! where the caption describes the clip. The networks are fixed: their weights come from a file, all
+//! One encodes clips of HumanML3D features, the other captions, to embeddings that are close together
+//! if the caption describes the clip. The networks are fixed: their weights come from a file, all
 //! widths are those of the weights, and they are run without gradients. Source: C. Guo et al.,
 //! "Generating Diverse and Natural 3D Human Motions from Text" (2022), section 5, as its published
 //! program computes it.

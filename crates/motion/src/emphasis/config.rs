@@ -51,7 +51,7 @@ impl Default for EmphasisConfig {
 }
 
 impl EmphasisConfig {
-    /// Refuses a scale that is not positive or beyond a million, and channels that are missing or repeated.
+    /// Rejects a scale that is not positive or beyond a million, and channels that are missing or repeated.
     ///
     /// # Errors
     /// Names the first such setting.
@@ -83,7 +83,7 @@ impl EmphasisConfig {
 /// Largest scale: beyond it single precision cannot hold a frame and undo the projection.
 const LARGEST_SCALE: f64 = 1e6;
 
-/// Refuses a scale or channels that no projection of `dimension` features can have.
+/// Rejects a scale or channels that no projection of `dimension` features can have.
 pub(super) fn check(
     scale: f64,
     channels: &[usize],

@@ -1,4 +1,4 @@
-//! What can be wrong with an emphasis projection.
+//! Errors about an emphasis projection.
 
 use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;

@@ -1,8 +1,8 @@
-//! Emphasis projection: the trajectory made a larger part of what a motion model sees.
+//! Emphasis projection: increases the weight of the trajectory in the input of a motion model.
 //!
 //! Among a frame's 263 features the root's rotation and ground position are three, and a model
-//! that predicts all of them equally well may miss where the body goes. Here these three rows are
-//! multiplied by a scale c, and a random matrix spreads them over all features, so that each has
+//! that predicts all of them equally well can be inaccurate about where the body goes. These three rows
+//! are multiplied by a scale c, and a random matrix distributes them over all features, so that each has
 //! about unit variance again. A frame is a row: `y = x P`, `x = y P^-1`. Source: Guided Motion
 //! Diffusion, appendix C.
 //!

@@ -1,11 +1,11 @@
-//! How far a motion is from its goal, and in which direction it would come nearer.
+//! The guidance loss of a goal and its gradient.
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::{Goal, GroundTargets, Obstacle};
 
-/// How the distance from a target counts.
+/// The norm of the distance from a target.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceNorm {
@@ -20,7 +20,7 @@ pub enum GuidanceNorm {
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceConfig {
-    /// How the distance from a target counts.
+    /// The norm of the distance from a target.
     pub norm: GuidanceNorm,
     /// Only this many frames from the first on enter the sum of distances, while the divisor counts
     /// the targets of all frames. The published programs have 120 here; without a number all
@@ -45,7 +45,7 @@ impl GuidanceConfig {
 /// ```
 ///
 /// p is the ground position `[x, z]` of sample b in frame n, g its target and m 1 where it has one,
-/// M the number of values that have a target (two for each key frame) in the whole batch of B
+/// M the number of values that have a target (two for each keyframe) in the whole batch of B
 /// samples, d the signed distance from an obstacle, N_b the number of the goal's frames, w and v
 /// the weights of the goal. With a margin of 0 an obstacle counts by the depth in it.
 #[derive(Clone, Debug)]

@@ -1,11 +1,11 @@
-//! What a user asks the motion's root to do: where to be when, and what to keep out of.
+//! Goals: position control of the root by keyframes, trajectories and obstacles.
 //!
-//! Positions lie on the ground, x and z in metres; frames count from 0. A goal is read from a
-//! document such as this:
+//! Positions are on the ground plane, x and z in metres; frames are numbered from 0. Goals are read
+//! from TOML such as:
 //!
 //! ```toml
 //! frames = 120            # length of the clip
-//! margin = 0.1            # metres kept free around obstacles
+//! margin = 0.1            # clearance around obstacles, metres
 //!
 //! [[keyframe]]
 //! frame = 30
@@ -23,7 +23,7 @@
 //! vertices = [[2.0, 0.0], [3.0, 0.0], [2.5, 1.0]]
 //! ```
 //!
-//! Instead of key frames it may hold a trajectory, a position for each frame of a range:
+//! Instead of keyframes it may hold a trajectory, a position for each frame of a range:
 //!
 //! ```toml
 //! frames = 40
@@ -47,7 +47,7 @@ pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-/// Refuses a coordinate that is not finite.
+/// Rejects a coordinate that is not finite.
 fn check_metres(key: &str, metres: f64) -> Result<(), InvalidSetting> {
     require(metres.is_finite(), key, metres, "a finite number of metres").hint(
         "positions lie on the ground, x to the left of the first frame's body and z ahead of it",
@@ -60,7 +60,7 @@ fn check_position(key: &str, [x, z]: [f64; 2]) -> Result<(), InvalidSetting> {
     check_metres("z", z).within(key)
 }
 
-/// Where the root shall be in one frame.
+/// A target position of the root in one frame.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
@@ -79,7 +79,7 @@ impl Keyframe {
     }
 }
 
-/// Where the root shall be in each frame of a range.
+/// Target positions of the root in a range of frames.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trajectory {
@@ -90,11 +90,11 @@ pub struct Trajectory {
     pub points: Vec<[f64; 2]>,
 }
 
-/// How much the parts of a goal count in the [`GuidanceLoss`].
+/// Weights of the parts of a goal in the [`GuidanceLoss`].
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GoalWeights {
-    /// Distance from key frames or trajectory.
+    /// Distance from keyframes or trajectory.
     pub position: f64,
     /// Depth in obstacles.
     pub obstacle: f64,
@@ -110,31 +110,31 @@ impl Default for GoalWeights {
     }
 }
 
-/// What one clip's root shall do.
+/// Position control of one clip.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
     /// Length of the clip.
     pub frames: usize,
-    /// Metres that the root shall keep away from obstacles.
+    /// Clearance around obstacles, metres.
     #[serde(default)]
     pub margin: f64,
-    /// Key frames in any order, at most one for each frame. In a document `[[keyframe]]`.
+    /// Keyframes in any order, at most one for each frame. In a document `[[keyframe]]`.
     #[serde(default, rename = "keyframe", skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<Keyframe>,
-    /// A trajectory instead of key frames.
+    /// A trajectory instead of keyframes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<Trajectory>,
-    /// What to keep out of. In a document `[[obstacle]]`.
+    /// Obstacles to avoid, `[[obstacle]]` in TOML.
     #[serde(default, rename = "obstacle", skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<Obstacle>,
-    /// How much each part counts.
+    /// Weights of the parts.
     #[serde(default)]
     pub weights: GoalWeights,
 }
 
 impl Goal {
-    /// A clip of `frames` frames that nothing is asked of yet.
+    /// An empty goal for a clip of `frames` frames.
     pub fn new(frames: usize) -> Self {
         Self {
             frames,
@@ -146,8 +146,8 @@ impl Goal {
         }
     }
 
-    /// Refuses a goal that cannot be followed: outside of the clip, contradictory, not finite, or
-    /// empty. What it accepts no other function here stumbles over.
+    /// Rejects invalid goals: outside the clip, contradictory, not finite, or empty. Other functions
+    /// of this module accept every valid goal.
     ///
     /// # Errors
     /// Names the first such value by its place, such as `keyframe[2].frame`; lists count from 0.
@@ -169,7 +169,7 @@ impl Goal {
         }
         let empty =
             self.keyframes.is_empty() && self.trajectory.is_none() && self.obstacles.is_empty();
-        let allowed = "key frames, a trajectory or obstacles";
+        let allowed = "keyframes, a trajectory or obstacles";
         require(!empty, "goal", "empty", allowed)
             .hint("add a `[[keyframe]]`, a `[trajectory]` or an `[[obstacle]]`")
     }
@@ -181,7 +181,7 @@ impl Goal {
             let same = |other: &Keyframe| other.frame == keyframe.frame;
             if let Some(earlier) = self.keyframes[..index].iter().position(same) {
                 let found = format!("{}, like that of `keyframe[{earlier}]`", keyframe.frame);
-                let allowed = "one key frame for each frame";
+                let allowed = "one keyframe for each frame";
                 let refused = InvalidSetting::new(format!("{key}.frame"), found, allowed);
                 return Err(refused.hint("leave out one of the two"));
             }
@@ -194,10 +194,10 @@ impl Goal {
         require(
             self.keyframes.is_empty(),
             "trajectory",
-            format!("given beside {} key frames", self.keyframes.len()),
+            format!("given together with {} keyframes", self.keyframes.len()),
             "one of the two",
         )
-        .hint("write the key frames into the trajectory, or leave the trajectory out")?;
+        .hint("write the keyframes into the trajectory, or leave the trajectory out")?;
         let points = &trajectory.points;
         let allowed = "one or more positions `[x, z]`";
         require(!points.is_empty(), "trajectory.points", "empty", allowed)
@@ -220,7 +220,7 @@ impl Goal {
         Ok(())
     }
 
-    /// Refuses a frame after the clip's end.
+    /// Rejects a frame after the clip's end.
     fn check_frame(&self, key: &str, frame: usize) -> Result<(), InvalidSetting> {
         let frames = self.frames;
         let allowed = format!("0 to {} (the goal has {frames} frames)", frames - 1);
@@ -228,7 +228,7 @@ impl Goal {
             .hint("frames count from 0; raise `frames` for a longer clip")
     }
 
-    /// The positions that are asked for: the key frames, or the trajectory.
+    /// The target positions: the keyframes, or the trajectory.
     ///
     /// # Panics
     /// Panics if [`validate`](Self::validate) would refuse a frame.
@@ -242,9 +242,9 @@ impl Goal {
         }
     }
 
-    /// The positions that are put into an early step of a sampler: the trajectory, or the key frames with
-    /// the [line between them](GroundTargets::point_to_point), but the key frames alone where there
-    /// are obstacles, through which the line might lead (GMD, appendix F).
+    /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes with
+    /// the [line between them](GroundTargets::point_to_point). With obstacles only the keyframes are
+    /// used, because the line could pass through an obstacle (GMD, appendix F).
     ///
     /// # Panics
     /// Panics if [`validate`](Self::validate) would refuse a frame.
@@ -255,7 +255,7 @@ impl Goal {
         GroundTargets::point_to_point(&self.keyframes, self.frames)
     }
 
-    /// The positions that act in a phase of the sampler, `None` where none do.
+    /// The positions that are used in a phase of the sampler, or `None`.
     ///
     /// # Panics
     /// Panics if [`validate`](Self::validate) would refuse a frame.

@@ -1,11 +1,11 @@
-//! What the root shall keep out of, by signed distance.
+//! Obstacles as signed distance functions.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
 
 use super::{check_metres, check_position, polygon};
 
-/// A region of the ground that the root shall not enter, in metres.
+/// A region of the ground plane that the root must avoid, in metres.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Obstacle {
@@ -53,7 +53,7 @@ impl Obstacle {
         }
     }
 
-    /// Refuses numbers that are not finite, a radius that is not positive, and polygons with fewer
+    /// Rejects numbers that are not finite, a radius that is not positive, and polygons with fewer
     /// than three corners or edges that touch one another.
     ///
     /// # Errors

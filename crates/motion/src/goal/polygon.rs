@@ -47,7 +47,7 @@ fn doubled_area(vertices: &[[f64; 2]]) -> f64 {
     edges(vertices).map(|(a, b)| cross(a, b)).sum()
 }
 
-/// Refuses a polygon with fewer than three distinct corners and one whose edges touch one another
+/// Rejects a polygon with fewer than three distinct corners and one whose edges touch one another
 /// elsewhere than at the corners that they share.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();

@@ -1,15 +1,15 @@
-//! Which part of a goal acts at which step of a sampler.
+//! The phases of guidance and imputation over the timesteps.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
 
-/// Which frames of a goal act.
+/// The targets that are used in a step.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// The key frames and the line between them.
+    /// The keyframes and the line between them.
     Dense,
-    /// The key frames alone.
+    /// The keyframes alone.
     Points,
     /// None: the model finishes the motion by itself.
     Off,
@@ -18,7 +18,7 @@ pub enum Phase {
 /// Until which timestep of a sampler, counted down, each [`Phase`] acts.
 ///
 /// The appendix (GMD, F) ends guidance and imputation at t = 20; the published evaluation changes
-/// from the line to the key frames at t = 100. The published demonstration goes on to t = 1 with
+/// from the line to the keyframes at t = 100. The published demonstration goes on to t = 1 with
 /// the motion model, which is `points_until = 1` here.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
@@ -50,7 +50,7 @@ impl GuidanceSchedule {
         }
     }
 
-    /// Refuses a line that acts longer than its key frames.
+    /// Rejects a line that acts longer than its keyframes.
     ///
     /// # Errors
     /// Names `dense_until`.
@@ -58,7 +58,7 @@ impl GuidanceSchedule {
         let allowed = format!("{} (`points_until`) or more", self.points_until);
         let (dense, points) = (self.dense_until, self.points_until);
         require(dense >= points, "dense_until", dense, allowed)
-            .hint("timesteps count down: the line between key frames ends before they do")
+            .hint("timesteps count down: the line between keyframes ends before they do")
     }
 }
 

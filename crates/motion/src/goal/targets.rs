@@ -1,4 +1,4 @@
-//! Where the root shall be, frame by frame.
+//! Target positions of the root per frame.
 
 use super::Keyframe;
 
@@ -14,10 +14,10 @@ pub struct GroundTargets {
 }
 
 impl GroundTargets {
-    /// The key frames alone, in a clip of `frames` frames. Of two for one frame the last counts.
+    /// The keyframes alone, in a clip of `frames` frames. Of two for one frame the last counts.
     ///
     /// # Panics
-    /// Panics if a key frame lies outside of the clip.
+    /// Panics if a keyframe lies outside of the clip.
     pub fn points(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for keyframe in keyframes {
@@ -26,14 +26,14 @@ impl GroundTargets {
         Self { targets }
     }
 
-    /// The key frames and straight lines between them, walked at even speed, beginning at the
-    /// origin in frame 0. Frames after the last key frame have no target.
+    /// The keyframes and straight lines between them, walked at even speed, beginning at the
+    /// origin in frame 0. Frames after the last keyframe have no target.
     ///
-    /// Where frame 0 is no key frame, the line from the origin to the first one is asked for like
-    /// any other; where it is one, it need not be at the origin.
+    /// If frame 0 is not a keyframe, the line from the origin to the first keyframe is included; if it
+    /// is one, it need not be at the origin.
     ///
     /// # Panics
-    /// Panics if a key frame lies outside of the clip.
+    /// Panics if a keyframe lies outside of the clip.
     pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
         ordered.sort_by_key(|keyframe| keyframe.frame);

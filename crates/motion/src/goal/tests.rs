@@ -72,7 +72,7 @@ fn errors_name_the_key_what_was_found_and_what_is_allowed() {
     goal.keyframes[2].frame = 30;
     assert_eq!(
         message(&goal),
-        "`keyframe[2].frame` is 30, like that of `keyframe[0]`, allowed: one key frame for each \
+        "`keyframe[2].frame` is 30, like that of `keyframe[0]`, allowed: one keyframe for each \
          frame"
     );
     goal.keyframes[2] = keyframe(2, 0.0, f64::NAN);
@@ -83,7 +83,7 @@ fn errors_name_the_key_what_was_found_and_what_is_allowed() {
         first_frame: 118,
         points: vec![[0.0; 2]; 3],
     });
-    assert!(message(&goal).starts_with("`trajectory` is given beside 2 key frames"));
+    assert!(message(&goal).starts_with("`trajectory` is given together with 2 keyframes"));
     goal.keyframes.clear();
     assert_eq!(
         message(&goal),

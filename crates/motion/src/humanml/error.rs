@@ -1,4 +1,4 @@
-//! What can be wrong with skeletons, features and their statistics.
+//! Errors about skeletons, features and their statistics.
 
 use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;

@@ -1,4 +1,4 @@
-//! Which channel of a frame says what, for any number of joints.
+//! The channel layout of joint features, for any number of joints.
 //!
 //! Source: HumanML3D (docs/sources.md, section 3.1).
 

@@ -1,5 +1,5 @@
-//! Joints and features of HumanML3D and its like: 263 numbers a frame for 22 joints, and as many
-//! as it takes for any other skeleton.
+//! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1` for J
+//! joints.
 //!
 //! Metres, +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
 //! the world to the facing frame and enter the features by half their angle ([`Root`]). Features

@@ -1,4 +1,4 @@
-//! The root's way: relative and absolute reading of the first four channels, and back.
+//! The root path: conversion between relative and absolute root channels.
 //!
 //! Channels 0 to 3 of a frame are (rotation, x, z, height). The root quaternion is (cos a, 0,
 //! sin a, 0) and turns the world to the facing frame: `a` is half of an angle, and a body with yaw

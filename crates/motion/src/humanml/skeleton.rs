@@ -208,7 +208,7 @@ impl Skeleton {
         format!("{of}.{component}")
     }
 
-    /// Refuses joints of another skeleton.
+    /// Rejects joints of another skeleton.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints.
@@ -223,7 +223,7 @@ impl Skeleton {
         })
     }
 
-    /// Refuses features of another skeleton.
+    /// Rejects features of another skeleton.
     pub(super) fn accept_layout(&self, layout: FeatureLayout) -> Result<(), FeatureError> {
         if layout == self.layout {
             return Ok(());

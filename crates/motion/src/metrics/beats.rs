@@ -1,4 +1,4 @@
-//! Do the dancer's beats fall on the music's?
+//! Beat alignment of motion and music.
 //!
 //! The beat alignment score of Li et al. 2021 (AIST++), <https://arxiv.org/abs/2101.08779>, with
 //! the beats that this data allows: the phrase carries the root alone. The music's beats are

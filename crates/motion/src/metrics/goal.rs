@@ -18,7 +18,7 @@ pub struct GoalSample<'a> {
     pub joints: Option<JointTracks<'a>>,
 }
 
-/// Distance in metres of the root from each position that the goal asks for, key frames or
+/// Distance in metres of the root from each position that the goal asks for, keyframes or
 /// trajectory, in the order of frames.
 ///
 /// # Panics
@@ -46,7 +46,7 @@ pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
 
 /// How generated motions reach their goals and how they look meanwhile.
 ///
-/// A metric that cannot be computed, for want of key frames, obstacles, joints or features, or
+/// A metric that cannot be computed, for want of keyframes, obstacles, joints or features, or
 /// because a value is not finite, is `None`. The two thresholds are the ones in use in the field.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -55,15 +55,15 @@ pub struct GoalReport {
     pub samples: usize,
     /// Number of positions that were asked for.
     pub keyframes: usize,
-    /// Share of the motions with key frames of which one or more is missed by more than 20 cm.
+    /// Share of the motions with keyframes of which one or more is missed by more than 20 cm.
     pub trajectory_error_20cm: Option<f64>,
-    /// Share of the motions with key frames of which one or more is missed by more than 50 cm.
+    /// Share of the motions with keyframes of which one or more is missed by more than 50 cm.
     pub trajectory_error_50cm: Option<f64>,
-    /// Share of all motions' key frames that are missed by more than 20 cm.
+    /// Share of all motions' keyframes that are missed by more than 20 cm.
     pub location_error_20cm: Option<f64>,
-    /// Share of all motions' key frames that are missed by more than 50 cm.
+    /// Share of all motions' keyframes that are missed by more than 50 cm.
     pub location_error_50cm: Option<f64>,
-    /// Mean distance from all motions' key frames, metres.
+    /// Mean distance from all motions' keyframes, metres.
     pub average_error: Option<f64>,
     /// Mean over motions of [`JointTracks::skating_ratio`].
     pub foot_skating: Option<f64>,
@@ -163,7 +163,7 @@ impl GoalReport {
 impl fmt::Display for GoalReport {
     /// One line for each metric that could be computed.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} motions, {} key frames", self.samples, self.keyframes)?;
+        write!(f, "{} motions, {} keyframes", self.samples, self.keyframes)?;
         for (name, value, unit) in self.rows() {
             if let Some(value) = value {
                 write!(f, "\n{name:<24} {value:>9.4}{unit}")?;
@@ -276,7 +276,7 @@ mod tests {
         let json = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<GoalReport>(&json).unwrap(), report);
         let printed = report.to_string();
-        assert!(printed.starts_with("3 motions, 3 key frames\n"));
+        assert!(printed.starts_with("3 motions, 3 keyframes\n"));
         assert!(
             printed.contains("\nfoot skating                0.5000\n"),
             "{printed}"

@@ -139,7 +139,7 @@ impl PostProcessConfig {
         }
     }
 
-    /// Refuses even windows and limits that are not positive and finite.
+    /// Rejects even windows and limits that are not positive and finite.
     ///
     /// # Errors
     /// Names the first such setting.

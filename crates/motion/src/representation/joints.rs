@@ -1,4 +1,4 @@
-//! Bodies: joint features such as HumanML3D's, and plain joint positions.
+//! Full-body representations: joint features as in HumanML3D, and joint positions.
 
 use std::ops::Range;
 
@@ -127,8 +127,7 @@ impl Representation for JointFeatures {
         fits && (own < other() || self.root == Root::Relative && own == other())
     }
 
-    /// Where the first rotation stands that is none: features that were normalised, or of another
-    /// layout.
+    /// The first invalid rotation, as in features that were normalised or have another layout.
     fn implausible(&self, rows: &[f32]) -> Option<String> {
         let frames = rows.chunks_exact(self.channels()).enumerate();
         frames.into_iter().find_map(|(t, frame)| {
@@ -137,7 +136,7 @@ impl Representation for JointFeatures {
             let odd = |column: &[f32; 3]| (length(column) - 1.0).abs() > COLUMN_TOLERANCE;
             let place = columns.iter().position(odd)?;
             Some(format!(
-                "joint rotations are none in frame {t}: a column of joint {} has length {:.3}, 1 \
+                "joint rotations are invalid in frame {t}: a column of joint {} has length {:.3}, 1 \
                  expected (are the features normalised already?)",
                 1 + place / 2,
                 length(&columns[place])
@@ -237,7 +236,7 @@ impl Representation for GroundPath {
     }
 }
 
-/// What is worth drawing of a body: heights and speeds of root and feet, and how jerky it is.
+/// Curves of a body: heights and speeds of root and feet, and jerk.
 pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Vec<Curves> {
     let track = |joint: usize| -> Vec<[f64; 3]> {
         let frames = 0..joints.frames();
@@ -333,7 +332,7 @@ mod tests {
     fn normalised_features_are_implausible() {
         let problem = representation().implausible(&clip(3, 0.01)).unwrap();
         assert!(
-            problem.contains("joint rotations are none in frame 0"),
+            problem.contains("joint rotations are invalid in frame 0"),
             "{problem}"
         );
     }

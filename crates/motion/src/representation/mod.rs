@@ -1,9 +1,8 @@
-//! Representations: what a row of numbers is.
+//! Representations of motion.
 //!
-//! A [`Representation`] says of the rows of a motion how many numbers they have and what each is,
-//! how many of them make a second, how they are normalised, where they put the joints of a body,
-//! which checks they must pass and what is worth drawing. [`Phrases`] and [`JointFeatures`] are
-//! those that models here are trained on; [`JointPositions`] is what most programs read.
+//! A [`Representation`] defines the channels of a frame, the frame rate, the normalisation, the joint
+//! positions, the sanity checks and the curves to plot. Models are trained on [`Phrases`] and
+//! [`JointFeatures`]; [`JointPositions`] is a common exchange format.
 
 mod joints;
 mod phrases;
@@ -19,16 +18,16 @@ use crate::sanity::body;
 use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
-/// What a row of numbers is. Rows are `[frames, channels]`, row by row, in the units of the
-/// dataset; they may hold anything, NaN included, unless a method says otherwise.
+/// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the dataset;
+/// they may contain any values, including NaN, unless a method says otherwise.
 pub trait Representation: Debug + Send + Sync {
     /// Its name, for messages.
     fn name(&self) -> String;
 
-    /// Numbers of a row.
+    /// Number of channels.
     fn channels(&self) -> usize;
 
-    /// Rows of a second.
+    /// Frames per second.
     fn fps(&self) -> f64;
 
     /// The shape of an array of such rows, for messages.
@@ -39,21 +38,21 @@ pub trait Representation: Debug + Send + Sync {
     /// Name of a channel, such as `position.x`; for messages and tables.
     fn channel_name(&self, channel: usize) -> String;
 
-    /// Positions of the joints, `[frames, joints, 3]`, metres, the root being joint 0; none where
-    /// a value is not finite.
+    /// Joint positions, `[frames, joints, 3]`, metres, the root being joint 0; `None` if a value is not
+    /// finite.
     fn joints(&self, rows: &[f32]) -> Option<Joints>;
 
-    /// Whose joints they are, where that is known.
+    /// The skeleton of the joints, if known.
     fn skeleton(&self) -> Option<&Skeleton> {
         None
     }
 
-    /// Whether an array of this `shape` with these values holds such rows.
+    /// Whether an array of this `shape` with these values is in this representation.
     fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, channels] if *frames > 0 && *channels == self.channels())
     }
 
-    /// Channels that are summed up together, by name; each on its own where nothing else is said.
+    /// Groups of channels for summaries, by name; by default one group per channel.
     fn groups(&self) -> Vec<(String, Range<usize>)> {
         let channels = 0..self.channels();
         channels.map(|c| (self.channel_name(c), c..c + 1)).collect()
@@ -75,7 +74,7 @@ pub trait Representation: Debug + Send + Sync {
         jerk.unwrap_or_default()
     }
 
-    /// Why finite rows cannot be of this representation, where that can be seen.
+    /// Why finite rows cannot be in this representation, if that can be detected.
     fn implausible(&self, _rows: &[f32]) -> Option<String> {
         None
     }
@@ -101,7 +100,7 @@ pub trait Representation: Debug + Send + Sync {
         )
     }
 
-    /// What is worth drawing over time.
+    /// Curves to plot over time.
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
         let joints = self.joints(rows);
         joints.map_or_else(Vec::new, |joints| {
@@ -110,12 +109,12 @@ pub trait Representation: Debug + Send + Sync {
     }
 }
 
-/// Numbers over the frames of a motion that belong into one chart.
+/// Time series of a motion that are plotted in one chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curves {
-    /// What they are, with their unit.
+    /// Title with unit.
     pub title: String,
-    /// Each with its name, `[frames]` or a little fewer.
+    /// Named series, `[frames]` or slightly shorter.
     pub series: Vec<(String, Vec<f64>)>,
 }
 
@@ -185,7 +184,7 @@ impl Measured {
     }
 }
 
-/// The statistics of whole items; none of no items.
+/// The statistics of whole items; `None` without items.
 pub fn statistics_of<'a>(
     representation: &dyn Representation,
     items: impl IntoIterator<Item = &'a [f32]>,

@@ -8,7 +8,7 @@ use super::{CheckpointRef, Checkpoints, State};
 use crate::Error;
 use crate::optim::Moments;
 
-/// Refuses a folder that holds something.
+/// Rejects a folder that holds something.
 pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
     let taken = out
         .read_dir()

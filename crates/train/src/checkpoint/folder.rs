@@ -58,7 +58,7 @@ impl Checkpoints {
         steps
     }
 
-    /// The newest checkpoint that is good, if there are any checkpoints at all; `skipped` is told
+    /// The latest valid checkpoint, if there are any checkpoints; `skipped` is called
     /// of each damaged one.
     ///
     /// # Errors
@@ -119,7 +119,7 @@ impl Checkpoints {
         Ok(target)
     }
 
-    /// Records the best step, or that there is none.
+    /// Records the best step, or removes the record.
     ///
     /// # Errors
     /// If it cannot be written.

@@ -1,7 +1,7 @@
-//! Checkpoints: a folder of safetensors and one `state.json`, complete in itself.
+//! Checkpoints: a self-contained folder of safetensors files and one `state.json`.
 //!
-//! A checkpoint is written under a temporary name, flushed and renamed, so a crash at any instant
-//! leaves the earlier ones usable; what reads one verifies its checksums first.
+//! A checkpoint is written under a temporary name, flushed and renamed, so a crash at any point
+//! leaves the earlier ones usable; checksums are verified when a checkpoint is read.
 
 mod alone;
 mod folder;
@@ -23,7 +23,7 @@ use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use crate::Error;
 use crate::optim::Moments;
 
-/// Everything that a run continues from.
+/// Everything needed to resume a run.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
     /// Config, step, statistics, progress.

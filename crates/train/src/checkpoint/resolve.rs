@@ -3,11 +3,11 @@ use std::path::{Path, PathBuf};
 use super::{Checkpoints, State, Weights, read_weights};
 use crate::Error;
 
-/// The checkpoint meant by a path: itself, or the best one of a run (the newest good one where no
-/// best is recorded). `skipped` is told of each damaged one.
+/// Resolves a path to a checkpoint: the path itself, or the best checkpoint of a run (the latest
+/// valid one if no best is recorded). `skipped` is called for each damaged one.
 ///
 /// # Errors
-/// If there is neither at the path.
+/// If the path is neither a run nor a checkpoint.
 pub fn resolve_checkpoint(path: &Path, mut skipped: impl FnMut(&Error)) -> Result<PathBuf, Error> {
     if path.join("state.json").exists() {
         return Ok(path.to_path_buf());

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// What can be wrong with a config.
+/// Errors about a config.
 #[derive(Debug, Error, Diagnostic)]
 pub enum ConfigError {
     /// The file is not there or cannot be read.

@@ -89,7 +89,7 @@ pub fn parse(
 /// Tables whose keys may change once a model is trained.
 const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
 
-/// A trained run's config with `overrides` of how it is drawn from and evaluated.
+/// A trained run's config with `overrides` of its sampling and evaluation settings.
 ///
 /// # Errors
 /// Names the override that is wrong, or whose key is of another table.

@@ -57,7 +57,7 @@ pub struct Config {
     pub checkpoint: CheckpointConfig,
     /// When and how to measure on held-out motion.
     pub validation: ValidationConfig,
-    /// How to draw samples from the trained model.
+    /// Sampling settings of the trained model.
     pub sampling: SamplingConfig,
 }
 
@@ -105,7 +105,7 @@ fn toml_value(json: serde_json::Value) -> Option<Value> {
     })
 }
 
-/// Refuses values that cannot work and returns what is doubtful.
+/// Rejects values that cannot work and returns what is doubtful.
 ///
 /// # Errors
 /// Names the first key with a bad value, what it is, what is allowed and how to mend it.

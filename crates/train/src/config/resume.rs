@@ -23,7 +23,7 @@ pub fn may_differ(key: &str) -> bool {
     FREE.iter().any(|free| kinegrad_data::matches(free, key))
 }
 
-/// Refuses a config that would not continue the saved one.
+/// Rejects a config that would not continue the saved one.
 ///
 /// # Errors
 /// Names the first key that differs and may not.

@@ -1,16 +1,16 @@
-//! The table `sampling.steering`: how a draw is led to its goal.
+//! The table `sampling.steering`: guidance and imputation for goals.
 
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use serde::{Deserialize, Serialize};
 
-/// How a draw is led to its goal (Guided Motion Diffusion, appendix F).
+/// Guidance and imputation for goals (Guided Motion Diffusion, appendix F).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SteeringConfig {
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
     pub scale: f64,
-    /// Whether known positions are put into the draw.
+    /// Whether known positions are imputed.
     pub imputation: bool,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
@@ -30,7 +30,7 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
-    /// Refuses what no draw can be led by.
+    /// Validates the settings.
     ///
     /// # Errors
     /// Names the first key with a bad value.

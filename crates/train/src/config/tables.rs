@@ -15,9 +15,9 @@ use crate::systems::RecipeInfo;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunConfig {
-    /// Folder of the run under the runs directory; the config file's name when empty.
+    /// Name of the run's folder under the runs directory; if empty, the config file's name.
     pub name: String,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
     /// `auto`, `cpu`, or a device of this build (`kinegrad devices` lists them).
     pub device: String,
@@ -33,16 +33,16 @@ impl Default for RunConfig {
     }
 }
 
-/// How the learning rate falls after the warm-up, over the rest of `train.max_steps`.
+/// Learning rate schedule after the warm-up, over the rest of `train.max_steps`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LrSchedule {
-    /// Half a cosine down to zero.
+    /// Cosine decay to zero.
     #[default]
     Cosine,
-    /// A straight line down to zero.
+    /// Linear decay to zero.
     Linear,
-    /// Not at all.
+    /// Constant.
     Constant,
 }
 
@@ -50,7 +50,7 @@ pub enum LrSchedule {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimConfig {
-    /// Rate after the warm-up.
+    /// Learning rate after the warm-up.
     pub learning_rate: f64,
     /// Decoupled weight decay, scaled by the learning rate.
     pub weight_decay: f64,
@@ -58,11 +58,11 @@ pub struct OptimConfig {
     pub betas: [f64; 2],
     /// Added to the denominator.
     pub eps: f64,
-    /// Steps in which the rate rises from 0.
+    /// Steps over which the learning rate rises linearly from 0.
     pub warmup_steps: u64,
-    /// Form of the decay after the warm-up.
+    /// Schedule after the warm-up.
     pub lr_schedule: LrSchedule,
-    /// Rates of single groups of parameters (`unet`, `decoder`) in place of `learning_rate`.
+    /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
 }
 
@@ -91,17 +91,18 @@ impl Default for OptimConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Kind of training, which belongs to one system.
+    /// The training recipe, which belongs to one system.
     pub recipe: String,
-    /// Optimiser steps in all.
+    /// Total number of optimiser steps.
     pub max_steps: u64,
-    /// Batches whose gradients are averaged into one step.
+    /// Number of batches whose gradients are averaged for one step.
     pub gradient_accumulation_steps: u64,
-    /// Gradients are scaled down to this global norm; 0 leaves them.
+    /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
-    /// Steps between lines of metrics.
+    /// Steps between metrics.
     pub log_every_steps: u64,
-    /// Validations without a better loss after which training ends; 0 never ends it early.
+    /// Early stopping: number of validations without improvement after which training ends; 0
+    /// disables it.
     pub patience: u64,
 }
 
@@ -118,16 +119,16 @@ impl Default for TrainConfig {
     }
 }
 
-/// The table `ema`: the moving average of the weights that samples are drawn from.
+/// The table `ema`: the exponential moving average of the weights, used for sampling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmaConfig {
-    /// Share of the average that one update keeps; 0 makes the average a copy of the weights.
+    /// Decay of the average; 0 makes it a copy of the weights.
     pub decay: f64,
     /// Optimiser steps between updates.
     pub update_every: u64,
-    /// With `power`, update n keeps at most `1 - (1 + n / inv_gamma)^-power`, so that the first
-    /// weights are forgotten early in training; 0 switches this warm-up off.
+    /// With `power`, the decay of update n is at most `1 - (1 + n / inv_gamma)^-power`, so that
+    /// initial weights fade early in training; 0 disables this warm-up.
     pub inv_gamma: f64,
     /// See `inv_gamma`.
     pub power: f64,
@@ -152,7 +153,7 @@ impl Default for EmaConfig {
 pub struct CheckpointConfig {
     /// Steps between checkpoints; one is also written at the end and at each best validation.
     pub every_steps: u64,
-    /// Newest checkpoints that are kept, beside the best one.
+    /// Number of latest checkpoints to keep, in addition to the best one.
     pub keep_last: usize,
 }
 
@@ -169,9 +170,9 @@ impl Default for CheckpointConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
-    /// Steps between validations; 0 never validates.
+    /// Steps between validations; 0 disables validation.
     pub every_steps: u64,
-    /// Noise draws per held-out phrase, of the diffusion loss; a rollout is drawn once.
+    /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled once.
     pub draws: usize,
     /// Phrases per forward pass; for phrases of one length it does not change the result beyond
     /// rounding.
@@ -188,19 +189,20 @@ impl Default for ValidationConfig {
     }
 }
 
-/// What the predicted clean motion is clipped to in each sampling step.
+/// Clipping of the predicted clean motion in each sampling step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Clip {
-    /// Each channel to the range it has in the training phrases.
+    /// Each channel to its range in the training data. Not with an emphasis projection, nor with
+    /// statistics that came with the dataset.
     #[default]
     TrainingRange,
     /// CC-MotionGen's -1 to 1, in normalised units. Real motion reaches 21 standard deviations in
     /// single channels, so this flattens it.
     Unit,
-    /// -6 to 6 in normalised units, as the published trajectory model is clipped.
+    /// -6 to 6 in normalised units, as for the published trajectory model.
     Six,
-    /// Nothing is clipped.
+    /// No clipping.
     None,
 }
 
@@ -208,7 +210,7 @@ impl Clip {
     /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
-    /// Where the range of the training motion is asked for and not known.
+    /// If the range of the training motion is needed but not known.
     pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
         Ok(match self {
             Self::TrainingRange => {
@@ -231,21 +233,21 @@ impl Clip {
     }
 }
 
-/// The table `sampling`: how the run's samples are drawn, at its end and by `kinegrad sample`.
+/// The table `sampling`: sampler settings of the run, for samples at its end and `kinegrad sample`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {
-    /// Samples drawn, post-processed and checked when training ends; 0 draws none.
+    /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
     /// What the predicted clean motion is clipped to.
     pub clip: Clip,
     /// The sampler.
     pub sampler: SamplerConfig,
-    /// How draws of recipes on clips are led to their goals.
+    /// Guidance and imputation for goals, for recipes on clips.
     pub steering: SteeringConfig,
 }
 
-/// Refuses bad values in the tables above.
+/// Rejects bad values in the tables above.
 pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
     let Config {
         optim,

@@ -1,4 +1,4 @@
-//! A run whose request has been checked, up to its end.
+//! A validated run: its device, folder and checkpoint, and its training.
 
 use std::fs::{self, File};
 use std::path::PathBuf;
@@ -99,7 +99,7 @@ impl Setup {
         }
     }
 
-    /// Refuses to continue on another dataset than the one trained on so far.
+    /// Rejects to continue on another dataset than the one trained on so far.
     ///
     /// # Errors
     /// If it is another.

@@ -1,9 +1,9 @@
-//! The systems: each a folder with all that is its own.
+//! Systems: one folder per generative method.
 //!
-//! A [`System`] says its name, its recipes, the tables of its configs, and how to check, train,
-//! sample, evaluate and import. Nothing outside of a system's folder knows it by name: entry points
-//! take a list of [`Systems`] and look a run's system up by its recipe. [`BUILT_IN`] is the list of
-//! those here.
+//! A [`System`] defines its name, its recipes, its config tables, and how to validate, train,
+//! sample, evaluate and import weights. Code outside a system's folder does not refer to it by name:
+//! entry points take a list of [`Systems`] and find the system of a run by its recipe. [`BUILT_IN`]
+//! lists the systems of this crate.
 
 pub mod cc_motion;
 pub mod gmd;
@@ -22,75 +22,74 @@ use crate::observer::Observer;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
 
-/// A kind of training of a system.
+/// A training recipe of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecipeInfo {
-    /// Its name, the value of `train.recipe`; no other system may have one of that name.
+    /// Its name, the value of `train.recipe`, unique across systems.
     pub name: &'static str,
-    /// The groups of parameters it trains, each with a learning rate of its own.
+    /// The parameter groups it trains, each with its own learning rate (`optim.groups`).
     pub groups: &'static [&'static str],
 }
 
-/// A way to generate motion: its configs, networks, trainings and samplers.
+/// A method of generating motion: its config tables, networks, recipes and samplers.
 pub trait System: Sync {
     /// Its name.
     fn name(&self) -> &'static str;
 
-    /// Its kinds of training.
+    /// Its recipes.
     fn recipes(&self) -> &'static [RecipeInfo];
 
-    /// What the rows of motion files are that its models are trained on or draw.
+    /// The representations of motion that its models are trained on or generate.
     fn representations(&self) -> Vec<Box<dyn Representation>>;
 
-    /// What the recipe says where a config is silent, beneath `given`, the config as written.
+    /// Default values of the recipe for keys that are missing in `given`, the config as written.
     fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
         Table::new()
     }
 
-    /// The system's own tables of a config with every key written out; `place` says where a dotted
-    /// key stands.
+    /// The system's own config tables with all defaults filled in; `place` maps a dotted key to its
+    /// location in the file.
     ///
     /// # Errors
-    /// Names the place of a key that is unknown or of the wrong type.
+    /// For an unknown key or a wrong type; the error names the location.
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError>;
 
-    /// Refuses values that cannot work and returns what is doubtful; what every run has is checked
+    /// Validates the system's own tables and returns warnings; the common tables are validated
     /// elsewhere.
     ///
     /// # Errors
-    /// Names the first key with a bad value.
+    /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
-    /// Tables that stand beneath the config of a run because they follow from what it starts from:
-    /// of a run that is resumed, from its `saved` config, and of others from the checkpoints that
-    /// `config` names.
+    /// Config values that follow from what a run starts from, used as defaults: from the `saved`
+    /// config of a resumed run, otherwise from the checkpoints that `config` names.
     ///
     /// # Errors
-    /// If such a checkpoint is not there or is damaged.
+    /// If such a checkpoint is missing or damaged.
     fn inherited(&self, _config: &Config, _saved: Option<&Config>) -> Result<Option<Table>, Error> {
         Ok(None)
     }
 
-    /// Whether a run in `folder` has begun what comes before its own training.
+    /// Whether a run in `folder` has started stages that precede its own training.
     fn has_begun(&self, _folder: &Path) -> bool {
         false
     }
 
-    /// Number of parameters of the networks of a run of `config`, adapters left out.
+    /// Number of parameters of the networks of `config`, without adapters.
     ///
     /// # Errors
     /// If a network cannot be built.
     fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
 
-    /// Names of the networks whose weights it imports.
+    /// Names of the architectures that [`import`](Self::import) supports.
     fn architectures(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// Writes weights of another program as the only checkpoint of a run.
+    /// Converts weights of another program to a run with one checkpoint.
     ///
     /// # Errors
-    /// If they cannot be read or do not fit; nothing is written then.
+    /// If they cannot be read or do not match; nothing is written then.
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
         Err(Error::usage(
             format!("the system `{}` imports no weights", self.name()),
@@ -98,9 +97,8 @@ pub trait System: Sync {
         ))
     }
 
-    /// Adds the adapters of the checkpoint in `path` to the weights they sit on, and writes the
-    /// result as the only checkpoint of a run in `out`, a new or an empty folder. Returns where it
-    /// is.
+    /// Merges the adapters of the checkpoint in `path` into its weights and writes the result to
+    /// `out`, a new or empty folder, as a run with one checkpoint. Returns the checkpoint's path.
     ///
     /// # Errors
     /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
@@ -110,11 +108,10 @@ pub trait System: Sync {
         })
     }
 
-    /// Draws motion and hands each to `receiver`; what is to be said of all of them is returned.
+    /// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
     ///
     /// # Errors
-    /// If a condition is of a kind that the model cannot be told, or cannot be read; or if the
-    /// receiver fails.
+    /// If a condition is not supported by the model or cannot be read, or if the receiver fails.
     fn sample(
         &self,
         subject: &Subject,
@@ -122,24 +119,24 @@ pub trait System: Sync {
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error>;
 
-    /// An evaluation of a trained model on held-out motion, whose request has been checked.
+    /// Validates the request and returns a function that evaluates a trained model on held-out motion.
     ///
     /// # Errors
-    /// If what is asked for does not apply to its models, or nothing is held out.
+    /// If the request does not apply to its models, or nothing is held out.
     fn evaluate<'a>(
         &self,
         subject: &'a Subject,
         request: &EvaluationRequest,
     ) -> Result<Evaluate<'a>, Error>;
 
-    /// Trains to the end, or until stopped, by way of [`Setup::train`].
+    /// Trains until the end or until interrupted, with [`Setup::train`].
     ///
     /// # Errors
-    /// If the run is refused, before anything is written; or if it fails.
+    /// If the run is rejected, before anything is written, or if it fails.
     fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error>;
 }
 
-/// The systems that an entry point knows.
+/// The systems that are available to an entry point.
 #[derive(Clone, Copy)]
 pub struct Systems<'a>(pub &'a [&'a dyn System]);
 
@@ -152,10 +149,10 @@ impl<'a> Systems<'a> {
         self.0.iter().flat_map(|system| system.recipes())
     }
 
-    /// What the rows of an array of this `shape` with these values are.
+    /// The representation of an array of this `shape` with these values.
     ///
     /// # Errors
-    /// If no system knows; `path` is where they were read.
+    /// If no system recognises it; `path` is the file, for the message.
     pub fn representation_of(
         self,
         path: &Path,
@@ -175,7 +172,7 @@ impl<'a> Systems<'a> {
         })
     }
 
-    /// The system with a recipe of that name, and the recipe.
+    /// The recipe of that name and its system.
     pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
         self.0.iter().find_map(|system| {
             let recipe = system.recipes().iter().find(|recipe| recipe.name == name);
@@ -186,7 +183,7 @@ impl<'a> Systems<'a> {
     /// The system and the recipe of a run.
     ///
     /// # Errors
-    /// For a recipe of none of these systems.
+    /// If no system has the recipe.
     pub fn of(
         self,
         config: &Config,
@@ -199,7 +196,7 @@ impl<'a> Systems<'a> {
         })
     }
 
-    /// A config that was saved by another version, as this one would save it.
+    /// A config that was saved by another version, with the defaults of this version filled in.
     ///
     /// # Errors
     /// As [`of`](Self::of), and [`ConfigError`] for tables that the system cannot read.

@@ -7,8 +7,8 @@ use serde::Serialize;
 use super::appended::{Appended, now};
 use crate::Error;
 
-/// Writer of `loader.jsonl`: what loading cost. It depends on the clock and on what caches held,
-/// so none of it stands in the metrics that a resumed run must repeat.
+/// Writer of `loader.jsonl`: loading statistics. They depend on timing and cache contents, so they
+/// are not part of the metrics, which a resumed run must reproduce.
 #[derive(Debug)]
 pub struct LoaderLog {
     file: Appended,

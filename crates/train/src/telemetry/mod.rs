@@ -1,5 +1,4 @@
-//! What a run reports: metrics as JSON lines, the same scalars for TensorBoard, and
-//! what loading cost.
+//! Telemetry of a run: metrics as JSON lines and TensorBoard events, and loading statistics.
 
 mod appended;
 mod loader_log;

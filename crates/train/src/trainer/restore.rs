@@ -1,4 +1,4 @@
-//! Bringing a checkpoint's tensors into the module's order.
+//! Reordering a checkpoint's tensors to match the module.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(super) fn order_of(infos: &[ParameterInfo], checkpoint: &Checkpoint) -> Vec<
         .collect()
 }
 
-/// Refuses a checkpoint whose running means are not those of the parameters that `model` trains.
+/// Rejects a checkpoint whose running means are not those of the parameters that `model` trains.
 ///
 /// # Errors
 /// Names the checkpoint in `path` and the parameter.

@@ -1,4 +1,4 @@
-//! Key frames as points and as lines. The tolerances are the reference data's own.
+//! Keyframes as points and as lines. The tolerances are the reference data's own.
 
 use kinegrad_motion::goal::{Goal, GroundTargets, Keyframe, Phase};
 use kinegrad_tests::golden::{Golden, wide};
@@ -13,7 +13,7 @@ pub fn tests() -> Vec<GoldenTest> {
     ]
 }
 
-/// The goals of the file's batch: key frames at the given places of the given tracks.
+/// The goals of the file's batch: keyframes at the given places of the given tracks.
 fn goals(golden: &Golden) -> Vec<Goal> {
     let (tracks, keyframes) = (golden.get("in.root_xyz"), golden.get("in.keyframes"));
     let (frames, per_sample) = (tracks.shape[2], keyframes.shape[1]);

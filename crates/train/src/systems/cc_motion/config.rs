@@ -1,4 +1,4 @@
-//! The tables of a config that are this system's own, and what must hold of them.
+//! The system's own config tables and their validation.
 
 use std::ops::Bound;
 use std::path::PathBuf;
@@ -31,11 +31,11 @@ pub struct CcMotionConfig {
     pub lora: Option<LoraConfig>,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
-    /// The sampler that gradients pass through, in recipes `decoder` and `e2e`.
+    /// The differentiable sampler, in recipes `decoder` and `e2e`.
     pub rollout: RolloutConfig,
     /// The losses on decoded motion, in recipes `decoder` and `e2e`.
     pub loss: LossConfig,
-    /// What an evaluation draws.
+    /// The evaluation.
     pub evaluation: EvaluationConfig,
 }
 
@@ -49,7 +49,7 @@ impl SystemTables for CcMotionConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum CcMotionNetwork {
-    /// A UNet under audio.
+    /// The audio-conditioned UNet.
     Unet1d(UNet1dConfig),
 }
 
@@ -59,16 +59,16 @@ impl Default for CcMotionNetwork {
     }
 }
 
-/// The table `init`: what a fine-tuning starts from.
+/// The table `init`: the initial checkpoints of fine-tuning.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitConfig {
-    /// Run or checkpoint of the diffusion model; its averaged weights are taken, and its network,
-    /// process and statistics. Empty in recipe `e2e`: one is trained first.
+    /// Run or checkpoint of the diffusion model, whose EMA weights, network, process and statistics
+    /// are used. If empty in recipe `e2e`, one is trained first.
     pub diffusion: PathBuf,
-    /// Run or checkpoint that holds a decoder made on that base. Empty: a fresh one.
+    /// Run or checkpoint with a decoder for that base model; if empty, a new one is initialised.
     pub decoder: PathBuf,
-    /// The training of what is missing.
+    /// Training of missing initial checkpoints.
     pub pretrain: PretrainConfig,
 }
 
@@ -81,7 +81,7 @@ pub struct PretrainConfig {
     pub diffusion_steps: u64,
     /// Their learning rate.
     pub diffusion_learning_rate: f64,
-    /// Steps of recipe `decoder`; 0 leaves the decoder fresh.
+    /// Steps of recipe `decoder`; 0 leaves the decoder untrained.
     pub decoder_steps: u64,
     /// Their learning rate.
     pub decoder_learning_rate: f64,
@@ -98,39 +98,39 @@ impl Default for PretrainConfig {
     }
 }
 
-/// What a rollout keeps for its backward pass.
+/// What a rollout stores for its backward pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutMode {
     /// One graph over all steps: memory grows with them.
     Full,
-    /// The states alone; each step is recomputed in the backward pass. Same gradients.
+    /// The states only; each step is recomputed in the backward pass. Same gradients.
     #[default]
     Checkpointed,
     /// A graph over the last `rollout.last_k` steps: a truncated gradient.
     LastK,
 }
 
-/// What a rollout starts from.
+/// The start of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutStart {
-    /// The batch's motion, noised to the start timestep. Below the last timesteps it shares
-    /// something with its ground truth, so that reconstruction has a meaning.
+    /// The batch's motion, noised to the start timestep. Except at the last timesteps it contains
+    /// signal of its ground truth, so a reconstruction loss is meaningful.
     #[default]
     Motion,
-    /// Pure noise at the last timestep (CC-MotionGen): reconstruction, where it counts, then pulls
-    /// towards the mean motion.
+    /// Pure noise at the last timestep (CC-MotionGen): a reconstruction loss then pulls samples towards
+    /// the mean motion.
     Noise,
 }
 
-/// The table `rollout`: the sampler that gradients pass through.
+/// The table `rollout`: the differentiable sampler.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RolloutConfig {
     /// DDIM steps K.
     pub steps: usize,
-    /// What is kept for the backward pass.
+    /// What is stored for the backward pass.
     pub mode: RolloutMode,
     /// Steps with a graph in mode `last_k`.
     pub last_k: usize,
@@ -140,13 +140,13 @@ pub struct RolloutConfig {
     /// them. Values beyond the
     /// last timestep mean the last.
     pub start_timesteps: [usize; 2],
-    /// What the predicted clean motion is clipped to.
+    /// Clipping of the predicted clean motion.
     pub clip: Clip,
-    /// Whether gradients pass a clip as if it were not there.
+    /// Whether clipping has a straight-through gradient.
     pub straight_through: bool,
-    /// Factor on the gradient that a step hands to the one before it.
+    /// Factor of the gradient passed from each step to the previous one.
     pub gradient_decay: f64,
-    /// Weight of the condition, 1 as trained.
+    /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
 }
 
@@ -177,14 +177,14 @@ impl RolloutConfig {
     }
 }
 
-/// How much each sample's reconstruction counts.
+/// Weighting of the reconstruction loss of each sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReconstructionWeighting {
-    /// By `abar` of its start timestep: the share of the ground truth in the start state.
+    /// By `abar` of its start timestep, the signal in the start state.
     #[default]
     Signal,
-    /// All alike (CC-MotionGen).
+    /// Uniform (CC-MotionGen).
     Uniform,
 }
 
@@ -198,9 +198,9 @@ pub struct LossConfig {
     pub w_dec: f64,
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
-    /// Weight of the reconstruction of all components, in units of their deviations. CC-MotionGen
-    /// has none: a phase that stands still, or a constant orientation, then costs next to nothing
-    /// and is what the temporal terms like best.
+    /// Weight of the reconstruction of all components, in units of their standard deviations.
+    /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase and a
+    /// constant orientation.
     pub w_components: f64,
     /// How much each sample's reconstruction counts.
     pub reconstruction_weighting: ReconstructionWeighting,
@@ -238,16 +238,16 @@ impl Default for LossConfig {
     }
 }
 
-/// The table `evaluation`: what `kinegrad eval` draws and measures.
+/// The table `evaluation`: the settings of `kinegrad eval`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluationConfig {
-    /// Samples for each held-out phrase; two tell how much they differ.
+    /// Samples per held-out phrase; at least two are needed for same-phrase diversity.
     pub seeds: usize,
-    /// Draw for the first so many held-out phrases; without this key for all of them.
+    /// Number of held-out phrases to use; all of them by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phrases: Option<usize>,
-    /// What the model hears.
+    /// The audio condition.
     pub cond: CondSource,
 }
 
@@ -261,10 +261,10 @@ impl Default for EvaluationConfig {
     }
 }
 
-/// Refuses what this system cannot work with.
+/// Validates the tables of this system.
 ///
 /// # Errors
-/// Names the first key with a bad value.
+/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = CcMotionConfig::of(config)?;
     let recipe = &config.train.recipe;
@@ -297,7 +297,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
 }
 
 impl CcMotionConfig {
-    /// Refuses bad values in `init`, `rollout` and `loss`.
+    /// Rejects bad values in `init`, `rollout` and `loss`.
     fn validate_fine_tuning(&self, recipe: &str) -> Result<(), InvalidSetting> {
         let Self {
             init,

@@ -1,4 +1,4 @@
-//! From a checkpoint to motion.
+//! Generating phrases from a checkpoint.
 
 use std::path::Path;
 
@@ -17,19 +17,19 @@ use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
 
-/// Most samples that are drawn at once.
+/// Maximum batch size.
 const BATCH: usize = 32;
 
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// As the model drew it, decoded or de-normalised.
+    /// The raw model output, decoded or de-normalised.
     pub raw: Motion,
     /// Post-processed.
     pub motion: Motion,
 }
 
-/// A trained model, ready to draw samples.
+/// A trained model, ready to generate samples.
 pub struct Generator {
     unet: UNet1d,
     decoder: Option<MotionDecoder>,
@@ -72,17 +72,17 @@ impl Generator {
         &self.statistics
     }
 
-    /// Steps it was trained for.
+    /// Number of steps it was trained for.
     pub fn step(&self) -> u64 {
         self.state.step
     }
 
-    /// Draws one sample for each condition, as a batch; all conditions have the same number of
-    /// frames. Sample i depends on `seed` and i alone, beyond rounding not on how many are drawn.
-    /// `on_step` is told the sampler's steps done and in all.
+    /// Generates one sample per condition, as a batch; all conditions have the same number of
+    /// frames. Sample i depends on `seed` and i alone, up to rounding not on the number of samples.
+    /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
-    /// If the sampler's settings cannot work.
+    /// If the sampler's settings are invalid.
     pub fn sample(
         &self,
         conditions: &[AudioFeatures],

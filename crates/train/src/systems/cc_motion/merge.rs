@@ -1,4 +1,4 @@
-//! A run with low-rank adapters made into one of plain weights.
+//! Merging LoRA adapters into the weights.
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
-//! CC-MotionGen: phrases of dance under audio features (docs/sources.md, section 1).
+//! CC-MotionGen: dance phrases conditioned on audio features (docs/sources.md, section 1).
 //!
 //! Recipe `diffusion` trains the denoiser, `decoder` a motion decoder on its latents, `e2e` both
-//! together through the sampler.
+//! end to end through the sampler.
 
 mod config;
 pub mod evaluate;

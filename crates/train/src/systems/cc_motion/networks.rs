@@ -1,4 +1,4 @@
-//! The networks of a checkpoint, whatever recipe wrote it.
+//! The networks of a checkpoint of any recipe.
 
 use std::path::Path;
 

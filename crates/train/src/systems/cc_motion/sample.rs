@@ -1,4 +1,4 @@
-//! Phrases drawn under music.
+//! Sampling phrases conditioned on audio.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
 
-/// Draws what is asked for: each phrase post-processed and as the model drew it.
+/// Generates the requested phrases, each post-processed and as raw model output.
 ///
 /// # Errors
 /// If a condition cannot be used, or the checkpoint cannot be read.
@@ -23,7 +23,7 @@ pub(super) fn sample(
     request.conditions.refuse(
         &["--goal", "--trajectory-run", "--text-embedding"],
         "a run on phrases",
-        "runs of recipe `gmd_motion` and `gmd_trajectory` can be led to goals",
+        "goals and text embeddings are conditions of recipes `gmd_motion` and `gmd_trajectory`",
     )?;
     if let Some(count) = request.conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver).map(Some);
@@ -53,7 +53,7 @@ pub(super) fn sample(
     Ok(None)
 }
 
-/// Draws one sample for each of the first `count` held-out phrases, or of those trained on where none
+/// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
 /// are held out, and checks them.
 fn for_held_out(
     subject: &Subject,
@@ -110,7 +110,7 @@ fn drawn(name: String, sample: Sample) -> Drawn {
     }
 }
 
-/// The conditions to draw for, by name, cut to the frames that are asked for.
+/// The conditions by name, cut to the requested number of frames.
 fn conditions(request: &Request, config: &Config) -> Result<Vec<(String, AudioFeatures)>, Error> {
     let Conditions {
         audio_features,
@@ -138,7 +138,7 @@ fn conditions(request: &Request, config: &Config) -> Result<Vec<(String, AudioFe
     found.into_iter().map(cut).collect()
 }
 
-/// The features of a whole song, from the start that is asked for: of a part alone they would be
+/// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
 fn of_song(
     song: &Path,

@@ -1,4 +1,4 @@
-//! What a fine-tuning starts from: `init.diffusion` and `init.decoder`.
+//! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
 use burn::tensor::Device;
 use kinegrad_models::{MotionModel, parameters};

@@ -1,4 +1,4 @@
-//! The tables of a config that are this system's own, and what must hold of them.
+//! The system's own config tables and their validation.
 
 use std::path::PathBuf;
 
@@ -19,26 +19,26 @@ use crate::error::Error;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdConfig {
-    /// What a fine-tuning starts from.
+    /// The initial checkpoint of fine-tuning.
     pub init: GmdInitConfig,
     /// The denoiser.
     pub model: ModelTable<Backbone>,
-    /// The space that a motion model works in.
+    /// The emphasis projection of a motion model.
     pub emphasis: EmphasisConfig,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
     /// The loss.
     pub loss: GmdLossConfig,
-    /// What an evaluation asks for.
+    /// The evaluation.
     pub evaluation: GmdEvaluationConfig,
 }
 
-/// The table `init`: what a fine-tuning starts from.
+/// The table `init`: the initial checkpoint of fine-tuning.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdInitConfig {
-    /// Run or checkpoint of the same recipe; its averaged weights are taken, and its network,
-    /// process, space and statistics.
+    /// Run or checkpoint of the same recipe, whose EMA weights, network, process, feature space and
+    /// statistics are used.
     pub diffusion: PathBuf,
 }
 
@@ -46,8 +46,8 @@ pub struct GmdInitConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdLossConfig {
-    /// Of a motion model without a projection: the first four channels (root rotation, x, z and
-    /// height) count by the square of this factor (Guided Motion Diffusion, appendix C.1).
+    /// For motion models without a projection: the first four channels (root rotation, x, z and height)
+    /// are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
 }
 
@@ -59,15 +59,15 @@ impl Default for GmdLossConfig {
     }
 }
 
-/// The table `evaluation`: what `kinegrad eval` asks of the model, on the way of held-out clips.
+/// The table `evaluation`: the settings of `kinegrad eval`, which takes goals from held-out clips.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdEvaluationConfig {
-    /// Held-out clips with a goal each.
+    /// Number of held-out clips, with one goal each.
     pub goals: usize,
-    /// Key frames of each goal.
+    /// Keyframes per goal.
     pub keyframes: usize,
-    /// Obstacles on the way of each goal, of which then the last key frame alone is asked for.
+    /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
     /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
     pub evaluator: EvaluatorFiles,
@@ -84,7 +84,7 @@ impl Default for GmdEvaluationConfig {
     }
 }
 
-/// The table `evaluation.evaluator`: where the evaluator's parts lie; empty where there is none.
+/// The table `evaluation.evaluator`: files of the text-motion evaluator; empty without one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluatorFiles {
@@ -99,7 +99,7 @@ pub struct EvaluatorFiles {
 }
 
 impl EvaluatorFiles {
-    /// Whether any file is named.
+    /// Whether any file is given.
     pub fn is_given(&self) -> bool {
         self.named()
             .iter()
@@ -125,10 +125,10 @@ impl SystemTables for GmdConfig {
     ];
 }
 
-/// Refuses what this system cannot work with.
+/// Validates the tables of this system.
 ///
 /// # Errors
-/// Names the first key with a bad value.
+/// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = GmdConfig::of(config)?;
     let Config { data, sampling, .. } = config;
@@ -184,12 +184,12 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     Ok(sampling.steering.validate().within("sampling.steering")?)
 }
 
-/// What is doubtful.
+/// Warnings.
 pub(super) fn warnings(config: &Config) -> Option<String> {
     let overtrains = config.train.recipe == TRAJECTORY
         && (config.train.patience == 0 || config.validation.every_steps == 0);
     overtrains.then(|| {
-        "a trajectory model that has learned its paths by heart resists guidance, and this run \
+        "an overfitted trajectory model responds poorly to guidance, and this run \
          never stops early: set `train.patience` and `validation.every_steps`"
             .to_string()
     })

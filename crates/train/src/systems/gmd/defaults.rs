@@ -1,4 +1,4 @@
-//! What a recipe's paper says, beneath what a config says.
+//! Default values of the recipes, from the paper.
 
 use kinegrad_models::NetworkConfig;
 use kinegrad_models::gmd::GmdUnetConfig;
@@ -6,7 +6,7 @@ use toml::Table;
 
 use crate::config::lay_over;
 
-/// Of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
+/// Defaults of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
 /// sections 4.3, 4.5 and 4.11).
 const GMD: &str = r#"
 [data]
@@ -63,7 +63,7 @@ max_steps = 62500
 clip = "six"
 "#;
 
-/// The defaults of a recipe where they are not those of the tables.
+/// The defaults of a recipe that differ from those of the tables.
 pub(super) fn of_recipe(recipe: &str, given: &Table) -> Table {
     let own = match recipe {
         super::TRAJECTORY => GMD_TRAJECTORY,

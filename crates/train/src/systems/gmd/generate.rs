@@ -1,8 +1,8 @@
-//! From checkpoints to clips, led to goals or free.
+//! Generating clips from checkpoints, with or without goals.
 //!
-//! In two stages (Guided Motion Diffusion, appendix F): a trajectory model draws the ground path
-//! that the goal asks for; the motion model draws motion on that path, which is put in and guided
-//! to in every frame, rotation and height being free.
+//! Two-stage sampling (Guided Motion Diffusion, appendix F): a trajectory model generates a ground
+//! path for the goal; the motion model generates motion along that path, with imputation and
+//! guidance in every frame. Rotation and height are not constrained.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -36,12 +36,12 @@ pub enum Stage {
     Motion,
 }
 
-/// One clip to draw.
+/// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// What its root shall do.
+    /// Position control of the root.
     pub goal: Option<Goal>,
-    /// Pooled text feature, 512 numbers; none draws without a text.
+    /// Pooled text feature, 512 values; unconditional if `None`.
     pub text: Option<Vec<f32>>,
 }
 
@@ -56,7 +56,7 @@ pub struct ClipSample {
     pub path: Option<Vec<[f64; 2]>>,
 }
 
-/// A trained denoiser of clips, ready to draw.
+/// A trained denoiser of clips, ready to generate samples.
 pub struct ClipGenerator {
     plain: TextDenoiser,
     tracked: TextDenoiser,
@@ -71,7 +71,7 @@ struct TrainedParts {
     step: u64,
     statistics: Statistics,
     channels: usize,
-    /// Frames that the network draws at most.
+    /// Maximum number of frames of the network.
     longest: Option<usize>,
 }
 
@@ -120,10 +120,10 @@ impl ClipGenerator {
         self.trained.step
     }
 
-    /// Draws the clips of `requests` as one batch of `frames` frames; `trajectory`, where there is
-    /// one, draws their ground paths first. Clip i depends on `seed`, i and its request, and, by
-    /// the published guidance's divisor, on how many key frames the whole batch has. `on_step` is
-    /// told the stage and its steps done and in all.
+    /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
+    /// generates their ground paths first. Clip i depends on `seed`, i and its request, and, by
+    /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
+    /// called with the stage and its steps done and in total.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
@@ -183,7 +183,7 @@ impl ClipGenerator {
             .collect())
     }
 
-    /// Refuses a trajectory model of other clips, or before another trajectory model.
+    /// Rejects a trajectory model of other clips, or before another trajectory model.
     fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
@@ -192,16 +192,16 @@ impl ClipGenerator {
             true => Ok(()),
             false => Err(Error::usage(
                 format!(
-                    "`{}` cannot draw paths for `{}`",
+                    "`{}` cannot generate paths for `{}`",
                     other.run.name, own.run.name
                 ),
-                "the first is to be a run of recipe `gmd_trajectory`, the second one of \
+                "the first must be a run of recipe `gmd_trajectory`, the second one of \
                  `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
             )),
         }
     }
 
-    /// Motion in the network's space, led to `goals` where there are any.
+    /// Motion in the network's space, guided to `goals` if there are any.
     fn draw(
         &self,
         texts: &[Option<&[f32]>],
@@ -213,8 +213,8 @@ impl ClipGenerator {
     ) -> Result<Tensor<3>, Error> {
         if let Some(most) = self.trained.longest {
             in_range("frames", frames, 1..=most).hint(
-                "`model.padded_frames` is the most that the network draws: shorten the goal, or \
-                 ask for fewer `--frames` where there is none",
+                "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
+                 fewer `--frames` without one",
             )?;
         }
         let (batch, channels) = (texts.len(), self.trained.channels);
@@ -258,7 +258,7 @@ impl ClipGenerator {
             self.trained.config.data.humanml3d.root == Root::Absolute,
             "data.humanml3d.root",
             "\"relative\" in the run's config",
-            "\"absolute\" where motion is led to positions",
+            "\"absolute\" for position control",
         )
         .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
         let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;

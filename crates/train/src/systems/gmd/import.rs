@@ -73,7 +73,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     if let Some(path) = &request.projection {
         let matrix = square(path, sizes.channels)?;
         let emphasis = GmdConfig::of(&config)?.emphasis;
-        // Refuses what cannot be undone.
+        // Rejects what cannot be undone.
         EmphasisProjection::from_matrix(
             &matrix,
             sizes.channels,

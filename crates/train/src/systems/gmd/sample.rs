@@ -1,4 +1,4 @@
-//! Clips drawn under texts, led to goals or free.
+//! Sampling clips conditioned on text, with or without goals.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::checkpoint::State;
 use crate::error::Error;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
 
-/// Draws what is asked for, as one batch: joints, features and BVH of a motion model, the path of a
+/// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path of a
 /// trajectory model. Returns how near the goals the clips have come.
 ///
 /// # Errors
@@ -47,7 +47,7 @@ pub(super) fn sample(
         .map(|path| read_goal(path))
         .collect::<Result<_, _>>()?;
     if goals.is_empty() && conditions.trajectory.is_some() {
-        let hint = "the first stage draws the path to a goal: give `--goal GOAL.toml` too";
+        let hint = "the first stage generates a path for a goal: pass `--goal GOAL.toml` too";
         return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
     }
     if let (Some(_), Some(goal)) = (request.frames, goals.first()) {
@@ -92,8 +92,8 @@ pub(super) fn sample(
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
 }
 
-/// Draws one clip for each of the first `count` held-out clips, or of those trained on where none are
-/// held out, under its first caption.
+/// Generates one clip for each of the first `count` held-out clips, or training clips if none are
+/// held out, conditioned on its first caption.
 fn for_held_out(
     subject: &Subject,
     count: usize,
@@ -127,7 +127,7 @@ pub(super) fn name_of(stage: Stage) -> &'static str {
     }
 }
 
-/// Refuses a checkpoint whose model draws no ground paths.
+/// Rejects a checkpoint that is not of a trajectory model.
 ///
 /// # Errors
 /// [`Error::Usage`], or if the checkpoint is damaged.

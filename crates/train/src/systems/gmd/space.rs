@@ -1,4 +1,4 @@
-//! Between the space a network of clips works in and metres.
+//! Conversion between the network's feature space and metres.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Objective, Space};

@@ -1,4 +1,4 @@
-//! The numbers of one set of phrases.
+//! The metrics of one set of phrases.
 
 use std::sync::Arc;
 
@@ -22,11 +22,11 @@ pub struct Measures {
     pub diversity: Option<f64>,
     /// The same for two samples of one phrase. Needs two seeds.
     pub same_phrase_diversity: Option<f64>,
-    /// Fréchet distance to the held-out phrases that were drawn for. Needs two of each.
+    /// Fréchet distance to the held-out phrases that were used. Needs two of each.
     pub frechet_held_out: Option<f64>,
     /// Fréchet distance to the training phrases. Needs two of each.
     pub frechet_training: Option<f64>,
-    /// Beat alignment with the phrase's own music, whatever the model heard; mean over the
+    /// Beat alignment with the phrase's own music, regardless of the condition; mean over the
     /// motions that have beats.
     pub beat_alignment: Option<f64>,
     /// Mean jerk norm, metres per second cubed.

@@ -1,4 +1,4 @@
-//! From a trained model to the numbers that describe its samples, beside those of real phrases.
+//! Metrics of a trained model's samples, next to those of real phrases.
 
 mod measures;
 mod report;
@@ -22,7 +22,7 @@ use crate::config::SamplingConfig;
 use crate::error::Error;
 use measures::Reference;
 
-/// What the model hears while it draws.
+/// The audio condition of the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CondSource {
@@ -34,14 +34,14 @@ pub enum CondSource {
     Noise,
 }
 
-/// How an evaluation draws its samples.
+/// Settings of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EvaluationSettings {
     /// Samples for each phrase.
     pub seeds: usize,
     /// Seed of all noise.
     pub seed: u64,
-    /// What the model hears.
+    /// The audio condition.
     pub cond: CondSource,
     /// The sampler, and what the predicted clean motion is clipped to.
     #[serde(flatten)]
@@ -55,9 +55,9 @@ pub struct Evaluation {
     pub run: String,
     /// Step of its checkpoint.
     pub step: u64,
-    /// Held-out phrases drawn for.
+    /// Number of held-out phrases.
     pub phrases: usize,
-    /// How the samples were drawn.
+    /// The settings.
     #[serde(flatten)]
     pub settings: EvaluationSettings,
     /// The samples after post-processing.
@@ -74,9 +74,9 @@ pub fn phrase_seed(seed: u64, id: &str) -> u64 {
     Key::new(seed, Purpose::PhraseSeed).named(id).seed()
 }
 
-/// Draws `settings.seeds` samples for each of the `held_out` phrases and measures them against
+/// Generates `settings.seeds` samples for each of the `held_out` phrases and compares them with
 /// the held-out and the `training` phrases. Sample k of a phrase depends on the seed, the
-/// phrase's id and k alone: the same as `kinegrad sample` draws. `on_step` is told the
+/// phrase's id and k alone: the same as from `kinegrad sample`. `on_step` is called with the
 /// denoising steps done and in all.
 ///
 /// # Errors
@@ -121,7 +121,7 @@ pub fn evaluate(
     })
 }
 
-/// What the model hears for `phrase`, the same for all of its samples.
+/// The audio condition for `phrase`, the same for all of its samples.
 fn condition(phrase: &Phrase, settings: &EvaluationSettings) -> AudioFeatures {
     match settings.cond {
         CondSource::Phrases => phrase.audio.clone(),

@@ -11,10 +11,10 @@ use crate::sampling::Subject;
 use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::Generator;
 
-/// An evaluation that draws for the held-out phrases and measures.
+/// An evaluation on the held-out phrases.
 ///
 /// # Errors
-/// If what is asked for does not apply, or nothing is held out.
+/// If the request does not apply, or nothing is held out.
 pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,

@@ -5,11 +5,11 @@
 //! L = w_dec |decoder(latent) - motion|^2 / std^2
 //! ```
 //!
-//! There is no temporal term: the decoder sees one frame at a time, so that all it could do about a
-//! trembling latent is to stop moving. It learns from two latents of each phrase, both of which
-//! still know their ground truth: the phrase under the little noise that a sampler may leave, and a
-//! DDIM sample drawn from the phrase under much noise (`rollout`), whose error counts by the share
-//! of the phrase left in its start. The denoiser is part of the checkpoint and does not change.
+//! There is no temporal term: the decoder sees one frame at a time, so it could only reduce jitter
+//! by reducing motion. It is trained on two latents of each phrase that have a ground truth: the
+//! phrase with the low noise that a sampler may leave, and a DDIM sample started from the phrase
+//! with high noise (`rollout`), whose error is weighted by the signal remaining in its start. The
+//! denoiser is part of the checkpoint and is not trained.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};

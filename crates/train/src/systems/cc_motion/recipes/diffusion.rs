@@ -1,4 +1,4 @@
-//! A denoiser on noised motion (CC-MotionGen, sections 5.3 and 6.2; docs/sources.md, section 1.4):
+//! Training of the denoiser (CC-MotionGen, sections 5.3 and 6.2; docs/sources.md, section 1.4):
 //!
 //! ```text
 //! L = w(t) E |target - f(x_t, t, cond)|     x_t = sqrt(abar_t) x_start + sqrt(1 - abar_t) noise
@@ -6,7 +6,7 @@
 //!
 //! with `t` uniform over the timesteps, the target chosen by `diffusion.prediction_type`, the
 //! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
-//! `diffusion.cond_drop_prob`, so that classifier-free guidance has a null condition it knows.
+//! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance.
 
 use burn::tensor::Device;
 use kinegrad_data::{AUDIO, Batch};

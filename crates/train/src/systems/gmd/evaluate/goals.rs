@@ -22,20 +22,20 @@ const CLEARANCE: f64 = 0.1;
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
 
-/// What is asked of the model, on the way of a held-out clip.
+/// How a goal is derived from a held-out clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GoalTask {
-    /// Key frames, evenly spaced, the last one in the last frame.
+    /// Number of keyframes, evenly spaced, the last one in the last frame.
     pub keyframes: usize,
-    /// Discs of 35 cm that stand on the way, evenly spaced in time; those that would cover its
-    /// beginning or end are left out. With them only the last key frame is asked for.
+    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its start
+    /// or end are left out. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
-    /// Frames of a clip at most.
+    /// Maximum number of frames.
     pub frames: usize,
 }
 
 impl GoalTask {
-    /// The goal on the way of `clip`.
+    /// The goal derived from `clip`.
     pub fn goal(&self, clip: &Clip) -> Goal {
         let frames = clip.features.frames().min(self.frames);
         let path = clip
@@ -76,41 +76,41 @@ impl GoalTask {
     }
 }
 
-/// How goals are followed.
+/// Settings of an evaluation of goals.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GoalSettings {
-    /// What is asked.
+    /// How goals are derived.
     pub task: GoalTask,
-    /// The sampler, and how draws are led.
+    /// The sampler, guidance and imputation.
     #[serde(flatten)]
     pub sampling: SamplingConfig,
     /// Seed of the noise.
     pub seed: u64,
 }
 
-/// What an evaluation of goals found.
+/// Results of an evaluation of goals.
 #[derive(Clone, Debug, Serialize)]
 pub struct GoalEvaluation {
     /// Name of the run.
     pub run: String,
     /// Step of its checkpoint.
     pub step: u64,
-    /// Name of the run whose model drew the paths.
+    /// Name of the run of the trajectory model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory_run: Option<String>,
-    /// How goals were followed.
+    /// The settings.
     #[serde(flatten)]
     pub settings: GoalSettings,
-    /// The drawn clips.
+    /// The generated clips.
     pub drawn: GoalReport,
-    /// The held-out clips, by the same measures.
+    /// The held-out clips, by the same metrics.
     pub real: GoalReport,
-    /// How they match their captions, where the evaluator is given.
+    /// How they match their captions, if the evaluator is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_motion: Option<TextMotionReports>,
 }
 
-/// Draws one clip for each of the `held_out`, all as one batch, and measures them.
+/// Generates one clip for each of the `held_out`, all as one batch, and computes their metrics.
 ///
 /// # Errors
 /// As [`ClipGenerator::sample`].

@@ -1,4 +1,4 @@
-//! How well models reach goals, and how their motion matches its captions.
+//! Evaluation of position control and of text-motion alignment.
 
 mod goals;
 mod run;

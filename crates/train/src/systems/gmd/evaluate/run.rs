@@ -15,10 +15,10 @@ use crate::sampling::Subject;
 use crate::systems::gmd::sample::{must_draw_paths, name_of};
 use crate::systems::gmd::{ClipGenerator, GmdConfig};
 
-/// An evaluation that leads the model to goals and measures.
+/// An evaluation of position control.
 ///
 /// # Errors
-/// If what is asked for does not apply, or nothing is held out.
+/// If the request does not apply, or nothing is held out.
 pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,

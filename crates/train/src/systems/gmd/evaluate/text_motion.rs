@@ -19,7 +19,7 @@ const PADDED_FRAMES: usize = 196;
 const GROUP: usize = 32;
 use crate::systems::gmd::EvaluatorFiles;
 
-/// The evaluator, ready to measure.
+/// The evaluator, ready to use.
 pub struct TextMotion {
     encoders: TextMotionEncoders,
     statistics: Statistics,
@@ -27,10 +27,10 @@ pub struct TextMotion {
     device: Device,
 }
 
-/// How drawn and real motion match their captions.
+/// How generated and real motion match their captions.
 #[derive(Clone, Debug, Serialize)]
 pub struct TextMotionReports {
-    /// The drawn clips.
+    /// The generated clips.
     pub drawn: TextMotionReport,
     /// The held-out clips.
     pub real: TextMotionReport,
@@ -178,7 +178,7 @@ impl TextMotion {
         )
     }
 
-    /// Measures drawn clips, one for each of the `real` ones, by the first caption of each.
+    /// Evaluates generated clips, one for each of the `real` ones, with the first caption of each.
     ///
     /// # Errors
     /// If features are of another layout than the evaluator's.

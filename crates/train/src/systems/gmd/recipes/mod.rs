@@ -1,4 +1,4 @@
-//! One file per kind of training: its loss, from top to bottom.
+//! One file per recipe, with its loss.
 
 pub mod loss;
 pub mod motion;

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! x = ((u - mean) / std) P          P from `emphasis`, stored with the weights
-//! L = clip_loss(x)                  predicting x itself unless `diffusion.prediction_type` says else
+//! L = clip_loss(x)                  sample prediction unless `diffusion.prediction_type` is set
 //! ```
 //!
 //! Without a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead

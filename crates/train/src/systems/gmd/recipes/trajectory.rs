@@ -5,8 +5,8 @@
 //! L = clip_loss(x_start[rot, x, z, y])
 //! ```
 //!
-//! A model of four channels has soon learned its training paths by heart and then resists guidance:
-//! early stopping on held-out paths (`train.patience`) belongs to this recipe.
+//! A model of four channels overfits quickly and then responds poorly to guidance, so this recipe
+//! uses early stopping on held-out paths (`train.patience`).
 
 use burn::tensor::Device;
 use kinegrad_data::Batch;
