@@ -42,6 +42,7 @@ mod recipe;
 pub mod run;
 pub mod sampling;
 pub mod start;
+pub mod system;
 pub mod systems;
 pub mod telemetry;
 mod trainer;

@@ -9,8 +9,14 @@ use kinegrad_data::Batch;
 use kinegrad_models::GradientSum;
 use kinegrad_random::{Key, Purpose};
 
-#[cfg(doc)]
-use crate::systems::RecipeInfo;
+/// A training recipe of a system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecipeInfo {
+    /// Its name, the value of `train.recipe`, unique across systems.
+    pub name: &'static str,
+    /// The parameter groups it trains, each with its own learning rate (`optim.groups`).
+    pub groups: &'static [&'static str],
+}
 
 /// Which draws a training step uses.
 #[derive(Clone, Copy, Debug)]

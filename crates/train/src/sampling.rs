@@ -1,14 +1,13 @@
 //! Generating motion with a trained model: requests and results.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
-use crate::checkpoint::{State, Weights};
-use crate::config::{self, Config};
+use crate::checkpoint::Weights;
+use crate::config::Config;
 use crate::error::Error;
-use crate::systems::Systems;
 
 /// A trained model and the settings to sample it with.
 pub struct Subject {
@@ -20,33 +19,6 @@ pub struct Subject {
     pub weights: Weights,
     /// The device to run on, without gradients.
     pub device: Device,
-}
-
-impl Subject {
-    /// Opens the checkpoint in `path`, with `overrides` of its run's tables
-    /// `sampling` and `evaluation`, on `device` or by default that of its run.
-    ///
-    /// # Errors
-    /// If the checkpoint is damaged, an override is invalid, or the device is not available.
-    pub fn open(
-        systems: Systems<'_>,
-        path: &Path,
-        overrides: &[String],
-        weights: Weights,
-        device: Option<&str>,
-    ) -> Result<Self, Error> {
-        let saved = systems.completed(&State::read(path)?.config)?;
-        let config = config::override_trained(systems, &saved, overrides)?;
-        let (system, _) = systems.of(&config)?;
-        system.validate(&config)?;
-        let (device, _) = crate::device::open(device.unwrap_or(&config.run.device))?;
-        Ok(Self {
-            checkpoint: path.to_path_buf(),
-            config,
-            weights,
-            device,
-        })
-    }
 }
 
 /// A request for samples. Systems reject conditions that their models do not support.

@@ -18,7 +18,7 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
             tell!("warning: {missing}; its networks and process are not shown");
         },
     )?;
-    for warning in config::validate(systems, &config)? {
+    for warning in systems.validate(&config)? {
         tell!("warning: {warning}");
     }
     say!(

@@ -77,13 +77,7 @@ pub fn subject(
         true => Weights::Model,
         false => Weights::Ema,
     };
-    Subject::open(
-        systems,
-        &checkpoint(run)?,
-        &overrides,
-        weights,
-        device.as_deref(),
-    )
+    systems.trained(&checkpoint(run)?, &overrides, weights, device.as_deref())
 }
 
 /// Prints what is to be said of all motions.

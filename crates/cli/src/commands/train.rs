@@ -6,7 +6,7 @@ use std::time::Instant;
 use kinegrad_report::facts;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, TrainRequest};
-use kinegrad_train::sampling::{Conditions, Request, Subject};
+use kinegrad_train::sampling::{Conditions, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
@@ -70,7 +70,7 @@ fn summarise(outcome: &Outcome, started: Instant) {
 /// Writes samples for the first held-out items to the run's folder.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let path = checkpoint(&outcome.folder)?;
-    let subject = Subject::open(systems, &path, &[], Weights::Ema, None)?;
+    let subject = systems.trained(&path, &[], Weights::Ema, None)?;
     let request = Request {
         conditions: Conditions {
             held_out: Some(outcome.config.sampling.count_at_end),

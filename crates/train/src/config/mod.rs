@@ -1,13 +1,14 @@
 //! The config of a run: plain data with a schema.
 //!
 //! A config has the tables that every run has ([`Config`]) and those of the run's
-//! [system](crate::systems). Every key has a default. [`load()`] reads a file with overrides,
-//! [`validate`] refuses what cannot work before any work starts, and the resolved config is saved
-//! beside the run.
+//! [system](crate::systems). Every key has a default.
+//! [`Systems::load`](crate::system::Systems::load) reads a file with overrides,
+//! [`Systems::validate`](crate::system::Systems::validate) rejects what cannot work before any work
+//! starts, and the resolved config is saved beside the run.
 
 mod difference;
+mod document;
 mod error;
-mod load;
 mod model;
 mod resume;
 mod steering;
@@ -15,13 +16,14 @@ mod system_tables;
 mod tables;
 
 pub use difference::{Difference, difference};
+pub use document::{Place, to_toml};
+pub(crate) use document::{apply, from_table, lay_over, line_of, not_among, place, start_of};
 pub use error::ConfigError;
-pub(crate) use load::lay_over;
-pub use load::{Place, load, load_over, override_trained, parse, to_toml};
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue};
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
+pub(crate) use tables::validate;
 pub use tables::{
     CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
     TrainConfig, ValidationConfig,
@@ -32,8 +34,8 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::{Table, Value};
 
-use crate::Error;
-use crate::systems::Systems;
+/// Keys of the table `model` beside those of the network.
+const MODEL_KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 
 /// Everything a run is made from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -62,7 +64,7 @@ pub struct Config {
 }
 
 /// Why a config can be written.
-const PLAIN: &str = "configs are plain data";
+pub(crate) const PLAIN: &str = "configs are plain data";
 
 /// Names of the tables that every run has.
 const COMMON: [&str; 8] = [
@@ -79,7 +81,7 @@ const COMMON: [&str; 8] = [
 /// Reads a config from JSON by way of TOML; the system's tables stay as they stand.
 pub(crate) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Config, D::Error> {
     let table = toml_table(serde_json::Map::deserialize(deserializer)?);
-    load::from_table(&table, &|_| "its config".into()).map_err(D::Error::custom)
+    from_table(&table, &|_| "its config".into()).map_err(D::Error::custom)
 }
 
 /// JSON as TOML, which says that there is no value by leaving its key out.
@@ -103,23 +105,4 @@ fn toml_value(json: serde_json::Value) -> Option<Value> {
         }
         serde_json::Value::Object(map) => Value::Table(toml_table(map)),
     })
-}
-
-/// Rejects values that cannot work and returns what is doubtful.
-///
-/// # Errors
-/// Names the first key with a bad value, what it is, what is allowed and how to mend it.
-pub fn validate(systems: Systems<'_>, config: &Config) -> Result<Vec<String>, Error> {
-    let (system, recipe) = systems.of(config)?;
-    config.data.validate()?;
-    tables::validate(config, recipe)?;
-    let mut warnings = system.validate(config)?;
-    if config.optim.warmup_steps > config.train.max_steps {
-        warnings.push(format!(
-            "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning rate \
-             never reaches `optim.learning_rate`",
-            config.optim.warmup_steps, config.train.max_steps
-        ));
-    }
-    Ok(warnings)
 }

@@ -5,7 +5,7 @@ use kinegrad_models::NetworkConfig;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::load::{Place, from_table, lay_over, not_among};
+use super::document::{Place, from_table, lay_over, not_among};
 use super::{ConfigError, PLAIN};
 
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
@@ -20,9 +20,6 @@ pub struct ModelTable<N> {
     #[serde(default)]
     pub activation_checkpointing: bool,
 }
-
-/// Keys beside those of the network.
-pub(super) const KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 
 /// A kind of network that a system takes.
 pub struct NetworkKind {
@@ -124,12 +121,11 @@ fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::parse;
     use crate::systems::BUILT_IN;
 
     fn read(model: &str) -> Result<toml::Table, (String, String)> {
         let text = format!("[train]\nrecipe = \"gmd_motion\"\n[model]\n{model}");
-        let config = parse(BUILT_IN, &text, "c.toml", &[]).map_err(|error| {
+        let config = BUILT_IN.parse(&text, "c.toml", &[]).map_err(|error| {
             let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
             (error.to_string(), help.unwrap_or_default())
         })?;

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, NetworkKind, PLAIN, Place, load, model};
+use super::{Config, ConfigError, NetworkKind, PLAIN, Place, document, model};
 
 /// The tables of a system as a struct: one field a table.
 pub trait SystemTables: Serialize + DeserializeOwned {
@@ -33,13 +33,13 @@ pub trait SystemTables: Serialize + DeserializeOwned {
                 *model = model::complete(Self::NETWORKS, std::mem::take(model), place)?;
             }
         }
-        load::from_table(&tables, place)
+        document::from_table(&tables, place)
     }
 
     /// Those of a run's config.
     ///
     /// # Errors
-    /// Names a key that is wrong; not for a config that [`load()`](super::load()) has read.
+    /// Names a key that is wrong; not for a config that [`Systems::load`](crate::system::Systems::load) has read.
     fn of(config: &Config) -> Result<Self, ConfigError> {
         Self::read(&config.system, &|_| "the run's config".into())
     }

@@ -8,8 +8,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::{Config, SteeringConfig};
-use crate::error::Error;
-use crate::systems::RecipeInfo;
+use crate::recipe::RecipeInfo;
 
 /// The table `run`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -211,15 +210,18 @@ impl Clip {
     ///
     /// # Errors
     /// If the range of the training motion is needed but not known.
-    pub fn range(self, statistics: &Statistics, channels: usize) -> Result<ClipRange, Error> {
+    pub fn range(
+        self,
+        statistics: &Statistics,
+        channels: usize,
+    ) -> Result<ClipRange, InvalidSetting> {
         Ok(match self {
             Self::TrainingRange => {
                 let unknown = || {
-                    Error::usage(
-                        "the checkpoint does not hold the range of the motion it was trained on",
-                        "its statistics came with the dataset, or it was written by an older \
-                         version: set `clip` to \"six\", \"unit\" or \"none\"",
-                    )
+                    let allowed = "\"six\", \"unit\" or \"none\": the checkpoint does not hold the \
+                                   range of the motion it was trained on";
+                    InvalidSetting::new("clip", "\"training_range\"", allowed)
+                        .hint("its statistics came with the dataset, or an older version wrote it")
                 };
                 let [mut min, mut max] = statistics.normalized_range().ok_or_else(unknown)?;
                 min.truncate(channels);
@@ -248,7 +250,7 @@ pub struct SamplingConfig {
 }
 
 /// Rejects bad values in the tables above.
-pub(super) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
+pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
     let Config {
         optim,
         train,

@@ -5,12 +5,6 @@ use std::path::Path;
 
 use crate::config::{self, Config};
 use crate::error::Error;
-use crate::systems::Systems;
-
-/// The config the run was started with.
-pub(super) fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Config, Error> {
-    Ok(config::load(systems, &folder.join("config.toml"), &[])?)
-}
 
 /// Replaces the run's `config.toml` in one step.
 pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> {

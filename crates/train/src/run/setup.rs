@@ -8,17 +8,30 @@ use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
-use super::Outcome;
 use super::folder::write_config;
-use crate::checkpoint::{Checkpoint, Checkpoints};
+use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
-use crate::recipe::Recipe;
-use crate::systems::RecipeInfo;
+use crate::recipe::{Recipe, RecipeInfo};
 use crate::trainer::restore::check_moments;
-use crate::trainer::{Trainer, TrainerParts};
+use crate::trainer::{Ending, Trainer, TrainerParts};
+
+/// Result of a training request.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The run's folder.
+    pub folder: PathBuf,
+    /// How training ended; `None` if the run was already finished.
+    pub ending: Option<Ending>,
+    /// Steps done.
+    pub step: u64,
+    /// Best validation.
+    pub progress: Progress,
+    /// The resolved config.
+    pub config: Config,
+}
 
 /// A run whose request has been checked.
 pub struct Setup {

@@ -29,13 +29,14 @@ pub use config::{
 };
 pub use networks::Trained;
 
-use super::{RecipeInfo, System};
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::observer::Observer;
+use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::system::System;
 use start::Starts;
 
 /// The system.

@@ -7,7 +7,7 @@ use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Outcome, train_config};
-use crate::systems::Systems;
+use crate::system::Systems;
 use crate::trainer::Ending;
 
 /// Names of the two runs, inside the folder of the run that needs them.

@@ -16,11 +16,11 @@ use pytorch_reader::Tensor;
 use super::networks::{channels_of, in_space_of, text_denoiser};
 use super::{Gmd, GmdConfig, MOTION};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
-use crate::config::{self, Config, SystemTables};
+use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
 use crate::published::{self, part_of, read_tensors, vector};
-use crate::systems::Systems;
+use crate::system::Systems;
 
 /// Names of the published programs that are no weights of the network: the text encoder and the
 /// tables of positions.
@@ -173,7 +173,7 @@ fn settings(
 ) -> Result<(Config, Statistics), Error> {
     let recipe = &request.architecture;
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
-    let mut config = config::parse(Systems(&[&Gmd]), &text, "the recipe's defaults", &[])?;
+    let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &[])?;
     let (mean, std) = (vector(mean_path)?, vector(std_path)?);
     let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
         path: mean_path.to_path_buf(),

@@ -26,15 +26,16 @@ pub use generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundObjective};
 
-use super::{RecipeInfo, System};
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::observer::Observer;
+use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
 use crate::start::Start;
+use crate::system::System;
 
 /// The system.
 pub struct Gmd;

@@ -1,0 +1,301 @@
+//! Reading configs and trained models with a list of systems.
+
+use std::path::Path;
+
+use toml::de::DeTable;
+use toml::{Table, Value};
+
+use super::Systems;
+use crate::checkpoint::{State, Weights};
+use crate::config::{
+    self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, not_among, start_of,
+};
+use crate::error::Error;
+use crate::sampling::Subject;
+
+/// Tables whose keys may change once a model is trained.
+const OF_TRAINED: [&str; 2] = ["sampling.", "evaluation."];
+
+impl Systems<'_> {
+    /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
+    ///
+    /// # Errors
+    /// Names file and line, or the override, of a thing that is wrong.
+    pub fn load(self, path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
+        self.parse(&read(path)?, &path.display().to_string(), overrides)
+    }
+
+    /// [`load`](Self::load) where `beneath` says what the file and the overrides leave out.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_over(
+        self,
+        path: &Path,
+        overrides: &[String],
+        beneath: &Table,
+    ) -> Result<Config, ConfigError> {
+        // Errors of the file by itself name its lines.
+        self.load(path, overrides)?;
+        let text = read(path)?;
+        let mut table = beneath.clone();
+        lay_over(&mut table, text.parse().expect("text that was just parsed"));
+        for argument in overrides {
+            apply(&mut table, argument)?;
+        }
+        self.whole(&table, &|_| path.display().to_string())
+    }
+
+    /// [`load`](Self::load) from text; `origin` stands for the file in errors.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn parse(
+        self,
+        text: &str,
+        origin: &str,
+        overrides: &[String],
+    ) -> Result<Config, ConfigError> {
+        let no_toml = |error: toml::de::Error| {
+            let line = error.span().map(|span| line_of(text, span.start));
+            ConfigError::Syntax {
+                place: config::place(origin, line),
+                message: error.message().to_string(),
+            }
+        };
+        let spans = DeTable::parse(text).map_err(no_toml)?;
+        // Numbers are read only here, and may be too large.
+        let mut table: Table = text.parse().map_err(no_toml)?;
+        let mut config = self.whole(&table, &|key| {
+            let start = start_of(spans.get_ref(), key);
+            config::place(origin, start.map(|start| line_of(text, start)))
+        })?;
+        for argument in overrides {
+            apply(&mut table, argument)?;
+            // Read after each one, so that an error belongs to it.
+            config = self.whole(&table, &|_| format!("--set {argument}"))?;
+        }
+        Ok(config)
+    }
+
+    /// A trained run's config with `overrides` of its sampling and evaluation settings.
+    ///
+    /// # Errors
+    /// Names the override that is wrong, or whose key is of another table.
+    pub fn override_trained(
+        self,
+        config: &Config,
+        overrides: &[String],
+    ) -> Result<Config, ConfigError> {
+        let mut table = Table::try_from(config).expect(config::PLAIN);
+        let mut changed = config.clone();
+        for argument in overrides {
+            let key = argument.trim_start();
+            if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
+                return Err(ConfigError::Trained {
+                    argument: argument.clone(),
+                });
+            }
+            apply(&mut table, argument)?;
+            changed = self.whole(&table, &|_| format!("--set {argument}"))?;
+        }
+        Ok(changed)
+    }
+
+    /// The config of `given`, where what it leaves out is as its recipe has it.
+    fn whole(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
+        let named = given.get("train").and_then(|train| train.get("recipe"));
+        let default = TrainConfig::default().recipe;
+        // What is no text is refused below.
+        let name = named.and_then(Value::as_str).unwrap_or(&default);
+        let (system, recipe) = self.of_recipe(name).ok_or_else(|| {
+            let names: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();
+            let key = "train.recipe";
+            not_among(place(key), key, &format!("\"{name}\""), &names)
+        })?;
+        let mut table = system.defaults(recipe, given);
+        lay_over(&mut table, given.clone());
+        let config: Config = config::from_table(&table, place)?;
+        let system = system.complete(&config.system, place)?;
+        Ok(Config { system, ..config })
+    }
+
+    /// Rejects values that cannot work and returns warnings.
+    ///
+    /// # Errors
+    /// Names the first key with a bad value, what it is, what is allowed and how to mend it.
+    pub fn validate(self, config: &Config) -> Result<Vec<String>, Error> {
+        let (system, recipe) = self.of(config)?;
+        config.data.validate()?;
+        config::validate(config, recipe)?;
+        let mut warnings = system.validate(config)?;
+        if config.optim.warmup_steps > config.train.max_steps {
+            warnings.push(format!(
+                "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning \
+                 rate never reaches `optim.learning_rate`",
+                config.optim.warmup_steps, config.train.max_steps
+            ));
+        }
+        Ok(warnings)
+    }
+
+    /// Opens the trained model of the checkpoint in `path`, with `overrides` of its run's tables
+    /// `sampling` and `evaluation`, on `device` or by default that of its run.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, an override is invalid, or the device is not available.
+    pub fn trained(
+        self,
+        path: &Path,
+        overrides: &[String],
+        weights: Weights,
+        device: Option<&str>,
+    ) -> Result<Subject, Error> {
+        let saved = self.completed(&State::read(path)?.config)?;
+        let config = self.override_trained(&saved, overrides)?;
+        let (system, _) = self.of(&config)?;
+        system.validate(&config)?;
+        let (device, _) = crate::device::open(device.unwrap_or(&config.run.device))?;
+        Ok(Subject {
+            checkpoint: path.to_path_buf(),
+            config,
+            weights,
+            device,
+        })
+    }
+}
+
+fn read(path: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        path: path.to_path_buf(),
+        source,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::to_toml;
+    use crate::systems::BUILT_IN;
+
+    fn error(text: &str, overrides: &[&str]) -> String {
+        let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+        let error = BUILT_IN
+            .parse(text, "c.toml", &overrides)
+            .expect_err("a bad config");
+        let help = miette::Diagnostic::help(&error)
+            .map(|h| h.to_string())
+            .unwrap_or_default();
+        format!("{error}\nhint: {help}")
+    }
+
+    #[test]
+    fn an_unknown_key_names_line_table_and_neighbour() {
+        let text = error("[optim]\n\nlerning_rate = 1.0\n", &[]);
+        assert!(
+            text.contains("c.toml:3: unknown key `optim.lerning_rate`"),
+            "{text}"
+        );
+        assert!(
+            text.contains("did you mean `optim.learning_rate`?"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn an_unknown_table_names_its_neighbour() {
+        let text = error("[optin]\nlearning_rate = 1.0\n", &[]);
+        assert!(text.contains("c.toml:1: unknown key `optin`"), "{text}");
+        assert!(text.contains("did you mean `optim`?"), "{text}");
+    }
+
+    #[test]
+    fn a_wrong_type_names_line_and_key() {
+        let text = error("[train]\nmax_steps = \"many\"\n", &[]);
+        assert!(
+            text.contains("c.toml:2: `train.max_steps`: invalid type"),
+            "{text}"
+        );
+        let text = error("[train]\nmax_steps = -5\n", &[]);
+        assert!(text.contains("c.toml:2: `train.max_steps`"), "{text}");
+    }
+
+    #[test]
+    fn numbers_that_no_type_holds_name_their_line() {
+        for number in ["99999999999999999999", "18446744073709551615"] {
+            let text = error(&format!("[run]\nname = \"x\"\nseed = {number}\n"), &[]);
+            assert!(text.starts_with("c.toml:3"), "{text}");
+        }
+    }
+
+    #[test]
+    fn keys_with_dots_and_elements_of_lists_name_their_line() {
+        for (text, place) in [
+            (
+                "[optim.groups]\nunet = 1e-4\n\"unet.dec\" = \"x\"\n",
+                "c.toml:3: ",
+            ),
+            ("[model]\nchannel_mult = [\n1,\n\"x\"]\n", "c.toml:4: "),
+            (
+                "model.size = \"tiny\"\nmodel.dropout = \"x\"\n",
+                "c.toml:2: ",
+            ),
+            ("[model]\nsize = \"tiny\"\n\"a.b\" = 1\n", "c.toml:3: "),
+        ] {
+            let error = error(text, &[]);
+            assert!(error.starts_with(place), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_choice_names_the_nearest() {
+        let text = error("[diffusion]\nbeta_schedule = \"cosin\"\n", &[]);
+        assert!(text.contains("did you mean \"cosine\"?"), "{text}");
+    }
+
+    #[test]
+    fn an_override_is_blamed_for_its_own_error() {
+        let text = error("", &["run.seed=3", "run.sead=3"]);
+        assert!(
+            text.contains("--set run.sead=3: unknown key `run.sead`"),
+            "{text}"
+        );
+        assert!(error("", &["run.seed"]).contains("is not KEY=VALUE"));
+    }
+
+    #[test]
+    fn overrides_win_in_order_and_text_needs_no_quotes() {
+        let overrides = ["run.seed=3", "run.device=cpu", "run.seed=4"].map(String::from);
+        let config = BUILT_IN.parse("[run]\nseed = 1\n", "c.toml", &overrides);
+        let config = config.expect("a good config");
+        assert_eq!((config.run.seed, config.run.device.as_str()), (4, "cpu"));
+    }
+
+    #[test]
+    fn the_written_config_reads_back_equal() {
+        for recipe in BUILT_IN.recipes() {
+            let text = format!("[train]\nrecipe = \"{}\"", recipe.name);
+            let config = BUILT_IN.parse(&text, "c.toml", &[]).expect("defaults");
+            let again = BUILT_IN
+                .parse(&to_toml(&config), "c.toml", &[])
+                .expect("own output");
+            assert_eq!(again, config);
+            let json = serde_json::to_string(&config).expect("plain data");
+            let mut json = serde_json::Deserializer::from_str(&json);
+            let read = crate::config::from_json(&mut json);
+            assert_eq!(read.expect("own output"), config);
+        }
+    }
+
+    #[test]
+    fn an_unknown_recipe_names_the_known_ones() {
+        let text = error("[train]\n\nrecipe = \"gmd_movement\"\n", &[]);
+        assert!(
+            text.starts_with("c.toml:3: `train.recipe`: \"gmd_movement\" is not among"),
+            "{text}"
+        );
+        assert!(
+            text.contains("diffusion, decoder, e2e") && text.contains("\"gmd_motion\"?"),
+            "{text}"
+        );
+    }
+}

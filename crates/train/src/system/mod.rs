@@ -1,0 +1,193 @@
+//! What a system is to the entry points, and how they find it.
+
+mod load;
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_motion::Representation;
+use kinegrad_settings::InvalidSetting;
+use toml::Table;
+
+use crate::config::{Config, ConfigError, Place};
+use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::import::{ImportRequest, Imported};
+use crate::observer::Observer;
+use crate::recipe::RecipeInfo;
+use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
+
+/// A method of generating motion: its config tables, networks, recipes and samplers.
+pub trait System: Sync {
+    /// Its name.
+    fn name(&self) -> &'static str;
+
+    /// Its recipes.
+    fn recipes(&self) -> &'static [RecipeInfo];
+
+    /// The representations of motion that its models are trained on or generate.
+    fn representations(&self) -> Vec<Box<dyn Representation>>;
+
+    /// Default values of the recipe for keys that are missing in `given`, the config as written.
+    fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
+        Table::new()
+    }
+
+    /// The system's own config tables with all defaults filled in; `place` maps a dotted key to its
+    /// location in the file.
+    ///
+    /// # Errors
+    /// For an unknown key or a wrong type; the error names the location.
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError>;
+
+    /// Validates the system's own tables and returns warnings; the common tables are validated
+    /// elsewhere.
+    ///
+    /// # Errors
+    /// For the first invalid value; the error names the key.
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
+
+    /// Config values that follow from what a run starts from, used as defaults: from the `saved`
+    /// config of a resumed run, otherwise from the checkpoints that `config` names.
+    ///
+    /// # Errors
+    /// If such a checkpoint is missing or damaged.
+    fn inherited(&self, _config: &Config, _saved: Option<&Config>) -> Result<Option<Table>, Error> {
+        Ok(None)
+    }
+
+    /// Whether a run in `folder` has started stages that precede its own training.
+    fn has_begun(&self, _folder: &Path) -> bool {
+        false
+    }
+
+    /// Number of parameters of the networks of `config`, without adapters.
+    ///
+    /// # Errors
+    /// If a network cannot be built.
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
+
+    /// Names of the architectures that [`import`](Self::import) supports.
+    fn architectures(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Converts weights of another program to a run with one checkpoint.
+    ///
+    /// # Errors
+    /// If they cannot be read or do not match; nothing is written then.
+    fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
+        Err(Error::usage(
+            format!("the system `{}` imports no weights", self.name()),
+            format!("`{}` is not among its networks", request.architecture),
+        ))
+    }
+
+    /// Merges the adapters of the checkpoint in `path` into its weights and writes the result to
+    /// `out`, a new or empty folder, as a run with one checkpoint. Returns the checkpoint's path.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or has no adapters, or `out` cannot be written.
+    fn merge(&self, path: &Path, _out: &Path) -> Result<PathBuf, Error> {
+        Err(Error::NoAdapters {
+            path: path.to_path_buf(),
+        })
+    }
+
+    /// Generates motion and passes each sample to `receiver`; returns a summary of all samples.
+    ///
+    /// # Errors
+    /// If a condition is not supported by the model or cannot be read, or if the receiver fails.
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error>;
+
+    /// Validates the request and returns a function that evaluates a trained model on held-out motion.
+    ///
+    /// # Errors
+    /// If the request does not apply to its models, or nothing is held out.
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error>;
+
+    /// Trains until the end or until interrupted, with [`Setup::train`].
+    ///
+    /// # Errors
+    /// If the run is rejected, before anything is written, or if it fails.
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error>;
+}
+
+/// The systems that are available to an entry point.
+#[derive(Clone, Copy)]
+pub struct Systems<'a>(pub &'a [&'a dyn System]);
+
+impl<'a> Systems<'a> {
+    /// The recipes of all systems.
+    pub fn recipes(self) -> impl Iterator<Item = &'static RecipeInfo> + use<'a> {
+        self.0.iter().flat_map(|system| system.recipes())
+    }
+
+    /// The representation of an array of this `shape` with these values.
+    ///
+    /// # Errors
+    /// If no system recognises it; `path` is the file, for the message.
+    pub fn representation_of(
+        self,
+        path: &Path,
+        shape: &[usize],
+        values: &[f32],
+    ) -> Result<Box<dyn Representation>, Error> {
+        let known = || self.0.iter().flat_map(|system| system.representations());
+        let found = known().find(|representation| representation.accepts(shape, values));
+        found.ok_or_else(|| {
+            let named = known().map(|known| format!("{} {}", known.name(), known.shape()));
+            let names: Vec<String> = named.collect();
+            let path = path.display();
+            Error::usage(
+                format!("{path}: an array of shape {shape:?} is no motion that is known"),
+                format!("known are: {}", names.join("; ")),
+            )
+        })
+    }
+
+    /// The recipe of that name and its system.
+    pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
+        self.0.iter().find_map(|system| {
+            let recipe = system.recipes().iter().find(|recipe| recipe.name == name);
+            Some((*system, recipe?))
+        })
+    }
+
+    /// The system and the recipe of a run.
+    ///
+    /// # Errors
+    /// If no system has the recipe.
+    pub fn of(
+        self,
+        config: &Config,
+    ) -> Result<(&'a dyn System, &'static RecipeInfo), InvalidSetting> {
+        let name = &config.train.recipe;
+        self.of_recipe(name).ok_or_else(|| {
+            let known: Vec<&str> = self.recipes().map(|recipe| recipe.name).collect();
+            InvalidSetting::new("train.recipe", format!("\"{name}\""), known.join(", "))
+                .hint("the run is of another system; a newer kinegrad may know it")
+        })
+    }
+
+    /// A config that was saved by another version, with the defaults of this version filled in.
+    ///
+    /// # Errors
+    /// As [`of`](Self::of), and [`ConfigError`] for tables that the system cannot read.
+    pub fn completed(self, config: &Config) -> Result<Config, Error> {
+        let (system, _) = self.of(config)?;
+        Ok(Config {
+            system: system.complete(&config.system, &|_| "the saved config".into())?,
+            ..config.clone()
+        })
+    }
+}
