@@ -61,7 +61,7 @@ pub enum Error {
     NoRange,
     /// A run on another representation of motion than is needed.
     #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
-    #[diagnostic(help("give a run of a recipe that does"))]
+    #[diagnostic(help("use a run of a recipe that does"))]
     OtherRepresentation {
         /// The run's recipe.
         recipe: String,
@@ -69,7 +69,7 @@ pub enum Error {
         expected: String,
     },
     /// Parts of the text-motion evaluator that do not belong together.
-    #[error("{what} is {found} numbers wide where {reader} takes {expected}")]
+    #[error("{what} has width {found}, but {reader} needs {expected}")]
     #[diagnostic(help(
         "weights, mean and deviation, and word vectors must be those that were published together, \
          for features of the same kind as the clips"
@@ -165,14 +165,14 @@ pub enum Error {
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]
-    #[diagnostic(help("its weights are plain already; adapters come from a table `lora`"))]
+    #[diagnostic(help("its weights are merged already; adapters are trained with a `lora` table"))]
     NoAdapters {
         /// The checkpoint.
         path: PathBuf,
     },
     /// A checkpoint that cannot be used.
     #[error("the checkpoint {} is damaged: {reason}", path.display())]
-    #[diagnostic(help("take another step of the run; its `checkpoints` folder lists them"))]
+    #[diagnostic(help("use another checkpoint in the run's `checkpoints` folder"))]
     CheckpointDamaged {
         /// The checkpoint's folder.
         path: PathBuf,
