@@ -52,7 +52,7 @@ fn captures_and_songs_become_a_dataset_that_trains() {
         "two",
         "alone",
         "the song has ended",
-        "0 of 3 takes had been made before",
+        "0 of 3 takes were up to date",
     ] {
         assert!(
             prepared.stdout.contains(text),
@@ -63,7 +63,7 @@ fn captures_and_songs_become_a_dataset_that_trains() {
     let before = contents(&sandbox.path("set"));
     let again = sandbox.run("data prepare plan.toml").succeeded();
     assert!(
-        again.stdout.contains("3 of 3 takes had been made before"),
+        again.stdout.contains("3 of 3 takes were up to date"),
         "{}",
         again.stdout
     );

@@ -51,7 +51,7 @@ impl Waveform {
     /// What of the recording was lost, in words.
     pub fn damage(&self) -> Option<String> {
         let packets = (self.skipped_packets > 0)
-            .then(|| format!("{} damaged packets were passed over", self.skipped_packets));
+            .then(|| format!("{} damaged packets were skipped", self.skipped_packets));
         let missing = (self.missing_seconds > NOTICED_SECONDS).then(|| {
             format!(
                 "it is {:.2} s shorter than its headers say: it was cut off, or parts of it are \

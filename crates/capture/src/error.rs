@@ -12,7 +12,7 @@ use thiserror::Error;
 #[derive(Debug, Diagnostic, Error)]
 pub enum Error {
     /// A capture file breaks its format.
-    #[error("`{file}`, {place}: found {found} where {allowed} must stand")]
+    #[error("`{file}`, {place}: found {found}, expected {allowed}")]
     #[diagnostic(help("{hint}"))]
     Format {
         /// Name of the file.

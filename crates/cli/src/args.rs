@@ -237,7 +237,8 @@ Examples:
   kinegrad check runs/quickstart/samples --profile strict --run runs/quickstart
   kinegrad check dance.npy --json")]
 pub struct CheckArguments {
-    /// Motion files (.npy), or folders of them
+    /// Motion files (.npy), or folders of them: phrases `[T, 25]`, joint features `[T, 263]` or
+    /// `[T, 251]`, or joint positions `[T, J, 3]`
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     /// Which checks to run: `document`, for phrases CC-MotionGen's five checks on means over all
@@ -303,7 +304,8 @@ Examples:
   kinegrad plot dance.npy --out dance.svg
   kinegrad plot runs/quickstart --out losses.svg")]
 pub struct PlotArguments {
-    /// Motion file (.npy) or folder of a run
+    /// Motion file (.npy): phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
+    /// positions `[T, J, 3]`; or the folder of a run
     #[arg(value_name = "MOTION.npy|RUN")]
     pub input: PathBuf,
     /// Image to write

@@ -237,8 +237,8 @@ pub struct AugmentConfig {
     pub min_frames: Option<usize>,
     /// Standard deviation of Gaussian noise added to the audio features.
     pub audio_noise: f64,
-    /// Number of time masks, each up to a fifth of the sample, and of masks of adjacent
-    /// features, each up to a quarter of them, are set to zero (SpecAugment, Park et al. 2019,
+    /// Number of time masks, each up to a fifth of the sample, and of masks over adjacent features,
+    /// each up to a quarter of them (SpecAugment, Park et al. 2019,
     /// <https://arxiv.org/abs/1904.08779>).
     pub audio_masks: usize,
     /// Probability of replacing a sample's audio features by standard normal noise, for robustness to

@@ -119,8 +119,8 @@ impl<T: Send + 'static> Prefetch<T> {
     }
 }
 
-/// Makes things until all is over. A panic is handed on in the thing's place, so that the
-/// consumer, and not only a thread's log, hears of it.
+/// Produces items until stopped. A panic is passed on in place of the item, so that the consumer
+/// receives it too.
 fn work<T>(shared: &Shared<T>, make: &mut impl FnMut(u64) -> T) {
     while let Some(number) = shared.claim() {
         let outcome = catch_unwind(AssertUnwindSafe(|| make(number)));

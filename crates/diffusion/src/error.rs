@@ -10,7 +10,7 @@ pub enum Error {
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
     /// A network whose output cannot stand for its input.
-    #[error("the network made {found:?} of a noisy motion of {expected:?}")]
+    #[error("the network returned {found:?} for a noisy motion of {expected:?}")]
     #[diagnostic(help(
         "a denoiser returns [batch, channels, time] of the same sizes as its input: check the \
          model's channels"

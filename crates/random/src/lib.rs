@@ -3,7 +3,7 @@
 //!
 //! A generator with a state must be saved to be resumed, and hands out other numbers when the
 //! number of workers changes. Here nothing is saved: the noise of micro-batch 2 of step 700 is
-//! `Key::new(seed, Purpose::Noise).at(700).at(2)`, whoever asks, in whatever order, on whatever
+//! `Key::new(seed, Purpose::Noise).at(700).at(2)`, independently of the caller, the order and the
 //! device. So a killed run continues bit for bit, and a batch is the same with any number of
 //! loader workers.
 //!

@@ -43,7 +43,7 @@ pub enum Error {
     Emphasis(#[from] kinegrad_motion::emphasis::EmphasisError),
     /// A run on another representation of motion than is needed.
     #[error("the run's recipe, `{recipe}`, does not train on {expected}")]
-    #[diagnostic(help("give a run of a recipe that does"))]
+    #[diagnostic(help("use a run of a recipe that does"))]
     OtherRepresentation {
         /// The run's recipe.
         recipe: String,
@@ -104,14 +104,14 @@ pub enum Error {
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]
-    #[diagnostic(help("its weights are plain already; adapters come from a table `lora`"))]
+    #[diagnostic(help("its weights are merged already; adapters are trained with a `lora` table"))]
     NoAdapters {
         /// The checkpoint.
         path: PathBuf,
     },
     /// A checkpoint that cannot be used.
     #[error("the checkpoint {} is damaged: {reason}", path.display())]
-    #[diagnostic(help("take another step of the run; its `checkpoints` folder lists them"))]
+    #[diagnostic(help("use another checkpoint in the run's `checkpoints` folder"))]
     CheckpointDamaged {
         /// The checkpoint's folder.
         path: PathBuf,

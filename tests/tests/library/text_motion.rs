@@ -217,12 +217,12 @@ fn parts_that_do_not_belong_together_are_refused() {
     let other = Statistics::new(vec![0.0; 263], vec![1.0; 263], Some(Root::Relative));
     assert_eq!(
         refused(other.expect("statistics"), fixture.vectors()),
-        "a frame without contact flags is 259 numbers wide where `movement_encoder` takes 19"
+        "a frame without contact flags has width 259, but `movement_encoder` needs 19"
     );
     let vectors = WordVectors::new(vec!["unk".into()], vec![0.5; 300]).expect("vectors");
     assert_eq!(
         refused(fixture.statistics(), vectors),
-        "a word vector is 300 numbers wide where `text_encoder` takes 4"
+        "a word vector has width 300, but `text_encoder` needs 4"
     );
     let relative = fixture.statistics();
     let (mean, std) = (relative.mean, relative.std);

@@ -15,10 +15,10 @@ pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode,
     let all = || systems.0.iter();
     let Some(system) = all().find(|system| system.architectures().contains(&name.as_str())) else {
         let known: Vec<&str> = all().flat_map(|s| s.architectures()).copied().collect();
-        let message = format!("`--arch {name}` is no network whose weights can be imported");
+        let message = format!("weights of `--arch {name}` cannot be imported");
         return Err(Error::usage(
             message,
-            format!("they are {}", known.join(", ")),
+            format!("supported architectures: {}", known.join(", ")),
         ));
     };
     let imported = system.import(&ImportRequest {
@@ -39,7 +39,7 @@ pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode,
         None => arguments.weights.display().to_string(),
     };
     say!(
-        "imported {part}: {} parameters into {} ({} tensors of other parts passed over)",
+        "imported {part}: {} parameters to {} ({} tensors of other parts ignored)",
         grouped(imported.parameters),
         imported.path.display(),
         imported.skipped

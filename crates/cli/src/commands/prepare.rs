@@ -124,7 +124,7 @@ fn print(report: &Report) {
         );
     }
     say!(
-        "\n{} phrases ({:.2} minutes) in {}; {} of {} takes had been made before",
+        "\n{} phrases ({:.2} minutes) in {}; {} of {} takes were up to date",
         grouped(report.phrases),
         report.hours * 60.0,
         report.output,

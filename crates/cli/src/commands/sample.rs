@@ -98,7 +98,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Files beside each other whose names begin as `out`; each is told of.
+    /// Files with the prefix `out`; each is printed.
     fn new(out: &Path) -> Self {
         let text = out.to_string_lossy();
         Self {
@@ -109,7 +109,7 @@ impl Files {
         }
     }
 
-    /// Files in `folder` that are not told of.
+    /// Files in `folder` that are not printed.
     pub fn silent(folder: &Path) -> Self {
         Self {
             stem: format!("{}/", folder.display()),

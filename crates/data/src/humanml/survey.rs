@@ -23,7 +23,7 @@ impl Listable for Clip {
             kind @ (DataKind::Phrases | DataKind::Synthetic) => Err(Error::wrong_kind(
                 kind,
                 "\"humanml3d\" or \"synthetic_walks\"",
-                "phrases of motion and music are no clips: another recipe or command takes them",
+                "phrases are not clips: use a recipe or command for phrases",
             )),
         }
     }

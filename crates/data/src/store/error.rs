@@ -63,7 +63,7 @@ pub enum StoreError {
     },
     /// The object is longer than anything that belongs there.
     #[error("{object}: {found} bytes found, {limit} allowed")]
-    #[diagnostic(help("this is no file of a phrase dataset"))]
+    #[diagnostic(help("this is not a file of a phrase dataset"))]
     TooLarge {
         /// The object.
         object: String,

@@ -149,8 +149,8 @@ impl<'a> Systems<'a> {
             let names: Vec<String> = named.collect();
             let path = path.display();
             Error::usage(
-                format!("{path}: an array of shape {shape:?} is no motion that is known"),
-                format!("known are: {}", names.join("; ")),
+                format!("{path}: an array of shape {shape:?} is not a known motion representation"),
+                format!("known representations: {}", names.join("; ")),
             )
         })
     }

@@ -19,7 +19,7 @@ use crate::error::Error;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CcMotionConfig {
-    /// What a fine-tuning starts from.
+    /// The initial checkpoints of fine-tuning.
     pub init: InitConfig,
     /// The denoiser.
     pub model: ModelTable<CcMotionNetwork>,
@@ -134,7 +134,7 @@ pub struct RolloutConfig {
     pub mode: RolloutMode,
     /// Steps with a graph in mode `last_k`.
     pub last_k: usize,
-    /// What a rollout starts from.
+    /// The start of a rollout.
     pub start: RolloutStart,
     /// Lowest and highest start timestep of `start = "motion"`; each sample's is drawn between
     /// them. Values beyond the
@@ -202,7 +202,7 @@ pub struct LossConfig {
     /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase and a
     /// constant orientation.
     pub w_components: f64,
-    /// How much each sample's reconstruction counts.
+    /// Weighting of the reconstruction loss of each sample.
     pub reconstruction_weighting: ReconstructionWeighting,
     /// How the two quaternions of one rotation compare in the quaternion's reconstruction; that of
     /// all components always takes the nearer one.

@@ -38,7 +38,7 @@ fn is_known_stranger(name: &str) -> bool {
 /// (all of them are listed), or statistics or matrix do not fit. Nothing is written then.
 pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
-        let message = "published weights without the statistics of their training data";
+        let message = "the statistics of the weights' training data are missing";
         let hint = "give `--mean M.npy --std S.npy`, those that the model was trained with: for an \
                     absolute root Mean_abs_3d.npy and Std_abs_3d.npy";
         return Err(Error::usage(message, hint));
@@ -46,13 +46,13 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let mut warnings = Vec::new();
     match (request.architecture == MOTION, &request.projection) {
         (true, None) => warnings.push(
-            "no `--projection`: published motion models work in a projected space, and draw \
-             nonsense outside of it"
+            "no `--projection`: published motion models work in a projected space and do not work \
+             without their projection matrix"
                 .to_string(),
         ),
         (false, Some(_)) => {
             let message = format!("`--projection` with `--arch {}`", request.architecture);
-            let hint = "trajectory models work on features as they are";
+            let hint = "trajectory models use no projection";
             return Err(Error::usage(message, hint));
         }
         _ => {}

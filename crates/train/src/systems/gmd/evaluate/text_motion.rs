@@ -78,7 +78,7 @@ impl TextMotion {
         {
             true => Ok(()),
             false => Err(Error::usage(
-                format!("{what} is {found} numbers wide where {reader} takes {expected}"),
+                format!("{what} has width {found}, but {reader} needs {expected}"),
                 "weights, mean and deviation, and word vectors must be those that were published \
                  together, for features of the same kind as the clips",
             )),
