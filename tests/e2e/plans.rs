@@ -113,7 +113,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         (
             "output = \"o\"\n[phrases]\nframes = 900\n[[take]]\nmotion = \"captures/*.bvh\"\naudio = \"none\"",
             &[
-                "no phrase could be made",
+                "no take produced a phrase",
                 "one: too short for a phrase of 900",
                 "two: too short",
             ],
@@ -143,7 +143,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
     );
     sandbox
         .run("data prepare plan.toml")
-        .failed(2, &["no phrase could be made", "no capture: no.c3d"]);
+        .failed(2, &["no take produced a phrase", "no capture: no.c3d"]);
     assert!(!sandbox.path("o/manifest.parquet").exists());
     sandbox.write("plan.toml", PLAN);
     sandbox.write("captures/two.bvh", "HIERARCHY nonsense");
