@@ -207,10 +207,10 @@ mod tests {
         ];
         for (expected, wrong) in bad {
             let error = assemble(&[&take], &[good.clone(), wrong], 90).unwrap_err();
-            assert!(
-                matches!(&error, Error::Setting(refused) if refused.key == format!("segment[1].{expected}")),
-                "{error:?}"
-            );
+            let Error::Setting(refused) = error else {
+                panic!("{error:?}");
+            };
+            assert_eq!(refused.key, format!("segment[1].{expected}"));
         }
     }
 }

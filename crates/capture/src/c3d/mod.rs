@@ -8,9 +8,7 @@ mod bytes;
 mod parameters;
 mod read;
 #[cfg(test)]
-mod tests;
-#[cfg(test)]
-pub(super) mod writer;
+pub(super) mod tests;
 
 pub use bytes::Processor;
 

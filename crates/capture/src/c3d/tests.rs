@@ -1,8 +1,10 @@
+pub mod writer;
+
 use proptest::prelude::*;
 
-use super::writer::Example;
 use super::*;
 use crate::Error;
+use writer::Example;
 
 const PROCESSORS: [Processor; 3] = [Processor::Intel, Processor::Dec, Processor::Mips];
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::RootSource;
-use crate::c3d::writer::Example;
+use crate::c3d::tests::writer::Example;
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 

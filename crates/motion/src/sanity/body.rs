@@ -15,6 +15,7 @@ const FLOOR_TOLERANCE: f64 = 0.05;
 const SKATING_SHARE: f64 = 0.5;
 /// How many times the training clips' root mean square the root's speed may be.
 const SPEED_FACTOR: f64 = 3.0;
+
 /// Checks the `joints` that `rows` stand for; none where a value is not finite. The profile
 /// `strict` compares with training motion, too.
 ///

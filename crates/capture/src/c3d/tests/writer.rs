@@ -1,6 +1,6 @@
 //! A small C3D writer for the tests.
 
-use super::Processor;
+use crate::c3d::Processor;
 
 /// What a test file holds; change what the test is about.
 #[derive(Clone, Debug)]
