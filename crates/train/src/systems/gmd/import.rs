@@ -88,7 +88,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         kinegrad: env!("CARGO_PKG_VERSION").to_string(),
         step: 0,
         config: config.clone(),
-        statistics: statistics.into(),
+        statistics,
         dataset_sha256: None,
         progress: Progress::default(),
         checksums: BTreeMap::new(),
