@@ -3,7 +3,7 @@
 //!
 //! Source: Guided Motion Diffusion, appendix F, and Dhariwal and Nichol 2021,
 //! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
-//! A [`Goal`] is any function from the predicted motion to the gradient of a loss.
+//! An [`Objective`] is any function from the predicted motion to the gradient of a loss.
 
 mod imputation;
 mod step;
