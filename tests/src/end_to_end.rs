@@ -7,9 +7,9 @@ use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{BetaSchedule, DiffusionConfig, GaussianDiffusion, PredictionType};
 use kinegrad_models::{Initializer, MotionModel, parameters};
 use kinegrad_motion::Statistics;
-use kinegrad_train::config::Clip;
+use kinegrad_train::config::ClipSample;
 use kinegrad_train::denoising::{Conditions, Draws, HeldOut, Inputs};
-use kinegrad_train::systems::cc_motion::recipes::{E2eDraws, E2eRecipe, Sampler};
+use kinegrad_train::systems::cc_motion::recipes::{E2eDraws, E2eRecipe, Rollouts};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig, RolloutMode, RolloutStart};
 
 use crate::golden::{Golden, GoldenTensors, Reference};
@@ -92,12 +92,12 @@ impl Case {
             last_k: 1,
             start: RolloutStart::Noise,
             start_timesteps: [last, last],
-            clip: Clip::None,
+            clip: ClipSample::None,
             straight_through: false,
             gradient_decay: 1.0,
             guidance_scale: 1.0,
         };
-        let sampler = Sampler::new(self.diffusion.clone(), &config, statistics);
+        let sampler = Rollouts::new(self.diffusion.clone(), &config, statistics);
         let sampler = sampler.expect("nothing is clipped");
         E2eRecipe::new(sampler, &LossConfig::document(), HeldOut::nothing())
     }

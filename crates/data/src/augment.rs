@@ -21,14 +21,14 @@ const AUDIO_REPLACE: u64 = 6;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
 #[derive(Clone, Debug)]
-pub(crate) struct Sampler {
+pub(crate) struct Augmentation {
     seed: u64,
     target_frames: usize,
     crop: Crop,
     augment: AugmentConfig,
 }
 
-impl Sampler {
+impl Augmentation {
     /// The sampler of a run with this `seed`.
     pub fn new(config: &DataConfig, seed: u64) -> Self {
         Self {
@@ -174,7 +174,7 @@ mod tests {
     use std::collections::BTreeSet;
     use std::sync::Arc;
 
-    impl Sampler {
+    impl Augmentation {
         /// The windows by themselves.
         fn sample(&self, passage: &Passage, n: u64) -> (Motion, AudioFeatures) {
             let (motion, audio) = self.windows(passage, n);
@@ -182,13 +182,13 @@ mod tests {
         }
     }
 
-    fn sampler(change: impl Fn(&mut DataConfig)) -> Sampler {
+    fn sampler(change: impl Fn(&mut DataConfig)) -> Augmentation {
         let mut config = DataConfig {
             target_frames: 20,
             ..DataConfig::default()
         };
         change(&mut config);
-        Sampler::new(&config, 3)
+        Augmentation::new(&config, 3)
     }
 
     /// A phrase that is a take of its own.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use kinegrad_motion::{CHANNELS, Statistics};
 
-use crate::augment::Sampler;
+use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::features::AUDIO_CHANNELS;
 use crate::loader::Samples;
@@ -16,7 +16,7 @@ use crate::{Batch, DataConfig, Error, Phrase, PhraseSet};
 pub struct PhraseSamples {
     passages: Passages,
     statistics: Arc<Statistics>,
-    sampler: Sampler,
+    sampler: Augmentation,
     target_frames: usize,
 }
 
@@ -35,7 +35,7 @@ impl PhraseSamples {
                 false => Passages::alone(phrases, config.target_frames),
             },
             statistics,
-            sampler: Sampler::new(config, seed),
+            sampler: Augmentation::new(config, seed),
             target_frames: config.target_frames,
         }
     }

@@ -43,7 +43,7 @@ use kinegrad_train::config::{EmaConfig, OptimConfig};
 use kinegrad_train::denoising::HeldOut;
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
-use kinegrad_train::systems::cc_motion::recipes::{DiffusionRecipe, E2eDraws, E2eRecipe, Sampler};
+use kinegrad_train::systems::cc_motion::recipes::{DiffusionRecipe, E2eDraws, E2eRecipe, Rollouts};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
 use kinegrad_train::systems::gmd::recipes::GmdMotionRecipe;
 use kinegrad_train::{Loss, Recipe};
@@ -318,7 +318,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(model, weights)?;
             let last = diffusion.config.num_train_timesteps - 1;
-            let sampler = Sampler::new(diffusion, &rollout, statistics)?;
+            let sampler = Rollouts::new(diffusion, &rollout, statistics)?;
             let recipe = E2eRecipe::new(sampler, &LossConfig::document(), held_out);
             let batch = inputs.batch()?;
             let draws = E2eDraws {

@@ -25,7 +25,7 @@ pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, Clip, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
     TrainConfig, ValidationConfig,
 };
 

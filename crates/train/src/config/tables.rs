@@ -191,7 +191,7 @@ impl Default for ValidationConfig {
 /// Clipping of the predicted clean motion in each sampling step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Clip {
+pub enum ClipSample {
     /// Each channel to its range in the training data. Not with an emphasis projection, nor with
     /// statistics that came with the dataset.
     #[default]
@@ -205,7 +205,7 @@ pub enum Clip {
     None,
 }
 
-impl Clip {
+impl ClipSample {
     /// The bounds of the first `channels`, in normalised units.
     ///
     /// # Errors
@@ -242,7 +242,7 @@ pub struct SamplingConfig {
     /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
     /// What the predicted clean motion is clipped to.
-    pub clip: Clip,
+    pub clip: ClipSample,
     /// The sampler.
     pub sampler: SamplerConfig,
     /// Guidance and imputation for goals, for recipes on clips.

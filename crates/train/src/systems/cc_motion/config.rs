@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::evaluate::CondSource;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::{E2E, rolls_out};
-use crate::config::{Clip, Config, ModelTable, NetworkKind, SystemTables};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -141,7 +141,7 @@ pub struct RolloutConfig {
     /// last timestep mean the last.
     pub start_timesteps: [usize; 2],
     /// Clipping of the predicted clean motion.
-    pub clip: Clip,
+    pub clip: ClipSample,
     /// Whether clipping has a straight-through gradient.
     pub straight_through: bool,
     /// Factor of the gradient passed from each step to the previous one.
@@ -158,7 +158,7 @@ impl Default for RolloutConfig {
             last_k: 1,
             start: RolloutStart::Motion,
             start_timesteps: [200, 999],
-            clip: Clip::TrainingRange,
+            clip: ClipSample::TrainingRange,
             straight_through: true,
             gradient_decay: 1.0,
             guidance_scale: 1.0,

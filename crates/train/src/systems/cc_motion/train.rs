@@ -9,7 +9,7 @@ use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks};
-use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Sampler};
+use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Rollouts};
 use super::start::Starts;
 use super::{CcMotionConfig, DECODER, E2E, pretrain, rolls_out};
 use crate::config::{Config, SystemTables};
@@ -69,14 +69,14 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         None => networks(&config, &statistics, &setup.device)?,
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-    let sampler = Sampler::new(diffusion, &own.rollout, normalized)?;
+    let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
     match recipe {
         DECODER => {
-            let recipe = DecoderRecipe::new(sampler, &own.loss, held_out);
+            let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
             setup.train(material, recipe, model, observer)
         }
         _ => {
-            let recipe = E2eRecipe::new(sampler, &own.loss, held_out);
+            let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
             setup.train(material, recipe, model, observer)
         }
     }

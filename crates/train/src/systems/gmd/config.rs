@@ -12,7 +12,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use super::TRAJECTORY;
-use crate::config::{Clip, Config, ModelTable, NetworkKind, SystemTables};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -159,7 +159,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "\"none\": the trajectory model's four channels are not projected",
     )?;
     require(
-        !(projects && sampling.clip == Clip::TrainingRange),
+        !(projects && sampling.clip == ClipSample::TrainingRange),
         "sampling.clip",
         "\"training_range\"",
         "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of those \

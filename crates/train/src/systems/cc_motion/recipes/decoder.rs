@@ -17,8 +17,8 @@ use kinegrad_data::Batch;
 use kinegrad_models::MotionModel;
 use kinegrad_random::{Key, Purpose};
 
-use super::Sampler;
-use super::sampler::channels;
+use super::Rollouts;
+use super::rollouts::channels;
 use crate::denoising::{HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::losses::reconstruction::normalized_error;
@@ -29,16 +29,16 @@ const NOISED_SHARE: f64 = 0.05;
 
 /// Trains the decoder of a [`MotionModel`].
 pub struct DecoderRecipe {
-    sampler: Sampler,
+    rollouts: Rollouts,
     loss: LossConfig,
     held_out: HeldOut,
 }
 
 impl DecoderRecipe {
-    /// A recipe whose latents `sampler` draws, validated on `held_out`.
-    pub fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+    /// A recipe whose latents `rollouts` draws, validated on `held_out`.
+    pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
-            sampler,
+            rollouts,
             loss: loss.clone(),
             held_out,
         }
@@ -51,7 +51,7 @@ impl DecoderRecipe {
         noise: Tensor<3>,
         place: impl Fn(usize) -> f64,
     ) -> Tensor<3> {
-        let diffusion = &self.sampler.rollout.diffusion;
+        let diffusion = &self.rollouts.rollout.diffusion;
         let below = diffusion.config.num_train_timesteps as f64 * NOISED_SHARE;
         let timesteps: Vec<usize> = (0..x_start.dims()[0])
             .map(|i| (place(i) * below) as usize)
@@ -69,13 +69,13 @@ impl DecoderRecipe {
         dropout: Option<Key>,
     ) -> [(&'static str, Tensor<1>); 2] {
         let device = inputs.x_start.device();
-        let target = self.sampler.physical(&inputs.x_start);
-        let std = channels(&self.sampler.statistics.std, &device);
+        let target = self.rollouts.physical(&inputs.x_start);
+        let std = channels(&self.rollouts.statistics.std, &device);
         let error = |call: u64, latent: Tensor<3>, weighting| {
             let decoded = model
                 .decoder
                 .forward(latent, dropout.map(|key| key.at(call)));
-            let weights = self.sampler.weights(starts, weighting, &device);
+            let weights = self.rollouts.weights(starts, weighting, &device);
             normalized_error(&decoded, &target, &inputs.mask, weights, &std) * self.loss.w_dec
         };
         let [noised, sampled] = latents;
@@ -107,11 +107,11 @@ impl Recipe for DecoderRecipe {
         let little = noise(key.of(Purpose::Noise), shape, device);
         let noised = self.noised(&inputs.x_start, little, |i| f64::from(places[i]));
         let starts = self
-            .sampler
+            .rollouts
             .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps));
         let much = noise(key.of(Purpose::RolloutNoise), shape, device);
         let sampled = self
-            .sampler
+            .rollouts
             .sample(&model.unet.valid(), &inputs, much, &starts);
 
         let dropout = Some(key.of(Purpose::DecoderDropout));
@@ -127,7 +127,7 @@ impl Recipe for DecoderRecipe {
 
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
         let phrases = self.held_out.len();
-        let starts = self.sampler.starts(phrases, |_| 0.5);
+        let starts = self.rollouts.starts(phrases, |_| 0.5);
         let mut measured = Measured::default();
         for (range, inputs) in self.held_out.batches(device) {
             let starts = &starts[range.clone()];
@@ -135,7 +135,7 @@ impl Recipe for DecoderRecipe {
             let places = |i: usize| ((range.start + i) as f64 + 0.5) / phrases as f64;
             let latents = [
                 self.noised(&inputs.x_start, noise(0), places),
-                self.sampler.sample(&model.unet, &inputs, noise(1), starts),
+                self.rollouts.sample(&model.unet, &inputs, noise(1), starts),
             ];
             let share = range.len() as f64 / phrases as f64;
             for (name, term) in self.terms(model, &inputs, latents, starts, None) {

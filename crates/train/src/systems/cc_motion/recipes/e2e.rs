@@ -23,9 +23,9 @@ use kinegrad_diffusion::{Trace, rollout_timesteps};
 use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
 
-use super::Sampler;
+use super::Rollouts;
 use super::diffusion::{denoising_loss, denoising_validation_loss};
-use super::sampler::channels;
+use super::rollouts::channels;
 use crate::denoising::{Draws, HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::LossConfig;
@@ -37,7 +37,7 @@ const ROLLOUT_DRAW: u64 = 1;
 
 /// Fine-tunes a [`MotionModel`].
 pub struct E2eRecipe {
-    sampler: Sampler,
+    rollouts: Rollouts,
     loss: LossConfig,
     held_out: HeldOut,
 }
@@ -63,10 +63,10 @@ pub struct E2eDraws {
 }
 
 impl E2eRecipe {
-    /// A recipe whose rollouts `sampler` makes, validated on `held_out`.
-    pub fn new(sampler: Sampler, loss: &LossConfig, held_out: HeldOut) -> Self {
+    /// A recipe whose rollouts `rollouts` makes, validated on `held_out`.
+    pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
-            sampler,
+            rollouts,
             loss: loss.clone(),
             held_out,
         }
@@ -86,22 +86,22 @@ impl E2eRecipe {
             decoder_dropout,
         } = draws;
         // 1. The diffusion loss.
-        let diffusion = &self.sampler.rollout.diffusion;
+        let diffusion = &self.rollouts.rollout.diffusion;
         let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising, true);
         let mut total = denoising.total * self.loss.w_diff;
         let mut terms = vec![("diffusion", total.clone())];
 
         // 2. A rollout, with gradients as `rollout.mode` keeps them.
         let output = self
-            .sampler
+            .rollouts
             .rollout
             .run(
                 &model.unet,
                 &model.unet.valid(),
-                self.sampler.start(&inputs.x_start, start_noise, &starts),
+                self.rollouts.start(&inputs.x_start, start_noise, &starts),
                 inputs.cond.get(AUDIO),
-                &rollout_timesteps(&starts, self.sampler.config.steps),
-                self.sampler.config.graph(),
+                &rollout_timesteps(&starts, self.rollouts.config.steps),
+                self.rollouts.config.graph(),
             )
             .expect("bounds of 25 channels");
         let pending = output.trace.map(|trace| PendingRollout {
@@ -132,9 +132,9 @@ impl E2eRecipe {
         inputs: &Inputs,
         starts: &[usize],
     ) -> Vec<(&'static str, Tensor<1>)> {
-        let target = self.sampler.physical(&inputs.x_start);
+        let target = self.rollouts.physical(&inputs.x_start);
         let weighting = self.loss.reconstruction_weighting;
-        let weights = self.sampler.weights(starts, weighting, &decoded.device());
+        let weights = self.rollouts.weights(starts, weighting, &decoded.device());
         let sign = self.loss.quaternion_sign;
         let ReconstructionLoss {
             position,
@@ -145,7 +145,7 @@ impl E2eRecipe {
             ("quaternion", quaternion * self.loss.w_dec),
         ];
         if self.loss.w_components > 0.0 {
-            let std = channels(&self.sampler.statistics.std, &decoded.device());
+            let std = channels(&self.rollouts.statistics.std, &decoded.device());
             let error = normalized_error(decoded, &target, &inputs.mask, weights, &std);
             terms.push(("components", error * self.loss.w_components));
         }
@@ -180,11 +180,11 @@ impl Recipe for E2eRecipe {
     ) -> Loss<Self::Pending> {
         let inputs = Inputs::new(batch, device);
         let shape = inputs.x_start.dims();
-        let diffusion = &self.sampler.rollout.diffusion;
+        let diffusion = &self.rollouts.rollout.diffusion;
         let draws = E2eDraws {
             denoising: Draws::new(diffusion, shape, key, device),
             starts: self
-                .sampler
+                .rollouts
                 .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),
             start_noise: noise(key.of(Purpose::RolloutNoise), shape, device),
             decoder_dropout: Some(key.of(Purpose::DecoderDropout)),
@@ -196,7 +196,7 @@ impl Recipe for E2eRecipe {
         let mut sum = GradientSum::default();
         let mut gradients = loss.total.backward();
         if let Some(PendingRollout { trace, cond }) = loss.pending {
-            let (rollout, unet) = (&self.sampler.rollout, &model.unet);
+            let (rollout, unet) = (&self.rollouts.rollout, &model.unet);
             trace
                 .backward(rollout, unet, &cond, &mut gradients, &mut |_, mut local| {
                     sum.add(model, &mut local);
@@ -210,18 +210,18 @@ impl Recipe for E2eRecipe {
     /// The same loss without dropout, the start timesteps of the phrases covering their range
     /// evenly.
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
-        let diffusion = &self.sampler.rollout.diffusion;
+        let diffusion = &self.rollouts.rollout.diffusion;
         let phrases = self.held_out.len();
         let denoising = denoising_validation_loss(diffusion, &model.unet, &self.held_out, device);
         let mut measured = Measured::default();
         measured.add("diffusion", denoising * self.loss.w_diff);
-        let starts = self.sampler.starts(phrases, |_| 0.5);
+        let starts = self.rollouts.starts(phrases, |_| 0.5);
         for (range, inputs) in self.held_out.batches(device) {
             let starts = &starts[range.clone()];
             let noise = self
                 .held_out
                 .noise(range.clone(), ROLLOUT_DRAW, &inputs.x_start);
-            let latent = self.sampler.sample(&model.unet, &inputs, noise, starts);
+            let latent = self.rollouts.sample(&model.unet, &inputs, noise, starts);
             let decoded = model.decoder.forward(latent, None);
             let share = range.len() as f64 / phrases as f64;
             for (name, term) in self.decoded_terms(&decoded, &inputs, starts) {

@@ -3,9 +3,9 @@
 pub mod decoder;
 pub mod diffusion;
 pub mod e2e;
-mod sampler;
+mod rollouts;
 
 pub use decoder::DecoderRecipe;
 pub use diffusion::DiffusionRecipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
-pub use sampler::Sampler;
+pub use rollouts::Rollouts;

@@ -14,13 +14,13 @@ use crate::error::Error;
 use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.
-pub struct Sampler {
+pub struct Rollouts {
     pub(super) rollout: Rollout,
     pub(super) config: RolloutConfig,
     pub(super) statistics: Arc<Statistics>,
 }
 
-impl Sampler {
+impl Rollouts {
     /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
     ///
     /// # Errors
