@@ -1,0 +1,118 @@
+//! Arguments of the commands on datasets and songs.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use kinegrad_data::humanml::SkeletonName;
+
+use super::named;
+
+#[derive(Debug, Subcommand)]
+pub enum DataCommand {
+    /// Create a synthetic dataset: phrases with smooth motion that follows the beat of their audio
+    /// features, or walks in the HumanML3D layout
+    Synth(SynthArguments),
+    /// Create a phrase dataset from motion captures and songs, following a plan
+    Prepare(PrepareArguments),
+    /// Summarise a dataset and list problems
+    Inspect(InspectArguments),
+}
+
+/// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts them into phrases
+/// and writes these with a manifest to a folder or bucket; docs/dataset.md describes plans. An
+/// interrupted run continues where it stopped when it is run again. Exits with 1 if a take failed.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad data prepare configs/prepare.toml --out gs://bucket/dances")]
+pub struct PrepareArguments {
+    /// The plan
+    #[arg(value_name = "PLAN.toml")]
+    pub plan: PathBuf,
+    /// Output folder, gs:// or s3:// URI [default: the plan's `output`]
+    #[arg(long, value_name = "URI")]
+    pub out: Option<String>,
+    /// Process every take again, even if it is up to date
+    #[arg(long)]
+    pub again: bool,
+    /// Remove phrases of takes that are no longer in the plan
+    #[arg(long)]
+    pub prune: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum AudioCommand {
+    /// Compute the audio features of songs, in the format of a dataset
+    Features(FeaturesArguments),
+}
+
+/// Writes DIR/NAME/features.npz for each song: mel, chroma, mfcc, rms, spectral_centroid and
+/// onset_strength at 30 frames per second, plus tempo and beat_times.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad audio features songs/*.mp3 --out features --plot")]
+pub struct FeaturesArguments {
+    /// Songs (mp3, wav, flac, ogg)
+    #[arg(required = true, value_name = "SONG")]
+    pub songs: Vec<PathBuf>,
+    /// Output folder
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Also plot features and beats to DIR/NAME/features.png
+    #[arg(long)]
+    pub plot: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  kinegrad data synth --out phrases --phrases 64 --frames 120 --seed 0")]
+pub struct SynthArguments {
+    /// Output folder; it must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Create walks in the HumanML3D layout instead of phrases
+    #[arg(long)]
+    pub walks: bool,
+    /// Number of phrases or walks
+    #[arg(long, default_value_t = 64, value_name = "N")]
+    pub phrases: usize,
+    /// Frames of each phrase (30 per second) or walk (20 per second)
+    #[arg(long, default_value_t = 120, value_name = "T")]
+    pub frames: usize,
+    /// Random seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad data inspect phrases
+  kinegrad data inspect gs://bucket/dances --where 'tempo > 100 and split = train' --plot tempo.png")]
+pub struct InspectArguments {
+    /// The dataset: a folder, or a file://, gs://, s3://, http:// or https:// URI; endpoint and
+    /// credentials are read from the environment
+    #[arg(value_name = "URI")]
+    pub source: String,
+    /// List the phrases of the manifest that match a condition on its columns, such as
+    /// `tempo > 100` or `split = train and not flags like *no_audio*`, without reading the phrases
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub condition: Option<String>,
+    /// Plot tempo, length and beats of the manifest's phrases that match the condition
+    #[arg(long, value_name = "FILE.png|FILE.svg")]
+    pub plot: Option<PathBuf>,
+    /// Read the dataset as clips in the HumanML3D layout
+    #[arg(long, conflicts_with_all = ["condition", "plot"])]
+    pub humanml3d: bool,
+    /// Skeleton of the clips: humanml3d or kit
+    #[arg(long, value_parser = named::<SkeletonName>, default_value = "humanml3d", requires = "humanml3d")]
+    pub skeleton: SkeletonName,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
