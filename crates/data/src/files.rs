@@ -78,7 +78,7 @@ impl Files {
             };
             let cached = known.and_then(|digest| Some((disk.get(&digest)?, digest)));
             if let Some(found) = cached {
-                self.store.counters().disk_hit();
+                self.store.counters().lock().disk_hits += 1;
                 return Ok(found);
             }
         }
@@ -97,7 +97,7 @@ impl Files {
                             expected: digest.to_string(),
                         });
                     }
-                    self.store.counters().retry();
+                    self.store.counters().lock().retries += 1;
                 }
                 _ => break (bytes, found, version),
             }

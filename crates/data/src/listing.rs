@@ -1,7 +1,8 @@
 //! Which phrases a dataset holds: from its manifest, else by listing its folders.
 
 use crate::digest::Digest;
-use crate::layout::{AUDIO_FILE, MOTION_FILE, PREPARATION};
+use crate::layout::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
+use crate::manifest::{self, ManifestRow};
 use crate::split::Side;
 use crate::store::{Object, Store};
 use crate::{Error, StoreError};
@@ -60,66 +61,44 @@ impl Listing {
     /// # Errors
     /// [`Error::Manifest`], [`Error::Store`], [`Error::MissingFolder`].
     pub fn read(store: &Store) -> Result<Self, Error> {
-        match manifest(store)? {
-            Manifest::Read(listing) => Ok(listing),
-            Manifest::None if prepared(store)? => Err(Error::Manifest {
-                object: store.name_of(crate::MANIFEST),
+        let object = || store.name_of(MANIFEST);
+        match manifest::read(store) {
+            Ok(Some(rows)) => Ok(Self::of(rows)),
+            Ok(None) if prepared(store)? => Err(Error::Manifest {
+                object: object(),
                 problem: "it is missing: the dataset's preparation has not ended".to_owned(),
             }),
-            Manifest::None => list(store),
-            #[cfg(not(feature = "manifest"))]
-            Manifest::Unread => {
-                // Phrases of an older plan may lie beside those of the manifest.
-                if prepared(store)? || !store.is_writable() {
-                    return Err(Error::Feature {
-                        what: store.name_of(crate::MANIFEST),
-                        feature: "manifest",
-                    });
-                }
+            Ok(None) => list(store),
+            // Phrases of an older plan may lie beside those of the manifest.
+            Err(Error::Feature { .. }) if store.is_writable() && !prepared(store)? => {
                 let mut listing = list(store)?;
                 listing.warnings.push(format!(
                     "{} is not read by this build (feature `manifest`): files are not held \
                      against its checksums, and its split does not count",
-                    store.name_of(crate::MANIFEST)
+                    object()
                 ));
                 Ok(listing)
             }
+            Err(error) => Err(error),
         }
     }
-}
 
-enum Manifest {
-    #[cfg_attr(not(feature = "manifest"), expect(dead_code))]
-    Read(Listing),
-    None,
-    #[cfg(not(feature = "manifest"))]
-    Unread,
-}
-
-#[cfg(feature = "manifest")]
-fn manifest(store: &Store) -> Result<Manifest, Error> {
-    let Some(manifest) = crate::manifest::Manifest::read(store)? else {
-        return Ok(Manifest::None);
-    };
-    let phrases = manifest.rows().iter().map(|row| Listed {
-        id: row.id.clone(),
-        side: row.split,
-        files: [row.motion_sha256, row.audio_sha256]
-            .map(Expected::Checksum)
-            .to_vec(),
-    });
-    let mut phrases: Vec<Listed> = phrases.collect();
-    phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
-    Ok(Manifest::Read(Listing {
-        phrases,
-        ..Listing::default()
-    }))
-}
-
-#[cfg(not(feature = "manifest"))]
-fn manifest(store: &Store) -> Result<Manifest, Error> {
-    let found = store.find(crate::MANIFEST, crate::manifest::MAX_BYTES)?;
-    Ok(found.map_or(Manifest::None, |_| Manifest::Unread))
+    /// The phrases of a manifest.
+    fn of(rows: Vec<ManifestRow>) -> Self {
+        let phrase = |row: ManifestRow| Listed {
+            id: row.id,
+            side: row.split,
+            files: [row.motion_sha256, row.audio_sha256]
+                .map(Expected::Checksum)
+                .to_vec(),
+        };
+        let mut phrases: Vec<Listed> = rows.into_iter().map(phrase).collect();
+        phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+        Self {
+            phrases,
+            ..Self::default()
+        }
+    }
 }
 
 /// Whether `kinegrad data prepare` has begun to write here.

@@ -263,13 +263,13 @@ fn range(column: &ColumnMetaData) -> Option<std::ops::Range<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::manifest::parquet::tests::row;
-    use crate::manifest::parquet::{Manifest, decode};
+    use crate::manifest::table::{decode, encode};
+    use crate::manifest::tests::row;
     use polars_parquet_format::{KeyValue, TimeUnit, TimestampType};
 
     /// A manifest of two phrases with a `change`d footer.
     fn changed(change: impl FnOnce(&mut FileMetaData)) -> Vec<u8> {
-        let mut file = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
+        let mut file = encode(vec![row("a"), row("b")]).unwrap();
         let end = file.len() - 8;
         let length = u32::from_le_bytes(file[end..end + 4].try_into().unwrap()) as usize;
         let start = end - length;

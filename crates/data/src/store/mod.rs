@@ -147,7 +147,9 @@ impl Store {
             #[cfg(feature = "cloud")]
             Kind::Remote(remote) => remote.read(path, limit)?,
         };
-        self.counters.read(bytes.len());
+        let mut counts = self.counters.lock();
+        counts.reads += 1;
+        counts.bytes_read += bytes.len() as u64;
         Ok((bytes, version))
     }
 
