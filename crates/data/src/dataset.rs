@@ -7,7 +7,7 @@ use kinegrad_motion::Statistics;
 use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::survey::{Listable, OpenProgress};
-use crate::{Counters, DataConfig, Digest, Error, LoaderReport};
+use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most odd items that are named one by one.
 const NOTES: usize = 5;
@@ -34,7 +34,6 @@ pub struct Dataset<T: Item> {
     /// that decide what is trained on. Equal datasets have equal ones, wherever they lie.
     pub digest: Digest,
     given: Option<Statistics>,
-    counters: Arc<Counters>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
@@ -61,7 +60,7 @@ impl<T: Listable> Dataset<T> {
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
         let mut survey = T::survey(config)?;
-        let gathered = survey.gather(config, config.on_bad_phrase, progress)?;
+        let gathered = survey.gather(config, Some(config.on_bad_phrase), progress)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
         if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.left_out.first()) {
@@ -84,24 +83,22 @@ impl<T: Listable> Dataset<T> {
             warnings.push(format!("{more} more {kind}s of that sort"));
         }
         let (representation, given) = (survey.representation.clone(), survey.given.take());
-        let counters = survey.counters.clone();
-        let sides = survey.divide(gathered.entries, gathered.memory);
-        if sides.train.is_empty() {
+        let (train, validation, digest) = survey.divide(gathered.entries, gathered.memory);
+        if train.is_empty() {
             return Err(Error::EmptyTrainSplit {
                 kind,
-                items: sides.validation.len(),
+                items: validation.len(),
             });
         }
         Ok(Self {
-            train: sides.train,
-            validation: sides.validation,
+            train,
+            validation,
             representation,
             skipped: gathered.skipped,
             left_out: gathered.left_out,
             warnings,
-            digest: sides.digest,
+            digest,
             given,
-            counters,
         })
     }
 }
@@ -135,7 +132,6 @@ impl<T: Item> Dataset<T> {
             left_out: Vec::new(),
             warnings: Vec::new(),
             given: None,
-            counters: Arc::default(),
         }
     }
 
@@ -175,7 +171,7 @@ impl<T: Item> Dataset<T> {
 
     /// What reading has cost since the dataset was opened.
     pub fn report(&self) -> LoaderReport {
-        self.counters.report()
+        self.train.counters().report()
     }
 }
 

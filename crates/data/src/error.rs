@@ -1,5 +1,6 @@
 //! Errors about a dataset's settings, its folder and its files.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use kinegrad_settings::InvalidSetting;
@@ -21,41 +22,14 @@ pub enum FileError {
         /// What the operating system says.
         reason: String,
     },
-    /// The file is no array or archive of arrays, or is damaged.
+    /// What stands in the file cannot be used.
     #[error("{file}: {problem}")]
     #[diagnostic(help("{hint}"))]
-    Damaged {
-        /// The file.
+    Unusable {
+        /// The file, and the line or array in it.
         file: String,
         /// What is wrong with it.
         problem: String,
-        /// What to do.
-        hint: &'static str,
-    },
-    /// The array has a shape that does not match the layout.
-    #[error("{file}: shape {found} found, {allowed} allowed")]
-    #[diagnostic(help(
-        "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
-         spectral_centroid and onset_strength are [frames]"
-    ))]
-    Shape {
-        /// The file.
-        file: String,
-        /// The shape found, as `[a, b]`.
-        found: String,
-        /// The expected shape.
-        allowed: String,
-    },
-    /// Something in a file of a HumanML3D dataset is not as its layout asks.
-    #[error("{file}: found {found}, expected {expected}")]
-    #[diagnostic(help("{hint}"))]
-    Unexpected {
-        /// The file, and the line or array in it.
-        file: String,
-        /// What stands there.
-        found: String,
-        /// What should.
-        expected: String,
         /// What to do.
         hint: String,
     },
@@ -63,19 +37,6 @@ pub enum FileError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Store(#[from] StoreError),
-    /// A value is NaN or infinite.
-    #[error("{file}: {value} in frame {frame}, channel {channel}; finite numbers allowed")]
-    #[diagnostic(help("repair or leave out the phrase; kinegrad never fills gaps by itself"))]
-    NonFinite {
-        /// The file.
-        file: String,
-        /// The frame, from 0.
-        frame: usize,
-        /// The channel's name.
-        channel: String,
-        /// The value found.
-        value: f32,
-    },
 }
 
 /// Why a dataset could not be opened or written.
@@ -242,28 +203,43 @@ impl FileError {
         }
     }
 
-    /// A [`FileError::Damaged`].
-    pub(crate) fn damaged(file: &str, problem: impl Into<String>, hint: &'static str) -> Self {
-        Self::Damaged {
-            file: file.to_owned(),
+    /// The error about something in a file that cannot be used.
+    pub(crate) fn unusable(
+        file: impl Into<String>,
+        problem: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Unusable {
+            file: file.into(),
             problem: problem.into(),
-            hint,
+            hint: hint.into(),
         }
     }
 
-    /// A [`FileError::Unexpected`].
+    /// The error about something in a file that is not as its layout asks.
     pub(crate) fn unexpected(
         file: impl Into<String>,
-        found: impl Into<String>,
-        expected: impl Into<String>,
+        found: impl Display,
+        expected: impl Display,
         hint: impl Into<String>,
     ) -> Self {
-        Self::Unexpected {
-            file: file.into(),
-            found: found.into(),
-            expected: expected.into(),
-            hint: hint.into(),
-        }
+        Self::unusable(file, format!("found {found}, expected {expected}"), hint)
+    }
+
+    /// The error about an array with a shape that does not match the layout.
+    pub fn shape(file: &str, found: &[usize], allowed: impl Display) -> Self {
+        let problem = format!("shape {found:?} found, {allowed} allowed");
+        let hint = "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
+                    spectral_centroid and onset_strength are [frames]";
+        Self::unusable(file, problem, hint)
+    }
+
+    /// The error about a value that is NaN or infinite; frames count from 0.
+    pub(crate) fn non_finite(file: &str, frame: usize, channel: String, value: f32) -> Self {
+        let problem =
+            format!("{value} in frame {frame}, channel {channel}; finite numbers allowed");
+        let hint = "repair or leave out the phrase; kinegrad never fills gaps by itself";
+        Self::unusable(file, problem, hint)
     }
 }
 

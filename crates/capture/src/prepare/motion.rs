@@ -82,11 +82,8 @@ fn array(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, FileErr
         [frames, 7] if frames <= MAX_FRAMES => (7, 0..3, 3..7),
         [frames, CHANNELS] if frames <= MAX_FRAMES => (CHANNELS, POSITION, QUATERNION),
         _ => {
-            return Err(FileError::Shape {
-                file: file.to_owned(),
-                found: format!("{:?}", array.shape),
-                allowed: format!("[frames, 7] or [frames, 25] with at most {MAX_FRAMES} frames"),
-            });
+            let allowed = format!("[frames, 7] or [frames, 25] with at most {MAX_FRAMES} frames");
+            return Err(FileError::shape(file, &array.shape, allowed));
         }
     };
     let frames = array.values.chunks_exact(width);

@@ -7,7 +7,6 @@
 //! time makes room.
 
 use std::fs::{self, File, TryLockError};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
@@ -68,7 +67,7 @@ impl DiskCache {
             return;
         }
         let path = self.object(digest);
-        if path.exists() || atomic::write(&path, |writer| writer.write_all(bytes)).is_err() {
+        if path.exists() || atomic::write(&path, bytes).is_err() {
             return;
         }
         let written = bytes.len() as u64;
@@ -89,7 +88,7 @@ impl DiskCache {
         let path = self.folder.join("names").join(key.to_string());
         let text = digest.to_string();
         // Without it the object is read again, no more.
-        let _ = atomic::write(&path, |writer| writer.write_all(text.as_bytes()));
+        let _ = atomic::write(&path, text.as_bytes());
     }
 
     fn object(&self, digest: &Digest) -> PathBuf {

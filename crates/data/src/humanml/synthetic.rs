@@ -271,7 +271,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
                 let clip = walk(index, frames, seed);
                 write_features(&staging.join(features_path(&clip.id)), &clip.features)?;
                 let lines: String = clip.captions.iter().map(line).collect();
-                write_text(&staging.join(texts_path(&clip.id)), &lines)?;
+                atomic::write(&staging.join(texts_path(&clip.id)), lines.as_bytes())?;
                 Ok((clip.id, clip.captions))
             })
             .collect::<Result<_, Error>>()?;
@@ -282,7 +282,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             .partition(|id| split.holds_out(id, None));
         for (list, ids) in [(&train_list, train), (&validation_list, held_out)] {
             let text: String = ids.iter().map(|id| format!("{id}\n")).collect();
-            write_text(&staging.join(list), &text)?;
+            atomic::write(&staging.join(list), text.as_bytes())?;
         }
         let rows = captions.iter().map(|(id, captions)| {
             let rows = captions.iter();
@@ -290,15 +290,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             (id.as_str(), rows.collect())
         });
         let bytes = embeddings::serialize(rows);
-        atomic::write(&staging.join(&text_embeddings), |writer| {
-            std::io::Write::write_all(writer, &bytes)
-        })
-    })
-}
-
-fn write_text(path: &Path, text: &str) -> Result<(), Error> {
-    atomic::write(path, |writer| {
-        std::io::Write::write_all(writer, text.as_bytes())
+        atomic::write(&staging.join(&text_embeddings), &bytes)
     })
 }
 

@@ -20,7 +20,7 @@ const HINT: &str = "docs/dataset.md shows how to make the file of the published 
 /// precision, and a metadata entry `words`, a JSON list of as many words.
 ///
 /// # Errors
-/// [`FileError::Read`]; [`FileError::Unexpected`] for what is no such file, for words that come
+/// [`FileError::Read`]; [`FileError::Unusable`] for what is no such file, for words that come
 /// twice, numbers that are not finite, and without the word `unk`.
 pub fn read_word_vectors(path: &Path) -> Result<WordVectors, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;

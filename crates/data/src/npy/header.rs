@@ -47,7 +47,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
     let not_npy = |reason: String| {
         let hint = "write it again with numpy.save(path, array.astype(\"<f4\")) or \
                     numpy.savez_compressed";
-        FileError::damaged(file, format!("not a .npy array: {reason}"), hint)
+        FileError::unusable(file, format!("not a .npy array: {reason}"), hint)
     };
     let (text, data_start) = text(bytes).map_err(not_npy)?;
     let Entries {
@@ -63,7 +63,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
                 "dtype {descr} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
             );
             let hint = "convert it with array.astype(\"<f4\") before saving";
-            return Err(FileError::damaged(file, problem, hint));
+            return Err(FileError::unusable(file, problem, hint));
         }
     };
     let fortran_order = match fortran_order {

@@ -1,7 +1,7 @@
 //! A dataset in a folder of this machine.
 
 use std::fs::{self, File};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use super::{Object, StoreError};
@@ -53,7 +53,7 @@ impl Folder {
 
     pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
         let full = self.place(path)?;
-        atomic::write(&full, |writer| writer.write_all(bytes)).map_err(|error| match error {
+        atomic::write(&full, bytes).map_err(|error| match error {
             Error::Io { reason, .. } => failed(&full.display().to_string(), "write", &reason),
             other => broken(&full.display().to_string(), "write", other),
         })
