@@ -27,46 +27,14 @@ pub enum Error {
         hint: &'static str,
     },
 
-    /// The marker map names a marker that the file lacks.
-    #[error("`{file}` has no marker `{marker}`, which `{key}` of the marker map names")]
-    #[diagnostic(help("the markers of the file are: {available}"))]
-    MissingMarker {
-        /// Name of the file.
-        file: String,
-        /// Key of the marker map.
-        key: &'static str,
-        /// The marker looked for.
-        marker: String,
-        /// The file's labels.
-        available: String,
-    },
-
-    /// A BVH file has no joint of the name given for the root.
-    #[error("`{file}` has no joint `{joint}`")]
-    #[diagnostic(help("its joints are: {available}"))]
-    MissingJoint {
-        /// Name of the file.
-        file: String,
-        /// The joint looked for.
-        joint: String,
-        /// The file's joints.
-        available: String,
-    },
-
-    /// A marker name without its prefix fits several labels.
-    #[error(
-        "`{marker}` in `{key}` of the marker map may mean several markers of `{file}`: {labels}"
-    )]
-    #[diagnostic(help("name the marker with its prefix, as `SUBJECT:NAME`"))]
-    AmbiguousMarker {
-        /// Name of the file.
-        file: String,
-        /// Key of the marker map.
-        key: &'static str,
-        /// The marker looked for.
-        marker: String,
-        /// The labels it fits.
-        labels: String,
+    /// A file has no marker or joint of a name that is looked for, or several.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    Name {
+        /// What is wrong, with the file and the name.
+        problem: String,
+        /// What the file has, or what to do.
+        hint: String,
     },
 
     /// No frame of a take gives a root.

@@ -213,7 +213,8 @@ pub(super) fn lerp(a: [f64; 3], b: [f64; 3], fraction: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + fraction * (b[i] - a[i]))
 }
 
-fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
+/// The longest runs of frames that `valid` holds for, in order.
+pub(super) fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
     let mut start = 0;
     let mut runs = Vec::new();
     for run in valid.chunk_by(|a, b| a == b) {

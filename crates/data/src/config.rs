@@ -168,16 +168,6 @@ impl Default for CacheConfig {
 }
 
 impl CacheConfig {
-    /// Most bytes of phrases in memory.
-    pub(crate) fn memory_bytes(&self) -> usize {
-        self.memory_mib << 20
-    }
-
-    /// Most bytes of files on disk.
-    pub(crate) fn disk_bytes(&self) -> u64 {
-        self.disk_mib << 20
-    }
-
     /// The cache's folder; `None` if the system defines no cache location.
     pub(crate) fn folder(&self) -> Option<PathBuf> {
         if let Some(dir) = &self.dir {

@@ -45,10 +45,9 @@ impl<T: Listable> Dataset<T> {
     /// # Errors
     /// [`Error::Config`] for settings that cannot be followed, a `kind` of other items among them;
     /// [`Error::Scheme`] and [`Error::Feature`]; [`Error::MissingFolder`],
-    /// [`Error::EmptyDataset`], [`Error::Manifest`], [`Error::File`], [`Error::Store`],
-    /// [`Error::Io`] for a dataset that is not there, cannot be reached or has files that cannot be
-    /// used; [`Error::BadItem`] for the first bad item by id, [`Error::AllSkipped`] or
-    /// [`Error::NoClipOfLength`] where none can be used; [`Error::EmptyTrainSplit`].
+    /// [`Error::Manifest`], [`Error::File`], [`Error::Store`], [`Error::Io`] for a dataset that is
+    /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
+    /// first bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_with_progress(config, &|_, _| {})
     }
@@ -63,18 +62,24 @@ impl<T: Listable> Dataset<T> {
         let gathered = survey.gather(config, Some(config.on_bad_phrase), progress)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
-        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.left_out.first()) {
-            return Err(Error::NoClipOfLength {
-                clips: gathered.left_out.len(),
-                first: named(first),
-            });
-        }
-        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.skipped.first()) {
-            return Err(Error::AllSkipped {
-                kind,
-                skipped: gathered.skipped.len(),
-                first: named(first),
-            });
+        let (skipped, left_out) = (&gathered.skipped, &gathered.left_out);
+        if gathered.entries.is_empty()
+            && let Some(first) = left_out.first().or(skipped.first()).map(named)
+        {
+            let (problem, hint) = match (left_out.len(), skipped.len()) {
+                (0, skipped) => (
+                    format!("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s"),
+                    format!("`kinegrad data inspect` lists what is wrong with each {kind}"),
+                ),
+                (clips, _) => (
+                    format!("all {clips} clips are left out"),
+                    "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are \
+                     trained on"
+                        .to_owned(),
+                ),
+            };
+            let problem = format!("{problem}; the first: {first}");
+            return Err(Error::NothingToTrainOn { problem, hint });
         }
         let mut warnings = std::mem::take(&mut survey.warnings);
         warnings.extend(gathered.notes.iter().map(named).take(NOTES));
@@ -85,9 +90,15 @@ impl<T: Listable> Dataset<T> {
         let (representation, given) = (survey.representation.clone(), survey.given.take());
         let (train, validation, digest) = survey.divide(gathered.entries, gathered.memory);
         if train.is_empty() {
-            return Err(Error::EmptyTrainSplit {
-                kind,
-                items: validation.len(),
+            let items = validation.len();
+            return Err(Error::NothingToTrainOn {
+                problem: format!(
+                    "no training {kind}: all {items} {kind}s are held out for validation"
+                ),
+                hint:
+                    "lower data.validation.fraction, list fewer data.validation.patterns, or for \
+                       HumanML3D name another data.humanml3d.train_list"
+                        .to_owned(),
             });
         }
         Ok(Self {
@@ -257,11 +268,8 @@ mod tests {
         assert!(message.contains("frame 3, channel phase"), "{message}");
 
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let error = Dataset::<Phrase>::open(&config).unwrap_err();
-        assert!(
-            matches!(error, Error::EmptyTrainSplit { items: 3, .. }),
-            "{error}"
-        );
+        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        assert!(message.contains("all 3 phrases are held out"), "{message}");
 
         config.validation.patterns = vec!["*_00000".into()];
         let read = Dataset::<Phrase>::open(&config).unwrap();
@@ -278,8 +286,9 @@ mod tests {
             .chain(3..4)
             .for_each(|index| spoil(folder.path(), index));
         let error = Dataset::<Phrase>::open(&config).unwrap_err();
+        assert!(matches!(error, Error::NothingToTrainOn { .. }), "{error}");
         assert!(
-            matches!(error, Error::AllSkipped { skipped: 4, .. }),
+            error.to_string().contains("left none of 4 phrases"),
             "{error}"
         );
     }
@@ -354,18 +363,9 @@ mod tests {
         assert!(half.contains("audio_features not found"), "{half}");
         fs::create_dir_all(folder.path().join("audio_features/b")).unwrap();
         let empty = open(folder.path());
-        assert!(
-            matches!(
-                empty,
-                Error::EmptyDataset {
-                    only_motion: 1,
-                    only_audio: 1,
-                    ..
-                }
-            ),
-            "{empty}"
-        );
-        assert!(empty.to_string().contains("1 only in motion/"), "{empty}");
+        assert!(matches!(empty, Error::NothingToTrainOn { .. }), "{empty}");
+        let expected = "1 only in motion/, 1 only in audio_features/";
+        assert!(empty.to_string().contains(expected), "{empty}");
     }
 
     #[test]

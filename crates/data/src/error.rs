@@ -94,55 +94,14 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
-    /// No phrase has both motion and audio features.
-    #[error(
-        "data.source: {source_uri} holds no phrase ({only_motion} only in motion/, {only_audio} \
-         only in audio_features/)"
-    )]
-    #[diagnostic(help(
-        "a phrase ID is a folder of the same name under motion/ and under audio_features/"
-    ))]
-    EmptyDataset {
-        /// The dataset's address.
-        source_uri: String,
-        /// Ids that have motion alone.
-        only_motion: usize,
-        /// Ids that have audio features alone.
-        only_audio: usize,
-    },
-    /// Every phrase or clip was bad and skipped.
-    #[error("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s; the first: {first}")]
-    #[diagnostic(help("`kinegrad data inspect` lists what is wrong with each {kind}"))]
-    AllSkipped {
-        /// `phrase` or `clip`.
-        kind: &'static str,
-        /// How many were skipped.
-        skipped: usize,
-        /// What was wrong with the first.
-        first: String,
-    },
-    /// No clip has a length that is trained on.
-    #[error("all {clips} clips are left out; the first: {first}")]
-    #[diagnostic(help(
-        "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are trained on"
-    ))]
-    NoClipOfLength {
-        /// How many there are.
-        clips: usize,
-        /// Why the first is left out.
-        first: String,
-    },
-    /// Nothing is left to train on.
-    #[error("no training {kind}: all {items} {kind}s are held out for validation")]
-    #[diagnostic(help(
-        "lower data.validation.fraction, list fewer data.validation.patterns, or for HumanML3D \
-         name another data.humanml3d.train_list"
-    ))]
-    EmptyTrainSplit {
-        /// `phrase` or `clip`.
-        kind: &'static str,
-        /// Phrases or clips in the dataset.
-        items: usize,
+    /// The dataset holds nothing to train on.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    NothingToTrainOn {
+        /// Why.
+        problem: String,
+        /// What to do.
+        hint: String,
     },
     /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
     #[error("{kind} `{id}`: {cause}")]

@@ -29,7 +29,7 @@ impl Files {
         config: &DataConfig,
         warnings: &mut Vec<String>,
     ) -> Result<Self, Error> {
-        let disk = match (store.is_remote(), config.cache.disk_bytes()) {
+        let disk = match (store.is_remote(), config.cache.disk_mib << 20) {
             (false, _) | (_, 0) => None,
             (true, limit) => {
                 let opened = config

@@ -1,10 +1,12 @@
 //! Which phrases a dataset holds: from its manifest, else by listing its folders.
 
+use std::collections::BTreeMap;
+
 use crate::digest::Digest;
 use crate::layout::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
 use crate::manifest::{self, ManifestRow};
 use crate::split::Side;
-use crate::store::{Object, Store};
+use crate::store::Store;
 use crate::{Error, StoreError};
 
 /// An item that a dataset should hold.
@@ -114,41 +116,28 @@ fn list(store: &Store) -> Result<Listing, Error> {
         }),
         Err(error) => Err(error.into()),
     };
-    let (motion, audio) = (objects(MOTION_FILE)?, objects(AUDIO_FILE)?);
-    let (mut motion, mut audio) = (motion.into_iter().peekable(), audio.into_iter().peekable());
+    // By `ID/`, in which order stores list.
+    let mut found: BTreeMap<String, [Option<String>; 2]> = BTreeMap::new();
+    for (kind, (folder, file)) in [MOTION_FILE, AUDIO_FILE].into_iter().enumerate() {
+        for object in objects((folder, file))? {
+            let id = &object.path[folder.len() + 1..object.path.len() - file.len()];
+            found.entry(id.to_owned()).or_default()[kind] = Some(object.version);
+        }
+    }
     let mut listing = Listing::default();
-    loop {
-        let order = match (motion.peek(), audio.peek()) {
-            (Some(a), Some(b)) => id_of(a).cmp(id_of(b)),
-            (Some(_), None) => std::cmp::Ordering::Less,
-            (None, Some(_)) => std::cmp::Ordering::Greater,
-            (None, None) => break,
-        };
-        let left = if order.is_le() { motion.next() } else { None };
-        let right = if order.is_ge() { audio.next() } else { None };
-        match (left, right) {
-            (Some(left), Some(right)) => {
-                let id = id_of(&left).to_owned();
-                listing.phrases.push(Listed {
-                    id,
-                    side: None,
-                    files: [left.version, right.version]
-                        .map(Expected::Version)
-                        .to_vec(),
-                });
-            }
-            (Some(left), None) => listing.only_motion.push(id_of(&left).to_owned()),
-            (None, Some(right)) => listing.only_audio.push(id_of(&right).to_owned()),
-            (None, None) => break,
+    for (id, versions) in found {
+        let id = id.trim_end_matches('/').to_owned();
+        match versions {
+            [Some(motion), Some(audio)] => listing.phrases.push(Listed {
+                id,
+                side: None,
+                files: [motion, audio].map(Expected::Version).to_vec(),
+            }),
+            [Some(_), None] => listing.only_motion.push(id),
+            [None, _] => listing.only_audio.push(id),
         }
     }
     Ok(listing)
-}
-
-/// The id in `FOLDER/ID/FILE`.
-fn id_of(object: &Object) -> &str {
-    let (folder, _) = object.path.rsplit_once('/').unwrap_or((&object.path, ""));
-    folder.rsplit_once('/').map_or(folder, |(_, id)| id)
 }
 
 #[cfg(test)]

@@ -93,10 +93,15 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         mut warnings,
     } = Listing::read(&store)?;
     if phrases.is_empty() {
-        return Err(Error::EmptyDataset {
-            source_uri: store.uri(),
-            only_motion: only_motion.len(),
-            only_audio: only_audio.len(),
+        let (source, motion, audio) = (store.uri(), only_motion.len(), only_audio.len());
+        return Err(Error::NothingToTrainOn {
+            problem: format!(
+                "data.source: {source} holds no phrase ({motion} only in motion/, {audio} only in \
+                 audio_features/)"
+            ),
+            hint:
+                "a phrase ID is a folder of the same name under motion/ and under audio_features/"
+                    .to_owned(),
         });
     }
     for (alone, place, lacking) in [

@@ -38,7 +38,7 @@ pub(crate) trait Listable: Item {
     /// # Errors
     /// [`Error::Config`] where `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
-    /// [`Error::EmptyDataset`], [`Error::Io`].
+    /// [`Error::NothingToTrainOn`], [`Error::Io`].
     fn survey(config: &DataConfig) -> Result<Survey<Self>, Error>
     where
         Self: Sized;
@@ -68,7 +68,7 @@ impl<T: Item> Survey<T> {
         on_bad: Option<OnBadPhrase>,
         progress: OpenProgress,
     ) -> Result<Gathered<T>, Error> {
-        let memory = MemoryCache::new(config.cache.memory_bytes());
+        let memory = MemoryCache::new(config.cache.memory_mib << 20);
         let (total, met) = (self.listed.len(), AtomicUsize::new(0));
         let concurrency = self.origin.concurrency();
         let meet = |number: usize| {

@@ -61,8 +61,8 @@ impl MarkerMap {
     /// The root of a take.
     ///
     /// # Errors
-    /// [`Error::Setting`] if a group is empty, [`Error::MissingMarker`] and
-    /// [`Error::AmbiguousMarker`] for names that the file lacks or has several times,
+    /// [`Error::Setting`] if a group is empty, [`Error::Name`] for names that the file lacks or has
+    /// several times,
     /// [`Error::NoValidFrame`] if the root is nowhere known.
     pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
         let mut gaps = Vec::new();
@@ -109,27 +109,25 @@ impl MarkerMap {
     }
 }
 
-fn find(take: &C3d, key: &'static str, name: &str) -> Result<usize, Error> {
-    let found = take.find(name);
-    let (file, marker) = (take.file.clone(), name.to_string());
-    match found[..] {
-        [point] => Ok(point),
-        [] => Err(Error::MissingMarker {
-            file,
-            key,
-            marker,
-            available: take.labels.join(", "),
-        }),
+fn find(take: &C3d, key: &str, name: &str) -> Result<usize, Error> {
+    let (found, file) = (take.find(name), &take.file);
+    let (problem, hint) = match found[..] {
+        [point] => return Ok(point),
+        [] => (
+            format!("`{file}` has no marker `{name}`, which `{key}` of the marker map names"),
+            format!("the markers of the file are: {}", take.labels.join(", ")),
+        ),
         _ => {
             let labels: Vec<&str> = found.iter().map(|&i| &*take.labels[i]).collect();
-            Err(Error::AmbiguousMarker {
-                file,
-                key,
-                marker,
-                labels: labels.join(", "),
-            })
+            let labels = labels.join(", ");
+            let several = "of the marker map may mean several markers of";
+            (
+                format!("`{name}` in `{key}` {several} `{file}`: {labels}"),
+                "name the marker with its prefix, as `SUBJECT:NAME`".to_owned(),
+            )
         }
-    }
+    };
+    Err(Error::Name { problem, hint })
 }
 
 /// The mean of the markers of a group in each frame, none where one is missing.

@@ -66,10 +66,9 @@ fn bvh(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, Error> {
     };
     let Some(joint) = bvh.joint(name) else {
         let names: Vec<&str> = bvh.joints().iter().map(|j| j.name.as_str()).collect();
-        return Err(Error::MissingJoint {
-            file: file.to_owned(),
-            joint: name.clone(),
-            available: names.join(", "),
+        return Err(Error::Name {
+            problem: format!("`{file}` has no joint `{name}`"),
+            hint: format!("its joints are: {}", names.join(", ")),
         });
     };
     bvh.joint_track(joint, metres, up)

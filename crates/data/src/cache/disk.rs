@@ -110,32 +110,26 @@ impl DiskCache {
         let mut files = Vec::new();
         collect(&self.folder.join("objects"), &mut files);
         collect(&self.folder.join("names"), &mut files);
-        let mut total: u64 = files.iter().map(|file| file.bytes).sum();
+        let mut total: u64 = files.iter().map(|(.., bytes)| bytes).sum();
         if total <= self.limit {
             return;
         }
-        files.sort_unstable_by(|a, b| (a.used, &a.path).cmp(&(b.used, &b.path)));
+        files.sort_unstable();
         let kept = (self.limit as f64 * KEPT_SHARE) as u64;
-        for file in files {
+        for (_, path, bytes) in files {
             if total <= kept {
                 break;
             }
-            if fs::remove_file(&file.path).is_ok() {
-                total -= file.bytes;
+            if fs::remove_file(&path).is_ok() {
+                total -= bytes;
             }
         }
     }
 }
 
-/// A cached file.
-struct Cached {
-    path: PathBuf,
-    bytes: u64,
-    used: SystemTime,
-}
-
-/// All files below `folder`; what vanishes meanwhile is passed over.
-fn collect(folder: &Path, files: &mut Vec<Cached>) {
+/// All files below `folder`, each with the time of its last use and its bytes; what vanishes
+/// meanwhile is passed over.
+fn collect(folder: &Path, files: &mut Vec<(SystemTime, PathBuf, u64)>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let Ok(metadata) = entry.metadata() else {
             continue;
@@ -143,11 +137,8 @@ fn collect(folder: &Path, files: &mut Vec<Cached>) {
         if metadata.is_dir() {
             collect(&entry.path(), files);
         } else {
-            files.push(Cached {
-                path: entry.path(),
-                bytes: metadata.len(),
-                used: metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH),
-            });
+            let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            files.push((used, entry.path(), metadata.len()));
         }
     }
 }
@@ -160,7 +151,7 @@ mod tests {
     fn bytes_in(folder: &Path) -> u64 {
         let mut files = Vec::new();
         collect(folder, &mut files);
-        files.iter().map(|file| file.bytes).sum()
+        files.iter().map(|(.., bytes)| bytes).sum()
     }
 
     #[test]

@@ -76,22 +76,19 @@ impl Item for Clip {
     }
 
     fn counts(&self) -> Vec<(&'static str, usize)> {
-        let of_passages = self
-            .captions
-            .iter()
-            .filter(|caption| caption.seconds.is_some());
-        let embedded = self
-            .captions
-            .iter()
-            .filter(|caption| caption.embedding.is_some());
+        let count = |has: fn(&&Caption) -> bool| self.captions.iter().filter(has).count();
+        let without = usize::from(self.captions.is_empty());
         vec![
             ("captions", self.captions.len()),
-            ("captions of passages", of_passages.count()),
-            ("captions with an embedding", embedded.count()),
             (
-                "clips without captions",
-                usize::from(self.captions.is_empty()),
+                "captions of passages",
+                count(|caption| caption.seconds.is_some()),
             ),
+            (
+                "captions with an embedding",
+                count(|caption| caption.embedding.is_some()),
+            ),
+            ("clips without captions", without),
         ]
     }
 }

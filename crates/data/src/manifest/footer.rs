@@ -14,7 +14,7 @@ use polars_parquet_format::{
     LogicalType, RowGroup, SchemaElement, Type,
 };
 
-use super::pages::Pages;
+use super::pages::unpacked_bytes;
 
 /// The longest footer: it grows with columns and groups of rows, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
@@ -106,8 +106,7 @@ fn checked(
             let pages = range(&column)
                 .and_then(|range| body.get(range))
                 .ok_or_else(|| refused("it lies outside the file"))?;
-            unpacked_left -= Pages::new(pages)
-                .unpacked_bytes(group_rows, unpacked_left)
+            unpacked_left -= unpacked_bytes(pages, group_rows, unpacked_left)
                 .map_err(|problem| refused(&problem))?;
             columns.push(ColumnChunk::new(
                 None, 0, column, None, None, None, None, None, None,

@@ -11,6 +11,9 @@ use polars::prelude::{
 };
 
 pub(super) use polars::prelude::DataFrame;
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
+use serde::de::value::{self, StrDeserializer};
 
 use super::row::{Flag, ManifestRow};
 use super::{filter, footer};
@@ -141,19 +144,12 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
                     format!("phrase `{id}`: {column} `{text}` found, 64 hexadecimal digits allowed")
                 })
             };
-            let split = match split[row].as_deref() {
-                None | Some("") => None,
-                Some("train") => Some(Side::Train),
-                Some("validation") => Some(Side::Validation),
-                Some(other) => {
-                    return Err(format!(
-                        "phrase `{id}`: split `{other}` found; train, validation or nothing allowed"
-                    ));
-                }
-            };
+            let split = split[row].as_deref().filter(|split| !split.is_empty());
+            let split = split.map(|split| {
+                let wrong = "found; train, validation or nothing allowed";
+                named::<Side>(split).ok_or(format!("phrase `{id}`: split `{split}` {wrong}"))
+            });
             let flags = flags[row].as_deref().unwrap_or_default().split(',');
-            let flags =
-                flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.to_string() == text));
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
                 audio_source: audio_source[row].clone(),
@@ -162,12 +158,12 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
                 fps: fps[row].unwrap_or(kinegrad_motion::FPS),
                 beats: beats[row],
                 tempo: tempo[row],
-                split,
+                split: split.transpose()?,
                 motion_bytes: whole(motion_bytes[row]),
                 motion_sha256: digest("motion_sha256", &motion_sha256[row])?,
                 audio_bytes: whole(audio_bytes[row]),
                 audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
-                flags: flags.collect(),
+                flags: flags.filter_map(named).collect(),
                 id,
             })
         })
@@ -179,6 +175,12 @@ pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, St
     let rows = filter::rows(condition, frame)?;
     let mask = BooleanChunked::from_slice("chosen".into(), &rows);
     frame.filter(&mask).map_err(|error| error.to_string())
+}
+
+/// The value that serialises as `name`.
+fn named<'a, T: Deserialize<'a>>(name: &'a str) -> Option<T> {
+    let name: StrDeserializer<value::Error> = name.into_deserializer();
+    T::deserialize(name).ok()
 }
 
 /// The values of a column of text.

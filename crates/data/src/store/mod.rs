@@ -4,14 +4,12 @@
 //! follows them, symbolic links that lead out of the folder are refused. Buckets and web servers
 //! go through `object_store` (Cargo feature `cloud`).
 
-#[cfg(feature = "cloud")]
-mod client;
 mod error;
-#[cfg(feature = "cloud")]
-mod gcs;
 mod local;
 #[cfg(feature = "cloud")]
 mod remote;
+#[cfg(feature = "cloud")]
+mod services;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
