@@ -37,34 +37,14 @@ pub enum Error {
         hint: String,
     },
 
-    /// No frame of a take gives a root.
-    #[error("no frame of `{file}` has all markers of the marker map in a usable place")]
-    #[diagnostic(help(
-        "raise `max_gap_frames`, or choose markers that are seen; `front` must lie before `back` \
-         and `left` beside `right`"
-    ))]
-    NoValidFrame {
-        /// Name of the file.
-        file: String,
-    },
-
-    /// A root track holds NaN or an infinity.
-    #[error("frame {frame} (counted from 0) of the root track is not finite")]
-    #[diagnostic(help("look at this frame in the capture file: a value is far out of range"))]
-    NonFinite {
-        /// The first such frame.
-        frame: usize,
-    },
-
-    /// A root track holds a quaternion that tells no rotation.
-    #[error("the quaternion of frame {frame} (counted from 0) of the root track is zero")]
-    #[diagnostic(help(
-        "a frame without a rotation, perhaps one that was not captured: leave it out, or fill it \
-         before"
-    ))]
-    NoRotation {
-        /// The first such frame.
-        frame: usize,
+    /// A frame tells no place and rotation of the root, or no frame of a take does.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    NoPose {
+        /// Which frame or file, and what is wrong with it.
+        problem: String,
+        /// What to do.
+        hint: &'static str,
     },
 
     /// A setting, or a field of a segment, is out of range.

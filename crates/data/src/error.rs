@@ -13,16 +13,7 @@ use crate::{DataKind, Item, StoreError};
 /// archive.
 #[derive(Debug, Error, Diagnostic)]
 pub enum FileError {
-    /// The file could not be opened or read.
-    #[error("{file}: cannot be read: {reason}")]
-    #[diagnostic(help("check that the file exists and that you may read it"))]
-    Read {
-        /// The file.
-        file: String,
-        /// What the operating system says.
-        reason: String,
-    },
-    /// What stands in the file cannot be used.
+    /// The file cannot be read, or what stands in it cannot be used.
     #[error("{file}: {problem}")]
     #[diagnostic(help("{hint}"))]
     Unusable {
@@ -153,13 +144,11 @@ pub enum Error {
 }
 
 impl FileError {
-    /// A [`FileError::Read`].
-    pub(crate) fn read(file: &Path) -> impl FnOnce(std::io::Error) -> Self {
+    /// The error about a file that could not be opened or read.
+    pub fn read<E: Display>(file: &Path) -> impl FnOnce(E) -> Self {
         let file = file.display().to_string();
-        move |reason| Self::Read {
-            file,
-            reason: reason.to_string(),
-        }
+        let hint = "check that the file exists and that you may read it";
+        move |reason| Self::unusable(file, format!("cannot be read: {reason}"), hint)
     }
 
     /// The error about something in a file that cannot be used.

@@ -63,7 +63,7 @@ impl MarkerMap {
     /// # Errors
     /// [`Error::Setting`] if a group is empty, [`Error::Name`] for names that the file lacks or has
     /// several times,
-    /// [`Error::NoValidFrame`] if the root is nowhere known.
+    /// [`Error::NoPose`] if the root is nowhere known.
     pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
         let mut gaps = Vec::new();
         let mut means = Vec::new();
@@ -101,10 +101,14 @@ impl MarkerMap {
             })
         };
         let frames = (0..take.frames()).map(axes).collect();
-        MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt).ok_or_else(|| {
-            Error::NoValidFrame {
-                file: take.file.clone(),
-            }
+        let root = MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt);
+        root.ok_or_else(|| Error::NoPose {
+            problem: format!(
+                "no frame of `{}` has all markers of the marker map in a usable place",
+                take.file
+            ),
+            hint: "raise `max_gap_frames`, or choose markers that are seen; `front` must lie \
+                   before `back` and `left` beside `right`",
         })
     }
 }

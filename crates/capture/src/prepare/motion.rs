@@ -111,8 +111,6 @@ fn track<'a>(
         })
     };
     let fps = take.fps.unwrap_or(kinegrad_motion::FPS);
-    RootTrack::from_poses(frames.map(pose).collect(), fps).map_err(|error| FileError::Read {
-        file: file.to_owned(),
-        reason: error.to_string(),
-    })
+    let track = RootTrack::from_poses(frames.map(pose).collect(), fps);
+    track.map_err(FileError::read(file.as_ref()))
 }

@@ -112,16 +112,8 @@ fn checked(
                 None, 0, column, None, None, None, None, None, None,
             ));
         }
-        let total = group.total_byte_size;
-        row_groups.push(RowGroup::new(
-            columns,
-            total,
-            group.num_rows,
-            None,
-            None,
-            None,
-            None,
-        ));
+        let (total, rows) = (group.total_byte_size, group.num_rows);
+        row_groups.push(RowGroup::new(columns, total, rows, None, None, None, None));
     }
     if i64::try_from(rows) != Ok(footer.num_rows) {
         return Err("its groups of rows do not add up".to_owned());

@@ -109,10 +109,8 @@ impl Remote {
             }
             let bytes = found.bytes().await.map_err(Failure::Request)?;
             if bytes.len() as u64 != length {
-                return Err(Failure::CutOff {
-                    found: bytes.len() as u64,
-                    length,
-                });
+                let reason = format!("{} of {length} bytes came", bytes.len());
+                return Err(Failure::CutOff(reason));
             }
             Ok((bytes.into(), version))
         })
@@ -220,9 +218,7 @@ impl Remote {
                         Some(error) => return Err(error),
                         None => in_short(&error),
                     },
-                    Err(Failure::CutOff { found, length }) => {
-                        format!("{found} of {length} bytes came")
-                    }
+                    Err(Failure::CutOff(reason)) => reason,
                 };
                 if attempts > self.max_retries {
                     return Err(failed(object, action, attempts, reason));
@@ -252,10 +248,7 @@ fn version(meta: &ObjectMeta) -> String {
 /// Why one attempt failed.
 enum Failure {
     Request(object_store::Error),
-    CutOff {
-        found: u64,
-        length: u64,
-    },
+    CutOff(String),
     /// No further attempt would change it.
     Final(StoreError),
 }
