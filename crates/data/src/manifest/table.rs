@@ -9,11 +9,11 @@ use polars::prelude::{
     BooleanChunked, Column, DataType, NewChunkedArray, ParquetReader, ParquetWriter, PolarsError,
     SerReader,
 };
-
-pub(super) use polars::prelude::DataFrame;
 use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{self, StrDeserializer};
+
+pub(super) use polars::prelude::DataFrame;
 
 use super::row::{Flag, ManifestRow};
 use super::{filter, footer};
