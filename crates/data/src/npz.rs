@@ -187,39 +187,42 @@ impl<'a> Archive<'a> {
         values: &mut Vec<f32>,
     ) -> Result<Vec<usize>, FileError> {
         let label = format!("{}:{name}", self.file);
-        let broken = |reason: String| not_npz(&label, &reason);
         let Some(index) = self.directory.index_for_name(&format!("{name}.npy")) else {
             return Err(self.missing(name));
         };
-        let entry = self
-            .directory
-            .by_index_raw(index)
-            .map_err(|e| broken(e.to_string()))?;
+        let unpacked = self.unpack(index, npy::max_bytes(rows));
+        npy::parse_onto(values, unpacked.map_err(|e| not_npz(&label, &e))?, &label)
+    }
+
+    /// The bytes of member `index`, at most `limit`; in an error, what is wrong with it.
+    fn unpack(&mut self, index: usize, limit: u64) -> Result<&[u8], String> {
+        let entry = self.directory.by_index_raw(index);
+        let entry = entry.map_err(|error| error.to_string())?;
         if entry.encrypted() {
-            return Err(broken("it is encrypted".to_owned()));
+            return Err("it is encrypted".to_owned());
         }
         let packed = entry
             .data_start()
             .and_then(|start| usize::try_from(start).ok())
             .zip(usize::try_from(entry.compressed_size()).ok())
             .and_then(|(start, length)| self.bytes.get(start..)?.get(..length))
-            .ok_or_else(|| broken("it reaches beyond the end of the file".to_owned()))?;
-        let (declared, limit) = (entry.size(), npy::max_bytes(rows));
+            .ok_or("it reaches beyond the end of the file")?;
+        let declared = entry.size();
         if declared > limit {
-            return Err(broken(format!(
+            return Err(format!(
                 "{declared} bytes unpacked, {limit} allowed: {MAX_FRAMES} frames"
-            )));
+            ));
         }
         let size = declared as usize;
         let unpacked = match entry.compression() {
             CompressionMethod::Stored => packed,
             CompressionMethod::Deflated => {
                 // No word of the directory makes more room than the packed bytes could fill.
-                if size > MOST_UNPACKED.saturating_mul(packed.len()) {
-                    return Err(broken(format!(
-                        "{size} bytes declared, {} packed bytes cannot hold so many",
-                        packed.len()
-                    )));
+                let length = packed.len();
+                if size > MOST_UNPACKED.saturating_mul(length) {
+                    return Err(format!(
+                        "{size} bytes declared, {length} packed bytes cannot hold so many"
+                    ));
                 }
                 if self.unpacked.len() < size {
                     // One block at a time.
@@ -228,27 +231,25 @@ impl<'a> Archive<'a> {
                 }
                 let room = &mut self.unpacked[..size];
                 let filled = self.inflater.deflate_decompress(packed, room);
-                let filled = filled.map_err(|e| broken(format!("it cannot be unpacked: {e}")))?;
+                let filled = filled.map_err(|error| format!("it cannot be unpacked: {error}"))?;
                 &self.unpacked[..filled]
             }
             other => {
-                return Err(broken(format!(
+                return Err(format!(
                     "compression {other} found, stored or deflated allowed"
-                )));
+                ));
             }
         };
-        if unpacked.len() != size {
-            return Err(broken(format!(
-                "{} bytes unpacked, {size} declared",
-                unpacked.len()
-            )));
+        let length = unpacked.len();
+        if length != size {
+            return Err(format!("{length} bytes unpacked, {size} declared"));
         }
         let mut checksum = Crc::new();
         checksum.update(unpacked);
         if checksum.sum() != entry.crc32() {
-            return Err(broken("its checksum does not match its bytes".to_owned()));
+            return Err("its checksum does not match its bytes".to_owned());
         }
-        npy::parse_onto(values, unpacked, &label)
+        Ok(unpacked)
     }
 
     /// The error about a member that is not there.

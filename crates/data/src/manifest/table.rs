@@ -107,13 +107,15 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
         frame.column(name).map_err(missing)?;
     }
     let height = frame.height();
-    let texts = |name| match frame.column(name) {
-        Ok(column) => texts(column),
-        Err(_) => Ok(vec![None; height]),
+    let texts = |name| {
+        frame
+            .column(name)
+            .map_or_else(|_| Ok(vec![None; height]), texts)
     };
-    let numbers = |name| match frame.column(name) {
-        Ok(column) => numbers(column),
-        Err(_) => Ok(vec![None; height]),
+    let numbers = |name| {
+        frame
+            .column(name)
+            .map_or_else(|_| Ok(vec![None; height]), numbers)
     };
     let ids = texts("id")?;
     let motion_sha256 = texts("motion_sha256")?;
