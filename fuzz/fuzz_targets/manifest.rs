@@ -1,8 +1,8 @@
-//! Manifests in Parquet: `kinegrad_data::Manifest::from_bytes`.
+//! Manifests in Parquet: `kinegrad_data::manifest::parse`.
 
 #![no_main]
 
-use kinegrad_data::manifest::Manifest;
+use kinegrad_data::manifest;
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
@@ -11,10 +11,8 @@ use libfuzzer_sys::fuzz_target;
 // some hundred times its length, and the first call makes threads.
 fuzz_target!(|bytes: &[u8]| {
     let limit = 16 * MIB + 2048 * bytes.len();
-    let read = bounded(limit, || {
-        Manifest::from_bytes(bytes.to_vec(), "fuzzed.parquet")
-    });
-    if let Ok(manifest) = read {
-        assert!(manifest.rows().len() <= 8 * bytes.len());
+    let read = bounded(limit, || manifest::parse(bytes.to_vec(), "fuzzed.parquet"));
+    if let Ok(rows) = read {
+        assert!(rows.len() <= 8 * bytes.len());
     }
 });

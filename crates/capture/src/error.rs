@@ -27,76 +27,24 @@ pub enum Error {
         hint: &'static str,
     },
 
-    /// The marker map names a marker that the file lacks.
-    #[error("`{file}` has no marker `{marker}`, which `{key}` of the marker map names")]
-    #[diagnostic(help("the markers of the file are: {available}"))]
-    MissingMarker {
-        /// Name of the file.
-        file: String,
-        /// Key of the marker map.
-        key: &'static str,
-        /// The marker looked for.
-        marker: String,
-        /// The file's labels.
-        available: String,
+    /// A file has no marker or joint of a name that is looked for, or several.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    Name {
+        /// What is wrong, with the file and the name.
+        problem: String,
+        /// What the file has, or what to do.
+        hint: String,
     },
 
-    /// A BVH file has no joint of the name given for the root.
-    #[error("`{file}` has no joint `{joint}`")]
-    #[diagnostic(help("its joints are: {available}"))]
-    MissingJoint {
-        /// Name of the file.
-        file: String,
-        /// The joint looked for.
-        joint: String,
-        /// The file's joints.
-        available: String,
-    },
-
-    /// A marker name without its prefix fits several labels.
-    #[error(
-        "`{marker}` in `{key}` of the marker map may mean several markers of `{file}`: {labels}"
-    )]
-    #[diagnostic(help("name the marker with its prefix, as `SUBJECT:NAME`"))]
-    AmbiguousMarker {
-        /// Name of the file.
-        file: String,
-        /// Key of the marker map.
-        key: &'static str,
-        /// The marker looked for.
-        marker: String,
-        /// The labels it fits.
-        labels: String,
-    },
-
-    /// No frame of a take gives a root.
-    #[error("no frame of `{file}` has all markers of the marker map in a usable place")]
-    #[diagnostic(help(
-        "raise `max_gap_frames`, or choose markers that are seen; `front` must lie before `back` \
-         and `left` beside `right`"
-    ))]
-    NoValidFrame {
-        /// Name of the file.
-        file: String,
-    },
-
-    /// A root track holds NaN or an infinity.
-    #[error("frame {frame} (counted from 0) of the root track is not finite")]
-    #[diagnostic(help("look at this frame in the capture file: a value is far out of range"))]
-    NonFinite {
-        /// The first such frame.
-        frame: usize,
-    },
-
-    /// A root track holds a quaternion that tells no rotation.
-    #[error("the quaternion of frame {frame} (counted from 0) of the root track is zero")]
-    #[diagnostic(help(
-        "a frame without a rotation, perhaps one that was not captured: leave it out, or fill it \
-         before"
-    ))]
-    NoRotation {
-        /// The first such frame.
-        frame: usize,
+    /// A frame tells no place and rotation of the root, or no frame of a take does.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    NoPose {
+        /// Which frame or file, and what is wrong with it.
+        problem: String,
+        /// What to do.
+        hint: &'static str,
     },
 
     /// A setting, or a field of a segment, is out of range.

@@ -59,8 +59,7 @@ impl RootTrack {
     /// # Errors
     /// [`kinegrad_motion::Error::LengthMismatch`] for arrays of different length,
     /// [`Error::Setting`] for no frames or a rate out of 0.1 to 100000,
-    /// [`Error::NonFinite`] for a frame that is not finite,
-    /// [`Error::NoRotation`] for a quaternion of next to no length.
+    /// [`Error::NoPose`] for a frame that is not finite or a quaternion of next to no length.
     pub fn new(
         positions: Vec<[f64; 3]>,
         orientations: Vec<Quaternion>,
@@ -96,10 +95,20 @@ impl RootTrack {
             let Some(pose) = pose else { continue };
             let norm = pose.orientation.norm();
             if !(pose.position.iter().all(|value| value.is_finite()) && norm.is_finite()) {
-                return Err(Error::NonFinite { frame });
+                return Err(Error::NoPose {
+                    problem: format!(
+                        "frame {frame} (counted from 0) of the root track is not finite"
+                    ),
+                    hint: "look at this frame in the capture file: a value is far out of range",
+                });
             }
             if norm < SHORTEST {
-                return Err(Error::NoRotation { frame });
+                let place = "(counted from 0) of the root track";
+                return Err(Error::NoPose {
+                    problem: format!("the quaternion of frame {frame} {place} is zero"),
+                    hint: "a frame without a rotation, perhaps one that was not captured: leave it \
+                           out, or fill it before",
+                });
             }
         }
         let valid: Vec<bool> = poses.iter().map(Option::is_some).collect();
@@ -213,7 +222,8 @@ pub(super) fn lerp(a: [f64; 3], b: [f64; 3], fraction: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + fraction * (b[i] - a[i]))
 }
 
-fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
+/// The longest runs of frames that `valid` holds for, in order.
+pub(super) fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
     let mut start = 0;
     let mut runs = Vec::new();
     for run in valid.chunk_by(|a, b| a == b) {
@@ -324,6 +334,6 @@ mod tests {
             assert!(resample(&track(1.0, 30.0, 2), rate).is_err(), "{rate}");
         }
         let error = RootTrack::new(vec![[f64::NAN; 3]], one, 30.0).unwrap_err();
-        assert!(matches!(error, Error::NonFinite { frame: 0 }));
+        assert!(error.to_string().starts_with("frame 0 "), "{error}");
     }
 }

@@ -7,7 +7,7 @@ use kinegrad_motion::Statistics;
 use crate::item::Item;
 use crate::item_set::ItemSet;
 use crate::survey::{Listable, OpenProgress};
-use crate::{Counters, DataConfig, Digest, Error, LoaderReport};
+use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most odd items that are named one by one.
 const NOTES: usize = 5;
@@ -34,7 +34,6 @@ pub struct Dataset<T: Item> {
     /// that decide what is trained on. Equal datasets have equal ones, wherever they lie.
     pub digest: Digest,
     given: Option<Statistics>,
-    counters: Arc<Counters>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
@@ -46,10 +45,9 @@ impl<T: Listable> Dataset<T> {
     /// # Errors
     /// [`Error::Config`] for settings that cannot be followed, a `kind` of other items among them;
     /// [`Error::Scheme`] and [`Error::Feature`]; [`Error::MissingFolder`],
-    /// [`Error::EmptyDataset`], [`Error::Manifest`], [`Error::File`], [`Error::Store`],
-    /// [`Error::Io`] for a dataset that is not there, cannot be reached or has files that cannot be
-    /// used; [`Error::BadItem`] for the first bad item by id, [`Error::AllSkipped`] or
-    /// [`Error::NoClipOfLength`] where none can be used; [`Error::EmptyTrainSplit`].
+    /// [`Error::Manifest`], [`Error::File`], [`Error::Store`], [`Error::Io`] for a dataset that is
+    /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
+    /// first bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
         Self::open_with_progress(config, &|_, _| {})
     }
@@ -61,21 +59,27 @@ impl<T: Listable> Dataset<T> {
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
         let mut survey = T::survey(config)?;
-        let gathered = survey.gather(config, config.on_bad_phrase, progress)?;
+        let gathered = survey.gather(config, Some(config.on_bad_phrase), progress)?;
         let kind = T::KIND;
         let named = |(id, reason): &(String, String)| format!("{kind} `{id}`: {reason}");
-        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.left_out.first()) {
-            return Err(Error::NoClipOfLength {
-                clips: gathered.left_out.len(),
-                first: named(first),
-            });
-        }
-        if let (true, Some(first)) = (gathered.entries.is_empty(), gathered.skipped.first()) {
-            return Err(Error::AllSkipped {
-                kind,
-                skipped: gathered.skipped.len(),
-                first: named(first),
-            });
+        let (skipped, left_out) = (&gathered.skipped, &gathered.left_out);
+        if gathered.entries.is_empty()
+            && let Some(first) = left_out.first().or(skipped.first()).map(named)
+        {
+            let (problem, hint) = match (left_out.len(), skipped.len()) {
+                (0, skipped) => (
+                    format!("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s"),
+                    format!("`kinegrad data inspect` lists what is wrong with each {kind}"),
+                ),
+                (clips, _) => (
+                    format!("all {clips} clips are left out"),
+                    "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are \
+                     trained on"
+                        .to_owned(),
+                ),
+            };
+            let problem = format!("{problem}; the first: {first}");
+            return Err(Error::NothingToTrainOn { problem, hint });
         }
         let mut warnings = std::mem::take(&mut survey.warnings);
         warnings.extend(gathered.notes.iter().map(named).take(NOTES));
@@ -84,24 +88,28 @@ impl<T: Listable> Dataset<T> {
             warnings.push(format!("{more} more {kind}s of that sort"));
         }
         let (representation, given) = (survey.representation.clone(), survey.given.take());
-        let counters = survey.counters.clone();
-        let sides = survey.divide(gathered.entries, gathered.memory);
-        if sides.train.is_empty() {
-            return Err(Error::EmptyTrainSplit {
-                kind,
-                items: sides.validation.len(),
+        let (train, validation, digest) = survey.divide(gathered.entries, gathered.memory);
+        if train.is_empty() {
+            let items = validation.len();
+            return Err(Error::NothingToTrainOn {
+                problem: format!(
+                    "no training {kind}: all {items} {kind}s are held out for validation"
+                ),
+                hint:
+                    "lower data.validation.fraction, list fewer data.validation.patterns, or for \
+                       HumanML3D name another data.humanml3d.train_list"
+                        .to_owned(),
             });
         }
         Ok(Self {
-            train: sides.train,
-            validation: sides.validation,
+            train,
+            validation,
             representation,
             skipped: gathered.skipped,
             left_out: gathered.left_out,
             warnings,
-            digest: sides.digest,
+            digest,
             given,
-            counters,
         })
     }
 }
@@ -135,7 +143,6 @@ impl<T: Item> Dataset<T> {
             left_out: Vec::new(),
             warnings: Vec::new(),
             given: None,
-            counters: Arc::default(),
         }
     }
 
@@ -175,7 +182,7 @@ impl<T: Item> Dataset<T> {
 
     /// What reading has cost since the dataset was opened.
     pub fn report(&self) -> LoaderReport {
-        self.counters.report()
+        self.train.counters().report()
     }
 }
 
@@ -261,11 +268,8 @@ mod tests {
         assert!(message.contains("frame 3, channel phase"), "{message}");
 
         config.on_bad_phrase = OnBadPhrase::Skip;
-        let error = Dataset::<Phrase>::open(&config).unwrap_err();
-        assert!(
-            matches!(error, Error::EmptyTrainSplit { items: 3, .. }),
-            "{error}"
-        );
+        let message = Dataset::<Phrase>::open(&config).unwrap_err().to_string();
+        assert!(message.contains("all 3 phrases are held out"), "{message}");
 
         config.validation.patterns = vec!["*_00000".into()];
         let read = Dataset::<Phrase>::open(&config).unwrap();
@@ -282,8 +286,9 @@ mod tests {
             .chain(3..4)
             .for_each(|index| spoil(folder.path(), index));
         let error = Dataset::<Phrase>::open(&config).unwrap_err();
+        assert!(matches!(error, Error::NothingToTrainOn { .. }), "{error}");
         assert!(
-            matches!(error, Error::AllSkipped { skipped: 4, .. }),
+            error.to_string().contains("left none of 4 phrases"),
             "{error}"
         );
     }
@@ -358,18 +363,9 @@ mod tests {
         assert!(half.contains("audio_features not found"), "{half}");
         fs::create_dir_all(folder.path().join("audio_features/b")).unwrap();
         let empty = open(folder.path());
-        assert!(
-            matches!(
-                empty,
-                Error::EmptyDataset {
-                    only_motion: 1,
-                    only_audio: 1,
-                    ..
-                }
-            ),
-            "{empty}"
-        );
-        assert!(empty.to_string().contains("1 only in motion/"), "{empty}");
+        assert!(matches!(empty, Error::NothingToTrainOn { .. }), "{empty}");
+        let expected = "1 only in motion/, 1 only in audio_features/";
+        assert!(empty.to_string().contains(expected), "{empty}");
     }
 
     #[test]

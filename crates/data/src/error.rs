@@ -1,5 +1,6 @@
 //! Errors about a dataset's settings, its folder and its files.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use kinegrad_settings::InvalidSetting;
@@ -12,50 +13,14 @@ use crate::{DataKind, Item, StoreError};
 /// archive.
 #[derive(Debug, Error, Diagnostic)]
 pub enum FileError {
-    /// The file could not be opened or read.
-    #[error("{file}: cannot be read: {reason}")]
-    #[diagnostic(help("check that the file exists and that you may read it"))]
-    Read {
-        /// The file.
-        file: String,
-        /// What the operating system says.
-        reason: String,
-    },
-    /// The file is no array or archive of arrays, or is damaged.
+    /// The file cannot be read, or what stands in it cannot be used.
     #[error("{file}: {problem}")]
     #[diagnostic(help("{hint}"))]
-    Damaged {
-        /// The file.
+    Unusable {
+        /// The file, and the line or array in it.
         file: String,
         /// What is wrong with it.
         problem: String,
-        /// What to do.
-        hint: &'static str,
-    },
-    /// The array has a shape that does not match the layout.
-    #[error("{file}: shape {found} found, {allowed} allowed")]
-    #[diagnostic(help(
-        "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
-         spectral_centroid and onset_strength are [frames]"
-    ))]
-    Shape {
-        /// The file.
-        file: String,
-        /// The shape found, as `[a, b]`.
-        found: String,
-        /// The expected shape.
-        allowed: String,
-    },
-    /// Something in a file of a HumanML3D dataset is not as its layout asks.
-    #[error("{file}: found {found}, expected {expected}")]
-    #[diagnostic(help("{hint}"))]
-    Unexpected {
-        /// The file, and the line or array in it.
-        file: String,
-        /// What stands there.
-        found: String,
-        /// What should.
-        expected: String,
         /// What to do.
         hint: String,
     },
@@ -63,19 +28,6 @@ pub enum FileError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Store(#[from] StoreError),
-    /// A value is NaN or infinite.
-    #[error("{file}: {value} in frame {frame}, channel {channel}; finite numbers allowed")]
-    #[diagnostic(help("repair or leave out the phrase; kinegrad never fills gaps by itself"))]
-    NonFinite {
-        /// The file.
-        file: String,
-        /// The frame, from 0.
-        frame: usize,
-        /// The channel's name.
-        channel: String,
-        /// The value found.
-        value: f32,
-    },
 }
 
 /// Why a dataset could not be opened or written.
@@ -133,55 +85,14 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
-    /// No phrase has both motion and audio features.
-    #[error(
-        "data.source: {source_uri} holds no phrase ({only_motion} only in motion/, {only_audio} \
-         only in audio_features/)"
-    )]
-    #[diagnostic(help(
-        "a phrase ID is a folder of the same name under motion/ and under audio_features/"
-    ))]
-    EmptyDataset {
-        /// The dataset's address.
-        source_uri: String,
-        /// Ids that have motion alone.
-        only_motion: usize,
-        /// Ids that have audio features alone.
-        only_audio: usize,
-    },
-    /// Every phrase or clip was bad and skipped.
-    #[error("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s; the first: {first}")]
-    #[diagnostic(help("`kinegrad data inspect` lists what is wrong with each {kind}"))]
-    AllSkipped {
-        /// `phrase` or `clip`.
-        kind: &'static str,
-        /// How many were skipped.
-        skipped: usize,
-        /// What was wrong with the first.
-        first: String,
-    },
-    /// No clip has a length that is trained on.
-    #[error("all {clips} clips are left out; the first: {first}")]
-    #[diagnostic(help(
-        "data.humanml3d.min_frames and data.humanml3d.max_frames say which lengths are trained on"
-    ))]
-    NoClipOfLength {
-        /// How many there are.
-        clips: usize,
-        /// Why the first is left out.
-        first: String,
-    },
-    /// Nothing is left to train on.
-    #[error("no training {kind}: all {items} {kind}s are held out for validation")]
-    #[diagnostic(help(
-        "lower data.validation.fraction, list fewer data.validation.patterns, or for HumanML3D \
-         name another data.humanml3d.train_list"
-    ))]
-    EmptyTrainSplit {
-        /// `phrase` or `clip`.
-        kind: &'static str,
-        /// Phrases or clips in the dataset.
-        items: usize,
+    /// The dataset holds nothing to train on.
+    #[error("{problem}")]
+    #[diagnostic(help("{hint}"))]
+    NothingToTrainOn {
+        /// Why.
+        problem: String,
+        /// What to do.
+        hint: String,
     },
     /// A phrase or clip is bad and `data.on_bad_phrase` is `error`.
     #[error("{kind} `{id}`: {cause}")]
@@ -233,37 +144,50 @@ pub enum Error {
 }
 
 impl FileError {
-    /// A [`FileError::Read`].
-    pub(crate) fn read(file: &Path) -> impl FnOnce(std::io::Error) -> Self {
+    /// The error about a file that could not be opened or read.
+    pub fn read<E: Display>(file: &Path) -> impl FnOnce(E) -> Self {
         let file = file.display().to_string();
-        move |reason| Self::Read {
-            file,
-            reason: reason.to_string(),
-        }
+        let hint = "check that the file exists and that you may read it";
+        move |reason| Self::unusable(file, format!("cannot be read: {reason}"), hint)
     }
 
-    /// A [`FileError::Damaged`].
-    pub(crate) fn damaged(file: &str, problem: impl Into<String>, hint: &'static str) -> Self {
-        Self::Damaged {
-            file: file.to_owned(),
-            problem: problem.into(),
-            hint,
-        }
-    }
-
-    /// A [`FileError::Unexpected`].
-    pub(crate) fn unexpected(
+    /// The error about something in a file that cannot be used.
+    pub(crate) fn unusable(
         file: impl Into<String>,
-        found: impl Into<String>,
-        expected: impl Into<String>,
+        problem: impl Into<String>,
         hint: impl Into<String>,
     ) -> Self {
-        Self::Unexpected {
+        Self::Unusable {
             file: file.into(),
-            found: found.into(),
-            expected: expected.into(),
+            problem: problem.into(),
             hint: hint.into(),
         }
+    }
+
+    /// The error about something in a file that is not as its layout asks.
+    pub(crate) fn unexpected(
+        file: impl Into<String>,
+        found: impl Display,
+        expected: impl Display,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::unusable(file, format!("found {found}, expected {expected}"), hint)
+    }
+
+    /// The error about an array with a shape that does not match the layout.
+    pub fn shape(file: &str, found: &[usize], allowed: impl Display) -> Self {
+        let problem = format!("shape {found:?} found, {allowed} allowed");
+        let hint = "motion is [frames, 25]; mel, chroma and mfcc are [128 | 12 | 20, frames]; rms, \
+                    spectral_centroid and onset_strength are [frames]";
+        Self::unusable(file, problem, hint)
+    }
+
+    /// The error about a value that is NaN or infinite; frames count from 0.
+    pub(crate) fn non_finite(file: &str, frame: usize, channel: String, value: f32) -> Self {
+        let problem =
+            format!("{value} in frame {frame}, channel {channel}; finite numbers allowed");
+        let hint = "repair or leave out the phrase; kinegrad never fills gaps by itself";
+        Self::unusable(file, problem, hint)
     }
 }
 

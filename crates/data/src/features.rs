@@ -116,21 +116,15 @@ impl AudioFeatures {
     /// Frame and channel of the first value, in time, that is NaN or infinite.
     pub fn first_non_finite(&self) -> Option<(usize, usize)> {
         // Without branches, which is quick, for all but the bad ones.
-        if self
-            .values
-            .iter()
+        let values = self.values.iter();
+        if values
+            .clone()
             .fold(true, |all, value| all & value.is_finite())
         {
             return None;
         }
-        (0..AUDIO_CHANNELS)
-            .filter_map(|channel| {
-                let frame = self
-                    .channel(channel)
-                    .iter()
-                    .position(|value| !value.is_finite())?;
-                Some((frame, channel))
-            })
+        let bad = values.enumerate().filter(|(_, value)| !value.is_finite());
+        bad.map(|(place, _)| (place % self.frames, place / self.frames))
             .min()
     }
 }

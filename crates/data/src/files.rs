@@ -14,6 +14,8 @@ const TRIES: usize = 3;
 pub(crate) struct Files {
     pub store: Store,
     pub disk: Option<DiskCache>,
+    /// Most requests at a time; 0 where nothing is requested from afar.
+    pub concurrency: usize,
 }
 
 impl Files {
@@ -27,7 +29,7 @@ impl Files {
         config: &DataConfig,
         warnings: &mut Vec<String>,
     ) -> Result<Self, Error> {
-        let disk = match (store.is_remote(), config.cache.disk_bytes()) {
+        let disk = match (store.is_remote(), config.cache.disk_mib << 20) {
             (false, _) | (_, 0) => None,
             (true, limit) => {
                 let opened = config
@@ -44,14 +46,22 @@ impl Files {
                 }
             }
         };
-        Ok(Self { store, disk })
-    }
-
-    /// Most requests at a time; 0 where nothing is requested from afar.
-    pub fn concurrency(&self, config: &DataConfig) -> usize {
-        match self.store.is_remote() {
+        let concurrency = match store.is_remote() {
             true => config.store.concurrency,
             false => 0,
+        };
+        Ok(Self {
+            store,
+            disk,
+            concurrency,
+        })
+    }
+
+    /// [`read`](Self::read) of a file of which nothing is known before; none where it is missing.
+    pub fn find(&self, path: &str, limit: u64) -> Result<Option<(Vec<u8>, Digest)>, StoreError> {
+        match self.read(path, &Expected::Version(String::new()), limit, "") {
+            Err(StoreError::Missing { .. }) => Ok(None),
+            read => read.map(Some),
         }
     }
 
@@ -78,7 +88,7 @@ impl Files {
             };
             let cached = known.and_then(|digest| Some((disk.get(&digest)?, digest)));
             if let Some(found) = cached {
-                self.store.counters().disk_hit();
+                self.store.counters().lock().disk_hits += 1;
                 return Ok(found);
             }
         }
@@ -97,7 +107,7 @@ impl Files {
                             expected: digest.to_string(),
                         });
                     }
-                    self.store.counters().retry();
+                    self.store.counters().lock().retries += 1;
                 }
                 _ => break (bytes, found, version),
             }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use crate::cache::MemoryCache;
 use crate::digest::Digest;
+use crate::files::Files;
 use crate::item::Item;
 use crate::listing::{Expected, Listed};
 use crate::split::Side;
@@ -58,6 +59,16 @@ pub(crate) trait Origin<T>: Debug + Send + Sync {
     /// [`FileError`].
     fn read(&self, wanted: Wanted<'_>) -> Result<Reading<T>, FileError>;
 
+    /// The files that they are read from; none where there are none.
+    fn files(&self) -> Option<&Files> {
+        None
+    }
+
+    /// Most items worth reading at once from afar; 0 where they are not far.
+    fn concurrency(&self) -> usize {
+        self.files().map_or(0, |files| files.concurrency)
+    }
+
     /// Whether every item is in memory already.
     fn is_memory(&self) -> bool {
         false
@@ -92,40 +103,29 @@ impl<T> Reading<T> {
     }
 }
 
-/// An item as it is first met.
-pub(crate) struct Met<T> {
-    pub entry: Entry,
-    pub item: Arc<T>,
-    pub note: Option<String>,
-    pub left_out: Option<String>,
-}
-
-impl<T: Item> Met<T> {
-    /// Reads listed item `number` of `origin` for the first time.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    pub fn read(origin: &dyn Origin<T>, listed: &Listed, number: usize) -> Result<Self, FileError> {
-        let read = origin.read(Wanted {
-            number,
-            id: &listed.id,
-            expected: &listed.files,
-            recorded: "in manifest.parquet",
-        })?;
-        let entry = Entry {
-            id: listed.id.clone(),
-            frames: read.item.frames(),
-            side: listed.side,
-            content: read.content,
-            number,
-        };
-        Ok(Self {
-            entry,
-            item: read.item,
-            note: read.note,
-            left_out: read.left_out,
-        })
-    }
+/// Reads listed item `number` of `origin` for the first time.
+///
+/// # Errors
+/// [`FileError`].
+pub(crate) fn meet<T: Item>(
+    origin: &dyn Origin<T>,
+    listed: &Listed,
+    number: usize,
+) -> Result<(Entry, Reading<T>), FileError> {
+    let read = origin.read(Wanted {
+        number,
+        id: &listed.id,
+        expected: &listed.files,
+        recorded: "in manifest.parquet",
+    })?;
+    let entry = Entry {
+        id: listed.id.clone(),
+        frames: read.item.frames(),
+        side: listed.side,
+        content: read.content.clone(),
+        number,
+    };
+    Ok((entry, read))
 }
 
 /// Items that are all there already.
@@ -145,27 +145,14 @@ impl<T: Item> Origin<T> for Held<T> {
 impl<T: Item> Library<T> {
     /// A library of `entries`; `memory` may hold some of them already, by their numbers in the
     /// origin.
-    pub fn new(
-        origin: Box<dyn Origin<T>>,
-        entries: Vec<Entry>,
-        memory: MemoryCache<T>,
-        counters: Arc<Counters>,
-    ) -> Self {
+    pub fn new(origin: Box<dyn Origin<T>>, entries: Vec<Entry>, memory: MemoryCache<T>) -> Self {
+        let counters = origin.files().map(|files| files.store.counters().clone());
         Self {
+            counters: counters.unwrap_or_default(),
+            concurrency: origin.concurrency(),
             entries,
             origin,
             memory,
-            counters,
-            concurrency: 0,
-        }
-    }
-
-    /// The same, of items that lie so far away that `concurrency` of them are read at once.
-    #[must_use]
-    pub fn read_at_once(self, concurrency: usize) -> Self {
-        Self {
-            concurrency,
-            ..self
         }
     }
 
@@ -180,7 +167,7 @@ impl<T: Item> Library<T> {
         };
         let entries = items.iter().enumerate().map(entry).collect();
         let memory = MemoryCache::new(0);
-        Self::new(Box::new(Held(items)), entries, memory, Arc::default())
+        Self::new(Box::new(Held(items)), entries, memory)
     }
 
     /// The item of entry `index`.
@@ -190,7 +177,7 @@ impl<T: Item> Library<T> {
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {
-            self.counters.memory_hit();
+            self.counters.lock().memory_hits += 1;
             return Ok(item);
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);

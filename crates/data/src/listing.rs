@@ -1,9 +1,12 @@
 //! Which phrases a dataset holds: from its manifest, else by listing its folders.
 
+use std::collections::BTreeMap;
+
 use crate::digest::Digest;
-use crate::layout::{AUDIO_FILE, MOTION_FILE, PREPARATION};
+use crate::layout::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
+use crate::manifest::{self, ManifestRow};
 use crate::split::Side;
-use crate::store::{Object, Store};
+use crate::store::Store;
 use crate::{Error, StoreError};
 
 /// An item that a dataset should hold.
@@ -60,66 +63,44 @@ impl Listing {
     /// # Errors
     /// [`Error::Manifest`], [`Error::Store`], [`Error::MissingFolder`].
     pub fn read(store: &Store) -> Result<Self, Error> {
-        match manifest(store)? {
-            Manifest::Read(listing) => Ok(listing),
-            Manifest::None if prepared(store)? => Err(Error::Manifest {
-                object: store.name_of(crate::MANIFEST),
+        let object = || store.name_of(MANIFEST);
+        match manifest::read(store) {
+            Ok(Some(rows)) => Ok(Self::of(rows)),
+            Ok(None) if prepared(store)? => Err(Error::Manifest {
+                object: object(),
                 problem: "it is missing: the dataset's preparation has not ended".to_owned(),
             }),
-            Manifest::None => list(store),
-            #[cfg(not(feature = "manifest"))]
-            Manifest::Unread => {
-                // Phrases of an older plan may lie beside those of the manifest.
-                if prepared(store)? || !store.is_writable() {
-                    return Err(Error::Feature {
-                        what: store.name_of(crate::MANIFEST),
-                        feature: "manifest",
-                    });
-                }
+            Ok(None) => list(store),
+            // Phrases of an older plan may lie beside those of the manifest.
+            Err(Error::Feature { .. }) if store.is_writable() && !prepared(store)? => {
                 let mut listing = list(store)?;
                 listing.warnings.push(format!(
                     "{} is not read by this build (feature `manifest`): files are not held \
                      against its checksums, and its split does not count",
-                    store.name_of(crate::MANIFEST)
+                    object()
                 ));
                 Ok(listing)
             }
+            Err(error) => Err(error),
         }
     }
-}
 
-enum Manifest {
-    #[cfg_attr(not(feature = "manifest"), expect(dead_code))]
-    Read(Listing),
-    None,
-    #[cfg(not(feature = "manifest"))]
-    Unread,
-}
-
-#[cfg(feature = "manifest")]
-fn manifest(store: &Store) -> Result<Manifest, Error> {
-    let Some(manifest) = crate::manifest::Manifest::read(store)? else {
-        return Ok(Manifest::None);
-    };
-    let phrases = manifest.rows().iter().map(|row| Listed {
-        id: row.id.clone(),
-        side: row.split,
-        files: [row.motion_sha256, row.audio_sha256]
-            .map(Expected::Checksum)
-            .to_vec(),
-    });
-    let mut phrases: Vec<Listed> = phrases.collect();
-    phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
-    Ok(Manifest::Read(Listing {
-        phrases,
-        ..Listing::default()
-    }))
-}
-
-#[cfg(not(feature = "manifest"))]
-fn manifest(store: &Store) -> Result<Manifest, Error> {
-    let found = store.find(crate::MANIFEST, crate::manifest::MAX_BYTES)?;
-    Ok(found.map_or(Manifest::None, |_| Manifest::Unread))
+    /// The phrases of a manifest.
+    fn of(rows: Vec<ManifestRow>) -> Self {
+        let phrase = |row: ManifestRow| Listed {
+            id: row.id,
+            side: row.split,
+            files: [row.motion_sha256, row.audio_sha256]
+                .map(Expected::Checksum)
+                .to_vec(),
+        };
+        let mut phrases: Vec<Listed> = rows.into_iter().map(phrase).collect();
+        phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+        Self {
+            phrases,
+            ..Self::default()
+        }
+    }
 }
 
 /// Whether `kinegrad data prepare` has begun to write here.
@@ -135,41 +116,28 @@ fn list(store: &Store) -> Result<Listing, Error> {
         }),
         Err(error) => Err(error.into()),
     };
-    let (motion, audio) = (objects(MOTION_FILE)?, objects(AUDIO_FILE)?);
-    let (mut motion, mut audio) = (motion.into_iter().peekable(), audio.into_iter().peekable());
+    // By `ID/`, in which order stores list.
+    let mut found: BTreeMap<String, [Option<String>; 2]> = BTreeMap::new();
+    for (kind, (folder, file)) in [MOTION_FILE, AUDIO_FILE].into_iter().enumerate() {
+        for object in objects((folder, file))? {
+            let id = &object.path[folder.len() + 1..object.path.len() - file.len()];
+            found.entry(id.to_owned()).or_default()[kind] = Some(object.version);
+        }
+    }
     let mut listing = Listing::default();
-    loop {
-        let order = match (motion.peek(), audio.peek()) {
-            (Some(a), Some(b)) => id_of(a).cmp(id_of(b)),
-            (Some(_), None) => std::cmp::Ordering::Less,
-            (None, Some(_)) => std::cmp::Ordering::Greater,
-            (None, None) => break,
-        };
-        let left = if order.is_le() { motion.next() } else { None };
-        let right = if order.is_ge() { audio.next() } else { None };
-        match (left, right) {
-            (Some(left), Some(right)) => {
-                let id = id_of(&left).to_owned();
-                listing.phrases.push(Listed {
-                    id,
-                    side: None,
-                    files: [left.version, right.version]
-                        .map(Expected::Version)
-                        .to_vec(),
-                });
-            }
-            (Some(left), None) => listing.only_motion.push(id_of(&left).to_owned()),
-            (None, Some(right)) => listing.only_audio.push(id_of(&right).to_owned()),
-            (None, None) => break,
+    for (id, versions) in found {
+        let id = id.trim_end_matches('/').to_owned();
+        match versions {
+            [Some(motion), Some(audio)] => listing.phrases.push(Listed {
+                id,
+                side: None,
+                files: [motion, audio].map(Expected::Version).to_vec(),
+            }),
+            [Some(_), None] => listing.only_motion.push(id),
+            [None, _] => listing.only_audio.push(id),
         }
     }
     Ok(listing)
-}
-
-/// The id in `FOLDER/ID/FILE`.
-fn id_of(object: &Object) -> &str {
-    let (folder, _) = object.path.rsplit_once('/').unwrap_or((&object.path, ""));
-    folder.rsplit_once('/').map_or(folder, |(_, id)| id)
 }
 
 #[cfg(test)]

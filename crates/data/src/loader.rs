@@ -133,7 +133,9 @@ impl Loader {
         };
         self.next_batch += 1;
         let batch = batch?;
-        self.counters.batch(batch.batch_size, asked.elapsed());
+        let mut counts = self.counters.lock();
+        counts.samples += batch.batch_size as u64;
+        counts.wait_seconds += asked.elapsed().as_secs_f64();
         Ok(Some(batch))
     }
 

@@ -51,7 +51,7 @@ pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileErr
         if length != expected {
             let problem = format!("`{name}` has {length} frames, `mel` has {expected}");
             let hint = "all six features of a phrase cover the same frames";
-            return Err(FileError::damaged(file, problem, hint));
+            return Err(FileError::unusable(file, problem, hint));
         }
     }
     let frames = frames.unwrap_or_default();
@@ -81,11 +81,9 @@ pub fn parse_arrays(
                     && (1..=MAX_FRAMES).contains(&found)
                     && frames.is_none_or(|frames| frames == found) => {}
             _ => {
-                return Err(FileError::Shape {
-                    file: format!("{file}:{name}"),
-                    found: format!("{:?}", array.shape),
-                    allowed: format!("[frames, {width}], as many frames in every array"),
-                });
+                let allowed = format!("[frames, {width}], as many frames in every array");
+                let member = format!("{file}:{name}");
+                return Err(FileError::shape(&member, &array.shape, allowed));
             }
         }
         arrays.push(array);
@@ -98,7 +96,7 @@ pub fn parse_arrays(
 /// # Errors
 /// [`Error::Io`].
 pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error> {
-    atomic::write(path, |writer| writer.write_all(&features_bytes(features)))
+    atomic::write(path, &features_bytes(features))
 }
 
 /// Writes a whole song's features, with its `tempo` `[1]` (beats per minute) and `beat_times`
@@ -111,8 +109,7 @@ pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error
     let times: Vec<f32> = beats.times().into_iter().map(|time| time as f32).collect();
     let stacked = AudioFeatures::from(features);
     let beside = [("tempo", &[beats.tempo as f32][..]), ("beat_times", &times)];
-    let bytes = archive(&stacked, &beside, METHOD);
-    atomic::write(path, |writer| writer.write_all(&bytes))
+    atomic::write(path, &archive(&stacked, &beside, METHOD))
 }
 
 /// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
@@ -147,7 +144,7 @@ fn archive(
     members.extend(beside.map(|&(name, values)| (name, vec![values.len()], values)));
     let written = members.into_iter().try_for_each(|(name, shape, values)| {
         archive.start_file(format!("{name}.npy"), options)?;
-        npy::write_array(&mut archive, &shape, values)
+        archive.write_all(&npy::array_bytes(&shape, values))
     });
     let finished = written.and_then(|()| Ok(archive.finish()?));
     finished.expect("memory takes every byte").into_inner()
@@ -156,7 +153,7 @@ fn archive(
 /// The error about a file that is no archive, or about one of its members.
 fn not_npz(file: &str, reason: &str) -> FileError {
     let problem = format!("not a readable .npz archive: {reason}");
-    FileError::damaged(file, problem, npy::CUT_OFF)
+    FileError::unusable(file, problem, npy::CUT_OFF)
 }
 
 /// The members of an archive in memory.
@@ -190,39 +187,42 @@ impl<'a> Archive<'a> {
         values: &mut Vec<f32>,
     ) -> Result<Vec<usize>, FileError> {
         let label = format!("{}:{name}", self.file);
-        let broken = |reason: String| not_npz(&label, &reason);
         let Some(index) = self.directory.index_for_name(&format!("{name}.npy")) else {
             return Err(self.missing(name));
         };
-        let entry = self
-            .directory
-            .by_index_raw(index)
-            .map_err(|e| broken(e.to_string()))?;
+        let unpacked = self.unpack(index, npy::max_bytes(rows));
+        npy::parse_onto(values, unpacked.map_err(|e| not_npz(&label, &e))?, &label)
+    }
+
+    /// The bytes of member `index`, at most `limit`; in an error, what is wrong with it.
+    fn unpack(&mut self, index: usize, limit: u64) -> Result<&[u8], String> {
+        let entry = self.directory.by_index_raw(index);
+        let entry = entry.map_err(|error| error.to_string())?;
         if entry.encrypted() {
-            return Err(broken("it is encrypted".to_owned()));
+            return Err("it is encrypted".to_owned());
         }
         let packed = entry
             .data_start()
             .and_then(|start| usize::try_from(start).ok())
             .zip(usize::try_from(entry.compressed_size()).ok())
             .and_then(|(start, length)| self.bytes.get(start..)?.get(..length))
-            .ok_or_else(|| broken("it reaches beyond the end of the file".to_owned()))?;
-        let (declared, limit) = (entry.size(), npy::max_bytes(rows));
+            .ok_or("it reaches beyond the end of the file")?;
+        let declared = entry.size();
         if declared > limit {
-            return Err(broken(format!(
+            return Err(format!(
                 "{declared} bytes unpacked, {limit} allowed: {MAX_FRAMES} frames"
-            )));
+            ));
         }
         let size = declared as usize;
         let unpacked = match entry.compression() {
             CompressionMethod::Stored => packed,
             CompressionMethod::Deflated => {
                 // No word of the directory makes more room than the packed bytes could fill.
-                if size > MOST_UNPACKED.saturating_mul(packed.len()) {
-                    return Err(broken(format!(
-                        "{size} bytes declared, {} packed bytes cannot hold so many",
-                        packed.len()
-                    )));
+                let length = packed.len();
+                if size > MOST_UNPACKED.saturating_mul(length) {
+                    return Err(format!(
+                        "{size} bytes declared, {length} packed bytes cannot hold so many"
+                    ));
                 }
                 if self.unpacked.len() < size {
                     // One block at a time.
@@ -231,27 +231,25 @@ impl<'a> Archive<'a> {
                 }
                 let room = &mut self.unpacked[..size];
                 let filled = self.inflater.deflate_decompress(packed, room);
-                let filled = filled.map_err(|e| broken(format!("it cannot be unpacked: {e}")))?;
+                let filled = filled.map_err(|error| format!("it cannot be unpacked: {error}"))?;
                 &self.unpacked[..filled]
             }
             other => {
-                return Err(broken(format!(
+                return Err(format!(
                     "compression {other} found, stored or deflated allowed"
-                )));
+                ));
             }
         };
-        if unpacked.len() != size {
-            return Err(broken(format!(
-                "{} bytes unpacked, {size} declared",
-                unpacked.len()
-            )));
+        let length = unpacked.len();
+        if length != size {
+            return Err(format!("{length} bytes unpacked, {size} declared"));
         }
         let mut checksum = Crc::new();
         checksum.update(unpacked);
         if checksum.sum() != entry.crc32() {
-            return Err(broken("its checksum does not match its bytes".to_owned()));
+            return Err("its checksum does not match its bytes".to_owned());
         }
-        npy::parse_onto(values, unpacked, &label)
+        Ok(unpacked)
     }
 
     /// The error about a member that is not there.
@@ -274,7 +272,7 @@ impl<'a> Archive<'a> {
         let problem = format!("array `{member}` is missing; found: {found}");
         let hint =
             "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength";
-        FileError::damaged(self.file, problem, hint)
+        FileError::unusable(self.file, problem, hint)
     }
 }
 
@@ -287,172 +285,12 @@ fn check_shape(shape: &[usize], file: &str, name: &str, rows: usize) -> Result<u
     };
     frames
         .filter(|frames| (1..=MAX_FRAMES).contains(frames))
-        .ok_or_else(|| FileError::Shape {
-            file: format!("{file}:{name}"),
-            found: format!("{shape:?}"),
-            allowed: match rows {
-                1 => format!("[frames] with 1 to {MAX_FRAMES} frames"),
-                _ => format!("[{rows}, frames] with 1 to {MAX_FRAMES} frames"),
-            },
+        .ok_or_else(|| {
+            let axes = if rows == 1 { "" } else { &format!("{rows}, ") };
+            let allowed = format!("[{axes}frames] with 1 to {MAX_FRAMES} frames");
+            FileError::shape(&format!("{file}:{name}"), shape, allowed)
         })
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::npy::tests::raw;
-    use proptest::prelude::*;
-
-    fn ramp(frames: usize) -> AudioFeatures {
-        let values = (0..AUDIO_CHANNELS * frames)
-            .map(|i| i as f32 / 8.0)
-            .collect();
-        AudioFeatures::new(frames, values).unwrap()
-    }
-
-    /// An archive of six members, each made by `make(name, rows)`; `None` leaves it out.
-    fn archive(make: impl Fn(&str, usize) -> Option<Vec<u8>>) -> Vec<u8> {
-        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
-        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
-        for (name, rows) in FEATURES {
-            if let Some(bytes) = make(name, rows) {
-                writer.start_file(format!("{name}.npy"), options).unwrap();
-                writer.write_all(&bytes).unwrap();
-            }
-        }
-        writer.finish().unwrap().into_inner()
-    }
-
-    fn member(rows: usize, frames: usize) -> Vec<u8> {
-        let shape = if rows == 1 {
-            format!("({frames},)")
-        } else {
-            format!("({rows}, {frames})")
-        };
-        raw("'<f4'", false, &shape, &vec![0; rows * frames * 4])
-    }
-
-    fn read(bytes: &[u8]) -> Result<AudioFeatures, FileError> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("features.npz");
-        std::fs::write(&path, bytes).unwrap();
-        read_features(&path)
-    }
-
-    #[test]
-    fn features_survive_a_round_trip_and_equal_features_make_equal_files() {
-        let folder = tempfile::tempdir().unwrap();
-        let (one, two) = (folder.path().join("one.npz"), folder.path().join("two.npz"));
-        write_features(&one, &ramp(7)).unwrap();
-        write_features(&two, &ramp(7)).unwrap();
-        assert_eq!(read_features(&one).unwrap(), ramp(7));
-        assert_eq!(std::fs::read(&one).unwrap(), std::fs::read(&two).unwrap());
-    }
-
-    #[test]
-    fn stored_members_are_read_too() {
-        let bytes = archive(|_, rows| Some(member(rows, 4)));
-        assert_eq!(read(&bytes).unwrap(), AudioFeatures::zeros(4));
-    }
-
-    #[test]
-    fn broken_archives_say_what_is_wrong() {
-        let good = archive(|_, rows| Some(member(rows, 4)));
-        let mut flipped = good.clone();
-        // A byte of mel's data: only the checksum can tell.
-        flipped[300] ^= 1;
-        for (bytes, expected) in [
-            (
-                good[..good.len() / 2].to_vec(),
-                "not a readable .npz archive",
-            ),
-            (flipped, "checksum"),
-            (
-                archive(|name, rows| (name != "mfcc").then(|| member(rows, 4))),
-                "`mfcc` is missing",
-            ),
-            (archive(|_, _| None), "found: nothing"),
-            (
-                archive(|name, rows| Some(member(rows, if name == "rms" { 5 } else { 4 }))),
-                "`rms` has 5 frames, `mel` has 4",
-            ),
-            (
-                archive(|name, rows| Some(member(if name == "chroma" { 11 } else { rows }, 4))),
-                ":chroma: shape [11, 4] found",
-            ),
-            (
-                archive(|name, rows| match name {
-                    "onset_strength" => Some(raw("'<i8'", false, "(4,)", &[0; 32])),
-                    _ => Some(member(rows, 4)),
-                }),
-                ":onset_strength: dtype '<i8' found",
-            ),
-            (
-                archive(|name, rows| match name {
-                    "rms" => Some(vec![0; npy::max_bytes(1) as usize + 1]),
-                    _ => Some(member(rows, 4)),
-                }),
-                "allowed: 216000 frames",
-            ),
-        ] {
-            let message = read(&bytes).unwrap_err().to_string();
-            assert!(message.contains(expected), "{message} lacks {expected}");
-        }
-    }
-
-    /// A deflated archive, the declared size of whose members is `change`d in the directory.
-    fn with_declared_size(change: impl Fn(u32) -> u32) -> Vec<u8> {
-        let mut bytes = super::archive(&ramp(4), &[], CompressionMethod::Deflated);
-        let places = bytes.windows(4).enumerate();
-        let places: Vec<usize> = places
-            .filter(|(_, mark)| *mark == b"PK\x01\x02")
-            .map(|(place, _)| place + 24)
-            .collect();
-        assert_eq!(places.len(), 6);
-        for place in places {
-            let size = &mut bytes[place..place + 4];
-            let declared = u32::from_le_bytes(size.try_into().unwrap());
-            size.copy_from_slice(&change(declared).to_le_bytes());
-        }
-        bytes
-    }
-
-    #[test]
-    fn a_declared_size_is_not_believed() {
-        let read = |change: fn(u32) -> u32| read(&with_declared_size(change));
-        assert_eq!(read(|size| size).unwrap(), ramp(4));
-        for (change, expected) in [
-            (read(|size| size + 1), "declared"),
-            (read(|size| size - 1), "cannot be unpacked"),
-            (read(|_| 100_000_000), "cannot hold so many"),
-            (read(|_| u32::MAX - 1), "216000 frames"),
-        ] {
-            let message = change.unwrap_err().to_string();
-            assert!(message.contains(expected), "{message} lacks {expected}");
-        }
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(64))]
-        #[test]
-        fn damaged_archives_never_panic(
-            changes in proptest::collection::vec((0.0f64..1.0, any::<u8>()), 1..8),
-            tail: bool,
-            cut in 0.5f64..1.0,
-        ) {
-            let mut bytes = archive(|_, rows| Some(member(rows, 2)));
-            let length = bytes.len();
-            for (place, byte) in changes {
-                // The directory at the end is a tenth of the file and most of the parser.
-                let place = if tail { 1.0 - place * 0.25 } else { place };
-                bytes[(place * (length - 1) as f64) as usize] = byte;
-            }
-            if !tail {
-                bytes.truncate((cut * length as f64) as usize);
-            }
-            if let Ok(features) = read(&bytes) {
-                prop_assert_eq!(features.as_slice().len(), AUDIO_CHANNELS * features.frames());
-            }
-        }
-    }
-}
+mod tests;

@@ -89,22 +89,14 @@ pub(crate) struct Passages {
 }
 
 impl Passages {
-    /// Each of the `phrases` alone.
-    pub fn alone(phrases: PhraseSet, target_frames: usize) -> Self {
-        Self {
-            recordings: (0..phrases.len()).map(|i| i..i + 1).collect(),
-            phrases,
-            target_frames,
-        }
-    }
-
-    /// Each of the `phrases`, sorted by id, with its neighbours of the same recording.
-    pub fn joined(phrases: PhraseSet, target_frames: usize) -> Self {
+    /// Each of the `phrases`, sorted by id; `joined` with its neighbours of the same recording, or
+    /// alone.
+    pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
         let mut recordings = Vec::with_capacity(phrases.len());
         let mut first = 0;
         for position in 0..phrases.len() {
             let next = position + 1;
-            if next == phrases.len() || !follows(&phrases, position) {
+            if next == phrases.len() || !joined || !follows(&phrases, position) {
                 recordings.extend(std::iter::repeat_n(first..next, next - first));
                 first = next;
             }
@@ -258,7 +250,7 @@ mod tests {
     #[test]
     fn joined_phrases_are_the_recording_again() {
         let (whole, phrases) = cut();
-        let passages = Passages::joined(phrases.into(), 30);
+        let passages = Passages::new(phrases.into(), 30, true);
         assert_eq!(passages.phrases().len(), 3);
         let passage = passages.get(1).unwrap();
         let take = &passage.take;
@@ -288,7 +280,7 @@ mod tests {
     fn only_neighbours_are_joined() {
         let (_, phrases) = cut();
         let apart = vec![phrases[0].clone(), phrases[2].clone()];
-        let apart = Passages::joined(apart.into(), 20);
+        let apart = Passages::new(apart.into(), 20, true);
         assert!((0..2).all(|position| apart.get(position).unwrap().own == (0..30)));
         assert_eq!(apart.get(0).unwrap().starts(20), 0..11);
     }
@@ -297,7 +289,7 @@ mod tests {
     fn crops_begin_up_to_half_a_phrase_around() {
         let (_, phrases) = cut();
         let starts = |target_frames: usize| {
-            let passages = Passages::joined(phrases.clone().into(), target_frames);
+            let passages = Passages::new(phrases.clone().into(), target_frames, true);
             [0, 1, 2].map(|position| {
                 let passage = passages.get(position).unwrap();
                 let starts = passage.starts(target_frames);

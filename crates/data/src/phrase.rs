@@ -18,37 +18,27 @@ pub struct Phrase {
     pub audio: AudioFeatures,
 }
 
-/// The contents of a file, with the name that messages give it.
-#[derive(Clone, Copy)]
-pub(crate) struct Named<'a> {
-    pub bytes: &'a [u8],
-    pub name: &'a str,
-}
-
 impl Phrase {
-    /// Parses a phrase and cuts motion and audio to their common length, from the front
-    /// (CC-MotionGen, section 6.1). Also returns a note where they differ by more than a frame.
+    /// Parses a phrase, each file given as its bytes and the name that messages give it, and cuts
+    /// motion and audio to their common length, from the front (CC-MotionGen, section 6.1). Also
+    /// returns a note where they differ by more than a frame.
     ///
     /// # Errors
-    /// [`FileError`] for a file that cannot be used, and [`FileError::NonFinite`] for a number
-    /// that is not finite, wherever it stands.
+    /// [`FileError`] for a file that cannot be used, and for a number that is not finite, wherever
+    /// it stands.
     pub(crate) fn parse(
         id: &str,
-        motion: Named,
-        audio: Named,
+        (motion, name): (&[u8], &str),
+        (audio, audio_name): (&[u8], &str),
     ) -> Result<(Self, Option<String>), FileError> {
-        let name = motion.name;
-        let mut motion = npy::parse_motion(motion.bytes, name)?;
+        let mut motion = npy::parse_motion(motion, name)?;
         if let Some((frame, channel)) = motion.first_non_finite() {
-            return Err(FileError::NonFinite {
-                file: name.to_owned(),
-                frame,
-                channel: channel_name(channel),
-                value: motion.frame(frame)[channel],
-            });
+            let value = motion.frame(frame)[channel];
+            let channel = channel_name(channel);
+            return Err(FileError::non_finite(name, frame, channel, value));
         }
-        let mut features = npz::parse_features(audio.bytes, audio.name)?;
-        check_finite(&features, audio.name)?;
+        let mut features = npz::parse_features(audio, audio_name)?;
+        check_finite(&features, audio_name)?;
         let (motion_frames, audio_frames) = (motion.frames(), features.frames());
         let frames = motion_frames.min(audio_frames);
         let note = (motion_frames.abs_diff(audio_frames) > 1).then(|| {
@@ -92,12 +82,9 @@ fn check_finite(audio: &AudioFeatures, file: &str) -> Result<(), FileError> {
     let Some((frame, channel)) = audio.first_non_finite() else {
         return Ok(());
     };
-    Err(FileError::NonFinite {
-        file: file.to_owned(),
-        frame,
-        channel: audio_channel_name(channel),
-        value: audio.channel(channel)[frame],
-    })
+    let value = audio.channel(channel)[frame];
+    let channel = audio_channel_name(channel);
+    Err(FileError::non_finite(file, frame, channel, value))
 }
 
 #[cfg(test)]
@@ -114,12 +101,7 @@ mod tests {
     }
 
     fn parse(motion: &[u8], audio: &[u8]) -> Result<(Phrase, Option<String>), FileError> {
-        let named = |bytes, name| Named { bytes, name };
-        Phrase::parse(
-            "a",
-            named(motion, "trajectory.npy"),
-            named(audio, "features.npz"),
-        )
+        Phrase::parse("a", (motion, "trajectory.npy"), (audio, "features.npz"))
     }
 
     #[test]

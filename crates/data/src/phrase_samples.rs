@@ -30,10 +30,7 @@ impl PhraseSamples {
         seed: u64,
     ) -> Self {
         Self {
-            passages: match config.join_neighbours {
-                true => Passages::joined(phrases, config.target_frames),
-                false => Passages::alone(phrases, config.target_frames),
-            },
+            passages: Passages::new(phrases, config.target_frames, config.join_neighbours),
             statistics,
             sampler: Augmentation::new(config, seed),
             target_frames: config.target_frames,

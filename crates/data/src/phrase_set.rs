@@ -1,7 +1,6 @@
 //! Phrases of a dataset: how they are listed, read and made up.
 
 use std::borrow::Cow;
-use std::sync::Arc;
 
 use kinegrad_motion::Phrases;
 
@@ -14,7 +13,6 @@ use crate::library::{Origin, Reading, Wanted};
 use crate::listing::{Listed, Listing, ids};
 use crate::npy::MAX_MOTION_BYTES;
 use crate::npz::MAX_FEATURES_BYTES;
-use crate::phrase::Named;
 use crate::split::Split;
 use crate::store::Store;
 use crate::survey::{Listable, Survey};
@@ -67,11 +65,7 @@ impl Listable for Phrase {
                 split: None,
                 origin: Box::new(MadeUpPhrases(config.synthetic.clone())),
                 warnings: Vec::new(),
-                counters: Arc::default(),
-                source: "synthetic".to_owned(),
                 listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
-                concurrency: 0,
-                tolerates_changes: false,
             },
             kind @ (DataKind::Humanml3d | DataKind::SyntheticWalks) => {
                 return Err(Error::wrong_kind(
@@ -99,10 +93,15 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         mut warnings,
     } = Listing::read(&store)?;
     if phrases.is_empty() {
-        return Err(Error::EmptyDataset {
-            source_uri: store.uri(),
-            only_motion: only_motion.len(),
-            only_audio: only_audio.len(),
+        let (source, motion, audio) = (store.uri(), only_motion.len(), only_audio.len());
+        return Err(Error::NothingToTrainOn {
+            problem: format!(
+                "data.source: {source} holds no phrase ({motion} only in motion/, {audio} only in \
+                 audio_features/)"
+            ),
+            hint:
+                "a phrase ID is a folder of the same name under motion/ and under audio_features/"
+                    .to_owned(),
         });
     }
     for (alone, place, lacking) in [
@@ -124,11 +123,7 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         given: None,
         split: None,
         warnings,
-        counters: files.store.counters().clone(),
-        source: files.store.uri(),
         listed: phrases,
-        concurrency: files.concurrency(config),
-        tolerates_changes: false,
         origin: Box::new(PhraseFiles(files)),
     })
 }
@@ -148,20 +143,16 @@ impl Origin<Phrase> for PhraseFiles {
         let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
         let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
-        let motion = Named {
-            bytes: &motion,
-            name: &names.0,
-        };
-        let audio = Named {
-            bytes: &audio,
-            name: &names.1,
-        };
-        let (phrase, note) = Phrase::parse(id, motion, audio)?;
+        let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1))?;
         Ok(Reading {
             note,
             content: vec![motion_digest, audio_digest],
             ..Reading::of(phrase)
         })
+    }
+
+    fn files(&self) -> Option<&Files> {
+        Some(&self.0)
     }
 }
 

@@ -1,13 +1,15 @@
 //! Making numbered things ahead of their use, on threads, and handing them out in order.
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 /// How many finished things may wait for each worker: one being handed out, one in reserve.
-const LOOK_AHEAD_PER_WORKER: u64 = 2;
+const LOOK_AHEAD_PER_WORKER: usize = 2;
 
 /// How often a waiting consumer checks whether to stop.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);
@@ -19,49 +21,16 @@ const PATIENCE: Duration = Duration::from_secs(2);
 ///
 /// Workers never run further ahead of the consumer than the look-ahead. Dropping it ends them.
 pub(crate) struct Prefetch<T> {
-    shared: Arc<Shared<T>>,
+    /// Where each thing that was ordered arrives, in order; or the panic of the worker that made it.
+    ordered: VecDeque<Receiver<thread::Result<T>>>,
+    orders: Sender<Order<T>>,
+    next_to_order: u64,
+    stopped: Arc<AtomicBool>,
     workers: Vec<JoinHandle<()>>,
 }
 
-struct Shared<T> {
-    state: Mutex<State<T>>,
-    /// Signalled when a thing is finished.
-    finished: Condvar,
-    /// Signalled when the consumer took one, or all is over.
-    room: Condvar,
-    look_ahead: u64,
-}
-
-struct State<T> {
-    next_to_make: u64,
-    next_to_hand_out: u64,
-    /// Finished things, or the panic of the worker that made them.
-    ready: BTreeMap<u64, thread::Result<T>>,
-    stopped: bool,
-}
-
-impl<T> Shared<T> {
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
-        // Nothing that panics runs under the lock.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The number of the next thing to make, once there is room for it; `None` when all is over.
-    fn claim(&self) -> Option<u64> {
-        let mut state = self.lock();
-        while !state.stopped && state.next_to_make - state.next_to_hand_out >= self.look_ahead {
-            state = self
-                .room
-                .wait(state)
-                .unwrap_or_else(PoisonError::into_inner);
-        }
-        if state.stopped {
-            return None;
-        }
-        state.next_to_make += 1;
-        Some(state.next_to_make - 1)
-    }
-}
+/// The number of a thing to make, and where to send it.
+type Order<T> = (u64, SyncSender<thread::Result<T>>);
 
 impl<T: Send + 'static> Prefetch<T> {
     /// Starts `workers` threads, at least one, on `make(first)`, `make(first + 1)`, ... Each has
@@ -71,28 +40,33 @@ impl<T: Send + 'static> Prefetch<T> {
         first: u64,
         make: impl FnMut(u64) -> T + Clone + Send + 'static,
     ) -> Option<Self> {
-        let shared = Arc::new(Shared {
-            state: Mutex::new(State {
-                next_to_make: first,
-                next_to_hand_out: first,
-                ready: BTreeMap::new(),
-                stopped: false,
-            }),
-            finished: Condvar::new(),
-            room: Condvar::new(),
-            look_ahead: LOOK_AHEAD_PER_WORKER * workers as u64,
-        });
-        let workers: Vec<JoinHandle<()>> = (0..workers)
-            .map_while(|worker| {
-                let (shared, mut make) = (Arc::clone(&shared), make.clone());
-                let name = format!("loader-{worker}");
-                thread::Builder::new()
-                    .name(name)
-                    .spawn(move || work(&shared, &mut make))
-                    .ok()
-            })
-            .collect();
-        (!workers.is_empty()).then_some(Self { shared, workers })
+        let (orders, taken) = mpsc::channel();
+        let mut prefetch = Self {
+            ordered: VecDeque::new(),
+            orders,
+            next_to_order: first,
+            stopped: Arc::default(),
+            workers: Vec::new(),
+        };
+        (0..LOOK_AHEAD_PER_WORKER * workers).for_each(|_| prefetch.order());
+        let taken = Arc::new(Mutex::new(taken));
+        prefetch.workers.extend((0..workers).map_while(|worker| {
+            let (taken, stopped, mut make) =
+                (taken.clone(), prefetch.stopped.clone(), make.clone());
+            let name = format!("loader-{worker}");
+            let thread = thread::Builder::new().name(name);
+            thread.spawn(move || work(&taken, &stopped, &mut make)).ok()
+        }));
+        (!prefetch.workers.is_empty()).then_some(prefetch)
+    }
+
+    /// Has one more thing made.
+    fn order(&mut self) {
+        let (place, arrival) = mpsc::sync_channel(1);
+        // Fails where there is no worker.
+        let _ = self.orders.send((self.next_to_order, place));
+        self.ordered.push_back(arrival);
+        self.next_to_order += 1;
     }
 
     /// The next thing, waiting for it where need be; `None` if `stop` comes to hold meanwhile.
@@ -100,39 +74,43 @@ impl<T: Send + 'static> Prefetch<T> {
     /// # Panics
     /// Goes on with the panic of the worker that made it.
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Option<T> {
-        let mut state = self.shared.lock();
-        let number = state.next_to_hand_out;
-        let outcome = loop {
-            if let Some(outcome) = state.ready.remove(&number) {
-                break outcome;
+        let mut wait = Duration::ZERO;
+        let made = loop {
+            match self.ordered[0].recv_timeout(wait) {
+                Ok(made) => break made,
+                Err(RecvTimeoutError::Disconnected) => unreachable!("workers pass panics on"),
+                Err(RecvTimeoutError::Timeout) if stop() => return None,
+                Err(RecvTimeoutError::Timeout) => wait = STOP_INTERVAL,
             }
-            if stop() {
-                return None;
-            }
-            let waited = self.shared.finished.wait_timeout(state, STOP_INTERVAL);
-            state = waited.unwrap_or_else(PoisonError::into_inner).0;
         };
-        state.next_to_hand_out += 1;
-        drop(state);
-        self.shared.room.notify_all();
-        Some(outcome.unwrap_or_else(|panic| resume_unwind(panic)))
+        self.ordered.pop_front();
+        self.order();
+        Some(made.unwrap_or_else(|panic| resume_unwind(panic)))
     }
 }
 
-/// Produces items until stopped. A panic is passed on in place of the item, so that the consumer
-/// receives it too.
-fn work<T>(shared: &Shared<T>, make: &mut impl FnMut(u64) -> T) {
-    while let Some(number) = shared.claim() {
-        let outcome = catch_unwind(AssertUnwindSafe(|| make(number)));
-        shared.lock().ready.insert(number, outcome);
-        shared.finished.notify_all();
+/// Makes what is ordered until stopped. A panic is passed on in place of the thing, so that the
+/// consumer receives it too.
+fn work<T>(
+    orders: &Mutex<Receiver<Order<T>>>,
+    stopped: &AtomicBool,
+    make: &mut impl FnMut(u64) -> T,
+) {
+    // Nothing that panics runs under the lock.
+    let next = || orders.lock().unwrap_or_else(PoisonError::into_inner).recv();
+    while let Ok((number, place)) = next()
+        && !stopped.load(Ordering::Relaxed)
+    {
+        // Nobody waits for it any more where this fails.
+        let _ = place.send(catch_unwind(AssertUnwindSafe(|| make(number))));
     }
 }
 
 impl<T> Drop for Prefetch<T> {
     fn drop(&mut self) {
-        self.shared.lock().stopped = true;
-        self.shared.room.notify_all();
+        self.stopped.store(true, Ordering::Relaxed);
+        // Whoever waits for an order gets none any more.
+        self.orders = mpsc::channel().0;
         let deadline = Instant::now() + PATIENCE;
         for worker in self.workers.drain(..) {
             while !worker.is_finished() && Instant::now() < deadline {
@@ -150,7 +128,7 @@ impl<T> Drop for Prefetch<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::atomic::AtomicU64;
 
     fn next<T: Send + 'static>(prefetch: &mut Prefetch<T>) -> T {
         prefetch

@@ -103,7 +103,7 @@ fn tilt(orientation: Quaternion) -> f64 {
 }
 
 /// The middle of the values, the mean of the two middle ones of an even number; 0 for none.
-fn median(mut values: Vec<f64>) -> f64 {
+pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
     match values.len() {

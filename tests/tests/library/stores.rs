@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use kinegrad_data::manifest::{Manifest, ManifestRow};
+use kinegrad_data::manifest::{self, ManifestRow};
 use kinegrad_data::{
     AUDIO, Batch, DataConfig, Dataset, Digest, Error, Loader, MANIFEST, Phrase, PhraseSamples,
     Side, Store, StoreConfig, features_path, motion_path, synthetic,
@@ -23,7 +23,7 @@ fn dataset(with_manifest: bool) -> tempfile::TempDir {
     synthetic::write_dataset(&set, PHRASES, 40, 3).expect("a dataset");
     if with_manifest {
         let store = Store::open(&set.display().to_string(), &StoreConfig::default());
-        Manifest::write(&store.expect("a folder"), rows(&set)).expect("a manifest");
+        manifest::write(&store.expect("a folder"), rows(&set)).expect("a manifest");
     }
     folder
 }
@@ -423,7 +423,7 @@ fn manifests_with_tricks_are_refused() {
     let mut tricked = rows(&set);
     tricked[4].id = "../../outside".to_owned();
     let store = Store::open(&set.display().to_string(), &StoreConfig::default()).expect("a folder");
-    Manifest::write(&store, tricked).expect("written");
+    manifest::write(&store, tricked).expect("written");
     let message = Dataset::<Phrase>::open(&config)
         .expect_err("a trick")
         .to_string();

@@ -33,6 +33,16 @@ pub enum Channel {
     Rotation(Axis),
 }
 
+/// The channels by their names in the file.
+const CHANNELS: [(&str, Channel); 6] = [
+    ("Xposition", Channel::Position(Axis::X)),
+    ("Yposition", Channel::Position(Axis::Y)),
+    ("Zposition", Channel::Position(Axis::Z)),
+    ("Xrotation", Channel::Rotation(Axis::X)),
+    ("Yrotation", Channel::Rotation(Axis::Y)),
+    ("Zrotation", Channel::Rotation(Axis::Z)),
+];
+
 /// A joint of the hierarchy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {

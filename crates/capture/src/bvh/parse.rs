@@ -1,6 +1,6 @@
 //! Reading BVH text.
 
-use super::{Axis, Bvh, Channel, Joint};
+use super::{Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
 use crate::error::quote;
 
@@ -269,16 +269,7 @@ fn shown(word: &str) -> String {
 }
 
 fn channel(name: &str) -> Option<Channel> {
-    let name = name.to_ascii_lowercase();
-    let axis = match name.as_bytes().first()? {
-        b'x' => Axis::X,
-        b'y' => Axis::Y,
-        b'z' => Axis::Z,
-        _ => return None,
-    };
-    match &name[1..] {
-        "position" => Some(Channel::Position(axis)),
-        "rotation" => Some(Channel::Rotation(axis)),
-        _ => None,
-    }
+    let mut channels = CHANNELS.into_iter();
+    let named = channels.find(|(known, _)| known.eq_ignore_ascii_case(name));
+    named.map(|(_, channel)| channel)
 }

@@ -64,7 +64,7 @@ impl Bvh {
     ///
     /// # Errors
     /// [`Error::Setting`] if `metres_per_unit` is not positive, there is no such
-    /// joint or the frame time is out of the range of rates; [`Error::NonFinite`] if a
+    /// joint or the frame time is out of the range of rates; [`Error::NoPose`] if a
     /// number of the file is so large that the place overflows.
     pub fn joint_track(
         &self,

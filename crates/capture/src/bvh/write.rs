@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
-use super::{Axis, Bvh, Channel, Joint};
+use super::{Axis, Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
 use crate::error::{require, require_positive};
 
@@ -111,7 +111,7 @@ impl Bvh {
             open.push(index);
             line(&mut text, open.len(), &offset(joint.offset));
             if !joint.channels.is_empty() {
-                let names: Vec<String> = joint.channels.iter().map(channel_name).collect();
+                let names: Vec<&str> = joint.channels.iter().map(channel_name).collect();
                 let channels = format!("CHANNELS {} {}", names.len(), names.join(" "));
                 line(&mut text, open.len(), &channels);
             }
@@ -214,12 +214,9 @@ fn offset([x, y, z]: [f64; 3]) -> String {
     format!("OFFSET {x:.6} {y:.6} {z:.6}")
 }
 
-fn channel_name(channel: &Channel) -> String {
-    let (axis, kind) = match channel {
-        Channel::Position(axis) => (axis, "position"),
-        Channel::Rotation(axis) => (axis, "rotation"),
-    };
-    format!("{axis:?}{kind}")
+fn channel_name(channel: &Channel) -> &'static str {
+    let named = CHANNELS.iter().find(|(_, known)| known == channel);
+    named.expect("every channel has a name").0
 }
 
 #[cfg(test)]

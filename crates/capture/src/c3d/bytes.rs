@@ -22,13 +22,6 @@ impl Processor {
         }
     }
 
-    #[cfg(test)]
-    pub(super) fn type_byte(self) -> u8 {
-        (84..=86)
-            .find(|byte| Self::from_type(*byte) == Some(self))
-            .unwrap()
-    }
-
     /// The 16-bit word at `place`, none beyond the end.
     pub(super) fn word(self, bytes: &[u8], place: usize) -> Option<u16> {
         let word = *bytes.get(place..)?.first_chunk()?;

@@ -1,6 +1,6 @@
 //! Gaps: frames in which a marker was not captured.
 
-use crate::track::lerp;
+use crate::track::{lerp, runs};
 
 /// What was missing of one marker.
 #[derive(Clone, Debug, Default, Eq, PartialEq)]
@@ -25,27 +25,22 @@ pub(super) fn fill_gaps(
         marker: marker.to_string(),
         ..MarkerGaps::default()
     };
-    let mut end = 0;
-    while end < track.len() {
-        let start = end;
-        while end < track.len() && track[end].is_none() {
-            end += 1;
-        }
-        let length = end - start;
+    let missing: Vec<bool> = track.iter().map(Option::is_none).collect();
+    for gap in runs(&missing) {
+        let length = gap.len();
         gaps.missing_frames += length;
         gaps.longest_gap_frames = gaps.longest_gap_frames.max(length);
-        let before = start.checked_sub(1).and_then(|t| track[t]);
-        let after = track.get(end).copied().flatten();
+        let before = gap.start.checked_sub(1).and_then(|t| track[t]);
+        let after = track.get(gap.end).copied().flatten();
         if let (Some(before), Some(after)) = (before, after)
             && length <= max_gap_frames
         {
             gaps.filled_frames += length;
-            for step in 0..length {
-                let fraction = (step + 1) as f64 / (length + 1) as f64;
-                track[start + step] = Some(lerp(before, after, fraction));
+            for (step, t) in (1..).zip(gap) {
+                let fraction = f64::from(step) / (length + 1) as f64;
+                track[t] = Some(lerp(before, after, fraction));
             }
         }
-        end += 1;
     }
     gaps
 }

@@ -61,9 +61,9 @@ impl MarkerMap {
     /// The root of a take.
     ///
     /// # Errors
-    /// [`Error::Setting`] if a group is empty, [`Error::MissingMarker`] and
-    /// [`Error::AmbiguousMarker`] for names that the file lacks or has several times,
-    /// [`Error::NoValidFrame`] if the root is nowhere known.
+    /// [`Error::Setting`] if a group is empty, [`Error::Name`] for names that the file lacks or has
+    /// several times,
+    /// [`Error::NoPose`] if the root is nowhere known.
     pub fn root(&self, take: &C3d) -> Result<MarkerRoot, Error> {
         let mut gaps = Vec::new();
         let mut means = Vec::new();
@@ -101,35 +101,37 @@ impl MarkerMap {
             })
         };
         let frames = (0..take.frames()).map(axes).collect();
-        MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt).ok_or_else(|| {
-            Error::NoValidFrame {
-                file: take.file.clone(),
-            }
+        let root = MarkerRoot::new(frames, take.rate, gaps, self.remove_mean_tilt);
+        root.ok_or_else(|| Error::NoPose {
+            problem: format!(
+                "no frame of `{}` has all markers of the marker map in a usable place",
+                take.file
+            ),
+            hint: "raise `max_gap_frames`, or choose markers that are seen; `front` must lie \
+                   before `back` and `left` beside `right`",
         })
     }
 }
 
-fn find(take: &C3d, key: &'static str, name: &str) -> Result<usize, Error> {
-    let found = take.find(name);
-    let (file, marker) = (take.file.clone(), name.to_string());
-    match found[..] {
-        [point] => Ok(point),
-        [] => Err(Error::MissingMarker {
-            file,
-            key,
-            marker,
-            available: take.labels.join(", "),
-        }),
+fn find(take: &C3d, key: &str, name: &str) -> Result<usize, Error> {
+    let (found, file) = (take.find(name), &take.file);
+    let (problem, hint) = match found[..] {
+        [point] => return Ok(point),
+        [] => (
+            format!("`{file}` has no marker `{name}`, which `{key}` of the marker map names"),
+            format!("the markers of the file are: {}", take.labels.join(", ")),
+        ),
         _ => {
             let labels: Vec<&str> = found.iter().map(|&i| &*take.labels[i]).collect();
-            Err(Error::AmbiguousMarker {
-                file,
-                key,
-                marker,
-                labels: labels.join(", "),
-            })
+            let labels = labels.join(", ");
+            let several = "of the marker map may mean several markers of";
+            (
+                format!("`{name}` in `{key}` {several} `{file}`: {labels}"),
+                "name the marker with its prefix, as `SUBJECT:NAME`".to_owned(),
+            )
         }
-    }
+    };
+    Err(Error::Name { problem, hint })
 }
 
 /// The mean of the markers of a group in each frame, none where one is missing.

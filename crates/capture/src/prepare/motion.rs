@@ -66,10 +66,9 @@ fn bvh(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, Error> {
     };
     let Some(joint) = bvh.joint(name) else {
         let names: Vec<&str> = bvh.joints().iter().map(|j| j.name.as_str()).collect();
-        return Err(Error::MissingJoint {
-            file: file.to_owned(),
-            joint: name.clone(),
-            available: names.join(", "),
+        return Err(Error::Name {
+            problem: format!("`{file}` has no joint `{name}`"),
+            hint: format!("its joints are: {}", names.join(", ")),
         });
     };
     bvh.joint_track(joint, metres, up)
@@ -82,11 +81,8 @@ fn array(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, FileErr
         [frames, 7] if frames <= MAX_FRAMES => (7, 0..3, 3..7),
         [frames, CHANNELS] if frames <= MAX_FRAMES => (CHANNELS, POSITION, QUATERNION),
         _ => {
-            return Err(FileError::Shape {
-                file: file.to_owned(),
-                found: format!("{:?}", array.shape),
-                allowed: format!("[frames, 7] or [frames, 25] with at most {MAX_FRAMES} frames"),
-            });
+            let allowed = format!("[frames, 7] or [frames, 25] with at most {MAX_FRAMES} frames");
+            return Err(FileError::shape(file, &array.shape, allowed));
         }
     };
     let frames = array.values.chunks_exact(width);
@@ -115,8 +111,6 @@ fn track<'a>(
         })
     };
     let fps = take.fps.unwrap_or(kinegrad_motion::FPS);
-    RootTrack::from_poses(frames.map(pose).collect(), fps).map_err(|error| FileError::Read {
-        file: file.to_owned(),
-        reason: error.to_string(),
-    })
+    let track = RootTrack::from_poses(frames.map(pose).collect(), fps);
+    track.map_err(FileError::read(file.as_ref()))
 }

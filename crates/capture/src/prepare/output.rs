@@ -5,7 +5,7 @@ use std::fs::{self, File, TryLockError};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
-use kinegrad_data::manifest::{self, Manifest, ManifestRow};
+use kinegrad_data::manifest::{self, ManifestRow};
 use kinegrad_data::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
 use kinegrad_data::{Digest, Store, StoreError, features_path, motion_path};
 
@@ -142,7 +142,7 @@ impl Output {
                 return Err(busy(&self.store));
             }
         }
-        Manifest::write(&self.store, rows)?;
+        manifest::write(&self.store, rows)?;
         let text = serde_json::to_vec_pretty(report).expect("plain data");
         Ok(self.store.write(PREPARATION, text)?)
     }

@@ -7,7 +7,6 @@
 //! time makes room.
 
 use std::fs::{self, File, TryLockError};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
@@ -68,7 +67,7 @@ impl DiskCache {
             return;
         }
         let path = self.object(digest);
-        if path.exists() || atomic::write(&path, |writer| writer.write_all(bytes)).is_err() {
+        if path.exists() || atomic::write(&path, bytes).is_err() {
             return;
         }
         let written = bytes.len() as u64;
@@ -89,7 +88,7 @@ impl DiskCache {
         let path = self.folder.join("names").join(key.to_string());
         let text = digest.to_string();
         // Without it the object is read again, no more.
-        let _ = atomic::write(&path, |writer| writer.write_all(text.as_bytes()));
+        let _ = atomic::write(&path, text.as_bytes());
     }
 
     fn object(&self, digest: &Digest) -> PathBuf {
@@ -111,32 +110,26 @@ impl DiskCache {
         let mut files = Vec::new();
         collect(&self.folder.join("objects"), &mut files);
         collect(&self.folder.join("names"), &mut files);
-        let mut total: u64 = files.iter().map(|file| file.bytes).sum();
+        let mut total: u64 = files.iter().map(|(.., bytes)| bytes).sum();
         if total <= self.limit {
             return;
         }
-        files.sort_unstable_by(|a, b| (a.used, &a.path).cmp(&(b.used, &b.path)));
+        files.sort_unstable();
         let kept = (self.limit as f64 * KEPT_SHARE) as u64;
-        for file in files {
+        for (_, path, bytes) in files {
             if total <= kept {
                 break;
             }
-            if fs::remove_file(&file.path).is_ok() {
-                total -= file.bytes;
+            if fs::remove_file(&path).is_ok() {
+                total -= bytes;
             }
         }
     }
 }
 
-/// A cached file.
-struct Cached {
-    path: PathBuf,
-    bytes: u64,
-    used: SystemTime,
-}
-
-/// All files below `folder`; what vanishes meanwhile is passed over.
-fn collect(folder: &Path, files: &mut Vec<Cached>) {
+/// All files below `folder`, each with the time of its last use and its bytes; what vanishes
+/// meanwhile is passed over.
+fn collect(folder: &Path, files: &mut Vec<(SystemTime, PathBuf, u64)>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let Ok(metadata) = entry.metadata() else {
             continue;
@@ -144,11 +137,8 @@ fn collect(folder: &Path, files: &mut Vec<Cached>) {
         if metadata.is_dir() {
             collect(&entry.path(), files);
         } else {
-            files.push(Cached {
-                path: entry.path(),
-                bytes: metadata.len(),
-                used: metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH),
-            });
+            let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            files.push((used, entry.path(), metadata.len()));
         }
     }
 }
@@ -161,7 +151,7 @@ mod tests {
     fn bytes_in(folder: &Path) -> u64 {
         let mut files = Vec::new();
         collect(folder, &mut files);
-        files.iter().map(|file| file.bytes).sum()
+        files.iter().map(|(.., bytes)| bytes).sum()
     }
 
     #[test]

@@ -76,22 +76,19 @@ impl Item for Clip {
     }
 
     fn counts(&self) -> Vec<(&'static str, usize)> {
-        let of_passages = self
-            .captions
-            .iter()
-            .filter(|caption| caption.seconds.is_some());
-        let embedded = self
-            .captions
-            .iter()
-            .filter(|caption| caption.embedding.is_some());
+        let count = |has: fn(&&Caption) -> bool| self.captions.iter().filter(has).count();
+        let without = usize::from(self.captions.is_empty());
         vec![
             ("captions", self.captions.len()),
-            ("captions of passages", of_passages.count()),
-            ("captions with an embedding", embedded.count()),
             (
-                "clips without captions",
-                usize::from(self.captions.is_empty()),
+                "captions of passages",
+                count(|caption| caption.seconds.is_some()),
             ),
+            (
+                "captions with an embedding",
+                count(|caption| caption.embedding.is_some()),
+            ),
+            ("clips without captions", without),
         ]
     }
 }
@@ -110,8 +107,8 @@ pub(super) fn texts_path(id: &str) -> String {
 /// `skeleton`; `file` names it in errors.
 ///
 /// # Errors
-/// [`FileError`] for what is no such array; [`FileError::Unexpected`] for another number of
-/// channels than the skeleton's; [`FileError::NonFinite`].
+/// [`FileError`] for what is no such array, for another number of channels than the skeleton's and
+/// for numbers that are not finite.
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
@@ -121,12 +118,14 @@ pub fn parse_features(
     let array = npy::parse(bytes, file)?;
     let channels = check_width(&array.shape, 2, file, skeleton)?;
     if let Some(place) = array.values.iter().position(|value| !value.is_finite()) {
-        return Err(FileError::NonFinite {
-            file: file.to_owned(),
-            frame: place / channels,
-            channel: layout.channel_name(place % channels),
-            value: array.values[place],
-        });
+        let (frame, channel) = (place / channels, place % channels);
+        let channel = layout.channel_name(channel);
+        return Err(FileError::non_finite(
+            file,
+            frame,
+            channel,
+            array.values[place],
+        ));
     }
     Features::new(array.values, layout, Root::Relative).map_err(|error| {
         FileError::unexpected(
@@ -284,6 +283,10 @@ impl Origin<Clip> for ClipFiles {
             content,
             ..Reading::of(clip)
         })
+    }
+
+    fn files(&self) -> Option<&Files> {
+        Some(&self.files)
     }
 
     fn fingerprint(&self) -> String {

@@ -29,7 +29,7 @@ impl Embeddings {
     /// Parses the file called `file`, whose checksum is `digest`.
     ///
     /// # Errors
-    /// [`FileError::Unexpected`] for what is no safetensors file, and for a tensor of another
+    /// [`FileError::Unusable`] for what is no safetensors file, and for a tensor of another
     /// shape or type, or with a number that is not finite.
     pub fn parse(bytes: &[u8], file: &str, digest: Digest) -> Result<Self, FileError> {
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| {
@@ -50,7 +50,7 @@ impl Embeddings {
     /// The embeddings of the `captions` captions of clip `id`.
     ///
     /// # Errors
-    /// [`FileError::Unexpected`] where there are none or not so many.
+    /// [`FileError::Unusable`] where there are none or not so many.
     pub fn of(&self, id: &str, captions: usize) -> Result<&[Arc<[f32]>], FileError> {
         let found = match self.clips.get(id) {
             Some(rows) if rows.len() == captions => return Ok(rows),

@@ -6,7 +6,7 @@ use crate::files::Files;
 use crate::layout::check_id;
 use crate::listing::{Expected, Listed};
 use crate::split::Side;
-use crate::{Error, FileError, StoreError};
+use crate::{Error, FileError};
 
 use super::Humanml3dConfig;
 use super::clip::{FEATURES, TEXTS, features_path, texts_path};
@@ -34,7 +34,15 @@ pub(super) fn read_lists(
         }
         let name = files.store.name_of(list);
         let mut twice = Vec::new();
-        let ids = parse_list(&read(files, list, key)?, &name)?;
+        let Some((bytes, _)) = files.find(list, MAX_BYTES)? else {
+            let hint = format!(
+                "a HumanML3D dataset holds new_joint_vecs/, texts/ and its lists; data.source \
+                 names the folder and data.humanml3d.{key} the list in it"
+            );
+            let expected = "a list of clips, one id a line";
+            return Err(FileError::unexpected(name, "no such file", expected, hint).into());
+        };
+        let ids = parse_list(&bytes, &name)?;
         if ids.is_empty() && side == Side::Train {
             let hint = "clips on no list are not used";
             return Err(FileError::unexpected(name, "no id", "one id a line", hint).into());
@@ -80,24 +88,6 @@ pub(super) fn read_lists(
         }
     });
     Ok(listed.collect())
-}
-
-fn read(files: &Files, list: &str, key: &str) -> Result<Vec<u8>, Error> {
-    let unknown = Expected::Version(String::new());
-    match files.read(list, &unknown, MAX_BYTES, "") {
-        Ok((bytes, _)) => Ok(bytes),
-        Err(StoreError::Missing { object }) => Err(FileError::unexpected(
-            object,
-            "no such file",
-            "a list of clips, one id a line",
-            format!(
-                "a HumanML3D dataset holds new_joint_vecs/, texts/ and its lists; data.source \
-                 names the folder and data.humanml3d.{key} the list in it"
-            ),
-        )
-        .into()),
-        Err(error) => Err(error.into()),
-    }
 }
 
 /// The ids of a list with their lines. Empty lines and those that begin with `#` are passed over.

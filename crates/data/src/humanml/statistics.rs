@@ -4,17 +4,9 @@ use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Statistics};
 
 use crate::files::Files;
-use crate::listing::Expected;
-use crate::{Digest, Error, FileError, StoreError, npy};
+use crate::{Digest, Error, FileError, npy};
 
 use super::clip::check_width;
-
-/// The statistics that a dataset brings along.
-pub(super) struct Given {
-    pub statistics: Statistics,
-    /// Checksums of both files.
-    pub digests: [Digest; 2],
-}
 
 /// The files of mean and deviation for features with this `root`.
 fn names(root: Root) -> [&'static str; 2] {
@@ -24,45 +16,42 @@ fn names(root: Root) -> [&'static str; 2] {
     }
 }
 
-/// Reads the statistics of clips in this representation, if the dataset has them.
+/// Reads the statistics of clips in this representation, if the dataset has them, with the
+/// checksums of both files.
 ///
 /// # Errors
 /// [`Error::File`] for one file without the other, for another layout, and for numbers that cannot
 /// be used; [`Error::Store`].
-pub(super) fn given(files: &Files, representation: &JointFeatures) -> Result<Option<Given>, Error> {
+pub(super) fn given(
+    files: &Files,
+    representation: &JointFeatures,
+) -> Result<Option<(Statistics, [Digest; 2])>, Error> {
     let JointFeatures { skeleton, root } = representation;
     let [mean_file, std_file] = names(*root);
-    let (mean, std) = (
-        read(files, mean_file, skeleton)?,
-        read(files, std_file, skeleton)?,
-    );
-    let (there, missing) = match (&mean, &std) {
-        (None, None) => return Ok(None),
-        (Some(_), Some(_)) => ("", ""),
-        (Some(_), None) => (mean_file, std_file),
-        (None, Some(_)) => (std_file, mean_file),
+    let mean = read(files, mean_file, skeleton)?;
+    let (missing, there) = match mean {
+        Some(_) => (std_file, mean_file),
+        None => (mean_file, std_file),
     };
-    let (Some((mean, mean_digest)), Some((std, std_digest))) = (mean, std) else {
-        return Err(FileError::unexpected(
-            files.store.name_of(missing),
-            "no such file",
-            format!("it beside {there}"),
-            "without both of them the statistics are taken from the training clips",
-        )
-        .into());
+    let ((mean, mean_digest), (std, std_digest)) = match (mean, read(files, std_file, skeleton)?) {
+        (None, None) => return Ok(None),
+        (Some(mean), Some(std)) => (mean, std),
+        _ => {
+            let hint = "without both of them the statistics are taken from the training clips";
+            let missing = files.store.name_of(missing);
+            let beside = format!("it beside {there}");
+            return Err(FileError::unexpected(missing, "no such file", beside, hint).into());
+        }
     };
     let statistics = Statistics::new(mean, std, Some(*root)).map_err(|error| {
         FileError::unexpected(
             format!("{} and {std_file}", files.store.name_of(mean_file)),
-            error.to_string(),
+            error,
             "finite means, and deviations greater than 0",
             "without both files the statistics are taken from the training clips",
         )
     })?;
-    Ok(Some(Given {
-        statistics,
-        digests: [mean_digest, std_digest],
-    }))
+    Ok(Some((statistics, [mean_digest, std_digest])))
 }
 
 fn read(
@@ -70,10 +59,8 @@ fn read(
     path: &str,
     skeleton: &Skeleton,
 ) -> Result<Option<(Vec<f64>, Digest)>, Error> {
-    let unknown = Expected::Version(String::new());
-    let (bytes, digest) = match files.read(path, &unknown, 1 << 20, "") {
-        Err(StoreError::Missing { .. }) => return Ok(None),
-        read => read?,
+    let Some((bytes, digest)) = files.find(path, 1 << 20)? else {
+        return Ok(None);
     };
     let name = files.store.name_of(path);
     let array = npy::parse(&bytes, &name)?;

@@ -1,13 +1,11 @@
 //! Which clips a dataset holds, and what comes with them.
 
-use std::sync::Arc;
-
 use crate::files::Files;
-use crate::listing::{Expected, Listed, ids};
+use crate::listing::{Listed, ids};
 use crate::split::Split;
 use crate::store::Store;
 use crate::survey::{Listable, Survey};
-use crate::{DataConfig, DataKind, Error, StoreError};
+use crate::{DataConfig, DataKind, Error};
 
 use super::clip::ClipFiles;
 use super::embeddings::{self, Embeddings};
@@ -41,11 +39,7 @@ fn made_up(config: &DataConfig) -> Result<Survey<Clip>, Error> {
         warnings: split.idle_entries(ids(&listed)),
         split: Some(split),
         origin: Box::new(Walks::new(config, conditional)),
-        counters: Arc::default(),
-        source: "synthetic_walks".to_owned(),
         listed,
-        concurrency: 0,
-        tolerates_changes: false,
     })
 }
 
@@ -61,18 +55,14 @@ fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
     let representation = humanml3d.representation();
     let given = statistics::given(&files, &representation)?;
     let embeddings = read_embeddings(&files, &humanml3d.text_embeddings, &mut warnings)?;
-    let fingerprint = given.as_ref().map(|given| {
-        let [mean, std] = given.digests;
-        format!("{mean}{std}")
-    });
+    let (given, fingerprint) = match given {
+        Some((statistics, [mean, std])) => (Some(statistics), format!("{mean}{std}")),
+        None => (None, String::new()),
+    };
     Ok(Survey {
         split: None,
         warnings,
-        counters: files.store.counters().clone(),
-        source: files.store.uri(),
         listed,
-        concurrency: files.concurrency(config),
-        tolerates_changes: false,
         origin: Box::new(ClipFiles {
             files,
             skeleton: representation.skeleton.clone(),
@@ -83,9 +73,9 @@ fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
             embeddings,
             min_frames: humanml3d.min_frames,
             max_frames: humanml3d.max_frames,
-            fingerprint: fingerprint.unwrap_or_default(),
+            fingerprint,
         }),
-        given: given.map(|given| given.statistics),
+        given,
         representation,
     })
 }
@@ -98,20 +88,16 @@ fn read_embeddings(
     if path.is_empty() {
         return Ok(None);
     }
-    let unknown = Expected::Version(String::new());
-    match files.read(path, &unknown, embeddings::MAX_BYTES, "") {
-        Ok((bytes, digest)) => {
-            let name = files.store.name_of(path);
-            Ok(Some(Embeddings::parse(&bytes, &name, digest)?))
-        }
-        Err(StoreError::Missing { object }) => {
+    let name = files.store.name_of(path);
+    match files.find(path, embeddings::MAX_BYTES)? {
+        Some((bytes, digest)) => Ok(Some(Embeddings::parse(&bytes, &name, digest)?)),
+        None => {
             warnings.push(format!(
-                "{object}: not found; clips have no condition (docs/dataset.md shows how to make \
+                "{name}: not found; clips have no condition (docs/dataset.md shows how to make \
                  the file; data.humanml3d.text_embeddings = \"\" says that none is wanted)"
             ));
             Ok(None)
         }
-        Err(error) => Err(error.into()),
     }
 }
 

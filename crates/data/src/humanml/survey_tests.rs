@@ -39,8 +39,7 @@ fn texts_file(folder: &Path, index: usize) -> std::path::PathBuf {
 }
 
 fn write_array(path: &Path, shape: &[usize]) {
-    let mut bytes = Vec::new();
-    npy::write_array(&mut bytes, shape, &vec![0.5; shape.iter().product()]).unwrap();
+    let bytes = npy::array_bytes(shape, &vec![0.5; shape.iter().product()]);
     fs::write(path, bytes).unwrap();
 }
 
@@ -114,8 +113,7 @@ fn numbers_that_are_not_finite_are_named() {
     let clip = walk(1, 80, 5);
     let mut values = clip.features.as_slice().to_vec();
     values[7 * 263 + 3] = f32::NAN;
-    let mut bytes = Vec::new();
-    npy::write_array(&mut bytes, &[80, 263], &values).unwrap();
+    let bytes = npy::array_bytes(&[80, 263], &values);
     fs::write(features_file(folder.path(), 1), bytes).unwrap();
     let found = message(&config);
     assert!(

@@ -60,7 +60,8 @@ struct Plan {
     shape: Shape,
     /// +1 to the left, -1 to the right.
     side: f64,
-    pace: Pace,
+    /// Its place in [`PACES`].
+    pace: usize,
     /// Metres per second.
     speed: f64,
     /// Where the speed stands in its slow change, radians.
@@ -79,12 +80,12 @@ enum Shape {
     Winding,
 }
 
-#[derive(Clone, Copy)]
-enum Pace {
-    Slow,
-    Usual,
-    Fast,
-}
+/// Slowest speed of each pace in metres per second, and how captions say it.
+const PACES: [(f64, &str, &str); 3] = [
+    (0.6, "walks slowly", "walking slowly"),
+    (0.95, "walks", "walking"),
+    (1.3, "walks fast", "walking quickly"),
+];
 
 /// Seconds that a turn by a quarter of a circle takes.
 const TURN_SECONDS: f64 = 1.6;
@@ -92,11 +93,7 @@ const TURN_SECONDS: f64 = 1.6;
 impl Plan {
     fn new(key: Key, seconds: f64) -> Self {
         let draw = |place: u64| key.at(place).uniform();
-        let (pace, slowest) = match key.at(0).integers(1, 3)[0] {
-            0 => (Pace::Slow, 0.6),
-            1 => (Pace::Usual, 0.95),
-            _ => (Pace::Fast, 1.3),
-        };
+        let pace = key.at(0).integers(1, PACES.len())[0];
         Self {
             shape: match key.at(1).integers(1, 4)[0] {
                 0 => Shape::Straight,
@@ -106,7 +103,7 @@ impl Plan {
             },
             side: if draw(2) < 0.5 { 1.0 } else { -1.0 },
             pace,
-            speed: slowest + 0.25 * draw(3),
+            speed: PACES[pace].0 + 0.25 * draw(3),
             ease: TAU * draw(4),
             sharpness: draw(5),
             turn_seconds: (0.45 + 0.1 * draw(6)) * seconds,
@@ -147,11 +144,7 @@ impl Plan {
     /// rest.
     fn captions(&self, seconds: f64) -> Vec<Caption> {
         let side = if self.side > 0.0 { "left" } else { "right" };
-        let (walks, walking) = match self.pace {
-            Pace::Slow => ("walks slowly", "walking slowly"),
-            Pace::Usual => ("walks", "walking"),
-            Pace::Fast => ("walks fast", "walking quickly"),
-        };
+        let (_, walks, walking) = PACES[self.pace];
         let whole = match self.shape {
             Shape::Straight => [
                 format!("a person {walks} forward"),
@@ -271,7 +264,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
                 let clip = walk(index, frames, seed);
                 write_features(&staging.join(features_path(&clip.id)), &clip.features)?;
                 let lines: String = clip.captions.iter().map(line).collect();
-                write_text(&staging.join(texts_path(&clip.id)), &lines)?;
+                atomic::write(&staging.join(texts_path(&clip.id)), lines.as_bytes())?;
                 Ok((clip.id, clip.captions))
             })
             .collect::<Result<_, Error>>()?;
@@ -282,7 +275,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             .partition(|id| split.holds_out(id, None));
         for (list, ids) in [(&train_list, train), (&validation_list, held_out)] {
             let text: String = ids.iter().map(|id| format!("{id}\n")).collect();
-            write_text(&staging.join(list), &text)?;
+            atomic::write(&staging.join(list), text.as_bytes())?;
         }
         let rows = captions.iter().map(|(id, captions)| {
             let rows = captions.iter();
@@ -290,15 +283,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             (id.as_str(), rows.collect())
         });
         let bytes = embeddings::serialize(rows);
-        atomic::write(&staging.join(&text_embeddings), |writer| {
-            std::io::Write::write_all(writer, &bytes)
-        })
-    })
-}
-
-fn write_text(path: &Path, text: &str) -> Result<(), Error> {
-    atomic::write(path, |writer| {
-        std::io::Write::write_all(writer, text.as_bytes())
+        atomic::write(&staging.join(&text_embeddings), &bytes)
     })
 }
 

@@ -46,7 +46,7 @@ impl Caption {
 /// NaN) mean the whole clip. Empty lines are passed over.
 ///
 /// # Errors
-/// [`FileError::Unexpected`] with the line.
+/// [`FileError::Unusable`] with the line.
 pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileError> {
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()]

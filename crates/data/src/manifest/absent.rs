@@ -1,88 +1,44 @@
-//! Manifests in a build without the feature `manifest`: there are none.
+//! Tables in a build without the feature `manifest`: there are none.
 
 use super::ManifestRow;
-use crate::{Error, MANIFEST, Store};
 
-/// Every phrase of a dataset, one row each. This build makes none.
+/// A table. This build makes none.
 #[derive(Clone, Debug)]
-pub struct Manifest(());
+pub(super) enum DataFrame {}
 
-/// Rows of a manifest. This build makes none.
-#[derive(Clone, Debug)]
-pub struct Selection(());
+/// A column of such a table.
+pub(super) type Column = DataFrame;
 
-fn lacking(what: String) -> Error {
-    Error::Feature {
-        what,
-        feature: "manifest",
+impl DataFrame {
+    pub fn height(&self) -> usize {
+        match *self {}
+    }
+
+    pub fn column(&self, _name: &str) -> Result<&Column, String> {
+        match *self {}
     }
 }
 
-impl Manifest {
-    /// Writes the manifest of `rows` into `store`.
-    ///
-    /// # Errors
-    /// Always [`Error::Feature`].
-    pub fn write(store: &Store, _rows: Vec<ManifestRow>) -> Result<(), Error> {
-        Err(lacking(store.name_of(MANIFEST)))
-    }
-
-    /// Reads the manifest of `store`.
-    ///
-    /// # Errors
-    /// Always [`Error::Feature`].
-    pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        Err(lacking(store.name_of(MANIFEST)))
-    }
-
-    /// Reads a Parquet file; `object` names it in errors.
-    ///
-    /// # Errors
-    /// Always [`Error::Feature`].
-    pub fn from_bytes(_bytes: Vec<u8>, object: &str) -> Result<Self, Error> {
-        Err(lacking(object.to_owned()))
-    }
-
-    /// Its rows.
-    pub fn rows(&self) -> &[ManifestRow] {
-        &[]
-    }
+pub(super) fn encode(_rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
+    Err("this build writes no manifest".to_owned())
 }
 
-impl Selection {
-    /// Reads the manifest of `store`.
-    ///
-    /// # Errors
-    /// Always [`Error::Feature`].
-    pub fn read(store: &Store) -> Result<Option<Self>, Error> {
-        Err(lacking(store.name_of(MANIFEST)))
-    }
+pub(super) fn rows(_bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
+    Err("this build reads no manifest".to_owned())
+}
 
-    /// The rows that meet `condition`.
-    ///
-    /// # Errors
-    /// Always: there are no rows.
-    pub fn filter(&self, _condition: &str) -> Result<Self, String> {
-        Err("this build reads no manifest".to_owned())
-    }
+pub(super) fn decode(_bytes: Vec<u8>, _wanted: Option<&[&str]>) -> Result<DataFrame, String> {
+    Err("this build reads no manifest".to_owned())
+}
 
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        0
-    }
+pub(super) fn filter(frame: &DataFrame, _condition: &str) -> Result<DataFrame, String> {
+    match *frame {}
+}
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        true
-    }
+pub(super) fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
+    match *column {}
+}
 
-    /// The values of a column of text.
-    pub fn texts(&self, _column: &str) -> Option<Vec<String>> {
-        None
-    }
-
-    /// The values of a column of numbers.
-    pub fn numbers(&self, _column: &str) -> Option<Vec<Option<f64>>> {
-        None
-    }
+pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
+    match *column {}
 }

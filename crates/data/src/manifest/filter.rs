@@ -10,123 +10,134 @@
 //!
 //! `like` takes a pattern with `*` for any run of characters. A missing value meets no condition.
 
-use polars::prelude::{Column, DataFrame, DataType};
+use std::cmp::Ordering;
 
+use polars::prelude::{DataFrame, DataType};
+
+use super::table::{cast, numbers};
 use crate::split::matches;
 
 /// Most conditions and brackets of one filter.
 const MAX_PARTS: usize = 200;
 
-/// A condition, parsed.
-#[derive(Debug, PartialEq)]
-pub(super) enum Filter {
-    Any(Vec<Filter>),
-    All(Vec<Filter>),
-    Not(Box<Filter>),
-    Compare {
-        column: String,
-        operator: Operator,
-        value: String,
-    },
+/// Which rows of `frame` meet the condition; in an error, what is wrong with it.
+pub(super) fn rows(condition: &str, frame: &DataFrame) -> Result<Vec<bool>, String> {
+    let words = words(condition)?;
+    if words.len() > MAX_PARTS {
+        return Err(format!("{} parts found, {MAX_PARTS} allowed", words.len()));
+    }
+    let mut reader = Reader {
+        rest: &words,
+        frame,
+    };
+    let rows = reader.any()?;
+    match reader.rest.first() {
+        None => Ok(rows),
+        Some(word) => Err(format!("`{}` found, `and` or `or` allowed", word.text)),
+    }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Operator {
-    Equal,
-    Unequal,
-    Less,
-    AtMost,
-    Greater,
-    AtLeast,
-    Like,
+/// What is left of a condition, and the table whose rows it is about.
+struct Reader<'a> {
+    rest: &'a [Word],
+    frame: &'a DataFrame,
 }
 
-impl Filter {
-    /// Reads a condition; in an error, what is wrong with it.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let words = words(text)?;
-        if words.len() > MAX_PARTS {
-            return Err(format!("{} parts found, {MAX_PARTS} allowed", words.len()));
+impl Reader<'_> {
+    fn any(&mut self) -> Result<Vec<bool>, String> {
+        let mut rows = self.all()?;
+        while self.take("or") {
+            rows.iter_mut().zip(self.all()?).for_each(|(a, b)| *a |= b);
         }
-        let mut rest = words.as_slice();
-        let filter = any(&mut rest)?;
-        match rest.first() {
-            None => Ok(filter),
-            Some(word) => Err(format!("`{}` found, `and` or `or` allowed", word.text)),
-        }
+        Ok(rows)
     }
 
-    /// Which rows of `frame` meet it.
-    pub fn rows(&self, frame: &DataFrame) -> Result<Vec<bool>, String> {
-        match self {
-            Self::Any(parts) => combine(parts, frame, false, |a, b| a | b),
-            Self::All(parts) => combine(parts, frame, true, |a, b| a & b),
-            Self::Not(part) => Ok(part.rows(frame)?.into_iter().map(|met| !met).collect()),
-            Self::Compare {
-                column,
-                operator,
-                value,
-            } => {
-                let found = frame.column(column).map_err(|_| {
-                    let names: Vec<&str> =
-                        frame.columns().iter().map(|c| c.name().as_str()).collect();
-                    format!("no column `{column}`; there are {}", names.join(", "))
-                })?;
-                compare(found, *operator, value)
+    fn all(&mut self) -> Result<Vec<bool>, String> {
+        let mut rows = self.one()?;
+        while self.take("and") {
+            rows.iter_mut().zip(self.one()?).for_each(|(a, b)| *a &= b);
+        }
+        Ok(rows)
+    }
+
+    fn one(&mut self) -> Result<Vec<bool>, String> {
+        if self.take("not") {
+            return Ok(self.one()?.into_iter().map(|met| !met).collect());
+        }
+        if self.take("(") {
+            let inner = self.any()?;
+            return match self.take(")") {
+                true => Ok(inner),
+                false => Err("`)` is missing".to_owned()),
+            };
+        }
+        let [column, operator, value, after @ ..] = self.rest else {
+            return Err("a condition is COLUMN OPERATOR VALUE, as in `tempo > 100`".to_owned());
+        };
+        self.rest = after;
+        compare(self.frame, &column.text, &operator.text, &value.text)
+    }
+
+    /// Whether this word comes next, which is then passed.
+    fn take(&mut self, keyword: &str) -> bool {
+        match self.rest {
+            [first, after @ ..] if first.is(keyword) => {
+                self.rest = after;
+                true
             }
+            _ => false,
         }
     }
 }
 
-fn combine(
-    parts: &[Filter],
+fn compare(
     frame: &DataFrame,
-    start: bool,
-    join: impl Fn(bool, bool) -> bool,
+    name: &str,
+    operator: &str,
+    value: &str,
 ) -> Result<Vec<bool>, String> {
-    let mut all = vec![start; frame.height()];
-    for part in parts {
-        for (sum, met) in all.iter_mut().zip(part.rows(frame)?) {
-            *sum = join(*sum, met);
+    let holds = match operator.to_ascii_lowercase().as_str() {
+        "=" | "==" => Ordering::is_eq,
+        "!=" | "<>" => Ordering::is_ne,
+        "<" => Ordering::is_lt,
+        "<=" => Ordering::is_le,
+        ">" => Ordering::is_gt,
+        ">=" => Ordering::is_ge,
+        "like" => |_| false,
+        other => {
+            return Err(format!(
+                "`{other}` found; =, !=, <, <=, >, >= and like allowed"
+            ));
         }
-    }
-    Ok(all)
-}
-
-fn compare(column: &Column, operator: Operator, value: &str) -> Result<Vec<bool>, String> {
-    let name = column.name();
-    let broken = |error: polars::prelude::PolarsError| format!("column `{name}`: {error}");
-    let holds = |order: std::cmp::Ordering| match operator {
-        Operator::Equal => order.is_eq(),
-        Operator::Unequal => order.is_ne(),
-        Operator::Less => order.is_lt(),
-        Operator::AtMost => order.is_le(),
-        Operator::Greater => order.is_gt(),
-        Operator::AtLeast => order.is_ge(),
-        Operator::Like => false,
+    };
+    let like = operator.eq_ignore_ascii_case("like");
+    let Ok(column) = frame.column(name) else {
+        let names: Vec<&str> = frame.columns().iter().map(|c| c.name().as_str()).collect();
+        return Err(format!(
+            "no column `{name}`; there are {}",
+            names.join(", ")
+        ));
     };
     if column.dtype().is_primitive_numeric() {
-        if operator == Operator::Like {
+        if like {
             return Err(format!("column `{name}` holds numbers: `like` is for text"));
         }
         let wanted: f64 = value
             .parse()
             .map_err(|_| format!("column `{name}` holds numbers, `{value}` is none"))?;
-        let numbers = column.cast(&DataType::Float64).map_err(broken)?;
-        let numbers = numbers.f64().map_err(broken)?;
         let meets = |found: Option<f64>| {
             found.is_some_and(|found| found.partial_cmp(&wanted).is_some_and(holds))
         };
-        return Ok(numbers.iter().map(meets).collect());
+        return Ok(numbers(column)?.into_iter().map(meets).collect());
     }
-    let texts = column.cast(&DataType::String).map_err(broken)?;
-    let texts = texts.str().map_err(broken)?;
-    let meets = |found: Option<&str>| match (found, operator) {
-        (None, _) => false,
-        (Some(found), Operator::Like) => matches(value, found),
-        (Some(found), _) => holds(found.cmp(value)),
+    let column = cast(column, &DataType::String)?;
+    let meets = |found: &str| match like {
+        true => matches(value, found),
+        false => holds(found.cmp(value)),
     };
-    Ok(texts.iter().map(meets).collect())
+    let texts = column.str().map_err(|error| error.to_string())?;
+    let met = texts.iter().map(|found| found.is_some_and(meets));
+    Ok(met.collect())
 }
 
 /// A part of a condition, and whether it was in quotes.
@@ -176,79 +187,8 @@ fn words(text: &str) -> Result<Vec<Word>, String> {
     Ok(words)
 }
 
-fn any(rest: &mut &[Word]) -> Result<Filter, String> {
-    let mut parts = vec![all(rest)?];
-    while take(rest, "or") {
-        parts.push(all(rest)?);
-    }
-    Ok(only_or(parts, Filter::Any))
-}
-
-fn all(rest: &mut &[Word]) -> Result<Filter, String> {
-    let mut parts = vec![one(rest)?];
-    while take(rest, "and") {
-        parts.push(one(rest)?);
-    }
-    Ok(only_or(parts, Filter::All))
-}
-
-fn only_or(mut parts: Vec<Filter>, several: impl Fn(Vec<Filter>) -> Filter) -> Filter {
-    match parts.len() {
-        1 => parts.remove(0),
-        _ => several(parts),
-    }
-}
-
-fn one(rest: &mut &[Word]) -> Result<Filter, String> {
-    if take(rest, "not") {
-        return Ok(Filter::Not(Box::new(one(rest)?)));
-    }
-    if take(rest, "(") {
-        let inner = any(rest)?;
-        return match take(rest, ")") {
-            true => Ok(inner),
-            false => Err("`)` is missing".to_owned()),
-        };
-    }
-    let [column, operator, value, after @ ..] = *rest else {
-        return Err("a condition is COLUMN OPERATOR VALUE, as in `tempo > 100`".to_owned());
-    };
-    let operator = match operator.text.to_ascii_lowercase().as_str() {
-        "=" | "==" => Operator::Equal,
-        "!=" | "<>" => Operator::Unequal,
-        "<" => Operator::Less,
-        "<=" => Operator::AtMost,
-        ">" => Operator::Greater,
-        ">=" => Operator::AtLeast,
-        "like" => Operator::Like,
-        other => {
-            return Err(format!(
-                "`{other}` found; =, !=, <, <=, >, >= and like allowed"
-            ));
-        }
-    };
-    let filter = Filter::Compare {
-        column: column.text.clone(),
-        operator,
-        value: value.text.clone(),
-    };
-    *rest = after;
-    Ok(filter)
-}
-
-fn take(rest: &mut &[Word], keyword: &str) -> bool {
-    match rest {
-        [first, after @ ..] if first.is(keyword) => {
-            *rest = after;
-            true
-        }
-        _ => false,
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
     use polars::df;
     use proptest::prelude::*;
 
@@ -259,7 +199,7 @@ mod tests {
             "frames" => [120i64, 60, 120, 30],
         )
         .unwrap();
-        Filter::parse(text)?.rows(&frame)
+        super::rows(text, &frame)
     }
 
     fn chosen(text: &str) -> Vec<usize> {

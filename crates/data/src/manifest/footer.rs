@@ -14,7 +14,7 @@ use polars_parquet_format::{
     LogicalType, RowGroup, SchemaElement, Type,
 };
 
-use super::pages::Pages;
+use super::pages::unpacked_bytes;
 
 /// The longest footer: it grows with columns and groups of rows, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
@@ -106,23 +106,14 @@ fn checked(
             let pages = range(&column)
                 .and_then(|range| body.get(range))
                 .ok_or_else(|| refused("it lies outside the file"))?;
-            unpacked_left -= Pages::new(pages)
-                .unpacked_bytes(group_rows, unpacked_left)
+            unpacked_left -= unpacked_bytes(pages, group_rows, unpacked_left)
                 .map_err(|problem| refused(&problem))?;
             columns.push(ColumnChunk::new(
                 None, 0, column, None, None, None, None, None, None,
             ));
         }
-        let total = group.total_byte_size;
-        row_groups.push(RowGroup::new(
-            columns,
-            total,
-            group.num_rows,
-            None,
-            None,
-            None,
-            None,
-        ));
+        let (total, rows) = (group.total_byte_size, group.num_rows);
+        row_groups.push(RowGroup::new(columns, total, rows, None, None, None, None));
     }
     if i64::try_from(rows) != Ok(footer.num_rows) {
         return Err("its groups of rows do not add up".to_owned());
@@ -263,13 +254,13 @@ fn range(column: &ColumnMetaData) -> Option<std::ops::Range<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::manifest::parquet::tests::row;
-    use crate::manifest::parquet::{Manifest, decode};
+    use crate::manifest::table::{decode, encode};
+    use crate::manifest::tests::row;
     use polars_parquet_format::{KeyValue, TimeUnit, TimestampType};
 
     /// A manifest of two phrases with a `change`d footer.
     fn changed(change: impl FnOnce(&mut FileMetaData)) -> Vec<u8> {
-        let mut file = Manifest::new(vec![row("a"), row("b")]).to_bytes().unwrap();
+        let mut file = encode(vec![row("a"), row("b")]).unwrap();
         let end = file.len() - 8;
         let length = u32::from_le_bytes(file[end..end + 4].try_into().unwrap()) as usize;
         let start = end - length;

@@ -1,30 +1,118 @@
 //! `manifest.parquet`: one row for each phrase, with where it comes from and its checksums.
 //!
 //! Reading and writing it needs the Cargo feature `manifest`; without it every attempt is
-//! [`Error::Feature`](crate::Error::Feature).
+//! [`Error::Feature`].
 
-#[cfg(not(feature = "manifest"))]
-mod absent;
 #[cfg(feature = "manifest")]
 mod filter;
 #[cfg(feature = "manifest")]
 mod footer;
 #[cfg(feature = "manifest")]
 mod pages;
-#[cfg(feature = "manifest")]
-mod parquet;
 mod row;
-#[cfg(feature = "manifest")]
+#[cfg_attr(not(feature = "manifest"), path = "absent.rs")]
 mod table;
+#[cfg(all(test, feature = "manifest"))]
+mod tests;
 
-#[cfg(not(feature = "manifest"))]
-pub use absent::{Manifest, Selection};
-#[cfg(feature = "manifest")]
-pub use parquet::{Manifest, Selection};
 pub use row::{Flag, ManifestRow};
+
+use crate::layout::MANIFEST;
+use crate::{Error, Store};
+use table::DataFrame;
 
 /// The longest manifest that is read: some millions of phrases.
 pub const MAX_BYTES: u64 = 1 << 30;
 
 /// Whether this build reads and writes manifests.
 pub const SUPPORTED: bool = cfg!(feature = "manifest");
+
+/// Reads the manifest of `store`; `None` if it has none.
+///
+/// # Errors
+/// [`Error::Store`]; [`Error::Manifest`] for a file that is none, a missing column, an id that
+/// is no plain name or occurs twice, a checksum that is none.
+pub fn read(store: &Store) -> Result<Option<Vec<ManifestRow>>, Error> {
+    let bytes = store.find(MANIFEST, MAX_BYTES)?;
+    let rows = bytes.map(|bytes| parse(bytes, &store.name_of(MANIFEST)));
+    rows.transpose()
+}
+
+/// Reads a Parquet file; `object` names it in errors.
+///
+/// # Errors
+/// [`Error::Manifest`], as [`read`].
+pub fn parse(bytes: Vec<u8>, object: &str) -> Result<Vec<ManifestRow>, Error> {
+    attempt(object, || table::rows(bytes))
+}
+
+/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows make equal bytes.
+///
+/// # Errors
+/// [`Error::Store`].
+pub fn write(store: &Store, rows: Vec<ManifestRow>) -> Result<(), Error> {
+    let bytes = attempt(&store.name_of(MANIFEST), || table::encode(rows))?;
+    Ok(store.write(MANIFEST, bytes)?)
+}
+
+/// What comes of the manifest called `object`.
+fn attempt<T>(object: &str, made: impl FnOnce() -> Result<T, String>) -> Result<T, Error> {
+    let object = object.to_owned();
+    if !SUPPORTED {
+        return Err(Error::Feature {
+            what: object,
+            feature: "manifest",
+        });
+    }
+    made().map_err(|problem| Error::Manifest { object, problem })
+}
+
+/// Rows of a manifest, with all its columns: those of kinegrad and any that others have added.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    frame: DataFrame,
+}
+
+impl Selection {
+    /// All rows of the manifest of `store`; `None` if it has none.
+    ///
+    /// # Errors
+    /// [`Error::Store`]; [`Error::Manifest`] for a file that is none.
+    pub fn read(store: &Store) -> Result<Option<Self>, Error> {
+        let Some(bytes) = store.find(MANIFEST, MAX_BYTES)? else {
+            return Ok(None);
+        };
+        let frame = attempt(&store.name_of(MANIFEST), || table::decode(bytes, None))?;
+        Ok(Some(Self { frame }))
+    }
+
+    /// The rows that meet `condition`, as `tempo > 100 and split = train`.
+    ///
+    /// # Errors
+    /// What is wrong with the condition.
+    pub fn filter(&self, condition: &str) -> Result<Self, String> {
+        let frame = table::filter(&self.frame, condition)?;
+        Ok(Self { frame })
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.frame.height()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The values of a column of text; missing ones are empty. `None` if there is no such column.
+    pub fn texts(&self, column: &str) -> Option<Vec<String>> {
+        let texts = table::texts(self.frame.column(column).ok()?).ok()?;
+        Some(texts.into_iter().map(Option::unwrap_or_default).collect())
+    }
+
+    /// The values of a column of numbers. `None` if there is no such column.
+    pub fn numbers(&self, column: &str) -> Option<Vec<Option<f64>>> {
+        table::numbers(self.frame.column(column).ok()?).ok()
+    }
+}

@@ -16,91 +16,72 @@ const ENCODINGS: [Encoding; 5] = [
     Encoding::BYTE_STREAM_SPLIT,
 ];
 
-/// The pages of one flat column in one group of rows.
-pub(super) struct Pages<'a> {
-    rest: &'a [u8],
-}
-
-/// What a page's header says.
-struct Page {
+/// The bytes that the pages of one flat column in one group of rows unpack to, where they hold just
+/// `values` values and unpack to `limit` bytes at most.
+///
+/// # Errors
+/// What is wrong with them.
+pub(super) fn unpacked_bytes(
+    mut pages: &[u8],
     values: usize,
-    unpacked_bytes: usize,
+    limit: usize,
+) -> Result<usize, String> {
+    let mut values_left = values;
+    let mut unpacked_left = limit;
+    let mut may_be_dictionary = true;
+    // A column without values may still have a dictionary.
+    while values_left > 0 || (may_be_dictionary && !pages.is_empty()) {
+        let (values, unpacked_bytes) = next(&mut pages, may_be_dictionary)?;
+        values_left = values_left
+            .checked_sub(values)
+            .ok_or("a page has more values than the column")?;
+        unpacked_left = unpacked_left
+            .checked_sub(unpacked_bytes)
+            .ok_or("it unpacks to more than such a file can hold")?;
+        may_be_dictionary = false;
+    }
+    Ok(limit - unpacked_left)
 }
 
-impl<'a> Pages<'a> {
-    /// Those that stand in `bytes`.
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes }
-    }
-
-    /// The bytes that they unpack to, where they hold just `values` values and unpack to `limit`
-    /// bytes at most.
-    ///
-    /// # Errors
-    /// What is wrong with them.
-    pub(super) fn unpacked_bytes(mut self, values: usize, limit: usize) -> Result<usize, String> {
-        let mut values_left = values;
-        let mut unpacked_left = limit;
-        let mut may_be_dictionary = true;
-        // A column without values may still have a dictionary.
-        while values_left > 0 || (may_be_dictionary && !self.rest.is_empty()) {
-            let page = self.next(may_be_dictionary)?;
-            values_left = values_left
-                .checked_sub(page.values)
-                .ok_or("a page has more values than the column")?;
-            unpacked_left = unpacked_left
-                .checked_sub(page.unpacked_bytes)
-                .ok_or("it unpacks to more than such a file can hold")?;
-            may_be_dictionary = false;
+/// The values of the next page and the bytes that it unpacks to, as its header says.
+fn next(rest: &mut &[u8], may_be_dictionary: bool) -> Result<(usize, usize), String> {
+    let budget = HEADER_BUDGET * rest.len();
+    let mut protocol = TCompactInputProtocol::new(&mut *rest, budget);
+    let header = PageHeader::read_from_in_protocol(&mut protocol)
+        .map_err(|error| format!("a page without a readable header: {error}"))?;
+    let packed_bytes = count(header.compressed_page_size)?;
+    let unpacked_bytes = count(header.uncompressed_page_size)?;
+    *rest = rest.get(packed_bytes..).ok_or("a page beyond its end")?;
+    let values = match header.type_ {
+        PageType::DICTIONARY_PAGE if may_be_dictionary => {
+            let dictionary = header.dictionary_page_header.ok_or("half a page header")?;
+            if count(dictionary.num_values)? > unpacked_bytes {
+                return Err("a dictionary with more values than bytes".to_owned());
+            }
+            0
         }
-        Ok(limit - unpacked_left)
-    }
-
-    fn next(&mut self, may_be_dictionary: bool) -> Result<Page, String> {
-        let budget = HEADER_BUDGET * self.rest.len();
-        let mut protocol = TCompactInputProtocol::new(&mut self.rest, budget);
-        let header = PageHeader::read_from_in_protocol(&mut protocol)
-            .map_err(|error| format!("a page without a readable header: {error}"))?;
-        let packed_bytes = count(header.compressed_page_size)?;
-        let unpacked_bytes = count(header.uncompressed_page_size)?;
-        self.rest = self
-            .rest
-            .get(packed_bytes..)
-            .ok_or("a page beyond its end")?;
-        let values = match header.type_ {
-            PageType::DICTIONARY_PAGE if may_be_dictionary => {
-                let dictionary = header.dictionary_page_header.ok_or("half a page header")?;
-                if count(dictionary.num_values)? > unpacked_bytes {
-                    return Err("a dictionary with more values than bytes".to_owned());
-                }
-                0
+        PageType::DATA_PAGE => {
+            let data = header.data_page_header.ok_or("half a page header")?;
+            check_encoding(data.encoding)?;
+            count(data.num_values)?
+        }
+        PageType::DATA_PAGE_V2 => {
+            let data = header.data_page_header_v2.ok_or("half a page header")?;
+            check_encoding(data.encoding)?;
+            let values = count(data.num_values)?;
+            let levels = count(data.definition_levels_byte_length)?
+                + count(data.repetition_levels_byte_length)?;
+            if levels > packed_bytes.min(unpacked_bytes)
+                || count(data.num_nulls)? > values
+                || count(data.num_rows)? != values
+            {
+                return Err("a page whose header contradicts itself".to_owned());
             }
-            PageType::DATA_PAGE => {
-                let data = header.data_page_header.ok_or("half a page header")?;
-                check_encoding(data.encoding)?;
-                count(data.num_values)?
-            }
-            PageType::DATA_PAGE_V2 => {
-                let data = header.data_page_header_v2.ok_or("half a page header")?;
-                check_encoding(data.encoding)?;
-                let values = count(data.num_values)?;
-                let levels = count(data.definition_levels_byte_length)?
-                    + count(data.repetition_levels_byte_length)?;
-                if levels > packed_bytes.min(unpacked_bytes)
-                    || count(data.num_nulls)? > values
-                    || count(data.num_rows)? != values
-                {
-                    return Err("a page whose header contradicts itself".to_owned());
-                }
-                values
-            }
-            _ => return Err("a page of an unknown kind".to_owned()),
-        };
-        Ok(Page {
-            values,
-            unpacked_bytes,
-        })
-    }
+            values
+        }
+        _ => return Err("a page of an unknown kind".to_owned()),
+    };
+    Ok((values, unpacked_bytes))
 }
 
 fn count(number: i32) -> Result<usize, &'static str> {
@@ -166,7 +147,7 @@ mod tests {
                 .unwrap();
             bytes.extend([0; 8]);
         }
-        Pages::new(&bytes).unpacked_bytes(5, 40)
+        unpacked_bytes(&bytes, 5, 40)
     }
 
     #[test]

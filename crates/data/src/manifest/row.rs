@@ -58,18 +58,6 @@ pub enum Flag {
     DamagedAudio,
 }
 
-impl Flag {
-    /// All flags.
-    pub const ALL: [Self; 6] = [
-        Self::NoAudio,
-        Self::NoBeats,
-        Self::JoinedUnits,
-        Self::FilledGaps,
-        Self::FailsDocumentChecks,
-        Self::DamagedAudio,
-    ];
-}
-
 impl fmt::Display for Flag {
     /// As the manifest writes it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

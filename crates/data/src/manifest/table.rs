@@ -1,13 +1,68 @@
-//! Rows of a manifest as a table, and a table as rows.
+//! Rows of a manifest as a Parquet file, and such a file as a table.
 
 use std::collections::HashSet;
+use std::io::Cursor;
 
+use kinegrad_audio::guard::guarded;
 use polars::df;
-use polars::prelude::{DataFrame, DataType, PolarsError};
+use polars::prelude::{
+    BooleanChunked, Column, DataType, NewChunkedArray, ParquetReader, ParquetWriter, PolarsError,
+    SerReader,
+};
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
+use serde::de::value::{self, StrDeserializer};
+
+pub(super) use polars::prelude::DataFrame;
 
 use super::row::{Flag, ManifestRow};
+use super::{filter, footer};
 use crate::layout::check_id;
 use crate::{Digest, Side};
+
+/// The Parquet file of `rows`, sorted by id.
+pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
+    rows.sort_unstable_by(|a, b| a.id.cmp(&b.id));
+    let mut bytes = Vec::new();
+    table(&rows)
+        .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
+        .map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
+/// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with it.
+pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
+    let most_text = footer::most_unpacked(bytes.len());
+    // polars panics on some damaged pages.
+    let decoded = guarded(|| {
+        let file = footer::rewritten(bytes, wanted)?;
+        let reader = ParquetReader::new(Cursor::new(file));
+        let frame = reader.finish().map_err(|e| e.to_string())?;
+        // polars makes tables of columns without comparing their lengths.
+        let height = frame.height();
+        if let Some(column) = frame.columns().iter().find(|c| c.len() != height) {
+            return Err(format!("column `{}` is cut off", column.name()));
+        }
+        // Cells share the text of a dictionary, until they are copied into rows.
+        let text: usize = frame.columns().iter().map(text_bytes).sum();
+        if text > most_text {
+            return Err(format!("{text} bytes of text, {most_text} allowed"));
+        }
+        Ok(frame)
+    });
+    decoded
+        .unwrap_or_else(|| Err("its parts contradict each other".to_owned()))
+        .map_err(|reason| format!("not a readable Parquet file: {reason}"))
+}
+
+/// The bytes of all cells of a column of text.
+fn text_bytes(column: &Column) -> usize {
+    match (column.str(), column.binary()) {
+        (Ok(texts), _) => texts.iter().flatten().map(str::len).sum(),
+        (_, Ok(bytes)) => bytes.iter().flatten().map(<[u8]>::len).sum(),
+        _ => 0,
+    }
+}
 
 /// The columns of `rows`.
 pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
@@ -37,14 +92,31 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
     )
 }
 
-/// The rows of a table; in an error, what is wrong with it. Only ids and checksums must be there:
-/// a manifest written by hand need not know the rest.
-pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
+/// The rows of a Parquet file; in an error, what is wrong with it. Only ids and checksums must be
+/// there: a manifest written by hand need not know the rest.
+pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
+    let written = table(&[]).map_err(|error| error.to_string())?;
+    let columns: Vec<&str> = written
+        .columns()
+        .iter()
+        .map(|c| c.name().as_str())
+        .collect();
+    let frame = &decode(bytes, Some(&columns))?;
     for name in ["id", "motion_sha256", "audio_sha256"] {
         let missing = |_| format!("column `{name}` is missing");
         frame.column(name).map_err(missing)?;
     }
-    let (texts, numbers) = (|name| texts(frame, name), |name| numbers(frame, name));
+    let height = frame.height();
+    let texts = |name| {
+        frame
+            .column(name)
+            .map_or_else(|_| Ok(vec![None; height]), texts)
+    };
+    let numbers = |name| {
+        frame
+            .column(name)
+            .map_or_else(|_| Ok(vec![None; height]), numbers)
+    };
     let ids = texts("id")?;
     let motion_sha256 = texts("motion_sha256")?;
     let audio_sha256 = texts("audio_sha256")?;
@@ -74,19 +146,12 @@ pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
                     format!("phrase `{id}`: {column} `{text}` found, 64 hexadecimal digits allowed")
                 })
             };
-            let split = match split[row].as_deref() {
-                None | Some("") => None,
-                Some("train") => Some(Side::Train),
-                Some("validation") => Some(Side::Validation),
-                Some(other) => {
-                    return Err(format!(
-                        "phrase `{id}`: split `{other}` found; train, validation or nothing allowed"
-                    ));
-                }
-            };
+            let split = split[row].as_deref().filter(|split| !split.is_empty());
+            let split = split.map(|split| {
+                let wrong = "found; train, validation or nothing allowed";
+                named::<Side>(split).ok_or(format!("phrase `{id}`: split `{split}` {wrong}"))
+            });
             let flags = flags[row].as_deref().unwrap_or_default().split(',');
-            let flags =
-                flags.filter_map(|text| Flag::ALL.into_iter().find(|f| f.to_string() == text));
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
                 audio_source: audio_source[row].clone(),
@@ -95,35 +160,47 @@ pub(super) fn rows(frame: &DataFrame) -> Result<Vec<ManifestRow>, String> {
                 fps: fps[row].unwrap_or(kinegrad_motion::FPS),
                 beats: beats[row],
                 tempo: tempo[row],
-                split,
+                split: split.transpose()?,
                 motion_bytes: whole(motion_bytes[row]),
                 motion_sha256: digest("motion_sha256", &motion_sha256[row])?,
                 audio_bytes: whole(audio_bytes[row]),
                 audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
-                flags: flags.collect(),
+                flags: flags.filter_map(named).collect(),
                 id,
             })
         })
         .collect()
 }
 
-/// The values of a column of text; all missing where there is no such column.
-pub(super) fn texts(frame: &DataFrame, name: &str) -> Result<Vec<Option<String>>, String> {
-    let broken = |error: PolarsError| format!("column `{name}`: {error}");
-    let Ok(column) = frame.column(name) else {
-        return Ok(vec![None; frame.height()]);
-    };
-    let texts = column.cast(&DataType::String).map_err(broken)?;
-    let texts = texts.str().map_err(broken)?;
+/// The rows of a table that meet a condition; in an error, what is wrong with that.
+pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, String> {
+    let rows = filter::rows(condition, frame)?;
+    let mask = BooleanChunked::from_slice("chosen".into(), &rows);
+    frame.filter(&mask).map_err(|error| error.to_string())
+}
+
+/// The value that serialises as `name`.
+fn named<'a, T: Deserialize<'a>>(name: &'a str) -> Option<T> {
+    let name: StrDeserializer<value::Error> = name.into_deserializer();
+    T::deserialize(name).ok()
+}
+
+/// The values of a column of text.
+pub(super) fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
+    let column = cast(column, &DataType::String)?;
+    let texts = column.str().map_err(|error| error.to_string())?;
     Ok(texts.iter().map(|text| text.map(str::to_owned)).collect())
 }
 
-/// The values of a column of numbers; all missing where there is no such column.
-pub(super) fn numbers(frame: &DataFrame, name: &str) -> Result<Vec<Option<f64>>, String> {
-    let broken = |error: PolarsError| format!("column `{name}`: {error}");
-    let Ok(column) = frame.column(name) else {
-        return Ok(vec![None; frame.height()]);
-    };
-    let numbers = column.cast(&DataType::Float64).map_err(broken)?;
-    Ok(numbers.f64().map_err(broken)?.iter().collect())
+/// The values of a column of numbers.
+pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
+    let column = cast(column, &DataType::Float64)?;
+    let numbers = column.f64().map_err(|error| error.to_string())?;
+    Ok(numbers.iter().collect())
+}
+
+/// A column as values of the type `to`.
+pub(super) fn cast(column: &Column, to: &DataType) -> Result<Column, String> {
+    let broken = |error| format!("column `{}`: {error}", column.name());
+    column.cast(to).map_err(broken)
 }

@@ -47,14 +47,10 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
     let not_npy = |reason: String| {
         let hint = "write it again with numpy.save(path, array.astype(\"<f4\")) or \
                     numpy.savez_compressed";
-        FileError::damaged(file, format!("not a .npy array: {reason}"), hint)
+        FileError::unusable(file, format!("not a .npy array: {reason}"), hint)
     };
     let (text, data_start) = text(bytes).map_err(not_npy)?;
-    let Entries {
-        descr,
-        fortran_order,
-        shape,
-    } = Entries::of(text).map_err(not_npy)?;
+    let [descr, fortran_order, shape] = entries(text).map_err(not_npy)?;
     let double = match descr {
         "'<f4'" | "\"<f4\"" => false,
         "'<f8'" | "\"<f8\"" => true,
@@ -63,7 +59,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
                 "dtype {descr} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
             );
             let hint = "convert it with array.astype(\"<f4\") before saving";
-            return Err(FileError::damaged(file, problem, hint));
+            return Err(FileError::unusable(file, problem, hint));
         }
     };
     let fortran_order = match fortran_order {
@@ -118,45 +114,36 @@ fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
     Ok((text, start + length))
 }
 
-/// The three entries of the dictionary, as they are spelt.
-struct Entries<'a> {
-    descr: &'a str,
-    fortran_order: &'a str,
-    shape: &'a str,
-}
+/// The keys of the dictionary.
+const KEYS: [&str; 3] = ["descr", "fortran_order", "shape"];
 
-impl<'a> Entries<'a> {
-    fn of(text: &'a str) -> Result<Self, String> {
-        let no_dictionary = || "its header is no dictionary".to_owned();
-        let mut rest = text
-            .trim_ascii()
-            .strip_prefix('{')
-            .and_then(|text| text.strip_suffix('}'))
-            .ok_or_else(no_dictionary)?
-            .trim_ascii();
-        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
-        while !rest.is_empty() {
-            let (entry, behind) = rest.split_at(end_of_entry(rest)?);
-            rest = behind.strip_prefix(',').unwrap_or(behind).trim_ascii();
-            let (key, value) = entry.split_once(':').ok_or_else(no_dictionary)?;
-            let place = match key.trim_ascii() {
-                "'descr'" | "\"descr\"" => &mut descr,
-                "'fortran_order'" | "\"fortran_order\"" => &mut fortran_order,
-                "'shape'" | "\"shape\"" => &mut shape,
-                other => return Err(format!("its header has the unknown entry {other}")),
-            };
-            if place.replace(value.trim_ascii()).is_some() {
-                return Err(format!("its header has {} twice", key.trim_ascii()));
-            }
+/// The dictionary's values of [`KEYS`], as they are spelt.
+fn entries(text: &str) -> Result<[&str; 3], String> {
+    let no_dictionary = || "its header is no dictionary".to_owned();
+    let mut rest = text
+        .trim_ascii()
+        .strip_prefix('{')
+        .and_then(|text| text.strip_suffix('}'))
+        .ok_or_else(no_dictionary)?
+        .trim_ascii();
+    let mut values = [None; 3];
+    while !rest.is_empty() {
+        let (entry, behind) = rest.split_at(end_of_entry(rest)?);
+        rest = behind.strip_prefix(',').unwrap_or(behind).trim_ascii();
+        let (key, value) = entry.split_once(':').ok_or_else(no_dictionary)?;
+        let key = key.trim_ascii();
+        let bare = ['\'', '"']
+            .iter()
+            .find_map(|&quote| key.strip_prefix(quote)?.strip_suffix(quote));
+        let place = bare.and_then(|bare| KEYS.iter().position(|known| *known == bare));
+        let place = place.ok_or_else(|| format!("its header has the unknown entry {key}"))?;
+        if values[place].replace(value.trim_ascii()).is_some() {
+            return Err(format!("its header has {key} twice"));
         }
-        let entry = |value: Option<&'a str>, key: &str| {
-            value.ok_or_else(|| format!("its header has no entry '{key}'"))
-        };
-        Ok(Self {
-            descr: entry(descr, "descr")?,
-            fortran_order: entry(fortran_order, "fortran_order")?,
-            shape: entry(shape, "shape")?,
-        })
+    }
+    match values.iter().position(Option::is_none) {
+        Some(missing) => Err(format!("its header has no entry '{}'", KEYS[missing])),
+        None => Ok(values.map(Option::unwrap_or_default)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! A dataset in a folder of this machine.
 
 use std::fs::{self, File};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use super::{Object, StoreError};
@@ -25,12 +25,11 @@ impl Folder {
 
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         let full = self.inside(path)?;
-        let object = full.display().to_string();
         let mut bytes = Vec::new();
         // Opening a pipe would wait for somebody to write into it.
         let is_file = fs::metadata(&full).is_ok_and(|data| data.is_file());
         if !is_file {
-            return Err(broken(&object, "read", "it is no file"));
+            return Err(broken(&full, "read", "it is no file"));
         }
         let found = File::open(&full)
             .and_then(|file| {
@@ -40,10 +39,10 @@ impl Folder {
                 file.take(limit + 1).read_to_end(&mut bytes)?;
                 Ok(length)
             })
-            .map_err(|reason| failed(&object, "read", &reason))?;
+            .map_err(|reason| failed(&full, "read", &reason))?;
         if bytes.len() as u64 > limit {
             return Err(StoreError::TooLarge {
-                object,
+                object: full.display().to_string(),
                 found,
                 limit,
             });
@@ -53,9 +52,9 @@ impl Folder {
 
     pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
         let full = self.place(path)?;
-        atomic::write(&full, |writer| writer.write_all(bytes)).map_err(|error| match error {
-            Error::Io { reason, .. } => failed(&full.display().to_string(), "write", &reason),
-            other => broken(&full.display().to_string(), "write", other),
+        atomic::write(&full, bytes).map_err(|error| match error {
+            Error::Io { reason, .. } => failed(&full, "write", &reason),
+            other => broken(&full, "write", other),
         })
     }
 
@@ -81,8 +80,7 @@ impl Folder {
             Err(StoreError::Missing { .. }) => return Ok(()),
             Err(error) => return Err(error),
         };
-        fs::remove_file(&full)
-            .map_err(|reason| failed(&full.display().to_string(), "remove", &reason))?;
+        fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
         if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
             // Fails where something else is in it.
             let _ = fs::remove_dir(folder);
@@ -92,7 +90,7 @@ impl Folder {
 
     pub fn list(&self, folder: &str, file: &str) -> Result<Vec<Object>, StoreError> {
         let place = self.root.join(folder);
-        let unreadable = |reason| failed(&place.display().to_string(), "list", &reason);
+        let unreadable = |reason| failed(&place, "list", &reason);
         let mut objects = Vec::new();
         for entry in fs::read_dir(&place).map_err(unreadable)? {
             let entry = entry.map_err(unreadable)?;
@@ -116,20 +114,19 @@ impl Folder {
     fn inside(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
         let full = self.root.join(path);
-        let object = full.display().to_string();
         let real = full.canonicalize().map_err(|reason| {
             // As in a checkout whose large files were not fetched.
             let dangling = fs::symlink_metadata(&full).is_ok_and(|data| data.is_symlink());
             match dangling {
-                true => broken(&object, "read", "a symbolic link to nothing"),
-                false => failed(&object, "read", &reason),
+                true => broken(&full, "read", "a symbolic link to nothing"),
+                false => failed(&full, "read", &reason),
             }
         })?;
         let root = self.root.canonicalize();
-        let root = root.map_err(|reason| failed(&object, "read", &reason))?;
+        let root = root.map_err(|reason| failed(&full, "read", &reason))?;
         if !real.starts_with(&root) {
             return Err(StoreError::Outside {
-                object,
+                object: full.display().to_string(),
                 target: real.display().to_string(),
             });
         }
@@ -137,22 +134,21 @@ impl Folder {
     }
 }
 
-fn failed(object: &str, action: &'static str, reason: &std::io::Error) -> StoreError {
+fn failed(path: &Path, action: &'static str, reason: &std::io::Error) -> StoreError {
+    let object = path.display().to_string();
     match reason.kind() {
-        ErrorKind::NotFound => StoreError::Missing {
-            object: object.to_owned(),
-        },
+        ErrorKind::NotFound => StoreError::Missing { object },
         ErrorKind::PermissionDenied => StoreError::Denied {
-            object: object.to_owned(),
+            object,
             reason: reason.to_string(),
         },
-        _ => broken(object, action, reason),
+        _ => broken(path, action, reason),
     }
 }
 
-fn broken(object: &str, action: &'static str, reason: impl ToString) -> StoreError {
+fn broken(path: &Path, action: &'static str, reason: impl ToString) -> StoreError {
     StoreError::Failed {
-        object: object.to_owned(),
+        object: path.display().to_string(),
         action,
         attempts: 1,
         reason: reason.to_string(),

@@ -4,14 +4,12 @@
 //! follows them, symbolic links that lead out of the folder are refused. Buckets and web servers
 //! go through `object_store` (Cargo feature `cloud`).
 
-#[cfg(feature = "cloud")]
-mod client;
 mod error;
-#[cfg(feature = "cloud")]
-mod gcs;
 mod local;
 #[cfg(feature = "cloud")]
 mod remote;
+#[cfg(feature = "cloud")]
+mod services;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -147,7 +145,9 @@ impl Store {
             #[cfg(feature = "cloud")]
             Kind::Remote(remote) => remote.read(path, limit)?,
         };
-        self.counters.read(bytes.len());
+        let mut counts = self.counters.lock();
+        counts.reads += 1;
+        counts.bytes_read += bytes.len() as u64;
         Ok((bytes, version))
     }
 

@@ -9,16 +9,12 @@ use std::sync::{Arc, Once};
 use std::time::{Duration, UNIX_EPOCH};
 
 use futures_util::TryStreamExt;
-use object_store::aws::AmazonS3Builder;
-use object_store::http::HttpBuilder;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::client::{client_options, no_retries};
-use super::gcs;
-use super::{Object, StoreError};
+use super::{Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
 use crate::{Counters, Error, StoreConfig};
@@ -66,11 +62,7 @@ impl Remote {
             .map_err(|reason| unusable(reason.to_string()))?;
         let (_, rest) = uri.split_once("://").expect("an address");
         let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
-        let built = match service {
-            Service::Gcs => gcs::open(bucket, config),
-            Service::S3 => s3(bucket, config),
-            Service::Http => http(&uri, config),
-        };
+        let built = services::open(service, &uri, bucket, config);
         let store = built.map_err(|reason| unusable(reason.to_string()))?;
         Ok(Self {
             prefix: match service {
@@ -117,10 +109,8 @@ impl Remote {
             }
             let bytes = found.bytes().await.map_err(Failure::Request)?;
             if bytes.len() as u64 != length {
-                return Err(Failure::CutOff {
-                    found: bytes.len() as u64,
-                    length,
-                });
+                let reason = format!("{} of {length} bytes came", bytes.len());
+                return Err(Failure::CutOff(reason));
             }
             Ok((bytes.into(), version))
         })
@@ -228,14 +218,12 @@ impl Remote {
                         Some(error) => return Err(error),
                         None => in_short(&error),
                     },
-                    Err(Failure::CutOff { found, length }) => {
-                        format!("{found} of {length} bytes came")
-                    }
+                    Err(Failure::CutOff(reason)) => reason,
                 };
                 if attempts > self.max_retries {
                     return Err(failed(object, action, attempts, reason));
                 }
-                self.counters.retry();
+                self.counters.lock().retries += 1;
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }
@@ -260,10 +248,7 @@ fn version(meta: &ObjectMeta) -> String {
 /// Why one attempt failed.
 enum Failure {
     Request(object_store::Error),
-    CutOff {
-        found: u64,
-        length: u64,
-    },
+    CutOff(String),
     /// No further attempt would change it.
     Final(StoreError),
 }
@@ -333,26 +318,4 @@ fn in_short(error: &(dyn std::error::Error + 'static)) -> String {
         Some((end, _)) => format!("{}...", &line[..end]),
         None => line,
     }
-}
-
-fn s3(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
-    let mut builder = AmazonS3Builder::from_env()
-        .with_bucket_name(bucket)
-        .with_client_options(client_options(config))
-        .with_retry(no_retries());
-    if let Some(endpoint) = &config.endpoint {
-        builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
-    }
-    if config.anonymous {
-        builder = builder.with_skip_signature(true);
-    }
-    Ok(Box::new(builder.build()?))
-}
-
-fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
-    let builder = HttpBuilder::new()
-        .with_url(uri)
-        .with_client_options(client_options(config))
-        .with_retry(no_retries());
-    Ok(Box::new(builder.build()?))
 }

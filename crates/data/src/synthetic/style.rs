@@ -3,6 +3,7 @@
 
 use kinegrad_motion::kinematics::{angular_velocity, forward_differences};
 use kinegrad_motion::rotation::length;
+use kinegrad_motion::style::median;
 use kinegrad_motion::{FPS, Quaternion};
 
 /// Frames on each side of a one-second window, and of a two-second window.
@@ -29,18 +30,13 @@ pub fn describe(positions: &[[f64; 3]], quaternions: &[Quaternion]) -> Vec<[f64;
         .map(|q| q.rotate([0.0, 1.0, 0.0])[1].clamp(-1.0, 1.0).acos())
         .collect();
     let height: Vec<f64> = positions.iter().map(|position| position[1]).collect();
-    let usual = median(&height);
+    let usual = median(height.clone());
     (0..frames)
         .map(|t| {
             let near = t.saturating_sub(NEAR)..(t + NEAR + 1).min(frames);
             let wide = t.saturating_sub(WIDE)..(t + WIDE + 1).min(frames);
-            let along = |axis: usize| {
-                range(
-                    positions[wide.clone()]
-                        .iter()
-                        .map(|position| position[axis]),
-                )
-            };
+            let places = &positions[wide];
+            let along = |axis: usize| range(places.iter().map(|place| place[axis]));
             let floor = mean(&floor_speed[near.clone()]);
             let burst = deviation(&floor_speed[near.clone()], floor);
             [
@@ -62,13 +58,8 @@ fn mean(values: &[f64]) -> f64 {
 }
 
 fn deviation(values: &[f64], mean_value: f64) -> f64 {
-    mean(
-        &values
-            .iter()
-            .map(|value| (value - mean_value).powi(2))
-            .collect::<Vec<_>>(),
-    )
-    .sqrt()
+    let squares: Vec<f64> = values.iter().map(|v| (v - mean_value).powi(2)).collect();
+    mean(&squares).sqrt()
 }
 
 fn range(values: impl Iterator<Item = f64>) -> f64 {
@@ -76,17 +67,6 @@ fn range(values: impl Iterator<Item = f64>) -> f64 {
         (low.min(v), high.max(v))
     });
     high - low
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    match sorted.len() {
-        0 => 0.0,
-        length if length % 2 == 1 => sorted[middle],
-        _ => 0.5 * (sorted[middle - 1] + sorted[middle]),
-    }
 }
 
 #[cfg(test)]
@@ -129,7 +109,7 @@ mod tests {
 
     #[test]
     fn a_median_of_an_even_number_lies_between() {
-        assert_eq!(median(&[4.0, 1.0, 2.0, 9.0]), 3.0);
-        assert_eq!(median(&[4.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 9.0]), 3.0);
+        assert_eq!(median(vec![4.0, 1.0, 2.0]), 2.0);
     }
 }

@@ -74,7 +74,7 @@ impl Example {
 
     fn parameters(&self, data_start: u16) -> Vec<u8> {
         let points = self.frames[0].len() as u16;
-        let mut section = vec![1, 0x50, 0, self.processor.type_byte()];
+        let mut section = vec![1, 0x50, 0, type_byte(self.processor)];
         for (id, name) in [(1u8, "TRIAL"), (2, "POINT")] {
             section.extend([name.len() as u8, id.wrapping_neg()]);
             section.extend(name.bytes());
@@ -166,4 +166,11 @@ impl Example {
             file.extend(self.word((value / unit).round() as i16 as u16));
         }
     }
+}
+
+/// The byte of the parameter section that stands for a processor.
+fn type_byte(processor: Processor) -> u8 {
+    (84..=86)
+        .find(|byte| Processor::from_type(*byte) == Some(processor))
+        .unwrap()
 }

@@ -1,0 +1,105 @@
+//! The services behind addresses, and how they are spoken to.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use object_store::aws::AmazonS3Builder;
+use object_store::gcp::{GcpCredential, GoogleCloudStorageBuilder};
+use object_store::http::HttpBuilder;
+use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProvider};
+
+use crate::StoreConfig;
+use crate::location::Service;
+
+/// The `bucket`, with its environment's credentials, or the web server at `uri`.
+///
+/// # Errors
+/// If credentials or the endpoint cannot be used.
+pub(super) fn open(
+    service: Service,
+    uri: &str,
+    bucket: &str,
+    config: &StoreConfig,
+) -> object_store::Result<Box<dyn ObjectStore>> {
+    match service {
+        Service::Gcs => gcs(bucket, config),
+        Service::S3 => s3(bucket, config),
+        Service::Http => http(uri, config),
+    }
+}
+
+/// A bucket is written to by Google's XML interface, which not every emulator has.
+fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
+    let mut builder = GoogleCloudStorageBuilder::from_env()
+        .with_bucket_name(bucket)
+        .with_client_options(client_options(config))
+        .with_retry(no_retries());
+    let emulator = emulator();
+    let endpoint = config.endpoint.as_ref().or(emulator.as_ref());
+    if let Some(endpoint) = endpoint {
+        builder = builder.with_base_url(endpoint.trim_end_matches('/'));
+    }
+    if config.anonymous || (emulator.is_some() && config.endpoint.is_none()) {
+        // Writing asks for credentials all the same: there are some, and they are empty.
+        let nobody = GcpCredential {
+            bearer: String::new(),
+        };
+        builder = builder
+            .with_skip_signature(true)
+            .with_credentials(Arc::new(StaticCredentialProvider::new(nobody)));
+    }
+    Ok(Box::new(builder.build()?))
+}
+
+/// The emulator that the environment names, as Google's own libraries read it.
+fn emulator() -> Option<String> {
+    let host = std::env::var("STORAGE_EMULATOR_HOST").ok()?;
+    if host.is_empty() {
+        return None;
+    }
+    Some(if host.contains("://") {
+        host
+    } else {
+        format!("http://{host}")
+    })
+}
+
+fn s3(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
+    let mut builder = AmazonS3Builder::from_env()
+        .with_bucket_name(bucket)
+        .with_client_options(client_options(config))
+        .with_retry(no_retries());
+    if let Some(endpoint) = &config.endpoint {
+        builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
+    }
+    if config.anonymous {
+        builder = builder.with_skip_signature(true);
+    }
+    Ok(Box::new(builder.build()?))
+}
+
+fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
+    let builder = HttpBuilder::new()
+        .with_url(uri)
+        .with_client_options(client_options(config))
+        .with_retry(no_retries());
+    Ok(Box::new(builder.build()?))
+}
+
+fn client_options(config: &StoreConfig) -> ClientOptions {
+    let patience = Duration::from_secs_f64(config.timeout_seconds);
+    ClientOptions::new()
+        // An endpoint that the user names may be an emulator without TLS.
+        .with_allow_http(true)
+        .with_connect_timeout(patience)
+        .with_read_timeout(patience)
+        .with_timeout_disabled()
+}
+
+/// All attempts are counted here, not inside `object_store` as well.
+fn no_retries() -> RetryConfig {
+    RetryConfig {
+        max_retries: 0,
+        ..RetryConfig::default()
+    }
+}
