@@ -47,12 +47,12 @@ pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
     ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
-    SamplerKind, StepInput, StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step,
-    dpmpp_2m, draw, heun, sample, timesteps,
+    SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun, sample,
+    timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Guidance, Imputation, Networks, Objective, Space, Steered, SteeredInput, SteeredOutput,
-    Steering, steered_sample, steered_step,
+    Guidance, Imputation, Networks, Objective, Space, Steered, Steering, steered_prediction,
+    steered_sample,
 };
 pub use time::Time;

@@ -288,7 +288,7 @@ impl ClipGenerator {
         };
         let x = steered_sample(
             &self.diffusion,
-            networks,
+            &networks,
             start,
             &cond,
             &sampler,
