@@ -238,18 +238,14 @@ impl Representation for GroundPath {
 
 /// Curves of a body: heights and speeds of root and feet, and jerk.
 pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Vec<Curves> {
-    let track = |joint: usize| -> Vec<[f64; 3]> {
-        let frames = 0..joints.frames();
-        frames.map(|t| joints.frame(t)[joint]).collect()
-    };
-    let heights = |joint| -> Vec<f64> { track(joint).iter().map(|[_, y, _]| *y).collect() };
+    let heights = |joint| -> Vec<f64> { joints.track(joint).iter().map(|[_, y, _]| *y).collect() };
     let speeds = |joint| -> Vec<f64> {
-        let velocity = differences(&track(joint), fps).into_iter();
+        let velocity = differences(&joints.track(joint), fps).into_iter();
         velocity.map(|[x, _, z]| x.hypot(z)).collect()
     };
     let jerks: Vec<Vec<f64>> = (0..joints.joints())
         .map(|joint| {
-            let jerk = jerk_of(&track(joint), fps).into_iter();
+            let jerk = jerk_of(&joints.track(joint), fps).into_iter();
             jerk.map(length).collect()
         })
         .collect();

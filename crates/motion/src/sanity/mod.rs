@@ -12,7 +12,6 @@ mod strict;
 
 use serde::{Deserialize, Serialize};
 
-pub use document::SanityThresholds;
 pub use report::{Check, Report, Threshold, Value};
 
 use crate::kinematics::mean_jerk_norm;
@@ -41,8 +40,7 @@ impl std::fmt::Display for Profile {
     }
 }
 
-/// Checks a phrase. The profile `document` uses [`SanityThresholds::default`] and needs no
-/// `statistics`.
+/// Checks a phrase. The profile `document` needs no `statistics`.
 ///
 /// # Errors
 /// [`Error::StatisticsNeeded`] if the profile is strict and there are none. A phrase that fails is
@@ -53,7 +51,7 @@ pub fn check(
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
     match profile {
-        Profile::Document => Ok(SanityThresholds::default().check(motion)),
+        Profile::Document => Ok(document::check(motion)),
         Profile::Strict => statistics
             .and_then(|training| strict::check(motion, training))
             .ok_or(Error::StatisticsNeeded),

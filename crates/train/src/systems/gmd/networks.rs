@@ -75,9 +75,7 @@ pub struct TrainedClips {
     pub model: TextDenoiser,
     /// The space it works in, where that is a projected one.
     pub projection: Option<EmphasisProjection>,
-    /// Statistics of its training clips.
-    pub statistics: Statistics,
-    /// Config, step.
+    /// Config, step, statistics of its training clips.
     pub state: State,
 }
 
@@ -112,10 +110,11 @@ impl TrainedClips {
             }
             None => None,
         };
+        let model = parameters::load(model, values)?;
+        statistics_in(&state)?;
         Ok(Self {
-            model: parameters::load(model, values)?,
+            model,
             projection,
-            statistics: statistics_in(&state)?.clone(),
             state,
         })
     }

@@ -218,6 +218,6 @@ fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton)
             })
         })
         .collect();
-    let feet = skeleton.contact_joints();
-    (!measured.is_empty()).then(|| GoalReport::compute(&measured, &feet).to_string())
+    let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
+    (!measured.is_empty()).then(|| GoalReport::compute(&measured, fps, &feet).to_string())
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::goal::{Goal, Keyframe, Obstacle};
 use kinegrad_motion::humanml::{Joints, TEXT_CHANNELS};
-use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
+use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use serde::Serialize;
 
 use super::text_motion::{TextMotion, TextMotionReports};
@@ -158,12 +158,7 @@ pub fn evaluate_goals(
         .zip(&goals)
         .map(|(clip, goal)| {
             let features = clip.features.slice(0..goal.frames).to_absolute();
-            let positions = features.root_positions();
-            ClipSample {
-                ground: positions.into_iter().map(|[x, _, z]| [x, z]).collect(),
-                features: Some(features),
-                path: None,
-            }
+            ClipSample::of(features, None)
         })
         .collect();
     let drawn = Measured::new(&samples, &goals);
@@ -225,20 +220,18 @@ impl<'a> Measured<'a> {
 
     fn report(&self, generator: &ClipGenerator, goals: &[Goal], real: &Self) -> GoalReport {
         let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
-        let fps = skeleton.description().fps;
         let samples = self.samples.iter().zip(goals).zip(&self.joints);
         let samples: Vec<GoalSample> = samples
             .map(|((sample, goal), joints)| GoalSample {
                 goal,
                 ground: &sample.ground,
-                joints: joints
-                    .as_ref()
-                    .map(|j| JointTracks::new(j.as_slice(), j.joints(), fps)),
+                joints: joints.as_ref(),
             })
             .collect();
         let feet = skeleton.contact_joints();
         // Left and right toe: the second of each pair of contacts.
-        let report = GoalReport::compute(&samples, &[feet[1], feet[3]]);
+        let fps = skeleton.description().fps;
+        let report = GoalReport::compute(&samples, fps, &[feet[1], feet[3]]);
         let seed = generator.config().run.seed;
         report.with_features(&self.features, &real.features, DIVERSITY_PAIRS, seed)
     }

@@ -11,13 +11,13 @@ use serde::Serialize;
 
 use crate::error::Error;
 use crate::published::{load, read_tensors, vector};
+use crate::systems::gmd::EvaluatorFiles;
 
 /// A shorter clip is followed by frames of zeros, after normalisation, up to this many.
 const PADDED_FRAMES: usize = 196;
 
 /// Clips or captions that are encoded together.
 const GROUP: usize = 32;
-use crate::systems::gmd::EvaluatorFiles;
 
 /// The evaluator, ready to use.
 pub struct TextMotion {
@@ -122,14 +122,7 @@ impl TextMotion {
                 ));
             }
             let (expected, found) = (self.statistics.channels(), features.layout().channels());
-            if found != expected {
-                return Err(FeatureError::LengthMismatch {
-                    what: "channels of a frame",
-                    expected,
-                    found,
-                }
-                .into());
-            }
+            FeatureError::unless_equal("channels of a frame", expected, found)?;
             normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
         }
         let lengths: Vec<usize> = clips.iter().map(|clip| clip.frames()).collect();
