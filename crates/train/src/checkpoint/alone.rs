@@ -6,7 +6,6 @@ use kinegrad_models::parameters::ParameterInfo;
 
 use super::{CheckpointRef, Checkpoints, State};
 use crate::Error;
-use crate::optim::Moments;
 
 /// Rejects a folder that holds something.
 pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
@@ -33,15 +32,11 @@ pub(crate) fn write_weights(
     model: &[Vec<f32>],
     ema: &[Vec<f32>],
 ) -> Result<PathBuf, Error> {
-    let none = Moments {
-        exp_avg: Vec::new(),
-        exp_avg_sq: Vec::new(),
-    };
     Checkpoints::of(out).save(CheckpointRef {
         state,
         infos,
         model,
         ema,
-        moments: &vec![none; infos.len()],
+        moments: &[],
     })
 }

@@ -97,10 +97,9 @@ impl Checkpoints {
     /// # Errors
     /// If it cannot be written; nothing is left of it then.
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
-        let target = self.step_path(checkpoint.state.step);
-        let temporary = self
-            .path
-            .join(format!(".writing-{:08}", checkpoint.state.step));
+        let step = checkpoint.state.step;
+        let target = self.step_path(step);
+        let temporary = self.path.join(format!(".writing-{step:08}"));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
         let written = remove(&temporary)
             .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
@@ -181,24 +180,14 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
     let trained = infos.iter().zip(moments);
     let trained = trained.filter(|(info, moments)| moments.exp_avg.len() == info.len());
     let tensors = trained.flat_map(|(info, moments)| {
-        let shape = info.shape.as_slice();
+        let (name, shape) = (&info.name, info.shape.as_slice());
         [
-            (
-                format!("{}.exp_avg", info.name),
-                shape,
-                moments.exp_avg.as_slice(),
-            ),
-            (
-                format!("{}.exp_avg_sq", info.name),
-                shape,
-                moments.exp_avg_sq.as_slice(),
-            ),
+            (format!("{name}.exp_avg"), shape, &moments.exp_avg[..]),
+            (format!("{name}.exp_avg_sq"), shape, &moments.exp_avg_sq[..]),
         ]
     });
-    checksums.insert(
-        OPTIMIZER.to_string(),
-        write(&folder.join(OPTIMIZER), tensors)?,
-    );
+    let checksum = write(&folder.join(OPTIMIZER), tensors)?;
+    checksums.insert(OPTIMIZER.to_string(), checksum);
     let state = State {
         checksums,
         ..state.clone()

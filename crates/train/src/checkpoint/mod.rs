@@ -67,6 +67,6 @@ pub struct CheckpointRef<'a> {
     pub model: &'a [Vec<f32>],
     /// Their moving average.
     pub ema: &'a [Vec<f32>],
-    /// The optimiser's running means.
+    /// The optimiser's running means; none of weights without an optimiser.
     pub moments: &'a [Moments],
 }

@@ -76,15 +76,6 @@ pub fn load_config(
     }
 }
 
-/// Number of parameters of the networks of `config`, without adapters.
-///
-/// # Errors
-/// If a network cannot be built.
-pub fn parameter_count(systems: Systems<'_>, config: &Config) -> Result<usize, Error> {
-    let (system, _) = systems.of(config)?;
-    system.parameter_count(config)
-}
-
 /// Trains the run of a resolved config, in the folder of its name under `runs_dir`.
 ///
 /// # Errors
