@@ -22,7 +22,7 @@
 //! |---|---|
 //! | x_0 | `x_start`; predicted: `pred_original_sample` |
 //! | x_t, x_{t-1} | `x_t`, `prev_sample` |
-//! | epsilon | `noise`; predicted: `pred_epsilon` |
+//! | epsilon | `noise`; predicted: [`Prediction::epsilon`] |
 //! | beta_t, alpha_t = 1 - beta_t | `betas`, `alphas` |
 //! | alpha-bar_t = alpha_0 ... alpha_t | `alphas_cumprod` |
 //! | T, number of sampling steps N | `num_train_timesteps`, `num_inference_steps` |

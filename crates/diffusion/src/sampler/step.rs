@@ -62,10 +62,8 @@ impl Posterior {
 
     /// `coef1 x_0 + coef2 x_t`.
     pub fn mean(&self, x_start: Tensor<3>, x_t: Tensor<3>) -> Tensor<3> {
-        let (coef1, coef2) = (
-            per_sample(&self.coef1, &x_start),
-            per_sample(&self.coef2, &x_t),
-        );
+        let coef1 = per_sample(&self.coef1, &x_start);
+        let coef2 = per_sample(&self.coef2, &x_t);
         x_start * coef1 + x_t * coef2
     }
 
