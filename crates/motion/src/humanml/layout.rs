@@ -34,12 +34,6 @@ pub struct FeatureLayout {
 impl FeatureLayout {
     /// Channels that say where the root is: rotation, ground x, ground z, height.
     pub const ROOT: Range<usize> = 0..4;
-    /// The channel of the root's rotation.
-    pub const ROOT_ROTATION: usize = 0;
-    /// The channels of the root's ground velocity or place, x and z.
-    pub const GROUND: Range<usize> = 1..3;
-    /// The channel of the root's height.
-    pub const HEIGHT: usize = 3;
 
     /// The layout of a skeleton with `joints` joints.
     ///
@@ -96,9 +90,9 @@ impl FeatureLayout {
     /// positions, rotations, velocities, contacts (docs/sources.md, section 3.5).
     pub fn groups(self) -> [Range<usize>; 7] {
         [
-            Self::ROOT_ROTATION..Self::ROOT_ROTATION + 1,
-            Self::GROUND,
-            Self::HEIGHT..Self::HEIGHT + 1,
+            0..1,
+            1..3,
+            3..4,
             self.positions(),
             self.rotations(),
             self.velocities(),

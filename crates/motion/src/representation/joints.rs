@@ -121,10 +121,8 @@ impl Representation for JointFeatures {
             Root::Relative => Root::Absolute,
             Root::Absolute => Root::Relative,
         };
-        let (own, other) = (self.mismatch(values, self.root), || {
-            self.mismatch(values, other)
-        });
-        fits && (own < other() || self.root == Root::Relative && own == other())
+        let [own, other] = [self.root, other].map(|root| self.mismatch(values, root));
+        fits && (own < other || self.root == Root::Relative && own == other)
     }
 
     /// The first invalid rotation, as in features that were normalised or have another layout.

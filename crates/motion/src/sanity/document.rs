@@ -1,6 +1,6 @@
 //! CC-MotionGen's five checks, as they stand.
 
-use super::{Check, Report, Threshold, Value, finite_phrase, jerk, phase};
+use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
 use crate::Motion;
 use crate::kinematics::{acceleration_errors, mean_absolute_component, velocity_errors};
 
@@ -25,16 +25,14 @@ pub(super) fn check(motion: &Motion) -> Report {
         jerk(motion, Threshold::Below(MAX_JERK)),
         coherence(
             "velocity_coherence",
-            "velocity",
-            "m/s",
-            &velocity_errors(motion),
+            mean_absolute_component(&velocity_errors(motion)),
+            "mean component of the velocity error {error} m/s",
             MAX_VELOCITY_ERROR,
         ),
         coherence(
             "accel_coherence",
-            "acceleration",
-            "m/s^2",
-            &acceleration_errors(motion),
+            mean_absolute_component(&acceleration_errors(motion)),
+            "mean component of the acceleration error {error} m/s^2",
             MAX_ACCELERATION_ERROR,
         ),
     ];
@@ -53,13 +51,6 @@ fn quaternion(motion: &Motion) -> Check {
     let message = format!("mean quaternion norm {mean:.4}");
     let threshold = Threshold::Within(QUATERNION_NORM);
     Check::new("quaternion", mean, threshold, message)
-}
-
-/// The mean absolute component of the `errors` of what a channel says, called `what`.
-fn coherence(name: &'static str, what: &str, unit: &str, errors: &[[f64; 3]], below: f64) -> Check {
-    let error = Value::Number(mean_absolute_component(errors));
-    let message = format!("mean component of the {what} error {error} {unit}");
-    Check::new(name, error, Threshold::Below(below), message)
 }
 
 #[cfg(test)]

@@ -92,6 +92,13 @@ fn jerk(motion: &Motion, allowed: Threshold) -> Check {
     Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
 }
 
+/// How far what a channel says is from what it follows from; `message` has `{error}` in it.
+fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check {
+    let error = Value::Number(error);
+    let message = message.replace("{error}", &error.to_string());
+    Check::new(name, error, Threshold::Below(below), message)
+}
+
 /// Smallest and largest value; both NaN if one of the values is.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
