@@ -25,15 +25,7 @@ use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
-
-/// Which of the two stages is drawing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// The ground path.
-    Trajectory,
-    /// The motion.
-    Motion,
-}
+use crate::evaluation::OnStep;
 
 /// A request for one clip.
 #[derive(Clone, Debug)]
@@ -56,13 +48,13 @@ pub struct ClipSample {
 }
 
 impl ClipSample {
-    /// The clip of these features, along `path`.
-    pub(super) fn of(features: Features, path: Option<Vec<[f64; 2]>>) -> Self {
+    /// The clip of these features.
+    pub(super) fn of(features: Features) -> Self {
         let positions = features.root_positions().into_iter();
         Self {
             ground: positions.map(|[x, _, z]| [x, z]).collect(),
             features: Some(features),
-            path,
+            path: None,
         }
     }
 }
@@ -123,7 +115,7 @@ impl ClipGenerator {
     /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
     /// generates their ground paths first. Clip i depends on `seed`, i and its request, and, by
     /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
-    /// called with the stage and its steps done and in total.
+    /// called with the stage, `trajectory` or `motion`, and its steps done and in total.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
@@ -135,7 +127,7 @@ impl ClipGenerator {
         frames: usize,
         sampling: &SamplingConfig,
         seed: u64,
-        on_step: &mut dyn FnMut(Stage, usize, usize),
+        on_step: &mut OnStep<'_>,
     ) -> Result<Vec<ClipSample>, Error> {
         let key = Key::new(seed, Purpose::Sampling);
         let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
@@ -144,7 +136,7 @@ impl ClipGenerator {
         let mut goals = goals.unwrap_or_default();
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
-            let mut told = |done, all| on_step(Stage::Trajectory, done, all);
+            let mut told = |done, all| on_step("trajectory", done, all);
             let key = key.named("trajectory");
             // The first stage is clipped as its own run says.
             let first = SamplingConfig {
@@ -158,25 +150,22 @@ impl ClipGenerator {
             }
             paths = Some(drawn);
         }
-        let mut told = |done, all| on_step(Stage::Motion, done, all);
+        let mut told = |done, all| on_step("motion", done, all);
         let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
-        let mut paths = paths.map(Vec::into_iter);
-        let mut next_path = || paths.as_mut().and_then(Iterator::next);
         if self.config().train.recipe == TRAJECTORY {
-            let drawn = self.paths(x).into_iter();
-            return Ok(drawn
-                .map(|ground| ClipSample {
-                    features: None,
-                    ground,
-                    path: next_path(),
-                })
-                .collect());
+            let of_path = |ground| ClipSample {
+                features: None,
+                ground,
+                path: None,
+            };
+            return Ok(self.paths(x).into_iter().map(of_path).collect());
         }
-        Ok(self
-            .features(x)?
-            .into_iter()
-            .map(|features| ClipSample::of(features, next_path()))
-            .collect())
+        let features = self.features(x)?.into_iter();
+        let mut samples: Vec<_> = features.map(ClipSample::of).collect();
+        for (sample, path) in samples.iter_mut().zip(paths.into_iter().flatten()) {
+            sample.path = Some(path);
+        }
+        Ok(samples)
     }
 
     /// Rejects a trajectory model of other clips, or before another trajectory model.

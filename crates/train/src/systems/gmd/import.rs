@@ -12,7 +12,7 @@ use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::Root;
 use pytorch_reader::Tensor;
 
-use super::networks::{channels_of, in_space_of, text_denoiser};
+use super::networks::{channels_of, text_denoiser};
 use super::{Gmd, GmdConfig, MOTION};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{Config, SystemTables};
@@ -76,7 +76,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         let emphasis = GmdConfig::of(&config)?.emphasis;
         // Rejects what cannot be undone.
         EmphasisProjection::from_matrix(&matrix, channels, emphasis.scale, &emphasis.channels)?;
-        model = in_space_of(model, matrix, &device);
+        model = model.in_space_of(matrix, &device);
     }
     let (infos, values) = (parameters::infos(&model), parameters::values(&model));
     let state = State {

@@ -11,7 +11,8 @@ use serde::Serialize;
 use super::text_motion::{TextMotion, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, Stage};
+use crate::evaluation::OnStep;
+use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample};
 
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
@@ -38,11 +39,8 @@ impl GoalTask {
     /// The goal derived from `clip`.
     pub fn goal(&self, clip: &Clip) -> Goal {
         let frames = clip.features.frames().min(self.frames);
-        let path = clip
-            .features
-            .slice(0..frames)
-            .to_absolute()
-            .root_positions();
+        let features = clip.features.slice(0..frames).to_absolute();
+        let path = features.root_positions();
         let last = frames - 1;
         let mut goal = Goal::new(frames);
         let keyframe = |frame: usize| {
@@ -120,7 +118,7 @@ pub fn evaluate_goals(
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
     evaluator: Option<&TextMotion>,
-    on_step: &mut dyn FnMut(Stage, usize, usize),
+    on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
     let task = &settings.task;
     let goals: Vec<Goal> = held_out.iter().map(|clip| task.goal(clip)).collect();
@@ -158,7 +156,7 @@ pub fn evaluate_goals(
         .zip(&goals)
         .map(|(clip, goal)| {
             let features = clip.features.slice(0..goal.frames).to_absolute();
-            ClipSample::of(features, None)
+            ClipSample::of(features)
         })
         .collect();
     let drawn = Measured::new(&samples, &goals);
