@@ -62,8 +62,8 @@ pub struct Material {
     pub digest: Digest,
     /// What the checkpoints keep of it.
     pub statistics: Statistics,
-    /// Makes the stream of batches of a config from a number on.
-    pub loader: Box<dyn FnOnce(&Config, u64) -> Loader>,
+    /// The stream of batches from a number on.
+    pub loader: Box<MakeLoader>,
 }
 
 impl Material {
@@ -93,6 +93,9 @@ impl Material {
         Ok((material, HeldOut::new(held_out, &config.validation)))
     }
 }
+
+/// Makes the stream of batches of a config from a number on.
+pub type MakeLoader = dyn FnOnce(&Config, u64) -> Loader;
 
 impl Setup {
     /// The same on the device with gradients; `activation_checkpointing` recomputes cheap
