@@ -22,7 +22,7 @@
 //! |---|---|
 //! | x_0 | `x_start`; predicted: `pred_original_sample` |
 //! | x_t, x_{t-1} | `x_t`, `prev_sample` |
-//! | epsilon | `noise`; predicted: `pred_epsilon` |
+//! | epsilon | `noise`; predicted: [`Prediction::epsilon`] |
 //! | beta_t, alpha_t = 1 - beta_t | `betas`, `alphas` |
 //! | alpha-bar_t = alpha_0 ... alpha_t | `alphas_cumprod` |
 //! | T, number of sampling steps N | `num_train_timesteps`, `num_inference_steps` |
@@ -47,12 +47,12 @@ pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
     ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
-    SamplerKind, StepInput, StepOutput, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step,
-    dpmpp_2m, draw, heun, sample, timesteps,
+    SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun, sample,
+    timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{
-    Guidance, Imputation, Networks, Objective, Space, Steered, SteeredInput, SteeredOutput,
-    Steering, steered_sample, steered_step,
+    Guidance, Imputation, Networks, Objective, Space, Steered, Steering, steered_prediction,
+    steered_sample,
 };
 pub use time::Time;

@@ -85,20 +85,6 @@ impl GaussianDiffusion {
         self.convert(model_output, x_t, timesteps, from, PredictionType::Sample)
     }
 
-    /// The noise that a model output stands for.
-    ///
-    /// # Shapes
-    /// - model_output, x_t, output: `[batch, channels, time]`
-    pub fn pred_epsilon(
-        &self,
-        model_output: Tensor<3>,
-        x_t: Tensor<3>,
-        timesteps: &[usize],
-    ) -> Tensor<3> {
-        let from = self.config.prediction_type;
-        self.convert(model_output, x_t, timesteps, from, PredictionType::Epsilon)
-    }
-
     /// A prediction of one type as the other type that, with the same `x_t`, says the same.
     /// Each is one affine step of the prediction, in closed form.
     ///
@@ -142,15 +128,11 @@ impl GaussianDiffusion {
         x_t: Tensor<3>,
         timesteps: &[usize],
     ) -> (Tensor<3>, Vec<f64>) {
-        let coef1 = per_sample(
-            &at(&self.schedule.posterior_mean_coef1, timesteps),
-            &x_start,
-        );
-        let coef2 = per_sample(&at(&self.schedule.posterior_mean_coef2, timesteps), &x_t);
-        (
-            x_start * coef1 + x_t * coef2,
-            at(&self.schedule.posterior_variance, timesteps),
-        )
+        let schedule = &self.schedule;
+        let coef1 = per_sample(&at(&schedule.posterior_mean_coef1, timesteps), &x_start);
+        let coef2 = per_sample(&at(&schedule.posterior_mean_coef2, timesteps), &x_t);
+        let variance = at(&schedule.posterior_variance, timesteps);
+        (x_start * coef1 + x_t * coef2, variance)
     }
 
     /// The weight of each sample in the loss: 1 without `config.snr_gamma`, else the min-SNR
@@ -239,7 +221,8 @@ mod tests {
                 let x_t = process.add_noise(x_start.clone(), noise.clone(), &timesteps);
                 let target = process.target(x_start.clone(), noise.clone(), &timesteps);
                 let x = process.pred_original_sample(target.clone(), x_t.clone(), &timesteps);
-                let epsilon = process.pred_epsilon(target, x_t, &timesteps);
+                let (from, to) = (prediction_type, PredictionType::Epsilon);
+                let epsilon = process.convert(target, x_t, &timesteps, from, to);
                 // Rounding grows by 1/a, at most 157, or by 1/s, at most 100.
                 let (x, epsilon) =
                     (largest(x - x_start.clone()), largest(epsilon - noise.clone()));

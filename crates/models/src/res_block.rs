@@ -21,12 +21,6 @@ pub struct ResBlockConfig {
     pub dropout: f64,
 }
 
-/// SiLU, then a linear layer: child 1 of a torch `Sequential`.
-#[derive(Module, Debug)]
-struct TimeMlp {
-    at_1: Linear,
-}
-
 /// Two convolutions with a shortcut (CC-MotionGen, section 3.1.3; docs/sources.md, section 1.5):
 ///
 /// ```text
@@ -40,7 +34,7 @@ struct TimeMlp {
 pub struct ResBlock {
     norm1: GroupNorm,
     conv1: Conv1d,
-    time_mlp: TimeMlp,
+    time_mlp_at_1: Linear,
     norm2: GroupNorm,
     dropout: Dropout,
     conv2: Conv1d,
@@ -67,9 +61,7 @@ impl ResBlock {
         Self {
             norm1: GroupNorm::new(inputs, GROUPS, &init.at("norm1")),
             conv1: Conv1d::new(inputs, outputs, 3, &init.at("conv1")),
-            time_mlp: TimeMlp {
-                at_1: Linear::new(config.time_embed_dim, time_outputs, &time_init),
-            },
+            time_mlp_at_1: Linear::new(config.time_embed_dim, time_outputs, &time_init),
             norm2: GroupNorm::new(outputs, GROUPS, &init.at("norm2")),
             dropout: Dropout::new(config.dropout, layer),
             conv2: Conv1d::new(outputs, outputs, 3, &init.at("conv2")),
@@ -86,7 +78,7 @@ impl ResBlock {
     pub fn forward(&self, x: Tensor<3>, time_emb: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
         let norm1 = self.norm1.operation().activation(Activation::Silu);
         let h = self.conv1.operation().norm(norm1).forward(x.clone());
-        let e = self.time_mlp.at_1.forward(silu(time_emb));
+        let e = self.time_mlp_at_1.forward(silu(time_emb));
         let norm2 = self.norm2.operation().activation(Activation::Silu);
         let (h, norm2) = if self.use_scale_shift_norm {
             (h, norm2.film(e))
@@ -110,9 +102,7 @@ impl ResBlock {
         let time = adapting.at("time_mlp");
         Self {
             conv1: conv("conv1", self.conv1),
-            time_mlp: TimeMlp {
-                at_1: time.layer(LoraTarget::Conditioning, "1", self.time_mlp.at_1),
-            },
+            time_mlp_at_1: time.layer(LoraTarget::Conditioning, "1", self.time_mlp_at_1),
             conv2: conv("conv2", self.conv2),
             skip_conv: self.skip_conv.map(|skip| conv("skip_conv", skip)),
             ..self

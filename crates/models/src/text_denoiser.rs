@@ -1,7 +1,7 @@
 //! A text-conditioned denoiser of motion clips, with any backbone.
 
 use burn::module::Module;
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_settings::InvalidSetting;
 use serde::{Deserialize, Serialize};
@@ -103,11 +103,13 @@ impl TextDenoiser {
         })
     }
 
-    /// The same network, working in the space of `matrix`, `[channels, channels]` row by row.
+    /// The same network, working in the space of `matrix`, `[channels, channels]` row by row, on
+    /// its `device`.
     #[must_use]
-    pub fn in_space_of(self, matrix: Vec<f32>, channels: usize, init: &Initializer) -> Self {
+    pub fn in_space_of(self, matrix: Vec<f32>, device: &Device) -> Self {
+        let (channels, init) = (matrix.len().isqrt(), Initializer::new(0, device));
         Self {
-            projection: Some(Projection::new(matrix, channels, init)),
+            projection: Some(Projection::new(matrix, channels, &init)),
             ..self
         }
     }

@@ -98,43 +98,22 @@ impl EncoderConfig {
         let pose = init.at("input_process").at("poseEmbedding");
         let last = init.at("output_process").at("poseFinal");
         Ok(Encoder {
-            input_process: InputProcess {
-                poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
-            },
-            seqTransEncoder: Layers {
-                layers: (0..self.num_layers)
-                    .map(|index| EncoderLayer::new(self, &layers.at(&index.to_string())))
-                    .collect(),
-            },
-            output_process: OutputProcess {
-                poseFinal: Linear::new(self.latent_dim, in_channels, &last),
-            },
+            input_process_at_poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
+            seqTransEncoder_at_layers: (0..self.num_layers)
+                .map(|index| EncoderLayer::new(self, &layers.at(&index.to_string())))
+                .collect(),
+            output_process_at_poseFinal: Linear::new(self.latent_dim, in_channels, &last),
         })
     }
-}
-
-#[derive(Module, Debug)]
-struct InputProcess {
-    poseEmbedding: Linear,
-}
-
-#[derive(Module, Debug)]
-struct OutputProcess {
-    poseFinal: Linear,
-}
-
-#[derive(Module, Debug)]
-struct Layers {
-    layers: Vec<EncoderLayer>,
 }
 
 /// A transformer encoder over `[condition, frame 0, frame 1, ..]`. Should be created with
 /// [`EncoderConfig::init`].
 #[derive(Module, Debug)]
 pub struct Encoder {
-    input_process: InputProcess,
-    seqTransEncoder: Layers,
-    output_process: OutputProcess,
+    input_process_at_poseEmbedding: Linear,
+    seqTransEncoder_at_layers: Vec<EncoderLayer>,
+    output_process_at_poseFinal: Linear,
 }
 
 impl Encoder {
@@ -143,16 +122,16 @@ impl Encoder {
     /// - cond: `[batch, latent_dim]`, which becomes the first token
     pub fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
         let time = x.dims()[2];
-        let frames = self.input_process.poseEmbedding.forward_frames(x);
+        let frames = self.input_process_at_poseEmbedding.forward_frames(x);
         let tokens = Tensor::cat(vec![cond.unsqueeze_dim(2), frames], 2);
         let width = tokens.dims()[1];
         let places: Vec<f64> = (0..=time).map(|place| place as f64).collect();
         let positions = interleaved_sinusoidal(&places, width, &tokens.device());
         let mut h = tokens + positions.transpose().unsqueeze::<3>();
-        for layer in &self.seqTransEncoder.layers {
+        for layer in &self.seqTransEncoder_at_layers {
             h = layer.forward(h);
         }
-        let output = self.output_process.poseFinal.forward_frames(h);
+        let output = self.output_process_at_poseFinal.forward_frames(h);
         output.narrow(2, 1, time)
     }
 }

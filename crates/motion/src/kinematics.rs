@@ -20,15 +20,11 @@ pub fn forward_differences(values: &[[f64; 3]], fps: f64) -> Vec<[f64; 3]> {
 /// `q[t+1] * conj(q[t])` times `fps`, the last frame repeated. The signs of the quaternions do not
 /// matter.
 pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
-    let turns = quaternions
-        .windows(2)
-        .map(|pair| {
-            (pair[1] * pair[0].conjugate())
-                .to_rotation_vector()
-                .map(|v| v * fps)
-        })
-        .collect();
-    repeat_last(turns, quaternions.len())
+    let turns = quaternions.windows(2).map(|pair| {
+        let turn = pair[1] * pair[0].conjugate();
+        turn.to_rotation_vector().map(|v| v * fps)
+    });
+    repeat_last(turns.collect(), quaternions.len())
 }
 
 /// Negates quaternions so that each lies in the hemisphere of the one before. The first one stays;
@@ -139,11 +135,8 @@ pub fn mean_norm(vectors: &[[f64; 3]]) -> f64 {
 
 /// Mean absolute component of vectors; 0 for none. Between 1/3 and 1/sqrt(3) of the mean norm.
 pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
-    let total: f64 = vectors
-        .iter()
-        .flatten()
-        .map(|component| component.abs())
-        .sum();
+    let components = vectors.as_flattened().iter();
+    let total: f64 = components.map(|component| component.abs()).sum();
     total / (3 * vectors.len()).max(1) as f64
 }
 

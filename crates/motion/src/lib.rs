@@ -48,5 +48,5 @@ pub use representation::{
     phrase_statistics,
 };
 pub use rotation::Quaternion;
-pub use sanity::{Check, Profile, Report, SanityThresholds, Threshold, Value, check};
+pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;

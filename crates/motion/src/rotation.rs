@@ -1,7 +1,7 @@
 //! Rotations as Hamilton quaternions in double precision.
 //!
 //! Convention (CC-MotionGen, section 2.2; docs/sources.md, section 1.1): (w, x, y, z),
-//! right-handed, +y up; `a.product(b)` turns by `b` first, then by `a`.
+//! right-handed, +y up; `a * b` turns by `b` first, then by `a`.
 
 use std::ops::Mul;
 
@@ -20,27 +20,17 @@ pub struct Quaternion {
 
 impl Quaternion {
     /// No rotation.
-    pub const IDENTITY: Self = Self {
-        w: 1.0,
-        x: 0.0,
-        y: 0.0,
-        z: 0.0,
-    };
+    pub const IDENTITY: Self = Self::new(1.0, 0.0, 0.0, 0.0);
 
     /// The quaternion (w, x, y, z).
-    pub fn new(w: f64, x: f64, y: f64, z: f64) -> Self {
+    pub const fn new(w: f64, x: f64, y: f64, z: f64) -> Self {
         Self { w, x, y, z }
     }
 
     /// The rotation about +y by `angle` radians: it turns +z towards +x.
     pub fn from_yaw(angle: f64) -> Self {
         let (sin, cos) = (0.5 * angle).sin_cos();
-        Self {
-            w: cos,
-            x: 0.0,
-            y: sin,
-            z: 0.0,
-        }
+        Self::new(cos, 0.0, sin, 0.0)
     }
 
     /// The rotation about the direction of `vector` by its length in radians.
@@ -53,12 +43,7 @@ impl Quaternion {
             (0.5 * angle).sin() / angle
         };
         let [x, y, z] = vector.map(|component| component * factor);
-        Self {
-            w: (0.5 * angle).cos(),
-            x,
-            y,
-            z,
-        }
+        Self::new((0.5 * angle).cos(), x, y, z)
     }
 
     /// The rotation vector in radians, the shortest way: its length is at most pi. The norm does
@@ -79,27 +64,10 @@ impl Quaternion {
         [x * factor, y * factor, z * factor]
     }
 
-    /// The Hamilton product: first `other`, then `self`.
-    #[must_use]
-    pub fn product(self, other: Self) -> Self {
-        let (a, b) = (self, other);
-        Self {
-            w: a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
-            x: a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
-            y: a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
-            z: a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
-        }
-    }
-
     /// The conjugate: the inverse of a unit quaternion.
     #[must_use]
     pub fn conjugate(self) -> Self {
-        Self {
-            w: self.w,
-            x: -self.x,
-            y: -self.y,
-            z: -self.z,
-        }
+        Self::new(self.w, -self.x, -self.y, -self.z)
     }
 
     /// The inner product; negative where two neighbours in time lie in opposite hemispheres.
@@ -115,24 +83,16 @@ impl Quaternion {
     /// All four parts times `factor`.
     #[must_use]
     pub fn scale(self, factor: f64) -> Self {
-        Self {
-            w: self.w * factor,
-            x: self.x * factor,
-            y: self.y * factor,
-            z: self.z * factor,
-        }
+        let Self { w, x, y, z } = self;
+        Self::new(w * factor, x * factor, y * factor, z * factor)
     }
 
     /// The same direction with norm 1; the identity where the norm is zero or not finite.
     #[must_use]
     pub fn normalised(self) -> Self {
         // Scaled by the largest part first: the square of a tiny or huge part would leave f64.
-        let largest = self
-            .w
-            .abs()
-            .max(self.x.abs())
-            .max(self.y.abs())
-            .max(self.z.abs());
+        let parts = [self.w, self.x, self.y, self.z].map(f64::abs);
+        let largest = parts.into_iter().fold(0.0, f64::max);
         let scaled = self.scale(1.0 / largest);
         let unit = scaled.scale(1.0 / scaled.norm());
         if unit.dot(unit).is_finite() {
@@ -145,9 +105,7 @@ impl Quaternion {
     /// The vector turned by this unit quaternion.
     pub fn rotate(self, vector: [f64; 3]) -> [f64; 3] {
         let [x, y, z] = vector;
-        let turned = self
-            .product(Self { w: 0.0, x, y, z })
-            .product(self.conjugate());
+        let turned = self * Self::new(0.0, x, y, z) * self.conjugate();
         [turned.x, turned.y, turned.z]
     }
 
@@ -170,8 +128,15 @@ impl Quaternion {
 impl Mul for Quaternion {
     type Output = Self;
 
+    /// The Hamilton product: first `other`, then `self`.
     fn mul(self, other: Self) -> Self {
-        self.product(other)
+        let (a, b) = (self, other);
+        Self {
+            w: a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+            x: a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+            y: a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
+            z: a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Batch, Samples};
 use kinegrad_diffusion::{GaussianDiffusion, Time};
@@ -10,7 +11,7 @@ use kinegrad_models::DropoutKey;
 use kinegrad_random::{Key, Purpose};
 
 use crate::config::ValidationConfig;
-use crate::recipe::{Loss, StepKey};
+use crate::recipe::{Loss, Measured, Recipe, StepKey};
 
 /// A batch on the device.
 #[derive(Clone, Debug)]
@@ -162,6 +163,56 @@ pub fn denoising_loss(
             .collect(),
         total,
         pending: (),
+    }
+}
+
+/// Training of a denoiser alone, by a loss of given draws.
+pub struct DenoisingRecipe<M> {
+    diffusion: GaussianDiffusion,
+    held_out: HeldOut,
+    loss: Box<DrawnLoss<M>>,
+}
+
+/// The loss of a network on a batch and what was drawn for it; whether timesteps are weighted.
+pub type DrawnLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss;
+
+impl<M> DenoisingRecipe<M> {
+    /// A recipe over `diffusion`, validated on `held_out` without the weights of timesteps.
+    pub fn new(
+        diffusion: GaussianDiffusion,
+        held_out: HeldOut,
+        loss: impl Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss + 'static,
+    ) -> Self {
+        Self {
+            diffusion,
+            held_out,
+            loss: Box::new(loss),
+        }
+    }
+
+    /// The loss of given draws.
+    pub fn loss_of(&self, model: &M, inputs: Inputs, draws: Draws) -> Loss {
+        (self.loss)(&self.diffusion, model, inputs, draws, true)
+    }
+}
+
+impl<M: Module> Recipe for DenoisingRecipe<M> {
+    type Model = M;
+    type Pending = ();
+
+    fn loss(&self, model: &M, batch: &Batch, key: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
+        self.loss_of(model, inputs, draws)
+    }
+
+    fn validation_loss(&self, model: &M, device: &Device) -> Measured {
+        let diffusion = &self.diffusion;
+        let loss = |inputs, draws| (self.loss)(diffusion, model, inputs, draws, false).total;
+        Measured {
+            total: self.held_out.mean_loss(diffusion, device, loss),
+            terms: Vec::new(),
+        }
     }
 }
 

@@ -4,19 +4,12 @@ use burn::tensor::{Device, Tensor};
 use kinegrad_kernels::{Mode, VARIABLE};
 use kinegrad_settings::InvalidSetting;
 
-/// A device this build can run on.
-#[derive(Clone, Debug)]
-pub struct DeviceInfo {
-    /// The value of `run.device` that picks it.
-    pub name: String,
-    /// What it is, in words.
-    pub description: String,
-}
-
 /// A kind of device compiled into this build.
-struct Kind {
-    name: &'static str,
-    description: &'static str,
+pub struct Kind {
+    /// The value of `run.device` that picks it.
+    pub name: &'static str,
+    /// What it is, in words.
+    pub description: &'static str,
     /// Takes part in `auto`, which takes the first that works.
     automatic: bool,
     open: fn(index: usize) -> Device,
@@ -72,17 +65,8 @@ const KINDS: &[Kind] = &[
 ];
 
 /// The devices compiled into this build, best first, with whether each works on this machine.
-pub fn list() -> Vec<(DeviceInfo, bool)> {
-    KINDS
-        .iter()
-        .map(|kind| {
-            let info = DeviceInfo {
-                name: kind.name.to_string(),
-                description: kind.description.to_string(),
-            };
-            (info, works(kind, 0).is_some())
-        })
-        .collect()
+pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
+    KINDS.iter().map(|kind| (kind, works(kind, 0).is_some()))
 }
 
 /// Opens the device called `name`: `auto` for the best that works, a kind, or a kind with an

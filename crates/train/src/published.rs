@@ -85,15 +85,28 @@ fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
     }
 }
 
-/// The numbers of a one-dimensional `.npy` file.
-pub fn vector(path: &Path) -> Result<Vec<f64>, Error> {
+/// The numbers of a `.npy` file whose shape `fits`, row by row.
+///
+/// # Errors
+/// [`Error::Array`], which says what is `allowed`, for another shape.
+pub fn array(
+    path: &Path,
+    allowed: impl Into<String>,
+    fits: impl Fn(&[usize]) -> bool,
+) -> Result<Vec<f32>, Error> {
     let array = read_array(path)?;
-    match array.shape.len() {
-        1 => Ok(array.values.into_iter().map(f64::from).collect()),
-        _ => Err(Error::Array {
+    match fits(&array.shape) {
+        true => Ok(array.values),
+        false => Err(Error::Array {
             path: path.to_path_buf(),
             found: format!("shape {:?}", array.shape),
-            allowed: "one axis".into(),
+            allowed: allowed.into(),
         }),
     }
+}
+
+/// The numbers of a one-dimensional `.npy` file.
+pub fn vector(path: &Path) -> Result<Vec<f64>, Error> {
+    let values = array(path, "one axis", |shape| shape.len() == 1)?;
+    Ok(values.into_iter().map(f64::from).collect())
 }

@@ -5,4 +5,4 @@ mod setup;
 mod start;
 
 pub use setup::{Material, Outcome, Setup};
-pub use start::{TrainRequest, load_config, parameter_count, train, train_config};
+pub use start::{TrainRequest, load_config, train, train_config};

@@ -16,7 +16,7 @@ use crate::config::Config;
 use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate};
+use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use not_finite::find_not_finite;
@@ -35,37 +35,28 @@ pub enum Ending {
 
 /// Trains the networks of one recipe.
 pub struct Trainer<R: Recipe> {
-    recipe: R,
+    parts: TrainerParts<R>,
     /// `None` only while an update holds it.
     model: Option<R::Model>,
     infos: Vec<ParameterInfo>,
-    /// Names of the optimiser groups.
-    group_names: &'static [&'static str],
     /// Optimiser group of each parameter.
     groups: Vec<usize>,
     optimizer: AdamW,
     ema: Ema,
-    config: Config,
-    statistics: Statistics,
-    device: Device,
-    loader: Loader,
-    loader_log: LoaderLog,
-    dataset: Digest,
     step: u64,
     progress: Progress,
     metrics: Metrics,
+    loader_log: LoaderLog,
     checkpoints: Checkpoints,
     last_saved: Option<PathBuf>,
 }
 
-/// What a [`Trainer`] is made from.
+/// What a [`Trainer`] is made from, beside the networks.
 pub struct TrainerParts<R: Recipe> {
     /// The kind of training.
     pub recipe: R,
     /// Names of its optimiser groups.
     pub groups: &'static [&'static str],
-    /// Networks on the autodiff device, with the weights to start from.
-    pub model: R::Model,
     /// The resolved config.
     pub config: Config,
     /// Statistics of what is trained on.
@@ -81,81 +72,54 @@ pub struct TrainerParts<R: Recipe> {
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// A trainer at step 0, or at the step of `checkpoint`, whose weights `parts.model` holds.
+    /// A trainer of `model`, networks on the autodiff device with the weights to start from, at step
+    /// 0, or at the step of `checkpoint`, whose weights it has.
     ///
     /// # Errors
     /// If the run's files cannot be opened.
-    pub fn new(parts: TrainerParts<R>, checkpoint: Option<Checkpoint>) -> Result<Self, Error> {
-        let TrainerParts {
-            recipe,
-            groups,
-            model,
-            config,
-            statistics,
-            device,
-            loader,
-            dataset,
-            folder,
-        } = parts;
+    pub fn new(
+        parts: TrainerParts<R>,
+        model: R::Model,
+        checkpoint: Option<Checkpoint>,
+    ) -> Result<Self, Error> {
         let infos = parameters::infos(&model);
-        // Frozen parameters have no running means.
-        let lengths: Vec<usize> = infos
-            .iter()
-            .zip(parameters::trainable(&model))
-            .map(|(info, trainable)| if trainable { info.len() } else { 0 })
-            .collect();
-        let (step, progress, optimizer, ema) = match checkpoint {
+        let optim = &parts.config.optim;
+        let (step, progress, optimizer, shadow) = match checkpoint {
             Some(checkpoint) => {
                 let step = checkpoint.state.step;
                 // Files of tensors come back sorted by name; the module's order is another.
                 let order = order_of(&infos, &checkpoint);
-                let shadow = order
-                    .iter()
-                    .map(|&i| checkpoint.ema[i].values.clone())
-                    .collect();
-                let moments: Vec<Moments> = order
-                    .iter()
-                    .map(|&i| checkpoint.moments[i].clone())
-                    .collect();
-                let optimizer = AdamW::restore(&config.optim, moments, step);
-                (
-                    step,
-                    checkpoint.state.progress,
-                    optimizer,
-                    Ema::new(&config.ema, shadow),
-                )
+                let moments = order.iter().map(|&i| checkpoint.moments[i].clone());
+                let optimizer = AdamW::restore(optim, moments.collect(), step);
+                let shadow = order.iter().map(|&i| checkpoint.ema[i].values.clone());
+                let shadow = shadow.collect();
+                (step, checkpoint.state.progress, optimizer, shadow)
             }
             None => {
-                let optimizer = AdamW::new(&config.optim, lengths);
-                let first = parameters::values(&model);
+                // Frozen parameters have no running means.
+                let trained = infos.iter().zip(parameters::trainable(&model));
+                let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
+                let optimizer = AdamW::new(optim, lengths);
                 (
                     0,
                     Progress::default(),
                     optimizer,
-                    Ema::new(&config.ema, first),
+                    parameters::values(&model),
                 )
             }
         };
-        let checkpoints = Checkpoints::of(&folder);
+        let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = (step > 0).then(|| checkpoints.step_path(step));
+        let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         Ok(Self {
             model: Some(model),
-            group_names: groups,
-            groups: infos
-                .iter()
-                .map(|info| recipe.group_of(&info.name))
-                .collect(),
-            recipe,
-            infos,
+            groups: groups.collect(),
             optimizer,
-            ema,
-            metrics: Metrics::open(&folder, step)?,
-            config,
-            statistics,
-            device,
-            loader_log: LoaderLog::open(&folder, loader.report())?,
-            loader,
-            dataset,
+            ema: Ema::new(&parts.config.ema, shadow),
+            metrics: Metrics::open(&parts.folder, step)?,
+            loader_log: LoaderLog::open(&parts.folder, parts.loader.report())?,
+            infos,
+            parts,
             step,
             progress,
             checkpoints,
@@ -178,9 +142,9 @@ impl<R: Recipe> Trainer<R> {
     /// # Errors
     /// If a number stops being one, a phrase can no longer be read, or a file cannot be written.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
-        let max_steps = self.config.train.max_steps;
-        let validates = self.config.validation.every_steps > 0;
-        if self.step == 0 && validates && self.recipe.measures_first() {
+        let max_steps = self.parts.config.train.max_steps;
+        let validates = self.parts.config.validation.every_steps > 0;
+        if self.step == 0 && validates && self.parts.recipe.measures_first() {
             let val_loss = self.measure()?;
             observer.validated(0, val_loss, false);
         }
@@ -205,14 +169,18 @@ impl<R: Recipe> Trainer<R> {
                     None => break Ending::Interrupted,
                 },
             };
-            if self.step.is_multiple_of(self.config.train.log_every_steps) || self.step == max_steps
+            if self
+                .step
+                .is_multiple_of(self.parts.config.train.log_every_steps)
+                || self.step == max_steps
             {
                 self.metrics.write(&record)?;
-                self.loader_log.write(self.step, self.loader.report())?;
+                self.loader_log
+                    .write(self.step, self.parts.loader.report())?;
             }
             let best =
-                self.is_due(self.config.validation.every_steps) && self.validate(observer)?;
-            if best || self.is_due(self.config.checkpoint.every_steps) {
+                self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
+            if best || self.is_due(self.parts.config.checkpoint.every_steps) {
                 self.save(observer)?;
             }
         };
@@ -229,34 +197,40 @@ impl<R: Recipe> Trainer<R> {
 
     /// Whether something that happens every so many steps, and at the last one, happens now.
     fn is_due(&self, every: u64) -> bool {
-        let last = self.step == self.config.train.max_steps;
+        let last = self.step == self.parts.config.train.max_steps;
         every > 0 && (self.step.is_multiple_of(every) || last)
     }
 
     fn is_out_of_patience(&self) -> bool {
-        let patience = self.config.train.patience;
+        let patience = self.parts.config.train.patience;
         patience > 0 && self.progress.validations_since_best >= patience
     }
 
     /// One step; `None` if a stop was requested while waiting for data.
     fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Option<Record>, Error> {
-        let (train, optim) = (self.config.train.clone(), self.config.optim.clone());
+        let (train, optim) = (
+            self.parts.config.train.clone(),
+            self.parts.config.optim.clone(),
+        );
         let micro_batches = train.gradient_accumulation_steps;
         let mut gradients: Vec<Vec<f32>> = Vec::new();
         let mut loss = 0.0;
         let mut terms: Vec<(&'static str, f64)> = Vec::new();
         for micro_batch in 0..micro_batches {
             let stop = || observer.stop_requested();
-            let Some(batch) = self.loader.next_unless(&stop)? else {
+            let Some(batch) = self.parts.loader.next_unless(&stop)? else {
                 return Ok(None);
             };
             let key = StepKey {
-                seed: self.config.run.seed,
+                seed: self.parts.config.run.seed,
                 step: self.step,
                 micro_batch,
             };
             let model = self.model.as_ref().expect("held between updates");
-            let computed = self.recipe.loss(model, &batch, key, &self.device);
+            let computed = self
+                .parts
+                .recipe
+                .loss(model, &batch, key, &self.parts.device);
             let value = f64::from(computed.total.clone().into_scalar::<f32>());
             if !value.is_finite() {
                 return Err(self.not_finite(find_not_finite(model, &batch, computed)));
@@ -276,7 +250,7 @@ impl<R: Recipe> Trainer<R> {
                 pending: computed.pending,
             };
             drop((computed.terms, computed.probes));
-            accumulate(&mut gradients, self.recipe.backward(model, share));
+            accumulate(&mut gradients, self.parts.recipe.backward(model, share));
         }
 
         let grad_norm = global_norm(&gradients);
@@ -287,7 +261,7 @@ impl<R: Recipe> Trainer<R> {
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(format!("the gradient of `{name}`")));
         }
-        let names = self.group_names;
+        let names = self.parts.groups;
         let rates: Vec<f64> = names
             .iter()
             .map(|name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps))
@@ -341,10 +315,10 @@ impl<R: Recipe> Trainer<R> {
 
     /// Measures the averaged weights on the held-out phrases and records it.
     fn measure(&mut self) -> Result<f64, Error> {
-        let device = self.device.clone().inner();
+        let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
         let averaged = parameters::replace(model, self.ema.shadow().to_vec());
-        let Measured { total, terms } = self.recipe.validation_loss(&averaged, &device);
+        let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
             let broken = terms.iter().find(|(_, value)| !value.is_finite());
             let what = broken.map_or("the validation loss".into(), |(name, _)| {
@@ -385,9 +359,9 @@ impl<R: Recipe> Trainer<R> {
             format: FORMAT,
             kinegrad: env!("CARGO_PKG_VERSION").to_string(),
             step: self.step,
-            config: self.config.clone(),
-            statistics: self.statistics.clone(),
-            dataset_sha256: Some(self.dataset.to_string()),
+            config: self.parts.config.clone(),
+            statistics: self.parts.statistics.clone(),
+            dataset_sha256: Some(self.parts.dataset.to_string()),
             progress: self.progress.clone(),
             checksums: Default::default(),
         };
@@ -402,7 +376,7 @@ impl<R: Recipe> Trainer<R> {
         self.checkpoints.set_best(self.progress.best().as_ref())?;
         self.checkpoints.prune(
             self.step,
-            self.config.checkpoint.keep_last,
+            self.parts.config.checkpoint.keep_last,
             self.progress.best_step,
         )?;
         observer.saved(&path);

@@ -40,12 +40,14 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::config::{EmaConfig, OptimConfig};
-use kinegrad_train::denoising::HeldOut;
+use kinegrad_train::denoising::{DenoisingRecipe, HeldOut};
 use kinegrad_train::ema::Ema;
 use kinegrad_train::optim::{AdamW, clip_factor, global_norm};
-use kinegrad_train::systems::cc_motion::recipes::{DiffusionRecipe, E2eDraws, E2eRecipe, Rollouts};
+use kinegrad_train::systems::cc_motion::recipes::{
+    E2eDraws, E2eRecipe, Rollouts, diffusion_recipe,
+};
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
-use kinegrad_train::systems::gmd::recipes::GmdMotionRecipe;
+use kinegrad_train::systems::gmd::recipes::clip_recipe;
 use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
 use serde_json::json;
@@ -291,9 +293,9 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             max_grad_norm,
         } => {
             let model = parameters::load(unet()?, weights)?;
-            let recipe = DiffusionRecipe::new(diffusion, held_out);
+            let recipe = diffusion_recipe(diffusion, held_out);
             let (batch, draws) = (inputs.batch()?, inputs.draws()?);
-            let loss = move |recipe: &DiffusionRecipe, unet: &UNet1d| {
+            let loss = move |recipe: &DenoisingRecipe<UNet1d>, unet: &UNet1d| {
                 recipe.loss_of(unet, batch.clone(), draws.clone())
             };
             Box::new(Training::new(recipe, model, &optim, max_grad_norm, loss))
@@ -344,9 +346,9 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(network.init(&device)?, weights)?;
             let channels = network.motion_channels;
-            let recipe = GmdMotionRecipe::new(diffusion, channels, trajectory_scale, held_out);
+            let recipe = clip_recipe(diffusion, channels, trajectory_scale, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.draws()?);
-            let loss = move |recipe: &GmdMotionRecipe, model: &TextDenoiser| {
+            let loss = move |recipe: &DenoisingRecipe<TextDenoiser>, model: &TextDenoiser| {
                 recipe.loss_of(model, batch.clone(), draws.clone())
             };
             let training = Training::new(recipe, model, &optim, max_grad_norm, loss);

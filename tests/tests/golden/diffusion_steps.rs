@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig,
-    StepInput, ddim_step, ddpm_step,
+    BetaSchedule, ClipRange, DiffusionConfig, GaussianDiffusion, Prediction, PredictionType,
+    SamplerConfig, ddim_step, ddpm_step,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
@@ -107,6 +107,16 @@ fn one_down(timesteps: &[usize]) -> Vec<Option<usize>> {
     timesteps.iter().map(|t| t.checked_sub(1)).collect()
 }
 
+fn predicted(
+    diffusion: &GaussianDiffusion,
+    clip: &ClipRange,
+    model_output: Tensor<3>,
+    x_t: Tensor<3>,
+    timesteps: &[usize],
+) -> Prediction<'static> {
+    Prediction::new(diffusion, model_output, x_t, timesteps, clip).expect("sizes that fit")
+}
+
 fn golden_q_sample(golden: Golden) {
     let steps = Steps::of(golden);
     let (x_start, noise) = (steps.tensor("in.x0"), steps.tensor("in.noise"));
@@ -149,30 +159,15 @@ fn golden_posterior_mean(golden: Golden) {
 fn golden_ddpm_step(golden: Golden) {
     let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
-    let step =
-        |diffusion: &GaussianDiffusion, clip: &ClipRange, model_output, x_t, at: &[usize], z| {
-            let input = StepInput {
-                model_output,
-                x_t,
-                noise: z,
-                timesteps: at,
-                prev_timesteps: &one_down(at),
-            };
-            ddpm_step(diffusion, input, clip).expect("sizes that fit")
-        };
+    let step = |diffusion: &GaussianDiffusion, prediction: &Prediction<'_>, at: &[usize], z| {
+        ddpm_step(diffusion, prediction, at, &one_down(at), z, None)
+    };
     steps.compare(
         "p_sample",
         TOLERANCE,
         |diffusion, clip, model_output, x_t, timesteps| {
-            step(
-                diffusion,
-                clip,
-                model_output,
-                x_t,
-                timesteps,
-                Some(noise.clone()),
-            )
-            .prev_sample
+            let prediction = predicted(diffusion, clip, model_output, x_t, timesteps);
+            step(diffusion, &prediction, timesteps, Some(noise.clone()))
         },
     );
     // The same numbers by another way: from the jump's cumulative products, not from the tables.
@@ -180,7 +175,8 @@ fn golden_ddpm_step(golden: Golden) {
         "p_mean",
         TOLERANCE,
         |diffusion, clip, model_output, x_t, timesteps| {
-            step(diffusion, clip, model_output, x_t, timesteps, None).prev_sample
+            let prediction = predicted(diffusion, clip, model_output, x_t, timesteps);
+            step(diffusion, &prediction, timesteps, None)
         },
     );
     let tolerance = TOLERANCE_PRED_ORIGINAL_SAMPLE;
@@ -188,7 +184,7 @@ fn golden_ddpm_step(golden: Golden) {
         "p_x0",
         tolerance,
         |diffusion, clip, model_output, x_t, timesteps| {
-            step(diffusion, clip, model_output, x_t, timesteps, None).pred_original_sample
+            predicted(diffusion, clip, model_output, x_t, timesteps).x_start
         },
     );
 }
@@ -207,16 +203,9 @@ fn golden_ddpm_step_by_ddim(golden: Golden) {
         "p_sample",
         TOLERANCE,
         |diffusion, clip, model_output, x_t, timesteps| {
-            let input = StepInput {
-                model_output,
-                x_t,
-                noise: Some(noise.clone()),
-                timesteps,
-                prev_timesteps: &one_down(timesteps),
-            };
-            ddim_step(diffusion, input, &config, clip)
-                .expect("sizes that fit")
-                .prev_sample
+            let prediction = predicted(diffusion, clip, model_output, x_t, timesteps);
+            let (next, noise) = (one_down(timesteps), Some(noise.clone()));
+            ddim_step(diffusion, &prediction, timesteps, &next, noise, &config)
         },
     );
 }
@@ -238,20 +227,16 @@ fn golden_ddim_step(golden: Golden) {
         };
         let x_t = input("x");
         let batch = x_t.dims()[0];
+        let (now, next) = (vec![from; batch], vec![Some(to); batch]);
+        let prediction = predicted(&diffusion, &clip_of(clip), input("eps"), x_t, &now);
         let found = ddim_step(
             &diffusion,
-            StepInput {
-                model_output: input("eps"),
-                x_t,
-                noise: Some(input("z")),
-                timesteps: &vec![from; batch],
-                prev_timesteps: &vec![Some(to); batch],
-            },
+            &prediction,
+            &now,
+            &next,
+            Some(input("z")),
             &config,
-            &clip_of(clip),
-        )
-        .expect("sizes that fit")
-        .prev_sample;
+        );
         let reference = golden.reference(&format!("out.step.eta{case}"));
         reference.assert_close_tensor(&case, found, TOLERANCE_DDIM_STEP);
     }

@@ -21,10 +21,9 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     for warning in systems.validate(&config)? {
         tell!("warning: {warning}");
     }
-    say!(
-        "# model: {} parameters",
-        grouped(run::parameter_count(systems, &config)?)
-    );
+    let (system, _) = systems.of(&config)?;
+    let parameters = grouped(system.parameter_count(&config)?);
+    say!("# model: {parameters} parameters");
     say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

@@ -7,9 +7,9 @@ use kinegrad_train::{Error, device};
 
 /// Lists the devices of this build, best first.
 pub fn run() -> Result<ExitCode, Error> {
-    let rows = device::list().into_iter().map(|(info, works)| {
+    let rows = device::list().map(|(kind, works)| {
         let works = if works { "yes" } else { "no" };
-        [info.name, works.into(), info.description]
+        [kind.name, works, kind.description].map(String::from)
     });
     say!("{}", table(["device", "works here", "what it is"], rows));
     let (_, chosen) = device::open("auto")?;

@@ -3,9 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::step::{Alphas, coefficients};
-use super::{
-    ClipRange, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, StepInput, StepOutput,
-};
+use super::{NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -32,7 +30,7 @@ pub fn ddim(
         let prediction = predict(x, &path.time(index))?;
         let noise = (config.eta > 0.0 && path.stays_noisy(index))
             .then(|| keys.noise(index, None, &prediction.x_t));
-        x = step(diffusion, &prediction, now, &next, noise, config);
+        x = ddim_step(diffusion, &prediction, now, &next, noise, config);
         on_step(index + 1, path.len(), &x);
     }
     Ok(x)
@@ -44,44 +42,17 @@ pub fn ddim(
 /// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
 /// is [`super::ddpm_step`].
 ///
-/// # Shapes
-/// - on the fields of [`StepInput`] and [`StepOutput`]
+/// `timesteps` say where each sample is, `prev_timesteps` where it goes: a timestep not above its
+/// own, or `None` for the clean motion. No noise stands for zeros: right where the step adds none,
+/// and the mean of the step elsewhere.
 ///
-/// # Errors
-/// If the clipping bounds do not fit the channels, or the sizes of the network's output and input
-/// differ.
+/// # Shapes
+/// - noise, standard normal, output: `[batch, channels, time]`
 ///
 /// # Panics
 /// Panics if there is not one timestep before and after for each sample, or if one is not below
 /// the process's number of timesteps.
 pub fn ddim_step(
-    diffusion: &GaussianDiffusion,
-    input: StepInput<'_>,
-    config: &SamplerConfig,
-    clip: &ClipRange,
-) -> Result<StepOutput, Error> {
-    let prediction = input.prediction(diffusion, clip)?;
-    let StepInput {
-        timesteps,
-        prev_timesteps,
-        noise,
-        ..
-    } = input;
-    let prev_sample = step(
-        diffusion,
-        &prediction,
-        timesteps,
-        prev_timesteps,
-        noise,
-        config,
-    );
-    Ok(StepOutput {
-        prev_sample,
-        pred_original_sample: prediction.x_start,
-    })
-}
-
-fn step(
     diffusion: &GaussianDiffusion,
     prediction: &Prediction<'_>,
     timesteps: &[usize],

@@ -2,9 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{
-    ClipRange, NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, StepInput, StepOutput,
-};
+use super::{NoiseKeys, OnStep, Path, Posterior, Predict, Prediction};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
@@ -33,9 +31,9 @@ pub fn ddpm(
         let imputation_noise = prediction
             .steered
             .as_ref()
-            .filter(|steered| steered.is_imputed())
+            .filter(|steered| steered.imputation.is_some())
             .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
-        x = step(diffusion, &prediction, now, &next, noise, imputation_noise);
+        x = ddpm_step(diffusion, &prediction, now, &next, noise, imputation_noise);
         on_step(index + 1, path.len(), &x);
     }
     Ok(x)
@@ -50,43 +48,30 @@ pub fn ddpm(
 /// cumulative products. A sample that goes to the clean motion gets no noise. The source decides
 /// that by the first sample of the batch; here every sample decides for itself.
 ///
-/// # Shapes
-/// - on the fields of [`StepInput`] and [`StepOutput`]
+/// Timesteps and noise are those of [`super::ddim_step`]. Under steering (docs/sources.md, sections
+/// 4.6 to 4.8) the mean is shifted by the gradient:
 ///
-/// # Errors
-/// If the clipping bounds do not fit the channels, or the sizes of the network's output and input
-/// differ.
+/// ```text
+/// mean = coef1 x_0 + coef2 x_t + variance g           g: Steered::scaled_gradient
+/// ```
+///
+/// Where the network predicts the clean motion, known values go into x_0, and those entries of the
+/// mean that they make replace the guided ones:
+///
+/// ```text
+/// mean  <- known entries of (coef1 put(x_0) + coef2 x_t), else mean
+/// ```
+///
+/// Where it predicts noise, they go into the sample, noised by `imputation_noise` to the level it
+/// has landed on.
+///
+/// # Shapes
+/// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`
 ///
 /// # Panics
 /// Panics if there is not one timestep before and after for each sample, or if one is not below
 /// the process's number of timesteps.
 pub fn ddpm_step(
-    diffusion: &GaussianDiffusion,
-    input: StepInput<'_>,
-    clip: &ClipRange,
-) -> Result<StepOutput, Error> {
-    let prediction = input.prediction(diffusion, clip)?;
-    let StepInput {
-        timesteps,
-        prev_timesteps,
-        noise,
-        ..
-    } = input;
-    let prev_sample = step(
-        diffusion,
-        &prediction,
-        timesteps,
-        prev_timesteps,
-        noise,
-        None,
-    );
-    Ok(StepOutput {
-        prev_sample,
-        pred_original_sample: prediction.x_start,
-    })
-}
-
-pub(crate) fn step(
     diffusion: &GaussianDiffusion,
     prediction: &Prediction<'_>,
     timesteps: &[usize],

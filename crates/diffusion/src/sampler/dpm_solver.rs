@@ -33,8 +33,8 @@ pub fn dpmpp_2m(
     let mut x = x_T;
     let mut before: Option<(Tensor<3>, Vec<Level>)> = None;
     for index in 0..path.len() {
-        let now = Level::of(diffusion, path.timesteps(index));
-        let next = Level::of_landings(diffusion, &path.landings(index));
+        let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
+        let next = Level::of(diffusion, path.landings(index));
         let prediction = predict(x, &path.time(index))?;
         let (x_t, x_start) = (prediction.x_t, prediction.x_start);
 

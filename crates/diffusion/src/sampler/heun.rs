@@ -30,7 +30,7 @@ pub fn heun(
     //                du / dr = (u - x_0) / r
     let mut x = x_T;
     for index in 0..path.len() {
-        let now = Level::of(diffusion, path.timesteps(index));
+        let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
         require(
             now.iter().all(|level| level.alpha != 0.0),
             "sampling.sampler.kind",
@@ -39,7 +39,7 @@ pub fn heun(
         )
         .hint("its slopes are those of x / alpha, and alpha is 0 in pure noise")?;
         let landings = path.landings(index);
-        let next = Level::of_landings(diffusion, &landings);
+        let next = Level::of(diffusion, landings.iter().copied());
         let prediction = predict(x, &path.time(index))?;
         let (x_t, x_start) = (prediction.x_t, prediction.x_start);
 

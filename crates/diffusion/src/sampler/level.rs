@@ -1,6 +1,6 @@
 //! Signal and noise of a noisy motion.
 
-use crate::{GaussianDiffusion, NoiseSchedule};
+use crate::GaussianDiffusion;
 
 /// `x_t = alpha x_0 + sigma noise`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,28 +10,17 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// The levels of timesteps.
-    pub fn of(diffusion: &GaussianDiffusion, timesteps: &[usize]) -> Vec<Self> {
-        let levels = timesteps.iter();
-        levels
-            .map(|&timestep| Self::at(&diffusion.schedule, Some(timestep)))
-            .collect()
-    }
-
-    /// The levels of where steps land; `None` is the clean motion.
-    pub fn of_landings(diffusion: &GaussianDiffusion, landings: &[Option<usize>]) -> Vec<Self> {
-        let levels = landings.iter();
-        levels
-            .map(|&landing| Self::at(&diffusion.schedule, landing))
-            .collect()
-    }
-
-    fn at(schedule: &NoiseSchedule, landing: Option<usize>) -> Self {
-        let (abar, one_minus_abar) = schedule.landing(landing);
-        Self {
+    /// The levels of timesteps; `None` is the clean motion.
+    pub fn of(
+        diffusion: &GaussianDiffusion,
+        timesteps: impl IntoIterator<Item = Option<usize>>,
+    ) -> Vec<Self> {
+        let landings = timesteps.into_iter().map(|t| diffusion.schedule.landing(t));
+        let level = |(abar, one_minus_abar): (f64, f64)| Self {
             alpha: abar.sqrt(),
             sigma: one_minus_abar.sqrt(),
-        }
+        };
+        landings.map(level).collect()
     }
 
     /// Noise over motion.

@@ -28,7 +28,6 @@ use burn::tensor::Tensor;
 pub use clip::ClipRange;
 pub use config::{FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing};
 pub use ddim::{ddim, ddim_step};
-pub(crate) use ddpm::step as ddpm_step_of;
 pub use ddpm::{ddpm, ddpm_step};
 pub use dpm_solver::dpmpp_2m;
 pub use heun::heun;
@@ -37,7 +36,6 @@ pub use path::Path;
 pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
 pub(crate) use step::Posterior;
-pub use step::{StepInput, StepOutput};
 
 use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
 

@@ -65,11 +65,15 @@ impl<'s> Prediction<'s> {
         timesteps: &[usize],
         recompute: bool,
     ) -> Tensor<3> {
-        let x_t = self.x_t.clone();
-        if recompute && self.clipped {
-            let (from, to) = (PredictionType::Sample, PredictionType::Epsilon);
-            return diffusion.convert(self.x_start.clone(), x_t, timesteps, from, to);
-        }
-        diffusion.pred_epsilon(self.model_output.clone(), x_t, timesteps)
+        let (prediction, from) = match recompute && self.clipped {
+            true => (&self.x_start, PredictionType::Sample),
+            false => (&self.model_output, diffusion.config.prediction_type),
+        };
+        let (prediction, x_t, to) = (
+            prediction.clone(),
+            self.x_t.clone(),
+            PredictionType::Epsilon,
+        );
+        diffusion.convert(prediction, x_t, timesteps, from, to)
     }
 }

@@ -1,53 +1,9 @@
-//! Inputs and outputs of a sampling step.
+//! The coefficients of a sampling step.
 
 use burn::tensor::Tensor;
 
-use super::{ClipRange, Prediction};
+use crate::GaussianDiffusion;
 use crate::per_sample::per_sample;
-use crate::{Error, GaussianDiffusion};
-
-/// The input of [`super::ddim_step`] and [`super::ddpm_step`].
-#[derive(Clone, Debug)]
-pub struct StepInput<'a> {
-    /// The network's (guided) output for `x_t`: `[batch, channels, time]`.
-    pub model_output: Tensor<3>,
-    /// The noisy motion: `[batch, channels, time]`.
-    pub x_t: Tensor<3>,
-    /// Standard normal noise `[batch, channels, time]`. None stands for zeros: right where the
-    /// step adds no noise, and the mean of the step elsewhere.
-    pub noise: Option<Tensor<3>>,
-    /// Where each sample is.
-    pub timesteps: &'a [usize],
-    /// Where each sample goes: a timestep not above its own, or `None` for the clean motion.
-    pub prev_timesteps: &'a [Option<usize>],
-}
-
-/// The output of [`super::ddim_step`] and [`super::ddpm_step`].
-#[derive(Clone, Debug)]
-pub struct StepOutput {
-    /// The less noisy motion: `[batch, channels, time]`.
-    pub prev_sample: Tensor<3>,
-    /// The clean motion predicted on the way, clipped: `[batch, channels, time]`.
-    pub pred_original_sample: Tensor<3>,
-}
-
-impl StepInput<'_> {
-    /// The prediction from the network's output.
-    ///
-    /// # Panics
-    /// Panics if there is not one timestep before and after for each sample.
-    pub(super) fn prediction(
-        &self,
-        diffusion: &GaussianDiffusion,
-        clip: &ClipRange,
-    ) -> Result<Prediction<'static>, Error> {
-        let batch = self.x_t.dims()[0];
-        assert_eq!(self.timesteps.len(), batch, "one timestep per sample");
-        assert_eq!(self.prev_timesteps.len(), batch, "one landing per sample");
-        let (model_output, x_t) = (self.model_output.clone(), self.x_t.clone());
-        Prediction::new(diffusion, model_output, x_t, self.timesteps, clip)
-    }
-}
 
 /// One value per sample, from `(abar, 1 - abar, abar', 1 - abar')`, unprimed where it is and primed
 /// where it goes.
@@ -106,10 +62,8 @@ impl Posterior {
 
     /// `coef1 x_0 + coef2 x_t`.
     pub fn mean(&self, x_start: Tensor<3>, x_t: Tensor<3>) -> Tensor<3> {
-        let (coef1, coef2) = (
-            per_sample(&self.coef1, &x_start),
-            per_sample(&self.coef2, &x_t),
-        );
+        let coef1 = per_sample(&self.coef1, &x_start);
+        let coef2 = per_sample(&self.coef2, &x_t);
         x_start * coef1 + x_t * coef2
     }
 

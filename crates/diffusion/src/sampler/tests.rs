@@ -331,21 +331,14 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
     let diffusion = process(50, PredictionType::Epsilon);
     let clip = ClipRange::Symmetric(0.1);
     let step = |recompute_epsilon| {
-        let input = StepInput {
-            model_output: normal(2),
-            x_t: normal(1),
-            noise: None,
-            timesteps: &[30, 30],
-            // Staying where it is gives back x_t if motion and noise belong together.
-            prev_timesteps: &[Some(30), Some(30)],
-        };
         let config = SamplerConfig {
             recompute_epsilon,
             ..Default::default()
         };
-        ddim_step(&diffusion, input, &config, &clip)
-            .unwrap()
-            .prev_sample
+        let now = [30, 30];
+        let prediction = Prediction::new(&diffusion, normal(2), normal(1), &now, &clip).unwrap();
+        // Staying where it is gives back x_t if motion and noise belong together.
+        ddim_step(&diffusion, &prediction, &now, &now.map(Some), None, &config)
     };
     assert!(largest(step(true) - normal(1)) < 1e-6);
     assert!(largest(step(false) - normal(1)) > 0.1);

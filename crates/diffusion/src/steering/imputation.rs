@@ -31,7 +31,7 @@ pub struct Imputation<'a> {
 
 impl Imputation<'_> {
     /// `x`, in the network's space, with the known values in it.
-    pub(super) fn put_into(&self, x: Tensor<3>) -> Tensor<3> {
+    pub fn put_into(&self, x: Tensor<3>) -> Tensor<3> {
         let motion = self.space.to_motion(x);
         let target = self.target.clone();
         self.space.to_network(self.mix(target, motion))

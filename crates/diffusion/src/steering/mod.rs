@@ -12,8 +12,7 @@ use burn::tensor::Tensor;
 use kinegrad_settings::{Refused, require};
 
 pub use imputation::{Imputation, Space};
-use step::steered_prediction;
-pub use step::{Steered, SteeredInput, SteeredOutput, steered_step};
+pub use step::{Steered, steered_prediction};
 
 use crate::sampler::draw;
 use crate::{
@@ -58,14 +57,6 @@ pub struct Networks<'a, D: ?Sized> {
     pub plain: &'a D,
 }
 
-impl<D: ?Sized> Clone for Networks<'_, D> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<D: ?Sized> Copy for Networks<'_, D> {}
-
 /// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
 /// that `steering` returns for each timestep.
 ///
@@ -91,7 +82,7 @@ impl<D: ?Sized> Copy for Networks<'_, D> {}
 )]
 pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     diffusion: &GaussianDiffusion,
-    networks: Networks<'_, D>,
+    networks: &Networks<'_, D>,
     x_T: Tensor<3>,
     cond: &Tensor<3>,
     config: &SamplerConfig,

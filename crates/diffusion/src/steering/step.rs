@@ -1,10 +1,10 @@
-//! One sampling step with guidance and imputation.
+//! What steers a sampling step: guidance and imputation.
 
 use burn::tensor::Tensor;
 
 use super::{Guidance, Imputation, Networks, Steering};
 use crate::per_sample::per_sample;
-use crate::sampler::{Posterior, ddpm_step_of, timesteps_of};
+use crate::sampler::{Posterior, timesteps_of};
 use crate::{
     ClipRange, Denoiser, Error, GaussianDiffusion, Prediction, PredictionType, Time, guided,
 };
@@ -18,11 +18,6 @@ pub struct Steered<'a> {
 }
 
 impl Steered<'_> {
-    /// Whether values are put in, for which noise is drawn.
-    pub(crate) fn is_imputed(&self) -> bool {
-        self.imputation.is_some()
-    }
-
     /// The mean of the step, whose mean without steering is `unguided`.
     pub(crate) fn mean(
         &self,
@@ -81,109 +76,11 @@ fn predicts_motion(diffusion: &GaussianDiffusion) -> bool {
     diffusion.config.prediction_type == PredictionType::Sample
 }
 
-/// Where a steered step begins.
-#[derive(Clone, Debug)]
-pub struct SteeredInput {
-    /// The noisy motion: `[batch, channels, time]`, on the plain device.
-    pub x_t: Tensor<3>,
-    /// Where all samples are.
-    pub timestep: usize,
-    /// Where they go; `None` for the clean motion.
-    pub prev_timestep: Option<usize>,
-    /// Weight of the condition.
-    pub guidance_scale: f64,
-    /// The step's standard normal noise; none where it draws none.
-    pub noise: Option<Tensor<3>>,
-    /// Noise of the values put into a sample; none where no values are, or where the network
-    /// predicts the clean motion.
-    pub imputation_noise: Option<Tensor<3>>,
-}
-
-/// Where a steered step leads.
-#[derive(Clone, Debug)]
-pub struct SteeredOutput {
-    /// The less noisy motion: `[batch, channels, time]`.
-    pub prev_sample: Tensor<3>,
-    /// The clean motion predicted on the way, clipped: that of the network where it predicts the
-    /// clean motion, with the known values in it where it predicts noise.
-    pub pred_original_sample: Tensor<3>,
-    /// `s d(-L) / d x_t`, where the step was guided.
-    pub scaled_gradient: Option<Tensor<3>>,
-}
-
-/// One DDPM step under steering (docs/sources.md, sections 4.6 to 4.8):
+/// What the networks say of `x_t`, and what steers the step of DDPM from there: under guidance the
+/// gradient `g = s d(-L(x_0)) / d x_t`, through clip and network.
 ///
-/// ```text
-/// x_0    = clip(prediction at x_t)
-/// g      = s d(-L(x_0)) / d x_t                       through clip and network
-/// mean   = coef1 x_0 + coef2 x_t + variance g
-/// ```
-///
-/// Where the network predicts the clean motion, known values go into x_0, and those entries of the
-/// mean that they make replace the guided ones:
-///
-/// ```text
-/// mean  <- known entries of (coef1 put(x_0) + coef2 x_t), else mean
-/// ```
-///
-/// Where it predicts noise, they go into the sample, noised to the level it has landed on.
-///
-/// # Errors
-/// If the clipping bounds do not fit the channels, or the network's output has other sizes than
-/// its input.
-pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
-    diffusion: &GaussianDiffusion,
-    networks: Networks<'_, D>,
-    input: SteeredInput,
-    cond: &Tensor<3>,
-    clip: &ClipRange,
-    steering: &Steering<'_>,
-) -> Result<SteeredOutput, Error> {
-    let SteeredInput {
-        x_t,
-        timestep,
-        prev_timestep,
-        guidance_scale,
-        noise,
-        imputation_noise,
-    } = input;
-    let batch = x_t.dims()[0];
-    let timesteps = vec![timestep; batch];
-    let time = Time::of(&timesteps);
-    let prediction = steered_prediction(
-        diffusion,
-        networks,
-        x_t,
-        &time,
-        cond,
-        guidance_scale,
-        clip,
-        steering.clone(),
-    )?;
-    let landings = vec![prev_timestep; batch];
-    let prev_sample = ddpm_step_of(
-        diffusion,
-        &prediction,
-        &timesteps,
-        &landings,
-        noise,
-        imputation_noise,
-    );
-    let Prediction {
-        x_start, steered, ..
-    } = prediction;
-    let steered = steered.expect("a steered prediction");
-    Ok(SteeredOutput {
-        prev_sample,
-        pred_original_sample: match &steered.imputation {
-            Some(imputation) if !predicts_motion(diffusion) => imputation.put_into(x_start),
-            _ => x_start,
-        },
-        scaled_gradient: steered.scaled_gradient,
-    })
-}
-
-/// What the networks say of `x_t`, and what steers the step from there.
+/// # Shapes
+/// - x_t: `[batch, channels, time]`, on the plain device
 ///
 /// # Errors
 /// If the clipping bounds do not fit the channels, or the network's output has other sizes than
@@ -192,9 +89,9 @@ pub fn steered_step<D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
 )]
-pub(super) fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
+pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     diffusion: &GaussianDiffusion,
-    networks: Networks<'_, D>,
+    networks: &Networks<'_, D>,
     x_t: Tensor<3>,
     time: &[Time],
     cond: &Tensor<3>,

@@ -10,7 +10,7 @@ use kinegrad_motion::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, PHASE, POSITION, QUATERNION, STYLE, VELOCITY,
 };
 
-use super::{MotionDecoder, OutputActivation};
+use super::{MotionDecoder, Normalization, OutputActivation};
 use crate::parameters;
 
 /// A sigmoid of slope 4 at the middle is right there and misses both ends; this misses by at most
@@ -38,13 +38,9 @@ pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
             values.fill(0.0);
         } else if let Some((channels, activation, range)) = head(&decoder, name) {
             let start = channels.start;
-            let channel = |index: usize| {
-                let (mean, std) = (
-                    decoder.normalization.mean[start + index],
-                    decoder.normalization.std[start + index],
-                );
-                affine(mean, std, activation, range)
-            };
+            let Normalization { mean, std } = &decoder.normalization;
+            let channel =
+                |index| affine(mean[start + index], std[start + index], activation, range);
             if name.ends_with(".bias") {
                 for (index, value) in values.iter_mut().enumerate() {
                     *value = channel(index).1 as f32;

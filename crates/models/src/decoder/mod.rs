@@ -31,33 +31,23 @@ pub struct Normalization {
     pub std: Vec<f64>,
 }
 
-/// A torch `Sequential`: LayerNorm, Linear, GELU, Dropout, Linear, Dropout.
-#[derive(Module, Debug)]
-struct Layers {
-    at_0: LayerNorm,
-    at_1: Linear,
-    at_4: Linear,
-}
-
-/// `h + Linear(GELU(Linear(LayerNorm(h))))`, four times as wide inside.
+/// `h + Linear(GELU(Linear(LayerNorm(h))))`, four times as wide inside: a torch `Sequential` of
+/// LayerNorm, Linear, GELU, Dropout, Linear, Dropout.
 #[derive(Module, Debug)]
 struct DecoderBlock {
-    layers: Layers,
+    layers_at_0: LayerNorm,
+    layers_at_1: Linear,
+    layers_at_4: Linear,
     dropout: Dropout,
     dropout_out: Dropout,
 }
 
 impl DecoderBlock {
     fn forward(&self, h: Tensor<2>, dropout: DropoutKey) -> Tensor<2> {
-        let inner = gelu(
-            self.layers
-                .at_1
-                .forward(self.layers.at_0.forward(h.clone())),
-        );
-        let inner = self
-            .layers
-            .at_4
-            .forward(self.dropout.forward(inner, dropout));
+        let normalized = self.layers_at_0.forward(h.clone());
+        let inner = gelu(self.layers_at_1.forward(normalized));
+        let inner = self.dropout.forward(inner, dropout);
+        let inner = self.layers_at_4.forward(inner);
         h + self.dropout_out.forward(inner, dropout)
     }
 }
@@ -114,11 +104,9 @@ impl DecoderConfig {
                 .map(|i| {
                     let init = init.at("blocks").at(&i.to_string()).at("layers");
                     DecoderBlock {
-                        layers: Layers {
-                            at_0: LayerNorm::new(hidden, &init.at("0")),
-                            at_1: Linear::new(hidden, 4 * hidden, &init.at("1")),
-                            at_4: Linear::new(4 * hidden, hidden, &init.at("4")),
-                        },
+                        layers_at_0: LayerNorm::new(hidden, &init.at("0")),
+                        layers_at_1: Linear::new(hidden, 4 * hidden, &init.at("1")),
+                        layers_at_4: Linear::new(4 * hidden, hidden, &init.at("4")),
                         dropout: Dropout::new(self.dropout, 2 * i),
                         dropout_out: Dropout::new(self.dropout, 2 * i + 1),
                     }

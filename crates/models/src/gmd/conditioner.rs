@@ -35,24 +35,14 @@ fn position_row(position: f64, dim: usize) -> impl Iterator<Item = f32> {
     })
 }
 
-/// Linear, SiLU, linear over a row of the sinusoid table.
-#[derive(Module, Debug)]
-struct TimeEmbed {
-    at_0: Linear,
-    at_2: Linear,
-}
-
-#[derive(Module, Debug)]
-struct EmbedTimestep {
-    time_embed: TimeEmbed,
-}
-
-/// `time_embed(sinusoid(t)) + embed_text(text)`.
+/// `time_embed(sinusoid(t)) + embed_text(text)`, the first being linear, SiLU, linear over a row of
+/// the sinusoid table.
 ///
 /// Without a text the feature is zero *before* the linear map, so that its bias remains.
 #[derive(Module, Debug)]
 pub struct Conditioner {
-    embed_timestep: EmbedTimestep,
+    embed_timestep_at_time_embed_at_0: Linear,
+    embed_timestep_at_time_embed_at_2: Linear,
     embed_text: Linear,
     width: usize,
 }
@@ -62,12 +52,8 @@ impl Conditioner {
     pub fn new(width: usize, init: &Initializer) -> Self {
         let time = init.at("embed_timestep").at("time_embed");
         Self {
-            embed_timestep: EmbedTimestep {
-                time_embed: TimeEmbed {
-                    at_0: Linear::new(width, width, &time.at("0")),
-                    at_2: Linear::new(width, width, &time.at("2")),
-                },
-            },
+            embed_timestep_at_time_embed_at_0: Linear::new(width, width, &time.at("0")),
+            embed_timestep_at_time_embed_at_2: Linear::new(width, width, &time.at("2")),
             embed_text: Linear::new(TEXT_CHANNELS, width, &init.at("embed_text")),
             width,
         }
@@ -84,7 +70,7 @@ impl Conditioner {
     pub fn time(&self, time: &[Time], device: &Device) -> Tensor<2> {
         let positions: Vec<f64> = time.iter().map(|time| time.0).collect();
         let rows = interleaved_sinusoidal(&positions, self.width, device);
-        let embed = &self.embed_timestep.time_embed;
-        embed.at_2.forward(silu(embed.at_0.forward(rows)))
+        let inner = silu(self.embed_timestep_at_time_embed_at_0.forward(rows));
+        self.embed_timestep_at_time_embed_at_2.forward(inner)
     }
 }

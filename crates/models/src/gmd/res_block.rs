@@ -45,31 +45,6 @@ impl ConvNorm {
     }
 }
 
-/// The first half of a block: the published models name it `block1` where it has AdaGN, else
-/// `block`.
-#[derive(Module, Debug)]
-struct FirstHalf {
-    block1: Option<ConvNorm>,
-    block: Option<ConvNorm>,
-}
-
-#[derive(Module, Debug)]
-struct SecondHalf {
-    block: ConvNorm,
-}
-
-#[derive(Module, Debug)]
-struct Halves {
-    at_0: FirstHalf,
-    at_1: SecondHalf,
-}
-
-/// Mish, then a linear layer: child 1 of a torch `Sequential`.
-#[derive(Module, Debug)]
-struct TimeMlp {
-    at_1: Linear,
-}
-
 /// Two convolutions of five taps with a shortcut (Guided Motion Diffusion, figure D.2):
 ///
 /// ```text
@@ -80,11 +55,14 @@ struct TimeMlp {
 /// ```
 ///
 /// Nothing follows the sum. With AdaGN the linear layer begins at zero; with `zero_init` the second
-/// convolution too.
+/// convolution too. The published models name the first half `block1` where it has AdaGN, else
+/// `block`.
 #[derive(Module, Debug)]
 pub struct GmdResBlock {
-    blocks: Halves,
-    time_mlp: TimeMlp,
+    blocks_at_0_at_block1: Option<ConvNorm>,
+    blocks_at_0_at_block: Option<ConvNorm>,
+    blocks_at_1_at_block: ConvNorm,
+    time_mlp_at_1: Linear,
     residual_conv: Option<Conv1d>,
 }
 
@@ -107,23 +85,15 @@ impl GmdResBlock {
         let second = ConvNorm::new(outputs, outputs, &place);
         let time = init.at("time_mlp").at("1");
         Self {
-            blocks: Halves {
-                at_0: FirstHalf {
-                    block1: adagn.then(|| first("block1")),
-                    block: (!adagn).then(|| first("block")),
-                },
-                at_1: SecondHalf {
-                    block: match zero_init {
-                        true => second.zeroed(&place),
-                        false => second,
-                    },
-                },
+            blocks_at_0_at_block1: adagn.then(|| first("block1")),
+            blocks_at_0_at_block: (!adagn).then(|| first("block")),
+            blocks_at_1_at_block: match zero_init {
+                true => second.zeroed(&place),
+                false => second,
             },
-            time_mlp: TimeMlp {
-                at_1: match adagn {
-                    true => Linear::new(width, 2 * outputs, &time).zeroed(&time),
-                    false => Linear::new(width, outputs, &time),
-                },
+            time_mlp_at_1: match adagn {
+                true => Linear::new(width, 2 * outputs, &time).zeroed(&time),
+                false => Linear::new(width, outputs, &time),
             },
             residual_conv: (inputs != outputs)
                 .then(|| Conv1d::new(inputs, outputs, 1, &init.at("residual_conv"))),
@@ -135,10 +105,9 @@ impl GmdResBlock {
     /// - activated: `mish(c)`, `[batch, width]`
     /// - output: `[batch, out, time]`
     pub fn forward(&self, x: Tensor<3>, activated: Tensor<2>) -> Tensor<3> {
-        let Halves { at_0, at_1 } = &self.blocks;
-        let e = self.time_mlp.at_1.forward(activated);
-        let second = at_1.block.convolution();
-        let h = match (&at_0.block1, &at_0.block) {
+        let e = self.time_mlp_at_1.forward(activated);
+        let second = self.blocks_at_1_at_block.convolution();
+        let h = match (&self.blocks_at_0_at_block1, &self.blocks_at_0_at_block) {
             (Some(first), _) => {
                 let h = first.convolution().forward(x.clone());
                 second.norm(first.norm().film(e)).forward(h)
@@ -150,7 +119,7 @@ impl GmdResBlock {
             }
             (None, None) => unreachable!("a block has a first half"),
         };
-        let h = at_1.block.norm().forward(h);
+        let h = self.blocks_at_1_at_block.norm().forward(h);
         match &self.residual_conv {
             Some(shortcut) => shortcut.operation().residual(h).forward(x),
             None => h + x,

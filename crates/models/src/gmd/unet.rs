@@ -164,13 +164,11 @@ impl GmdUnetConfig {
                 _ => channels[level - 1],
             };
             let outputs = channels[level];
-            let halving = |place: &Initializer| Resample {
-                conv: Conv1d::strided(outputs, outputs, 3, 2, &place.at("conv")),
-            };
+            let halving = || Conv1d::strided(outputs, outputs, 3, 2, &place.at("3").at("conv"));
             DownLevel {
                 at_0: block(inputs, outputs, &place.at("0")),
                 at_1: block(outputs, outputs, &place.at("1")),
-                at_3: (level < coarsest).then(|| halving(&place.at("3"))),
+                at_3_at_conv: (level < coarsest).then(halving),
             }
         });
         let ups = (1..channels.len()).rev().enumerate().map(|(index, level)| {
@@ -179,77 +177,45 @@ impl GmdUnetConfig {
             UpLevel {
                 at_0: block(inputs, outputs, &place.at("0")),
                 at_1: block(outputs, outputs, &place.at("1")),
-                at_3: Upsample {
-                    conv: ConvTranspose1d::doubling(outputs, &place.at("3").at("conv")),
-                },
+                at_3_at_conv: ConvTranspose1d::doubling(outputs, &place.at("3").at("conv")),
             }
         });
         let middle = channels[coarsest];
         let (time, last) = (init.at("time_mlp"), init.at("final_conv"));
         let output = Conv1d::new(channels[0], in_channels, 1, &last.at("1"));
         Ok(GmdUnet {
-            time_mlp: CondMlp {
-                at_0: Linear::new(cond_dim, 4 * width, &time.at("0")),
-                at_2: Linear::new(4 * width, width, &time.at("2")),
-            },
+            time_mlp_at_0: Linear::new(cond_dim, 4 * width, &time.at("0")),
+            time_mlp_at_2: Linear::new(4 * width, width, &time.at("2")),
             downs: downs.collect(),
             mid_block1: block(middle, middle, &init.at("mid_block1")),
             mid_block2: block(middle, middle, &init.at("mid_block2")),
             ups: ups.collect(),
-            final_conv: FinalConv {
-                at_0: FinalBlock {
-                    block: ConvNorm::new(channels[0], channels[0], &last.at("0").at("block")),
-                },
-                at_1: match self.zero_init {
-                    true => output.zeroed(&last.at("1")),
-                    false => output,
-                },
+            final_conv_at_0_at_block: ConvNorm::new(
+                channels[0],
+                channels[0],
+                &last.at("0").at("block"),
+            ),
+            final_conv_at_1: match self.zero_init {
+                true => output.zeroed(&last.at("1")),
+                false => output,
             },
         })
     }
 }
 
-/// `Linear, Mish, Linear`: the condition that every block receives.
-#[derive(Module, Debug)]
-struct CondMlp {
-    at_0: Linear,
-    at_2: Linear,
-}
-
-/// Half the length: kernel 3, stride 2, padding 1.
-#[derive(Module, Debug)]
-struct Resample {
-    conv: Conv1d,
-}
-
-#[derive(Module, Debug)]
-struct Upsample {
-    conv: ConvTranspose1d,
-}
-
+/// Two blocks, then half the length: kernel 3, stride 2, padding 1.
 #[derive(Module, Debug)]
 struct DownLevel {
     at_0: GmdResBlock,
     at_1: GmdResBlock,
-    at_3: Option<Resample>,
+    at_3_at_conv: Option<Conv1d>,
 }
 
 #[derive(Module, Debug)]
 struct UpLevel {
     at_0: GmdResBlock,
     at_1: GmdResBlock,
-    at_3: Upsample,
-}
-
-#[derive(Module, Debug)]
-struct FinalBlock {
-    block: ConvNorm,
-}
-
-#[derive(Module, Debug)]
-struct FinalConv {
-    at_0: FinalBlock,
-    at_1: Conv1d,
+    at_3_at_conv: ConvTranspose1d,
 }
 
 /// The UNet without what tells it timestep and text. Should be created with
@@ -257,14 +223,18 @@ struct FinalConv {
 ///
 /// There are as many levels down as multipliers and one less up; the skip of the finest level is
 /// not used, as in the published models. Up level `i` of the module tree counts from the coarsest.
+///
+/// The condition that every block receives is `Linear, Mish, Linear` of the one given.
 #[derive(Module, Debug)]
 pub struct GmdUnet {
-    time_mlp: CondMlp,
+    time_mlp_at_0: Linear,
+    time_mlp_at_2: Linear,
     downs: Vec<DownLevel>,
     mid_block1: GmdResBlock,
     mid_block2: GmdResBlock,
     ups: Vec<UpLevel>,
-    final_conv: FinalConv,
+    final_conv_at_0_at_block: ConvNorm,
+    final_conv_at_1: Conv1d,
 }
 
 impl GmdUnet {
@@ -285,8 +255,8 @@ impl GmdUnet {
         cond: Tensor<2>,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
-        let c = self.time_mlp.at_0.forward(cond);
-        let c = self.time_mlp.at_2.forward(mish(c));
+        let c = self.time_mlp_at_0.forward(cond);
+        let c = self.time_mlp_at_2.forward(mish(c));
         stages.stage(format_args!("c"), || c.clone());
         let c = mish(c);
         let mut x = x;
@@ -297,8 +267,8 @@ impl GmdUnet {
             x = level.at_1.forward(x, c.clone());
             stages.stage(format_args!("down{index}.res1"), || x.clone());
             skips.push(x.clone());
-            if let Some(halving) = &level.at_3 {
-                x = halving.conv.forward(x);
+            if let Some(halving) = &level.at_3_at_conv {
+                x = halving.forward(x);
             }
             stages.stage(format_args!("down{index}.down"), || x.clone());
         }
@@ -312,15 +282,14 @@ impl GmdUnet {
             stages.stage(format_args!("up{index}.res0"), || x.clone());
             x = level.at_1.forward(x, c.clone());
             stages.stage(format_args!("up{index}.res1"), || x.clone());
-            x = level.at_3.conv.forward(x);
+            x = level.at_3_at_conv.forward(x);
             stages.stage(format_args!("up{index}.up"), || x.clone());
         }
-        let FinalConv { at_0, at_1 } = &self.final_conv;
-        let h = at_0.block.convolution().forward(x);
+        let last = &self.final_conv_at_0_at_block;
+        let h = last.convolution().forward(x);
         // The last convolution normalises its input itself: nothing holds this otherwise.
-        stages.stage(format_args!("final0"), || {
-            at_0.block.norm().forward(h.clone())
-        });
-        at_1.operation().norm(at_0.block.norm()).forward(h)
+        stages.stage(format_args!("final0"), || last.norm().forward(h.clone()));
+        let output = self.final_conv_at_1.operation();
+        output.norm(last.norm()).forward(h)
     }
 }

@@ -12,16 +12,11 @@ use crate::layers::{BiGru, Conv1d, LayerNorm, Linear};
 /// The slope of every leaky rectifier for negative numbers.
 const SLOPE: f64 = 0.2;
 
-#[derive(Module, Debug)]
-struct Convolutions {
-    at_0: Conv1d,
-    at_3: Conv1d,
-}
-
 /// Frames to movements, one for every [`UNIT_FRAMES`](super::UNIT_FRAMES) frames.
 #[derive(Module, Debug)]
 pub(super) struct MovementEncoder {
-    main: Convolutions,
+    main_at_0: Conv1d,
+    main_at_3: Conv1d,
     out_net: Linear,
 }
 
@@ -30,27 +25,18 @@ impl MovementEncoder {
         let main = init.at("main");
         let halving = |inputs, outputs, at| Conv1d::strided(inputs, outputs, 4, 2, &main.at(at));
         Self {
-            main: Convolutions {
-                at_0: halving(config.channels, config.convolution, "0"),
-                at_3: halving(config.convolution, config.movement, "3"),
-            },
+            main_at_0: halving(config.channels, config.convolution, "0"),
+            main_at_3: halving(config.convolution, config.movement, "3"),
             out_net: Linear::new(config.movement, config.movement, &init.at("out_net")),
         }
     }
 
     /// `[batch, channels, time]` to `[batch, movement, time / 4]`.
     pub fn forward(&self, frames: Tensor<3>) -> Tensor<3> {
-        let x = leaky_relu(self.main.at_0.forward(frames), SLOPE);
-        let x = leaky_relu(self.main.at_3.forward(x), SLOPE);
+        let x = leaky_relu(self.main_at_0.forward(frames), SLOPE);
+        let x = leaky_relu(self.main_at_3.forward(x), SLOPE);
         self.out_net.forward_frames(x)
     }
-}
-
-#[derive(Module, Debug)]
-struct Head {
-    at_0: Linear,
-    at_1: LayerNorm,
-    at_3: Linear,
 }
 
 /// Sequences of unequal length to one embedding each.
@@ -59,7 +45,9 @@ pub(super) struct SequenceEncoder {
     input_emb: Linear,
     gru: BiGru,
     hidden: Param<Tensor<3>>,
-    output_net: Head,
+    output_net_at_0: Linear,
+    output_net_at_1: LayerNorm,
+    output_net_at_3: Linear,
 }
 
 impl SequenceEncoder {
@@ -69,11 +57,9 @@ impl SequenceEncoder {
             input_emb: Linear::new(inputs, state, &init.at("input_emb")),
             gru: BiGru::new(state, state, &init.at("gru")),
             hidden: init.constant([2, 1, state], 0.0),
-            output_net: Head {
-                at_0: Linear::new(2 * state, state, &head.at("0")),
-                at_1: LayerNorm::new(state, &head.at("1")),
-                at_3: Linear::new(state, embedding, &head.at("3")),
-            },
+            output_net_at_0: Linear::new(2 * state, state, &head.at("0")),
+            output_net_at_1: LayerNorm::new(state, &head.at("1")),
+            output_net_at_3: Linear::new(state, embedding, &head.at("3")),
         }
     }
 
@@ -84,10 +70,9 @@ impl SequenceEncoder {
         let x = self.input_emb.forward_frames(x.narrow(2, 0, longest));
         let x = self.gru.last_states(x, lengths, self.hidden.val());
         let x = self
-            .output_net
-            .at_1
-            .forward(self.output_net.at_0.forward(x));
-        self.output_net.at_3.forward(leaky_relu(x, SLOPE))
+            .output_net_at_1
+            .forward(self.output_net_at_0.forward(x));
+        self.output_net_at_3.forward(leaky_relu(x, SLOPE))
     }
 }
 

@@ -79,8 +79,7 @@ impl TextMotionConfig {
                 &motion,
             ),
             text_encoder: TextEncoder::new(self, &text),
-            channels: self.channels,
-            word_vector: self.word_vector,
+            config: *self,
         }
     }
 }
@@ -93,19 +92,14 @@ pub struct TextMotionEncoders {
     movement_encoder: MovementEncoder,
     motion_encoder: SequenceEncoder,
     text_encoder: TextEncoder,
-    channels: usize,
-    word_vector: usize,
+    #[module(skip)]
+    config: TextMotionConfig,
 }
 
 impl TextMotionEncoders {
-    /// Numbers of a frame, without contact flags.
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
-    /// Numbers of a word vector.
-    pub fn word_vector(&self) -> usize {
-        self.word_vector
+    /// Their widths.
+    pub fn config(&self) -> &TextMotionConfig {
+        &self.config
     }
 
     /// The embeddings of clips of `lengths` frames, each at least [`UNIT_FRAMES`].

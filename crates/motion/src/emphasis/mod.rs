@@ -27,7 +27,6 @@ const SINGULAR: f64 = 1.0 / f32::EPSILON as f64;
 /// Made by [`EmphasisConfig::projection`] from settings, or from a published model's matrix.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmphasisProjection {
-    scale: f64,
     channels: Vec<usize>,
     // nalgebra keeps columns: these are the transposed matrices, whose memory is P row by row.
     matrix: DMatrix<f32>,
@@ -56,7 +55,7 @@ impl EmphasisProjection {
         config::check(scale, channels, dimension)?;
         emphasise(&mut transposed, scale, channels);
         transposed /= total_variance(dimension, channels.len(), scale).sqrt();
-        Self::new(transposed.cast(), scale, channels)
+        Self::new(transposed.cast(), channels)
     }
 
     /// The same emphasis, spread by an orthogonal matrix Q: `P = s diag(c or 1) Q` with
@@ -86,7 +85,7 @@ impl EmphasisProjection {
         emphasise(&mut transposed, scale, channels);
         let variance = total_variance(dimension, channels.len(), scale);
         transposed *= (dimension as f64 / variance).sqrt();
-        Self::new(transposed.cast(), scale, channels)
+        Self::new(transposed.cast(), channels)
     }
 
     /// A published model's matrix, row by row `[dimension, dimension]`, with the scale and the
@@ -105,14 +104,10 @@ impl EmphasisProjection {
     ) -> Result<Self, EmphasisError> {
         let transposed = read(matrix, dimension)?;
         config::check(scale, channels, dimension)?;
-        Self::new(transposed.cast(), scale, channels)
+        Self::new(transposed.cast(), channels)
     }
 
-    fn new(
-        transposed: DMatrix<f32>,
-        scale: f64,
-        channels: &[usize],
-    ) -> Result<Self, EmphasisError> {
+    fn new(transposed: DMatrix<f32>, channels: &[usize]) -> Result<Self, EmphasisError> {
         // The matrix as stored is what must be undone.
         let stored: DMatrix<f64> = transposed.clone().cast();
         let singular_values = stored.singular_values();
@@ -127,7 +122,6 @@ impl EmphasisProjection {
         }
         let inverse = stored.try_inverse().ok_or_else(singular)?;
         Ok(Self {
-            scale,
             channels: channels.to_vec(),
             matrix: transposed,
             inverse: inverse.cast(),
@@ -138,16 +132,6 @@ impl EmphasisProjection {
     /// Number of features of a frame.
     pub fn dimension(&self) -> usize {
         self.matrix.nrows()
-    }
-
-    /// How much larger the emphasised features become, c in the source.
-    pub fn scale(&self) -> f64 {
-        self.scale
-    }
-
-    /// The emphasised features.
-    pub fn channels(&self) -> &[usize] {
-        &self.channels
     }
 
     /// P, row by row `[dimension, dimension]`.

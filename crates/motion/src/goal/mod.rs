@@ -111,7 +111,7 @@ impl Default for GoalWeights {
 }
 
 /// Position control of one clip.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
     /// Length of the clip.
@@ -138,11 +138,7 @@ impl Goal {
     pub fn new(frames: usize) -> Self {
         Self {
             frames,
-            margin: 0.0,
-            keyframes: Vec::new(),
-            trajectory: None,
-            obstacles: Vec::new(),
-            weights: GoalWeights::default(),
+            ..Self::default()
         }
     }
 

@@ -100,3 +100,20 @@ pub enum FeatureError {
     #[diagnostic(transparent)]
     Setting(#[from] InvalidSetting),
 }
+
+impl FeatureError {
+    /// Rejects `what` unless it has as many entries as needed.
+    ///
+    /// # Errors
+    /// [`LengthMismatch`](Self::LengthMismatch).
+    pub fn unless_equal(what: &'static str, expected: usize, found: usize) -> Result<(), Self> {
+        match expected == found {
+            true => Ok(()),
+            false => Err(Self::LengthMismatch {
+                what,
+                expected,
+                found,
+            }),
+        }
+    }
+}

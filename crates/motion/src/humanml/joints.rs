@@ -69,6 +69,14 @@ impl Joints {
         &self.values[t * self.joints..(t + 1) * self.joints]
     }
 
+    /// Where one joint is in each frame, `[frames, 3]`.
+    ///
+    /// # Panics
+    /// Panics if there is no such joint.
+    pub fn track(&self, joint: usize) -> Vec<[f64; 3]> {
+        (0..self.frames()).map(|t| self.frame(t)[joint]).collect()
+    }
+
     /// All positions, `[frames, J, 3]` row by row.
     pub fn as_slice(&self) -> &[[f64; 3]] {
         &self.values

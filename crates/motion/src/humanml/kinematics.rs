@@ -139,18 +139,8 @@ pub fn forward_kinematics(
     rotations: &[Quaternion],
 ) -> Result<Joints, FeatureError> {
     let count = skeleton.joints();
-    for (what, expected, found) in [
-        ("offsets", count, offsets.len()),
-        ("rotations", roots.len() * count, rotations.len()),
-    ] {
-        if expected != found {
-            return Err(FeatureError::LengthMismatch {
-                what,
-                expected,
-                found,
-            });
-        }
-    }
+    FeatureError::unless_equal("offsets", count, offsets.len())?;
+    FeatureError::unless_equal("rotations", roots.len() * count, rotations.len())?;
     let mut places = vec![[0.0; 3]; rotations.len()];
     let rows = places.chunks_exact_mut(count);
     for ((row, root), rotations) in rows.zip(roots).zip(rotations.chunks_exact(count)) {

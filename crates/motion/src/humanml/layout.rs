@@ -5,7 +5,6 @@
 use std::ops::Range;
 
 use kinegrad_settings::{Refused, in_range};
-use serde::{Deserialize, Serialize};
 
 use super::FeatureError;
 
@@ -27,30 +26,14 @@ const CONTACTS: usize = 4;
 /// | 67..193 | rotations of joints 1 to J-1: first, then second column of the matrix |
 /// | 193..259 | displacements of joints 0 to J-1 to the next frame in the facing frame, metres |
 /// | 259..263 | contact flags: two joints of the left foot, then of the right |
-#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
-#[serde(try_from = "usize", into = "usize")]
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct FeatureLayout {
     joints: usize,
-}
-
-/// What one channel of a frame says.
-#[derive(Clone, Copy, Debug, Eq, PartialEq)]
-pub struct FeatureChannel {
-    /// The joint it speaks of; none for the four channels of the root.
-    pub joint: Option<usize>,
-    /// What it says of the joint, in the names of the published index list.
-    pub component: &'static str,
 }
 
 impl FeatureLayout {
     /// Channels that say where the root is: rotation, ground x, ground z, height.
     pub const ROOT: Range<usize> = 0..4;
-    /// The channel of the root's rotation.
-    pub const ROOT_ROTATION: usize = 0;
-    /// The channels of the root's ground velocity or place, x and z.
-    pub const GROUND: Range<usize> = 1..3;
-    /// The channel of the root's height.
-    pub const HEIGHT: usize = 3;
 
     /// The layout of a skeleton with `joints` joints.
     ///
@@ -107,9 +90,9 @@ impl FeatureLayout {
     /// positions, rotations, velocities, contacts (docs/sources.md, section 3.5).
     pub fn groups(self) -> [Range<usize>; 7] {
         [
-            Self::ROOT_ROTATION..Self::ROOT_ROTATION + 1,
-            Self::GROUND,
-            Self::HEIGHT..Self::HEIGHT + 1,
+            0..1,
+            1..3,
+            3..4,
             self.positions(),
             self.rotations(),
             self.velocities(),
@@ -117,26 +100,19 @@ impl FeatureLayout {
         ]
     }
 
-    /// What channel `index` says; of a contact flag the joint depends on the skeleton
-    /// ([`Skeleton::channel`](super::Skeleton::channel)) and is none here.
-    ///
-    /// # Panics
-    /// Panics unless `index` is less than [`channels`](Self::channels).
-    pub fn channel(self, index: usize) -> FeatureChannel {
+    /// The joint that channel `index` speaks of, none for the root's four and the contact flags,
+    /// whose joints depend on the skeleton; and what it says of it, in the names of the published
+    /// index list.
+    pub(super) fn channel(self, index: usize) -> (Option<usize>, &'static str) {
         assert!(index < self.channels(), "channel {index} does not exist");
         let of = |range: Range<usize>, first_joint: usize, components: &[&'static str]| {
             let place = index - range.start;
-            FeatureChannel {
-                joint: Some(first_joint + place / components.len()),
-                component: components[place % components.len()],
-            }
+            let joint = first_joint + place / components.len();
+            (Some(joint), components[place % components.len()])
         };
         if Self::ROOT.contains(&index) {
-            let component = ["rot_half_vel_y", "lin_vel_x", "lin_vel_z", "height_y"][index];
-            FeatureChannel {
-                joint: None,
-                component,
-            }
+            let components = ["rot_half_vel_y", "lin_vel_x", "lin_vel_z", "height_y"];
+            (None, components[index])
         } else if self.positions().contains(&index) {
             of(self.positions(), 1, &["ric_x", "ric_y", "ric_z"])
         } else if self.rotations().contains(&index) {
@@ -152,10 +128,7 @@ impl FeatureLayout {
         } else if self.velocities().contains(&index) {
             of(self.velocities(), 0, &["vel_x", "vel_y", "vel_z"])
         } else {
-            FeatureChannel {
-                joint: None,
-                component: "contact",
-            }
+            (None, "contact")
         }
     }
 
@@ -163,9 +136,9 @@ impl FeatureLayout {
     /// `contact_0`; for messages.
     ///
     /// # Panics
-    /// As [`channel`](Self::channel).
+    /// Panics unless `index` is less than [`channels`](Self::channels).
     pub fn channel_name(self, index: usize) -> String {
-        let FeatureChannel { joint, component } = self.channel(index);
+        let (joint, component) = self.channel(index);
         match joint {
             Some(joint) => format!("joint_{joint}.{component}"),
             None if self.contacts().contains(&index) => {
@@ -173,21 +146,6 @@ impl FeatureLayout {
             }
             None => format!("root.{component}"),
         }
-    }
-}
-
-/// The layout is stored as its number of joints.
-impl TryFrom<usize> for FeatureLayout {
-    type Error = FeatureError;
-
-    fn try_from(joints: usize) -> Result<Self, FeatureError> {
-        Self::of_joints(joints)
-    }
-}
-
-impl From<FeatureLayout> for usize {
-    fn from(layout: FeatureLayout) -> usize {
-        layout.joints
     }
 }
 

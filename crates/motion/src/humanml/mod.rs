@@ -59,6 +59,6 @@ pub use extract::Extraction;
 pub use features::Features;
 pub use joints::Joints;
 pub use kinematics::Heading;
-pub use layout::{FeatureChannel, FeatureLayout};
+pub use layout::FeatureLayout;
 pub use root::Root;
 pub use skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};

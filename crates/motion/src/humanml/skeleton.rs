@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::layout::{FeatureChannel, FeatureLayout};
-use super::{FeatureError, Joints};
+use super::{FeatureError, FeatureLayout, Joints};
 use crate::rotation::length;
 
 /// The description of a skeleton, as written in files; [`Skeleton`] is its checked form.
@@ -92,13 +91,8 @@ impl Skeleton {
     /// [`FeatureError::LengthMismatch`] for another number of joints;
     /// [`FeatureError::InvalidSkeleton`] if a bone has no length.
     pub fn with_rest_pose(&self, joints: &[[f64; 3]]) -> Result<Self, FeatureError> {
-        if joints.len() != self.joints() {
-            return Err(FeatureError::LengthMismatch {
-                what: "joints of the reference pose",
-                expected: self.joints(),
-                found: joints.len(),
-            });
-        }
+        let what = "joints of the reference pose";
+        FeatureError::unless_equal(what, self.joints(), joints.len())?;
         let offset = |(joint, parent): (usize, &Option<usize>)| match parent {
             None => [0.0; 3],
             Some(parent) => [0, 1, 2].map(|i| joints[joint][i] - joints[*parent][i]),
@@ -184,26 +178,14 @@ impl Skeleton {
         offsets
     }
 
-    /// What channel `index` of the features says; unlike
-    /// [`FeatureLayout::channel`] it knows the joints of the contact flags.
-    ///
-    /// # Panics
-    /// Panics if there is no such channel.
-    pub fn channel(&self, index: usize) -> FeatureChannel {
-        let mut channel = self.layout.channel(index);
-        let contacts = self.layout.contacts();
-        if contacts.contains(&index) {
-            channel.joint = Some(self.contact_joints()[index - contacts.start]);
-        }
-        channel
-    }
-
     /// Name of channel `index` of the features, such as `root.height_y` or `left_hip.ric_x`.
     ///
     /// # Panics
     /// Panics if there is no such channel.
     pub fn channel_name(&self, index: usize) -> String {
-        let FeatureChannel { joint, component } = self.channel(index);
+        let (joint, component) = self.layout.channel(index);
+        let contact = index.checked_sub(self.layout.contacts().start);
+        let joint = joint.or_else(|| Some(self.contact_joints()[contact?]));
         let of = joint.map_or("root", |joint| &self.description.joint_names[joint]);
         format!("{of}.{component}")
     }
@@ -213,26 +195,13 @@ impl Skeleton {
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints.
     pub fn accept(&self, joints: &Joints) -> Result<(), FeatureError> {
-        if joints.joints() == self.joints() {
-            return Ok(());
-        }
-        Err(FeatureError::LengthMismatch {
-            what: "joints of a frame",
-            expected: self.joints(),
-            found: joints.joints(),
-        })
+        FeatureError::unless_equal("joints of a frame", self.joints(), joints.joints())
     }
 
     /// Rejects features of another skeleton.
     pub(super) fn accept_layout(&self, layout: FeatureLayout) -> Result<(), FeatureError> {
-        if layout == self.layout {
-            return Ok(());
-        }
-        Err(FeatureError::LengthMismatch {
-            what: "channels of a frame",
-            expected: self.layout.channels(),
-            found: layout.channels(),
-        })
+        let (expected, found) = (self.layout.channels(), layout.channels());
+        FeatureError::unless_equal("channels of a frame", expected, found)
     }
 }
 

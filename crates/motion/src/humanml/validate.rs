@@ -14,44 +14,36 @@ pub(super) fn parents(
     let joints = description.joint_names.len();
     let mut parents: Vec<Option<usize>> = vec![None; joints];
     for (index, chain) in description.chains.iter().enumerate() {
-        let refuse = |allowed| {
+        let require = |sound, allowed| {
             let field = format!("chains[{index}]");
-            Err(refuse(description, field, format!("{chain:?}"), allowed))
+            require(description, sound, &field, format!("{chain:?}"), allowed)
         };
-        if chain.len() < 2 || chain.iter().any(|joint| *joint >= joints) {
-            return refuse("at least two indices of `joint_names`");
-        }
-        if chain[0] != 0 && parents[chain[0]].is_none() {
-            return refuse("a chain that begins at joint 0 or at a joint of an earlier chain");
-        }
+        let known = chain.len() >= 2 && chain.iter().all(|joint| *joint < joints);
+        require(known, "at least two indices of `joint_names`")?;
+        require(
+            chain[0] == 0 || parents[chain[0]].is_some(),
+            "a chain that begins at joint 0 or at a joint of an earlier chain",
+        )?;
         for pair in chain.windows(2) {
-            if pair[1] == 0 || parents[pair[1]].is_some() {
-                return refuse("after its first joint, joints that no chain has reached yet");
-            }
+            require(
+                pair[1] != 0 && parents[pair[1]].is_none(),
+                "after its first joint, joints that no chain has reached yet",
+            )?;
             parents[pair[1]] = Some(pair[0]);
         }
     }
-    let reached = |joint: &usize| parents[*joint].is_none();
-    if let Some(joint) = (1..joints).find(reached) {
-        return Err(refuse(
-            description,
-            "chains".to_string(),
-            format!("without joint {joint}"),
-            "chains that reach every joint",
-        ));
-    }
+    let missed = (1..joints).find(|joint| parents[*joint].is_none());
+    let found = format!("without joint {}", missed.unwrap_or_default());
+    let allowed = "chains that reach every joint";
+    require(description, missed.is_none(), "chains", found, allowed)?;
     Ok(parents)
 }
 
 /// Everything but the chains.
 pub(super) fn the_rest(description: &SkeletonDescription) -> Result<(), FeatureError> {
     let joints = description.joint_names.len();
-    let require = |sound: bool, field: &str, found: String, allowed: &'static str| {
-        if sound {
-            return Ok(());
-        }
-        Err(refuse(description, field.to_string(), found, allowed))
-    };
+    let require =
+        |sound, field: &str, found, allowed| require(description, sound, field, found, allowed);
 
     let fps = description.fps;
     let found = fps.to_string();
@@ -126,51 +118,51 @@ fn mirrored(description: &SkeletonDescription) -> Result<(), FeatureError> {
     let mut image: Vec<usize> = (0..directions.len()).collect();
     for (index, &[left, right]) in description.mirrored_joints.iter().enumerate() {
         let free = |joint: usize| 0 < joint && joint < image.len() && image[joint] == joint;
-        if left == right || !free(left) || !free(right) {
-            return Err(refuse(
-                description,
-                format!("mirrored_joints[{index}]"),
-                format!("{:?}", [left, right]),
-                "two indices of `joint_names` above 0 that no other pair has",
-            ));
-        }
+        require(
+            description,
+            left != right && free(left) && free(right),
+            &format!("mirrored_joints[{index}]"),
+            format!("{:?}", [left, right]),
+            "two indices of `joint_names` above 0 that no other pair has",
+        )?;
         image.swap(left, right);
     }
     for joint in 1..directions.len() {
         let ([x, y, z], other) = (directions[joint], directions[image[joint]]);
-        if length([0, 1, 2].map(|i| [-x, y, z][i] - other[i])) > UNIT {
-            return Err(refuse(
-                description,
-                format!("raw_directions[{joint}]"),
-                format!("{:?}", directions[joint]),
-                "the mirror image, x negated, of that of the joint paired in `mirrored_joints`, \
-                 and x = 0 for a joint without a pair",
-            ));
-        }
+        require(
+            description,
+            length([0, 1, 2].map(|i| [-x, y, z][i] - other[i])) <= UNIT,
+            &format!("raw_directions[{joint}]"),
+            format!("{:?}", directions[joint]),
+            "the mirror image, x negated, of that of the joint paired in `mirrored_joints`, and \
+             x = 0 for a joint without a pair",
+        )?;
     }
     let Feet { left, right } = description.feet;
-    if left.map(|joint| image[joint]) != right {
-        return Err(refuse(
-            description,
-            "feet.right".to_string(),
-            format!("{right:?}"),
-            "the joints paired in `mirrored_joints` with those of `feet.left`, in their order",
-        ));
-    }
-    Ok(())
+    require(
+        description,
+        left.map(|joint| image[joint]) == right,
+        "feet.right",
+        format!("{right:?}"),
+        "the joints paired in `mirrored_joints` with those of `feet.left`, in their order",
+    )
 }
 
-fn refuse(
+fn require(
     description: &SkeletonDescription,
-    field: String,
+    sound: bool,
+    field: &str,
     found: String,
     allowed: &'static str,
-) -> FeatureError {
-    FeatureError::InvalidSkeleton {
-        skeleton: description.name.clone(),
-        field,
-        found,
-        allowed,
+) -> Result<(), FeatureError> {
+    match sound {
+        true => Ok(()),
+        false => Err(FeatureError::InvalidSkeleton {
+            skeleton: description.name.clone(),
+            field: field.to_string(),
+            found,
+            allowed,
+        }),
     }
 }
 

@@ -4,8 +4,9 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FeatureMoments, JointTracks, feature_diversity, frechet_distance, mean};
+use super::{FeatureMoments, feature_diversity, frechet_distance, mean, mean_jerk, skating_ratio};
 use crate::goal::Goal;
+use crate::humanml::Joints;
 
 /// One generated motion and what was asked of it.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +16,7 @@ pub struct GoalSample<'a> {
     /// Ground positions `[x, z]` of the root, one for each frame of the goal or more, metres.
     pub ground: &'a [[f64; 2]],
     /// The body, if it is known.
-    pub joints: Option<JointTracks<'a>>,
+    pub joints: Option<&'a Joints>,
 }
 
 /// Distance in metres of the root from each position that the goal asks for, keyframes or
@@ -65,9 +66,9 @@ pub struct GoalReport {
     pub location_error_50cm: Option<f64>,
     /// Mean distance from all motions' keyframes, metres.
     pub average_error: Option<f64>,
-    /// Mean over motions of [`JointTracks::skating_ratio`].
+    /// Mean over motions of [`skating_ratio`].
     pub foot_skating: Option<f64>,
-    /// Mean over motions of [`JointTracks::mean_jerk`], metres per second cubed.
+    /// Mean over motions of [`mean_jerk`], metres per second cubed.
     pub jerk: Option<f64>,
     /// Share of the frames of all motions with obstacles in which the root is inside of one.
     pub inside_obstacles: Option<f64>,
@@ -79,12 +80,12 @@ pub struct GoalReport {
 }
 
 impl GoalReport {
-    /// Measures motions. `feet` are the joints of the toes.
+    /// Measures motions of `fps` frames per second. `feet` are the joints of the toes.
     ///
     /// # Panics
     /// Panics if a motion is shorter than its goal, if [`Goal::validate`] would refuse a frame, or
     /// if a foot is not among the joints.
-    pub fn compute(samples: &[GoalSample], feet: &[usize]) -> Self {
+    pub fn compute(samples: &[GoalSample], fps: f64, feet: &[usize]) -> Self {
         let distances: Vec<Vec<f64>> = samples
             .iter()
             .map(|sample| keyframe_distances(sample.goal, sample.ground))
@@ -115,8 +116,8 @@ impl GoalReport {
             location_error_20cm: missed_keyframes(0.2),
             location_error_50cm: missed_keyframes(0.5),
             average_error: mean(all.iter().copied().map(Some)),
-            foot_skating: mean(bodies().map(|joints| joints.skating_ratio(feet))),
-            jerk: mean(bodies().map(|joints| joints.mean_jerk())),
+            foot_skating: mean(bodies().map(|joints| skating_ratio(joints, fps, feet))),
+            jerk: mean(bodies().map(|joints| mean_jerk(joints, fps))),
             inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| known),
             diversity: None,
             frechet_distance: None,
@@ -209,7 +210,7 @@ mod tests {
         ];
         assert_eq!(keyframe_distances(&goals[0], &still), [0.1, 0.5]);
         let samples: Vec<_> = goals.iter().map(|goal| sample(goal, &still)).collect();
-        let report = GoalReport::compute(&samples, &[]);
+        let report = GoalReport::compute(&samples, 2.0, &[]);
         assert_eq!((report.samples, report.keyframes), (4, 6));
         assert_eq!(report.trajectory_error_20cm, Some(1.0));
         assert_eq!(report.trajectory_error_50cm, Some(1.0 / 3.0));
@@ -231,11 +232,11 @@ mod tests {
         assert_eq!(inside_obstacles(&goal, &ground), 2);
         let free = Goal::new(4);
         let samples = [sample(&goal, &ground), sample(&free, &ground)];
-        let report = GoalReport::compute(&samples, &[]);
+        let report = GoalReport::compute(&samples, 2.0, &[]);
         assert_eq!(report.inside_obstacles, Some(0.5));
         assert_eq!(report.location_error_20cm, None);
         let broken = [[f64::NAN, 0.0]; 4];
-        let report = GoalReport::compute(&[sample(&goal, &broken)], &[]);
+        let report = GoalReport::compute(&[sample(&goal, &broken)], 2.0, &[]);
         assert_eq!(report.inside_obstacles, None);
     }
 
@@ -243,7 +244,7 @@ mod tests {
     fn broken_positions_have_no_errors() {
         let goal = goal(2, &[(1, 0.0, 0.0)]);
         let ground = [[0.0; 2], [f64::NAN, 0.0]];
-        let report = GoalReport::compute(&[sample(&goal, &ground)], &[]);
+        let report = GoalReport::compute(&[sample(&goal, &ground)], 2.0, &[]);
         assert_eq!(report.keyframes, 1);
         assert_eq!(report.average_error, None);
         assert_eq!(report.trajectory_error_50cm, None);
@@ -255,18 +256,19 @@ mod tests {
         let goal = goal(4, &[(0, 0.0, 0.0)]);
         // One joint that slides by 1 m in each frame, at 2 frames per second.
         let track: Vec<_> = (0..4).map(|t| [f64::from(t), 0.0, 0.0]).collect();
-        let joints = Some(JointTracks::new(&track, 1, 2.0));
+        let track = Joints::new(track, 1).unwrap();
+        let joints = Some(&track);
         let ground = [[0.0; 2]; 4];
         let sliding = GoalSample {
             joints,
             ..sample(&goal, &ground)
         };
-        let stand = [[0.0; 3]; 4];
+        let stand = Joints::new(vec![[0.0; 3]; 4], 1).unwrap();
         let standing = GoalSample {
-            joints: Some(JointTracks::new(&stand, 1, 2.0)),
+            joints: Some(&stand),
             ..sliding
         };
-        let report = GoalReport::compute(&[sliding, standing, sample(&goal, &ground)], &[0]);
+        let report = GoalReport::compute(&[sliding, standing, sample(&goal, &ground)], 2.0, &[0]);
         assert_eq!(report.foot_skating, Some(0.5));
         assert_eq!(report.jerk, Some(0.0));
         let features = |shift: f64| vec![vec![shift], vec![shift + 2.0]];

@@ -1,6 +1,7 @@
 //! How a body moves: feet that slide, and how jerky the joints are.
 
-use crate::kinematics::{self, mean_norm};
+use crate::humanml::Joints;
+use crate::kinematics::{jerk_of, mean_norm};
 
 /// A foot below this height stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;
@@ -9,83 +10,29 @@ pub const SKATING_HEIGHT: f64 = 0.05;
 /// between two frames at 20 frames per second.
 pub const SKATING_SPEED: f64 = 0.5;
 
-/// Positions of a body's joints, frame by frame, metres with +y up.
-#[derive(Clone, Copy, Debug)]
-pub struct JointTracks<'a> {
-    positions: &'a [[f64; 3]],
-    joints: usize,
-    fps: f64,
+/// Share of the steps from one frame to the next, at `fps` frames per second, in which one of the
+/// `feet` (the toes' joints) slides: it is below [`SKATING_HEIGHT`] in both frames and moves
+/// horizontally faster than [`SKATING_SPEED`]. `None` for fewer than two frames.
+///
+/// # Panics
+/// Panics if a foot is not among the joints.
+pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
+    let steps = joints.frames() - 1;
+    let slides = |t: usize, foot: usize| {
+        let (here, there) = (joints.frame(t)[foot], joints.frame(t + 1)[foot]);
+        let speed = (there[0] - here[0]).hypot(there[2] - here[2]) * fps;
+        here[1] < SKATING_HEIGHT && there[1] < SKATING_HEIGHT && speed > SKATING_SPEED
+    };
+    let slid = (0..steps).filter(|&t| feet.iter().any(|&foot| slides(t, foot)));
+    (steps > 0).then(|| slid.count() as f64 / steps as f64)
 }
 
-impl<'a> JointTracks<'a> {
-    /// Positions `[frames, joints, 3]` at `fps` frames per second.
-    ///
-    /// # Panics
-    /// Panics if these are not whole frames, or `fps` is not positive.
-    pub fn new(positions: &'a [[f64; 3]], joints: usize, fps: f64) -> Self {
-        assert!(
-            joints > 0 && positions.len().is_multiple_of(joints),
-            "whole frames of {joints} joints"
-        );
-        assert!(fps > 0.0, "{fps} frames per second");
-        Self {
-            positions,
-            joints,
-            fps,
-        }
-    }
-
-    /// Number of frames.
-    pub fn frames(&self) -> usize {
-        self.positions.len() / self.joints
-    }
-
-    /// Where `joint` is in frame `t`.
-    fn at(&self, t: usize, joint: usize) -> [f64; 3] {
-        self.positions[t * self.joints + joint]
-    }
-
-    fn finite(&self) -> bool {
-        self.positions
-            .iter()
-            .flatten()
-            .all(|value| value.is_finite())
-    }
-
-    /// Share of the steps from one frame to the next in which one of the `feet` (the toes' joints)
-    /// slides: it is below [`SKATING_HEIGHT`] in both frames and moves horizontally faster than
-    /// [`SKATING_SPEED`]. `None` for fewer than two frames or where a value is not finite.
-    ///
-    /// # Panics
-    /// Panics if a foot is not among the joints.
-    pub fn skating_ratio(&self, feet: &[usize]) -> Option<f64> {
-        assert!(
-            feet.iter().all(|foot| *foot < self.joints),
-            "feet are joints"
-        );
-        let steps = self.frames().saturating_sub(1);
-        let slides = |t: usize, foot: usize| {
-            let (here, there) = (self.at(t, foot), self.at(t + 1, foot));
-            let speed = (there[0] - here[0]).hypot(there[2] - here[2]) * self.fps;
-            here[1] < SKATING_HEIGHT && there[1] < SKATING_HEIGHT && speed > SKATING_SPEED
-        };
-        let slid = (0..steps).filter(|&t| feet.iter().any(|&foot| slides(t, foot)));
-        (steps > 0 && self.finite()).then(|| slid.count() as f64 / steps as f64)
-    }
-
-    /// Mean over joints and frames of the Euclidean norm of the third difference of position times
-    /// the cube of the frame rate, metres per second cubed. `None` for fewer than four frames or
-    /// where a value is not finite.
-    pub fn mean_jerk(&self) -> Option<f64> {
-        if self.frames() < 4 || !self.finite() {
-            return None;
-        }
-        let jerk_of = |joint: usize| {
-            let track: Vec<_> = (0..self.frames()).map(|t| self.at(t, joint)).collect();
-            mean_norm(&kinematics::jerk_of(&track, self.fps))
-        };
-        Some((0..self.joints).map(jerk_of).sum::<f64>() / self.joints as f64)
-    }
+/// Mean over joints and frames of the Euclidean norm of the third difference of position times the
+/// cube of the frame rate `fps`, metres per second cubed. `None` for fewer than four frames.
+pub fn mean_jerk(joints: &Joints, fps: f64) -> Option<f64> {
+    let jerk = |joint: usize| mean_norm(&jerk_of(&joints.track(joint), fps));
+    let sum = || (0..joints.joints()).map(jerk).sum::<f64>();
+    (joints.frames() >= 4).then(|| sum() / joints.joints() as f64)
 }
 
 #[cfg(test)]
@@ -107,7 +54,8 @@ mod tests {
             [high, [0.9, 0.3, 0.048], [1.0, 0.04, -0.1]],
         ];
         let ratio = |fps, feet: &[usize]| {
-            JointTracks::new(positions.as_flattened(), 3, fps).skating_ratio(feet)
+            let joints = Joints::new(positions.as_flattened().to_vec(), 3).unwrap();
+            skating_ratio(&joints, fps, feet)
         };
         assert_eq!(ratio(20.0, &[1, 2]), Some(0.5));
         assert_eq!(ratio(20.0, &[1]), Some(0.25));
@@ -115,10 +63,11 @@ mod tests {
         assert_eq!(ratio(40.0, &[1]), Some(0.5));
         assert_eq!(ratio(20.0, &[0]), Some(0.0));
         assert_eq!(ratio(20.0, &[]), Some(0.0));
-        let one = JointTracks::new(positions[0].as_slice(), 3, 20.0);
-        assert_eq!(one.skating_ratio(&[1]), None);
+        let one = Joints::new(positions[0].to_vec(), 3).unwrap();
+        assert_eq!(skating_ratio(&one, 20.0, &[1]), None);
+        // Of positions that are not finite there are no joints.
         let nan = [[0.0, f64::NAN, 0.0], [0.0; 3]];
-        assert_eq!(JointTracks::new(&nan, 1, 20.0).skating_ratio(&[0]), None);
+        assert!(Joints::new(nan.to_vec(), 1).is_err());
     }
 
     #[test]
@@ -130,9 +79,11 @@ mod tests {
             [[t.powi(3), 1.0, 0.0], [0.0, 0.0, 0.5 * t * t]]
         };
         let positions: Vec<[[f64; 3]; 2]> = (0..6).map(body).collect();
-        let tracks = JointTracks::new(positions.as_flattened(), 2, fps);
-        assert!((tracks.mean_jerk().unwrap() - 3.0).abs() < 1e-12);
-        let short = JointTracks::new(&positions.as_flattened()[..6], 2, fps);
-        assert_eq!(short.mean_jerk(), None);
+        let joints = |frames: usize| {
+            let places = positions[..frames].as_flattened().to_vec();
+            Joints::new(places, 2).unwrap()
+        };
+        assert!((mean_jerk(&joints(6), fps).unwrap() - 3.0).abs() < 1e-12);
+        assert_eq!(mean_jerk(&joints(3), fps), None);
     }
 }

@@ -19,7 +19,7 @@ pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats};
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
 pub use goal::{GoalReport, GoalSample, inside_obstacles, keyframe_distances};
-pub use joints::{JointTracks, SKATING_HEIGHT, SKATING_SPEED};
+pub use joints::{SKATING_HEIGHT, SKATING_SPEED, mean_jerk, skating_ratio};
 
 use std::ops::Range;
 

@@ -17,6 +17,8 @@ mod orientation;
 
 pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig};
 
+use std::ops::Range;
+
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
@@ -59,21 +61,12 @@ pub fn process(
     if config.enforce_phase_monotonic {
         make_phase_monotonic(&mut frames);
     }
+    let differences = config.differences;
     if config.enforce_velocity_coherence {
-        blend_with_differences(
-            &mut frames,
-            POSITION.start,
-            VELOCITY.start,
-            config.differences,
-        );
+        blend_with_differences(&mut frames, POSITION, VELOCITY, differences);
     }
     if config.enforce_accel_coherence {
-        blend_with_differences(
-            &mut frames,
-            VELOCITY.start,
-            ACCELERATION.start,
-            config.differences,
-        );
+        blend_with_differences(&mut frames, VELOCITY, ACCELERATION, differences);
     }
     if config.apply_smoothing {
         smooth_over_time(&mut frames, config.smoothing_kernel_size);
@@ -120,19 +113,18 @@ fn make_phase_monotonic(frames: &mut Frames) {
     }
 }
 
-/// Takes the mean of the explicit derivative at channel `explicit` and the difference of the vector
-/// at channel `base`.
+/// Takes the mean of the `explicit` derivative and the difference of the vector `base`.
 fn blend_with_differences(
     frames: &mut Frames,
-    base: usize,
-    explicit: usize,
+    base: Range<usize>,
+    explicit: Range<usize>,
     differences: Differences,
 ) {
     if frames.len() < 2 {
         return; // A single frame has no difference to blend with.
     }
-    for axis in 0..3 {
-        let values: Vec<f64> = frames.iter().map(|frame| frame[base + axis]).collect();
+    for (base, explicit) in base.zip(explicit) {
+        let values: Vec<f64> = frames.iter().map(|frame| frame[base]).collect();
         for (t, frame) in frames.iter_mut().enumerate() {
             // A frame at the end takes the difference of its neighbour.
             let next = match differences {
@@ -140,7 +132,7 @@ fn blend_with_differences(
                 Differences::Backward => t.max(1),
             };
             let difference = (values[next] - values[next - 1]) * FPS;
-            frame[explicit + axis] = 0.5 * (frame[explicit + axis] + difference);
+            frame[explicit] = 0.5 * (frame[explicit] + difference);
         }
     }
 }

@@ -66,13 +66,8 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
 }
 
 fn read(frame: &[f64; CHANNELS]) -> Quaternion {
-    let start = QUATERNION.start;
-    Quaternion::new(
-        frame[start],
-        frame[start + 1],
-        frame[start + 2],
-        frame[start + 3],
-    )
+    let [w, x, y, z] = [0, 1, 2, 3].map(|part| frame[QUATERNION.start + part]);
+    Quaternion { w, x, y, z }
 }
 
 fn write(frames: &mut Frames, quaternions: &[Quaternion]) {

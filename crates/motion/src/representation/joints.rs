@@ -121,10 +121,8 @@ impl Representation for JointFeatures {
             Root::Relative => Root::Absolute,
             Root::Absolute => Root::Relative,
         };
-        let (own, other) = (self.mismatch(values, self.root), || {
-            self.mismatch(values, other)
-        });
-        fits && (own < other() || self.root == Root::Relative && own == other())
+        let [own, other] = [self.root, other].map(|root| self.mismatch(values, root));
+        fits && (own < other || self.root == Root::Relative && own == other)
     }
 
     /// The first invalid rotation, as in features that were normalised or have another layout.
@@ -238,18 +236,14 @@ impl Representation for GroundPath {
 
 /// Curves of a body: heights and speeds of root and feet, and jerk.
 pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Vec<Curves> {
-    let track = |joint: usize| -> Vec<[f64; 3]> {
-        let frames = 0..joints.frames();
-        frames.map(|t| joints.frame(t)[joint]).collect()
-    };
-    let heights = |joint| -> Vec<f64> { track(joint).iter().map(|[_, y, _]| *y).collect() };
+    let heights = |joint| -> Vec<f64> { joints.track(joint).iter().map(|[_, y, _]| *y).collect() };
     let speeds = |joint| -> Vec<f64> {
-        let velocity = differences(&track(joint), fps).into_iter();
+        let velocity = differences(&joints.track(joint), fps).into_iter();
         velocity.map(|[x, _, z]| x.hypot(z)).collect()
     };
     let jerks: Vec<Vec<f64>> = (0..joints.joints())
         .map(|joint| {
-            let jerk = jerk_of(&track(joint), fps).into_iter();
+            let jerk = jerk_of(&joints.track(joint), fps).into_iter();
             jerk.map(length).collect()
         })
         .collect();

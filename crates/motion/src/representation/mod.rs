@@ -14,6 +14,7 @@ pub use joints::{GroundPath, JointFeatures, JointPositions};
 pub use phrases::{Phrases, phrase_statistics};
 
 use crate::humanml::{Joints, Skeleton};
+use crate::metrics::mean_jerk;
 use crate::sanity::body;
 use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
@@ -70,7 +71,7 @@ pub trait Representation: Debug + Send + Sync {
     /// Mean norm of the third derivative of position, metres per second cubed; of finite rows.
     fn mean_jerk(&self, rows: &[f32]) -> f64 {
         let joints = self.joints(rows);
-        let jerk = joints.and_then(|joints| body::tracks(&joints, self.fps()).mean_jerk());
+        let jerk = joints.and_then(|joints| mean_jerk(&joints, self.fps()));
         jerk.unwrap_or_default()
     }
 

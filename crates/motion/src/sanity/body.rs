@@ -3,7 +3,7 @@
 use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
 use crate::humanml::kinematics::minus;
 use crate::humanml::{Joints, Skeleton};
-use crate::metrics::JointTracks;
+use crate::metrics::{mean_jerk, skating_ratio};
 use crate::rotation::length;
 use crate::{Error, Statistics};
 
@@ -52,11 +52,6 @@ pub(crate) fn check(
     Ok(Report::new(checks))
 }
 
-/// The joints over time.
-pub(crate) fn tracks(joints: &Joints, fps: f64) -> JointTracks<'_> {
-    JointTracks::new(joints.as_slice(), joints.joints(), fps)
-}
-
 fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
     length(minus(b, a))
 }
@@ -83,7 +78,7 @@ fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
 }
 
 fn skating(joints: &Joints, skeleton: &Skeleton, fps: f64) -> Option<Check> {
-    let ratio = tracks(joints, fps).skating_ratio(&skeleton.contact_joints())?;
+    let ratio = skating_ratio(joints, fps, &skeleton.contact_joints())?;
     Some(Check::new(
         "skating",
         ratio,
@@ -108,7 +103,7 @@ fn speed(joints: &Joints, fps: f64, rms_speed: f64) -> Check {
 }
 
 fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
-    let mean = tracks(joints, fps).mean_jerk()?;
+    let mean = mean_jerk(joints, fps)?;
     Some(Check::new(
         "jerk",
         mean,

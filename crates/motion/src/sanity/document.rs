@@ -1,94 +1,56 @@
 //! CC-MotionGen's five checks, as they stand.
 
-use super::{Check, Report, Threshold, Value, finite_phrase, jerk, phase};
+use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
 use crate::Motion;
 use crate::kinematics::{acceleration_errors, mean_absolute_component, velocity_errors};
 
-/// Thresholds of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section 10.1;
-/// docs/sources.md, section 1.13).
-#[derive(Clone, Debug, PartialEq)]
-pub struct SanityThresholds {
-    /// Smallest mean quaternion norm.
-    pub quaternion_norm_min: f64,
-    /// Largest mean quaternion norm.
-    pub quaternion_norm_max: f64,
-    /// Smallest phase.
-    pub phase_min: f64,
-    /// Largest phase.
-    pub phase_max: f64,
-    /// Bound of the mean jerk norm, metres per second cubed.
-    pub max_jerk: f64,
-    /// Bound of the mean absolute component of the velocity error, metres per second.
-    pub max_velocity_error: f64,
-    /// Bound of the mean absolute component of the acceleration error, metres per second squared.
-    pub max_acceleration_error: f64,
+/// Smallest and largest mean quaternion norm.
+const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];
+
+/// Bound of the mean jerk norm, metres per second cubed.
+const MAX_JERK: f64 = 50_000.0;
+
+/// Bound of the mean absolute component of the velocity error, metres per second.
+const MAX_VELOCITY_ERROR: f64 = 5.0;
+
+/// Bound of the mean absolute component of the acceleration error, metres per second squared.
+const MAX_ACCELERATION_ERROR: f64 = 100.0;
+
+/// Makes the five checks of [`Profile::Document`](super::Profile::Document) (CC-MotionGen, section
+/// 10.1; docs/sources.md, section 1.13), and the line `finite` where it fails.
+pub(super) fn check(motion: &Motion) -> Report {
+    let mut checks = vec![
+        quaternion(motion),
+        phase(motion, [0.0, 1.0]),
+        jerk(motion, Threshold::Below(MAX_JERK)),
+        coherence(
+            "velocity_coherence",
+            mean_absolute_component(&velocity_errors(motion)),
+            "mean component of the velocity error {error} m/s",
+            MAX_VELOCITY_ERROR,
+        ),
+        coherence(
+            "accel_coherence",
+            mean_absolute_component(&acceleration_errors(motion)),
+            "mean component of the acceleration error {error} m/s^2",
+            MAX_ACCELERATION_ERROR,
+        ),
+    ];
+    // The five do not look at style and angular velocity.
+    let finite = finite_phrase(motion);
+    if !finite.passed {
+        checks.push(finite);
+    }
+    Report::new(checks)
 }
 
-impl Default for SanityThresholds {
-    fn default() -> Self {
-        Self {
-            quaternion_norm_min: 0.95,
-            quaternion_norm_max: 1.05,
-            phase_min: 0.0,
-            phase_max: 1.0,
-            max_jerk: 50_000.0,
-            max_velocity_error: 5.0,
-            max_acceleration_error: 100.0,
-        }
-    }
-}
-
-impl SanityThresholds {
-    /// Makes the five checks with these thresholds, and the line `finite` where it fails.
-    pub fn check(&self, motion: &Motion) -> Report {
-        let mut checks = vec![
-            self.quaternion(motion),
-            phase(motion, [self.phase_min, self.phase_max]),
-            jerk(motion, Threshold::Below(self.max_jerk)),
-            coherence(
-                "velocity_coherence",
-                "velocity",
-                "m/s",
-                &velocity_errors(motion),
-                self.max_velocity_error,
-            ),
-            coherence(
-                "accel_coherence",
-                "acceleration",
-                "m/s^2",
-                &acceleration_errors(motion),
-                self.max_acceleration_error,
-            ),
-        ];
-        // The five do not look at style and angular velocity.
-        let finite = finite_phrase(motion);
-        if !finite.passed {
-            checks.push(finite);
-        }
-        Report::new(checks)
-    }
-
-    fn quaternion(&self, motion: &Motion) -> Check {
-        let frames = motion.frames();
-        let mean = (0..frames)
-            .map(|t| motion.quaternion(t).norm())
-            .sum::<f64>()
-            / frames as f64;
-        let threshold = Threshold::Within([self.quaternion_norm_min, self.quaternion_norm_max]);
-        Check::new(
-            "quaternion",
-            mean,
-            threshold,
-            format!("mean quaternion norm {mean:.4}"),
-        )
-    }
-}
-
-/// The mean absolute component of the `errors` of what a channel says, called `what`.
-fn coherence(name: &'static str, what: &str, unit: &str, errors: &[[f64; 3]], below: f64) -> Check {
-    let error = Value::Number(mean_absolute_component(errors));
-    let message = format!("mean component of the {what} error {error} {unit}");
-    Check::new(name, error, Threshold::Below(below), message)
+fn quaternion(motion: &Motion) -> Check {
+    let frames = motion.frames();
+    let norms = (0..frames).map(|t| motion.quaternion(t).norm());
+    let mean = norms.sum::<f64>() / frames as f64;
+    let message = format!("mean quaternion norm {mean:.4}");
+    let threshold = Threshold::Within(QUATERNION_NORM);
+    Check::new("quaternion", mean, threshold, message)
 }
 
 #[cfg(test)]
@@ -102,7 +64,7 @@ mod tests {
     fn failing(change: impl Fn(&mut Motion, usize)) -> Vec<&'static str> {
         let mut motion = wandering(7, 20);
         (0..20).for_each(|t| change(&mut motion, t));
-        let report = SanityThresholds::default().check(&motion);
+        let report = check(&motion);
         report
             .checks
             .iter()
@@ -120,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_good_phrase_passes_five_checks() {
-        let report = SanityThresholds::default().check(&wandering(7, 20));
+        let report = check(&wandering(7, 20));
         let names: Vec<_> = report.checks.iter().map(|check| check.name).collect();
         let document = [
             "quaternion",

@@ -12,7 +12,6 @@ mod strict;
 
 use serde::{Deserialize, Serialize};
 
-pub use document::SanityThresholds;
 pub use report::{Check, Report, Threshold, Value};
 
 use crate::kinematics::mean_jerk_norm;
@@ -41,8 +40,7 @@ impl std::fmt::Display for Profile {
     }
 }
 
-/// Checks a phrase. The profile `document` uses [`SanityThresholds::default`] and needs no
-/// `statistics`.
+/// Checks a phrase. The profile `document` needs no `statistics`.
 ///
 /// # Errors
 /// [`Error::StatisticsNeeded`] if the profile is strict and there are none. A phrase that fails is
@@ -53,7 +51,7 @@ pub fn check(
     statistics: Option<&Statistics>,
 ) -> Result<Report, Error> {
     match profile {
-        Profile::Document => Ok(SanityThresholds::default().check(motion)),
+        Profile::Document => Ok(document::check(motion)),
         Profile::Strict => statistics
             .and_then(|training| strict::check(motion, training))
             .ok_or(Error::StatisticsNeeded),
@@ -92,6 +90,13 @@ fn phase(motion: &Motion, allowed: [f64; 2]) -> Check {
 fn jerk(motion: &Motion, allowed: Threshold) -> Check {
     let mean = mean_jerk_norm(motion);
     Check::new("jerk", mean, allowed, format!("mean jerk {mean:.1} m/s^3"))
+}
+
+/// How far what a channel says is from what it follows from; `message` has `{error}` in it.
+fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check {
+    let error = Value::Number(error);
+    let message = message.replace("{error}", &error.to_string());
+    Check::new(name, error, Threshold::Below(below), message)
 }
 
 /// Smallest and largest value; both NaN if one of the values is.

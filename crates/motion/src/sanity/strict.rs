@@ -1,6 +1,6 @@
 //! Checks of every frame, with bounds taken from the training phrases.
 
-use super::{Check, JERK_FACTOR, Report, Threshold, Value, finite_phrase, jerk, phase, range};
+use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::kinematics::{acceleration_errors, mean_norm, velocity_errors};
 use crate::{Motion, Statistics};
 
@@ -21,15 +21,15 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
         phase(motion, [0.0, 1.0]),
         coherence(
             "velocity_coherence",
-            "velocity error {error} m/s",
-            &velocity_errors(motion),
-            training.rms_speed?,
+            mean_norm(&velocity_errors(motion)),
+            "mean velocity error {error} m/s",
+            COHERENCE_SHARE * training.rms_speed?,
         ),
         coherence(
             "accel_coherence",
-            "acceleration error {error} m/s^2",
-            &acceleration_errors(motion),
-            training.rms_acceleration?,
+            mean_norm(&acceleration_errors(motion)),
+            "mean acceleration error {error} m/s^2",
+            COHERENCE_SHARE * training.rms_acceleration?,
         ),
         jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
     ]))
@@ -58,17 +58,6 @@ fn quaternion_sign(motion: &Motion) -> Check {
         smallest,
         Threshold::Above(0.0),
         format!("smallest product of neighbouring quaternions: {smallest:.4}"),
-    )
-}
-
-fn coherence(name: &'static str, what: &str, errors: &[[f64; 3]], scale: f64) -> Check {
-    let error = Value::Number(mean_norm(errors));
-    let message = format!("mean {}", what.replace("{error}", &error.to_string()));
-    Check::new(
-        name,
-        error,
-        Threshold::Below(COHERENCE_SHARE * scale),
-        message,
     )
 }
 

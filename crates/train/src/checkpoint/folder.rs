@@ -2,6 +2,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use kinegrad_models::parameters::ParameterInfo;
 use serde::{Deserialize, Serialize};
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
@@ -97,10 +98,9 @@ impl Checkpoints {
     /// # Errors
     /// If it cannot be written; nothing is left of it then.
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
-        let target = self.step_path(checkpoint.state.step);
-        let temporary = self
-            .path
-            .join(format!(".writing-{:08}", checkpoint.state.step));
+        let step = checkpoint.state.step;
+        let target = self.step_path(step);
+        let temporary = self.path.join(format!(".writing-{step:08}"));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
         let written = remove(&temporary)
             .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
@@ -160,6 +160,40 @@ impl Checkpoints {
     }
 }
 
+/// Rejects a folder that holds something.
+pub(crate) fn must_be_free(out: &Path) -> Result<(), Error> {
+    let taken = out
+        .read_dir()
+        .is_ok_and(|mut entries| entries.next().is_some());
+    match taken || out.is_file() {
+        true => Err(Error::usage(
+            format!(
+                "{} exists already and is not an empty folder",
+                out.display()
+            ),
+            "choose another `--out`",
+        )),
+        false => Ok(()),
+    }
+}
+
+/// Writes weights without an optimiser as the only checkpoint of the run in `out`.
+pub(crate) fn write_weights(
+    out: &Path,
+    state: &State,
+    infos: &[ParameterInfo],
+    model: &[Vec<f32>],
+    ema: &[Vec<f32>],
+) -> Result<PathBuf, Error> {
+    Checkpoints::of(out).save(CheckpointRef {
+        state,
+        infos,
+        model,
+        ema,
+        moments: &[],
+    })
+}
+
 fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error> {
     let CheckpointRef {
         state,
@@ -181,24 +215,14 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
     let trained = infos.iter().zip(moments);
     let trained = trained.filter(|(info, moments)| moments.exp_avg.len() == info.len());
     let tensors = trained.flat_map(|(info, moments)| {
-        let shape = info.shape.as_slice();
+        let (name, shape) = (&info.name, info.shape.as_slice());
         [
-            (
-                format!("{}.exp_avg", info.name),
-                shape,
-                moments.exp_avg.as_slice(),
-            ),
-            (
-                format!("{}.exp_avg_sq", info.name),
-                shape,
-                moments.exp_avg_sq.as_slice(),
-            ),
+            (format!("{name}.exp_avg"), shape, &moments.exp_avg[..]),
+            (format!("{name}.exp_avg_sq"), shape, &moments.exp_avg_sq[..]),
         ]
     });
-    checksums.insert(
-        OPTIMIZER.to_string(),
-        write(&folder.join(OPTIMIZER), tensors)?,
-    );
+    let checksum = write(&folder.join(OPTIMIZER), tensors)?;
+    checksums.insert(OPTIMIZER.to_string(), checksum);
     let state = State {
         checksums,
         ..state.clone()

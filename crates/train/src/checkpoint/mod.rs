@@ -3,7 +3,6 @@
 //! A checkpoint is written under a temporary name, flushed and renamed, so a crash at any point
 //! leaves the earlier ones usable; checksums are verified when a checkpoint is read.
 
-mod alone;
 mod folder;
 mod resolve;
 mod state;
@@ -14,7 +13,7 @@ pub use resolve::resolve_checkpoint;
 pub use state::{FORMAT, Progress, State};
 pub use tensors::{Weights, read_optimizer, read_weights};
 
-pub(crate) use alone::{must_be_free, write_weights};
+pub(crate) use folder::{must_be_free, write_weights};
 
 use std::path::Path;
 
@@ -67,6 +66,6 @@ pub struct CheckpointRef<'a> {
     pub model: &'a [Vec<f32>],
     /// Their moving average.
     pub ema: &'a [Vec<f32>],
-    /// The optimiser's running means.
+    /// The optimiser's running means; none of weights without an optimiser.
     pub moments: &'a [Moments],
 }

@@ -101,20 +101,14 @@ pub fn read_optimizer(
         .into_iter()
         .map(|p| (p.info.name, p.values))
         .collect();
-    infos
-        .iter()
-        .map(|info| {
-            let mut take = |moment: &str| {
-                by_name
-                    .remove(&format!("{}.{moment}", info.name))
-                    .unwrap_or_default()
-            };
-            Ok(Moments {
-                exp_avg: take("exp_avg"),
-                exp_avg_sq: take("exp_avg_sq"),
-            })
-        })
-        .collect()
+    let moments = infos.iter().map(|info| {
+        let mut take = |moment: &str| by_name.remove(&format!("{}.{moment}", info.name));
+        Moments {
+            exp_avg: take("exp_avg").unwrap_or_default(),
+            exp_avg_sq: take("exp_avg_sq").unwrap_or_default(),
+        }
+    });
+    Ok(moments.collect())
 }
 
 fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Error> {

@@ -37,11 +37,7 @@ impl AdamW {
             exp_avg: vec![0.0; n],
             exp_avg_sq: vec![0.0; n],
         };
-        Self {
-            config: config.clone(),
-            moments: lengths.into_iter().map(zero).collect(),
-            steps: 0,
-        }
+        Self::restore(config, lengths.into_iter().map(zero).collect(), 0)
     }
 
     /// An optimiser after `steps` steps.

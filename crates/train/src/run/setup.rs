@@ -156,13 +156,10 @@ impl Setup {
             device,
             device_name,
         } = self;
-        let step = checkpoint
-            .as_ref()
-            .map_or(0, |checkpoint| checkpoint.state.step);
-        let progress = checkpoint
-            .as_ref()
-            .map(|c| c.state.progress.clone())
-            .unwrap_or_default();
+        let (step, progress) = match &checkpoint {
+            Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
+            None => (0, Progress::default()),
+        };
         let summary = RunSummary {
             name: config.run.name.clone(),
             folder: folder.clone(),
@@ -210,7 +207,6 @@ impl Setup {
         let parts = TrainerParts {
             recipe,
             groups: info.groups,
-            model,
             config: config.clone(),
             statistics: material.statistics,
             device,
@@ -218,7 +214,7 @@ impl Setup {
             dataset: material.digest,
             folder: folder.clone(),
         };
-        let mut trainer = Trainer::new(parts, checkpoint)?;
+        let mut trainer = Trainer::new(parts, model, checkpoint)?;
         let ending = trainer.run(observer)?;
         drop(lock);
         let (step, progress) = (trainer.step(), trainer.progress().clone());

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::folder::lock;
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
-use crate::config::{self, Config};
+use crate::config::{self, Config, ConfigError};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::system::Systems;
@@ -39,10 +39,9 @@ pub fn train(
     }
     let name = config.run.name.clone();
     let folder = request.runs_dir.join(&name);
-    let saved = if request.resume && folder.join("config.toml").exists() {
-        Some(systems.load(&folder.join("config.toml"), &[])?)
-    } else {
-        None
+    let saved = match request.resume {
+        true => saved_config(systems, &folder)?,
+        false => None,
     };
     let (system, _) = systems.of(&config)?;
     if let Some(beneath) = system.inherited(&config, saved.as_ref())? {
@@ -76,13 +75,11 @@ pub fn load_config(
     }
 }
 
-/// Number of parameters of the networks of `config`, without adapters.
-///
-/// # Errors
-/// If a network cannot be built.
-pub fn parameter_count(systems: Systems<'_>, config: &Config) -> Result<usize, Error> {
-    let (system, _) = systems.of(config)?;
-    system.parameter_count(config)
+/// The config that the run in `folder` was started with, if it was.
+fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, ConfigError> {
+    let path = folder.join("config.toml");
+    let exists = path.exists();
+    exists.then(|| systems.load(&path, &[])).transpose()
 }
 
 /// Trains the run of a resolved config, in the folder of its name under `runs_dir`.
@@ -125,10 +122,7 @@ pub fn train_config(
         })?;
         let saved = match &checkpoint {
             Some(checkpoint) => Some(systems.completed(&checkpoint.state.config)?),
-            None if folder.join("config.toml").exists() => {
-                Some(systems.load(&folder.join("config.toml"), &[])?)
-            }
-            None => None,
+            None => saved_config(systems, &folder)?,
         };
         if let Some(saved) = saved {
             config::must_continue(&saved, &config)?;

@@ -3,7 +3,7 @@
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
     BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
-    PredictionType, SteeredInput, SteeredOutput, Steering, Time, steered_step,
+    PredictionType, Steering, Time, ddpm_step, steered_prediction,
 };
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
@@ -51,6 +51,17 @@ impl Denoiser for Toy {
     fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
         cond.clone()
     }
+}
+
+/// Where a step leads.
+pub struct Step {
+    /// The less noisy motion.
+    pub prev_sample: Tensor<3>,
+    /// The clean motion predicted on the way: that of the network where it predicts the clean
+    /// motion, with the known values in it where it predicts noise.
+    pub pred_original_sample: Tensor<3>,
+    /// Where the step was guided.
+    pub scaled_gradient: Option<Tensor<3>>,
 }
 
 /// A toy denoiser on both devices and what it works on.
@@ -103,22 +114,38 @@ impl<'a> Bench<'a> {
         noise: Option<Tensor<3>>,
         imputation_noise: Option<Tensor<3>>,
         steering: &Steering<'_>,
-    ) -> SteeredOutput {
-        let input = SteeredInput {
-            prev_timestep: timestep.checked_sub(1),
-            guidance_scale: 1.0,
-            // No noise is added at timestep 0.
-            noise: noise.filter(|_| timestep > 0),
-            imputation_noise,
-            timestep,
-            x_t: x_t.clone(),
-        };
+    ) -> Step {
+        let batch = x_t.dims()[0];
+        let (now, next) = (vec![timestep; batch], vec![timestep.checked_sub(1); batch]);
         let networks = Networks {
             tracked: &self.tracked,
             plain: &self.plain,
         };
-        steered_step(&self.diffusion, networks, input, &x_t, &self.clip, steering)
-            .expect("sizes fit")
+        let prediction = steered_prediction(
+            &self.diffusion,
+            &networks,
+            x_t.clone(),
+            &Time::of(&now),
+            &x_t,
+            1.0,
+            &self.clip,
+            steering.clone(),
+        )
+        .expect("sizes fit");
+        // No noise is added at timestep 0.
+        let noise = noise.filter(|_| timestep > 0);
+        let diffusion = &self.diffusion;
+        let prev_sample = ddpm_step(diffusion, &prediction, &now, &next, noise, imputation_noise);
+        let steered = prediction.steered.expect("a steered prediction");
+        let of_motion = diffusion.config.prediction_type == PredictionType::Sample;
+        Step {
+            prev_sample,
+            pred_original_sample: match &steered.imputation {
+                Some(known) if !of_motion => known.put_into(prediction.x_start),
+                _ => prediction.x_start,
+            },
+            scaled_gradient: steered.scaled_gradient,
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, PredictionType, SamplerConfig, StepInput, TimestepSpacing, ddpm_step, timesteps,
+    ClipRange, Prediction, PredictionType, SamplerConfig, TimestepSpacing, ddpm_step, timesteps,
 };
 use kinegrad_tests::golden::{Golden, values, wide};
 use kinegrad_tests::trials;
@@ -131,15 +131,11 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
     let shape = [kept.len(), 1, 1];
     let factor = |motion: f64, state: f64, noise: f64| -> Vec<f64> {
         let full = |value: f64| Tensor::<3>::full(shape, value, &device);
-        let input = StepInput {
-            model_output: full(motion),
-            x_t: full(state),
-            noise: Some(full(noise)),
-            timesteps: &kept,
-            prev_timesteps: &before,
-        };
-        let step = ddpm_step(&diffusion, input, &ClipRange::None).expect("sizes that fit");
-        wide(&values(step.prev_sample))
+        let (motion, state, noise) = (full(motion), full(state), Some(full(noise)));
+        let prediction = Prediction::new(&diffusion, motion, state, &kept, &ClipRange::None);
+        let prediction = prediction.expect("sizes that fit");
+        let sample = ddpm_step(&diffusion, &prediction, &kept, &before, noise, None);
+        wide(&values(sample))
     };
     let stored = golden.get("out.ddim100_posterior_variance");
     let variance: Vec<f64> = factor(0.0, 0.0, 1.0).iter().map(|v| v * v).collect();

@@ -48,51 +48,35 @@ pub enum PartOfSpeech {
 }
 
 impl PartOfSpeech {
-    /// All of them, in order.
-    pub const ALL: [Self; 15] = [
-        Self::Verb,
-        Self::Noun,
-        Self::Determiner,
-        Self::Adposition,
-        Self::Numeral,
-        Self::Auxiliary,
-        Self::Pronoun,
-        Self::Adjective,
-        Self::Adverb,
-        Self::Direction,
-        Self::BodyPart,
-        Self::Object,
-        Self::Action,
-        Self::Manner,
-        Self::Other,
+    /// All of them, in order, with their names in caption files.
+    pub const ALL: [(Self, &'static str); 15] = [
+        (Self::Verb, "VERB"),
+        (Self::Noun, "NOUN"),
+        (Self::Determiner, "DET"),
+        (Self::Adposition, "ADP"),
+        (Self::Numeral, "NUM"),
+        (Self::Auxiliary, "AUX"),
+        (Self::Pronoun, "PRON"),
+        (Self::Adjective, "ADJ"),
+        (Self::Adverb, "ADV"),
+        (Self::Direction, "Loc_VIP"),
+        (Self::BodyPart, "Body_VIP"),
+        (Self::Object, "Obj_VIP"),
+        (Self::Action, "Act_VIP"),
+        (Self::Manner, "Desc_VIP"),
+        (Self::Other, "OTHER"),
     ];
 
     /// Its name in caption files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Verb => "VERB",
-            Self::Noun => "NOUN",
-            Self::Determiner => "DET",
-            Self::Adposition => "ADP",
-            Self::Numeral => "NUM",
-            Self::Auxiliary => "AUX",
-            Self::Pronoun => "PRON",
-            Self::Adjective => "ADJ",
-            Self::Adverb => "ADV",
-            Self::Direction => "Loc_VIP",
-            Self::BodyPart => "Body_VIP",
-            Self::Object => "Obj_VIP",
-            Self::Action => "Act_VIP",
-            Self::Manner => "Desc_VIP",
-            Self::Other => "OTHER",
-        }
+        Self::ALL[self as usize].1
     }
 
     /// The class of that name; [`Other`](Self::Other) for every name that is not one.
     pub fn from_name(name: &str) -> Self {
         let mut all = Self::ALL.into_iter();
-        all.find(|class| class.name() == name)
-            .unwrap_or(Self::Other)
+        all.find(|(_, known)| *known == name)
+            .map_or(Self::Other, |(class, _)| class)
     }
 
     /// The class that `word` has by itself.
@@ -245,7 +229,7 @@ mod tests {
 
     #[test]
     fn classes_are_in_their_order_and_found_by_name() {
-        for (index, class) in PartOfSpeech::ALL.into_iter().enumerate() {
+        for (index, (class, _)) in PartOfSpeech::ALL.into_iter().enumerate() {
             assert_eq!(class as usize, index);
             assert_eq!(PartOfSpeech::from_name(class.name()), class);
         }

@@ -8,11 +8,12 @@ use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph};
 use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
 use super::evaluate::CondSource;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::{E2E, rolls_out};
-use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -349,12 +350,15 @@ impl CcMotionConfig {
         in_range("loss.w_dec", loss.w_dec, 0.0..)?;
         in_range("loss.w_temp", loss.w_temp, 0.0..)?;
         in_range("loss.w_components", loss.w_components, 0.0..)?;
-        for (key, value) in loss.temporal.numbers() {
+        // Every weight and target.
+        let temporal = Table::try_from(&loss.temporal).expect(PLAIN);
+        let numbers = temporal.iter();
+        for (key, value) in numbers.filter_map(|(key, value)| Some((key, value.as_float()?))) {
             let allowed = match key.starts_with("target_") {
                 true => ABOVE_ZERO,
                 false => (Bound::Included(0.0), Bound::Unbounded),
             };
-            in_range(key, value, allowed).within("loss.temporal")?;
+            in_range(key.as_str(), value, allowed).within("loss.temporal")?;
         }
         Ok(())
     }

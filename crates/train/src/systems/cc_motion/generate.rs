@@ -34,7 +34,6 @@ pub struct Generator {
     unet: UNet1d,
     decoder: Option<MotionDecoder>,
     diffusion: GaussianDiffusion,
-    statistics: Statistics,
     state: State,
     device: Device,
 }
@@ -50,13 +49,12 @@ impl Generator {
             decoder,
             state,
         } = Trained::load(path, weights, device)?;
-        let statistics = state.statistics_of(&Phrases)?.clone();
+        state.statistics_of(&Phrases)?;
         let diffusion = GaussianDiffusion::new(&CcMotionConfig::of(&state.config)?.diffusion)?;
         Ok(Self {
             unet: unet.valid(),
             decoder: decoder.map(|decoder| decoder.valid()),
             diffusion,
-            statistics,
             state,
             device: device.clone(),
         })
@@ -69,7 +67,7 @@ impl Generator {
 
     /// The statistics of its training phrases.
     pub fn statistics(&self) -> &Statistics {
-        &self.statistics
+        &self.state.statistics
     }
 
     /// Number of steps it was trained for.

@@ -9,7 +9,7 @@ use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks};
-use super::recipes::{DecoderRecipe, DiffusionRecipe, E2eRecipe, Rollouts};
+use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::start::Starts;
 use super::{CcMotionConfig, DECODER, E2E, pretrain, rolls_out};
 use crate::config::{Config, SystemTables};
@@ -60,7 +60,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     if !rolls_out(&config) {
         let model = denoiser(&config, &setup.device)?;
         let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-        let recipe = DiffusionRecipe::new(diffusion, held_out);
+        let recipe = diffusion_recipe(diffusion, held_out);
         return setup.train(material, recipe, model, observer);
     }
     let model = match starts {

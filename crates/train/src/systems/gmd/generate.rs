@@ -14,7 +14,6 @@ use kinegrad_diffusion::{
     steered_sample,
 };
 use kinegrad_models::TextDenoiser;
-use kinegrad_motion::Statistics;
 use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
@@ -23,18 +22,10 @@ use kinegrad_settings::{Refused, in_range, require};
 use super::networks::{TrainedClips, channels_of};
 use super::space::{FeatureSpace, GroundObjective};
 use super::{GmdConfig, MOTION, TRAJECTORY};
-use crate::checkpoint::Weights;
+use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
-
-/// Which of the two stages is drawing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// The ground path.
-    Trajectory,
-    /// The motion.
-    Motion,
-}
+use crate::evaluation::OnStep;
 
 /// A request for one clip.
 #[derive(Clone, Debug)]
@@ -56,23 +47,29 @@ pub struct ClipSample {
     pub path: Option<Vec<[f64; 2]>>,
 }
 
+impl ClipSample {
+    /// The clip of these features.
+    pub(super) fn of(features: Features) -> Self {
+        let positions = features.root_positions().into_iter();
+        Self {
+            ground: positions.map(|[x, _, z]| [x, z]).collect(),
+            features: Some(features),
+            path: None,
+        }
+    }
+}
+
 /// A trained denoiser of clips, ready to generate samples.
 pub struct ClipGenerator {
     plain: TextDenoiser,
     tracked: TextDenoiser,
     diffusion: GaussianDiffusion,
     space: FeatureSpace,
-    trained: TrainedParts,
-    device: Device,
-}
-
-struct TrainedParts {
-    config: Config,
-    step: u64,
-    statistics: Statistics,
+    state: State,
     channels: usize,
     /// Maximum number of frames of the network.
     longest: Option<usize>,
+    device: Device,
 }
 
 impl ClipGenerator {
@@ -84,7 +81,6 @@ impl ClipGenerator {
         let TrainedClips {
             model,
             projection,
-            statistics,
             state,
         } = TrainedClips::load(path, weights, &device.clone().autodiff())?;
         let channels = channels_of(&state.config);
@@ -94,36 +90,32 @@ impl ClipGenerator {
             tracked: model.no_grad(),
             diffusion: GaussianDiffusion::new(&own.diffusion)?,
             space: FeatureSpace::new(
-                &statistics.mean[..channels],
-                &statistics.std[..channels],
+                &state.statistics.mean[..channels],
+                &state.statistics.std[..channels],
                 projection.as_ref(),
                 device,
             ),
-            trained: TrainedParts {
-                step: state.step,
-                config: state.config,
-                statistics,
-                longest: own.model.network.longest(),
-                channels,
-            },
+            state,
+            channels,
+            longest: own.model.network.longest(),
             device: device.clone(),
         })
     }
 
     /// The config the model was trained with.
     pub fn config(&self) -> &Config {
-        &self.trained.config
+        &self.state.config
     }
 
     /// Steps it was trained for.
     pub fn step(&self) -> u64 {
-        self.trained.step
+        self.state.step
     }
 
     /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
     /// generates their ground paths first. Clip i depends on `seed`, i and its request, and, by
     /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
-    /// called with the stage and its steps done and in total.
+    /// called with the stage, `trajectory` or `motion`, and its steps done and in total.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
@@ -135,7 +127,7 @@ impl ClipGenerator {
         frames: usize,
         sampling: &SamplingConfig,
         seed: u64,
-        on_step: &mut dyn FnMut(Stage, usize, usize),
+        on_step: &mut OnStep<'_>,
     ) -> Result<Vec<ClipSample>, Error> {
         let key = Key::new(seed, Purpose::Sampling);
         let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
@@ -144,7 +136,7 @@ impl ClipGenerator {
         let mut goals = goals.unwrap_or_default();
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
-            let mut told = |done, all| on_step(Stage::Trajectory, done, all);
+            let mut told = |done, all| on_step("trajectory", done, all);
             let key = key.named("trajectory");
             // The first stage is clipped as its own run says.
             let first = SamplingConfig {
@@ -158,29 +150,22 @@ impl ClipGenerator {
             }
             paths = Some(drawn);
         }
-        let mut told = |done, all| on_step(Stage::Motion, done, all);
+        let mut told = |done, all| on_step("motion", done, all);
         let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
-        let mut paths = paths.map(Vec::into_iter);
-        let mut next_path = || paths.as_mut().and_then(Iterator::next);
-        if self.trained.config.train.recipe == TRAJECTORY {
-            let drawn = self.paths(x).into_iter();
-            return Ok(drawn
-                .map(|ground| ClipSample {
-                    features: None,
-                    ground,
-                    path: next_path(),
-                })
-                .collect());
+        if self.config().train.recipe == TRAJECTORY {
+            let of_path = |ground| ClipSample {
+                features: None,
+                ground,
+                path: None,
+            };
+            return Ok(self.paths(x).into_iter().map(of_path).collect());
         }
-        Ok(self
-            .features(x)?
-            .into_iter()
-            .map(|features| ClipSample {
-                ground: ground_of(&features),
-                features: Some(features),
-                path: next_path(),
-            })
-            .collect())
+        let features = self.features(x)?.into_iter();
+        let mut samples: Vec<_> = features.map(ClipSample::of).collect();
+        for (sample, path) in samples.iter_mut().zip(paths.into_iter().flatten()) {
+            sample.path = Some(path);
+        }
+        Ok(samples)
     }
 
     /// Rejects a trajectory model of other clips, or before another trajectory model.
@@ -211,13 +196,13 @@ impl ClipGenerator {
         key: Key,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Tensor<3>, Error> {
-        if let Some(most) = self.trained.longest {
+        if let Some(most) = self.longest {
             in_range("frames", frames, 1..=most).hint(
                 "`model.padded_frames` is the maximum length of the network: shorten the goal, or use \
                  fewer `--frames` without one",
             )?;
         }
-        let (batch, channels) = (texts.len(), self.trained.channels);
+        let (batch, channels) = (texts.len(), self.channels);
         let values: Vec<f32> = (0..batch as u64)
             .flat_map(|index| key.named("start").at(index).normals(channels * frames))
             .collect();
@@ -238,7 +223,7 @@ impl ClipGenerator {
             },
             ..sampling.sampler.clone()
         };
-        let clip = sampling.clip.range(&self.trained.statistics, channels)?;
+        let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
         if goals.is_empty() {
             let plain = &self.plain;
@@ -255,7 +240,7 @@ impl ClipGenerator {
             return Ok(x);
         }
         require(
-            self.trained.config.data.humanml3d.root == Root::Absolute,
+            self.config().data.humanml3d.root == Root::Absolute,
             "data.humanml3d.root",
             "\"relative\" in the run's config",
             "\"absolute\" for position control",
@@ -288,7 +273,7 @@ impl ClipGenerator {
         };
         let x = steered_sample(
             &self.diffusion,
-            networks,
+            &networks,
             start,
             &cond,
             &sampler,
@@ -302,7 +287,7 @@ impl ClipGenerator {
 
     /// The ground positions that `goals` know in a phase that acts.
     fn known(&self, goals: &[Goal], phase: Phase, frames: usize) -> Imputation<'_> {
-        let channels = self.trained.channels;
+        let channels = self.channels;
         let targets = goals.iter().filter_map(|goal| goal.targets(phase));
         let (targets, masks): (Vec<_>, Vec<_>) = targets
             .map(|targets| targets.in_channels(channels, frames).into())
@@ -332,7 +317,7 @@ impl ClipGenerator {
         let [_, channels, frames] = x.dims();
         let rows = self.space.to_motion(x).swap_dims(1, 2);
         let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
-        let humanml3d = &self.trained.config.data.humanml3d;
+        let humanml3d = &self.config().data.humanml3d;
         let (layout, root) = (humanml3d.skeleton.skeleton().layout(), humanml3d.root);
         let clips = values.chunks(channels * frames);
         let features = clips.map(|clip| Features::new(clip.to_vec(), layout, root));
@@ -353,12 +338,6 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
     let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
     goal.validate().map_err(|error| refused(&error))?;
     Ok(goal)
-}
-
-/// Where the root stands in each frame.
-fn ground_of(features: &Features) -> Vec<[f64; 2]> {
-    let positions = features.root_positions().into_iter();
-    positions.map(|[x, _, z]| [x, z]).collect()
 }
 
 /// The goal of a second stage: the whole path of the first.

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
-use kinegrad_data::read_array;
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::{Backbone, NetworkConfig, parameters};
 use kinegrad_motion::Statistics;
@@ -13,13 +12,13 @@ use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
 use kinegrad_motion::humanml::Root;
 use pytorch_reader::Tensor;
 
-use super::networks::{channels_of, in_space_of, text_denoiser};
+use super::networks::{channels_of, text_denoiser};
 use super::{Gmd, GmdConfig, MOTION};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
-use crate::published::{self, part_of, read_tensors, vector};
+use crate::published::{self, array, part_of, read_tensors, vector};
 use crate::system::Systems;
 
 /// Names of the published programs that are no weights of the network: the text encoder and the
@@ -71,16 +70,13 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let model = text_denoiser(&config, sizes.channels, &device)?;
     let mut model = published::load(&request.weights, model, &tensors)?;
     if let Some(path) = &request.projection {
-        let matrix = square(path, sizes.channels)?;
+        let channels = sizes.channels;
+        let allowed = format!("[{channels}, {channels}], the network's channels");
+        let matrix = array(path, allowed, |shape| shape == [channels, channels])?;
         let emphasis = GmdConfig::of(&config)?.emphasis;
         // Rejects what cannot be undone.
-        EmphasisProjection::from_matrix(
-            &matrix,
-            sizes.channels,
-            emphasis.scale,
-            &emphasis.channels,
-        )?;
-        model = in_space_of(model, matrix, &device);
+        EmphasisProjection::from_matrix(&matrix, channels, emphasis.scale, &emphasis.channels)?;
+        model = model.in_space_of(matrix, &device);
     }
     let (infos, values) = (parameters::infos(&model), parameters::values(&model));
     let state = State {
@@ -224,16 +220,4 @@ fn settings(
     let statistics = Statistics::new(mean, std, Some(Root::Absolute))?;
     config.system = own.to_table();
     Ok((config, statistics))
-}
-
-fn square(path: &Path, channels: usize) -> Result<Vec<f32>, Error> {
-    let array = read_array(path)?;
-    match array.shape == [channels, channels] {
-        true => Ok(array.values),
-        false => Err(Error::Array {
-            path: path.to_path_buf(),
-            found: format!("shape {:?}", array.shape),
-            allowed: format!("[{channels}, {channels}], the network's channels"),
-        }),
-    }
 }

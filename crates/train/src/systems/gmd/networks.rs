@@ -22,13 +22,7 @@ pub(super) const MATRIX: &str = "projection.matrix";
 pub fn channels_of(config: &Config) -> usize {
     match config.train.recipe.as_str() {
         TRAJECTORY => TRAJECTORY_CHANNELS,
-        _ => config
-            .data
-            .humanml3d
-            .skeleton
-            .skeleton()
-            .layout()
-            .channels(),
+        _ => config.data.humanml3d.representation().channels(),
     }
 }
 
@@ -58,15 +52,9 @@ pub fn model_in_space(config: &Config, device: &Device) -> Result<TextDenoiser, 
         false => GmdConfig::of(config)?.emphasis.projection(channels)?,
     };
     Ok(match projection {
-        Some(projection) => in_space_of(model, projection.matrix().to_vec(), device),
+        Some(projection) => model.in_space_of(projection.matrix().to_vec(), device),
         None => model,
     })
-}
-
-pub(super) fn in_space_of(model: TextDenoiser, matrix: Vec<f32>, device: &Device) -> TextDenoiser {
-    let channels = matrix.len().isqrt();
-    let init = Initializer::new(0, device);
-    model.in_space_of(matrix, channels, &init)
 }
 
 /// A trained denoiser of clips.
@@ -75,9 +63,7 @@ pub struct TrainedClips {
     pub model: TextDenoiser,
     /// The space it works in, where that is a projected one.
     pub projection: Option<EmphasisProjection>,
-    /// Statistics of its training clips.
-    pub statistics: Statistics,
-    /// Config, step.
+    /// Config, step, statistics of its training clips.
     pub state: State,
 }
 
@@ -107,15 +93,16 @@ impl TrainedClips {
                     emphasis.scale,
                     &emphasis.channels,
                 )?;
-                model = in_space_of(model, matrix.values.clone(), device);
+                model = model.in_space_of(matrix.values.clone(), device);
                 Some(projection)
             }
             None => None,
         };
+        let model = parameters::load(model, values)?;
+        statistics_in(&state)?;
         Ok(Self {
-            model: parameters::load(model, values)?,
+            model,
             projection,
-            statistics: statistics_in(&state)?.clone(),
             state,
         })
     }
@@ -152,7 +139,7 @@ pub(super) fn started(
     }
     let fresh = text_denoiser(config, channels_of(config), device)?;
     let fresh = match &trained.projection {
-        Some(projection) => in_space_of(fresh, projection.matrix().to_vec(), device),
+        Some(projection) => fresh.in_space_of(projection.matrix().to_vec(), device),
         None => fresh,
     };
     let weights = parameters::values(&trained.model);

@@ -11,7 +11,7 @@ use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::TRAJECTORY;
 use super::evaluate::embedding;
-use super::generate::{ClipGenerator, ClipRequest, ClipSample, Stage, read_goal};
+use super::generate::{ClipGenerator, ClipRequest, ClipSample, read_goal};
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
@@ -78,7 +78,7 @@ pub(super) fn sample(
         frames,
         &subject.config.sampling,
         request.seed,
-        &mut |stage, done, all| receiver.stepped(name_of(stage), done, all),
+        &mut |stage, done, all| receiver.stepped(stage, done, all),
     )?;
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     for (index, (sample, request)) in samples.iter().zip(&requests).enumerate() {
@@ -110,21 +110,13 @@ fn for_held_out(
     let requests: Vec<ClipRequest> = chosen.iter().map(request).collect();
     let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let (frames, sampling) = (config.data.target_frames, &config.sampling);
-    let mut told = |stage, done, all| receiver.stepped(name_of(stage), done, all);
+    let mut told = |stage, done, all| receiver.stepped(stage, done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
     for (clip, sample) in chosen.iter().zip(&samples) {
         let skeleton = &dataset.representation.skeleton;
         receiver.drawn(drawn(clip.id.clone(), sample, frames, skeleton))?;
     }
     Ok(None)
-}
-
-/// What a stage is called.
-pub(super) fn name_of(stage: Stage) -> &'static str {
-    match stage {
-        Stage::Trajectory => "trajectory",
-        Stage::Motion => "motion",
-    }
 }
 
 /// Rejects a checkpoint that is not of a trajectory model.
@@ -218,6 +210,6 @@ fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton)
             })
         })
         .collect();
-    let feet = skeleton.contact_joints();
-    (!measured.is_empty()).then(|| GoalReport::compute(&measured, &feet).to_string())
+    let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
+    (!measured.is_empty()).then(|| GoalReport::compute(&measured, fps, &feet).to_string())
 }

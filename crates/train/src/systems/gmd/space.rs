@@ -51,15 +51,8 @@ impl FeatureSpace {
             Tensor::from_data(TensorData::new(values, shape), device)
         };
         let square = |values: &[f32]| -> Tensor<2> {
-            assert_eq!(
-                values.len(),
-                channels * channels,
-                "a matrix of the channels"
-            );
-            Tensor::from_data(
-                TensorData::new(values.to_vec(), [channels, channels]),
-                device,
-            )
+            let data = TensorData::new(values.to_vec(), [channels, channels]);
+            Tensor::from_data(data, device)
         };
         Self {
             ground: tensor(&ground, [1, 2, channels]),

@@ -6,9 +6,9 @@ use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, ClipSamples};
 use kinegrad_diffusion::GaussianDiffusion;
 
+use super::GmdConfig;
 use super::networks::{channels_of, model_in_space, started, statistics_in};
-use super::recipes::{GmdMotionRecipe, GmdTrajectoryRecipe};
-use super::{GmdConfig, TRAJECTORY};
+use super::recipes::clip_recipe;
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -47,15 +47,6 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         ClipSamples::new(clips, representation, statistics, channels, data, seed)
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-    match setup.recipe.name {
-        TRAJECTORY => {
-            let recipe = GmdTrajectoryRecipe::new(diffusion, held_out);
-            setup.train(material, recipe, model, observer)
-        }
-        _ => {
-            let scale = own.loss.trajectory_scale;
-            let recipe = GmdMotionRecipe::new(diffusion, channels, scale, held_out);
-            setup.train(material, recipe, model, observer)
-        }
-    }
+    let recipe = clip_recipe(diffusion, channels, own.loss.trajectory_scale, held_out);
+    setup.train(material, recipe, model, observer)
 }

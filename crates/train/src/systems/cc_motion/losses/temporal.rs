@@ -115,28 +115,6 @@ impl TemporalLossConfig {
             ..Self::default()
         }
     }
-
-    /// Every weight and target with its key, for checking.
-    pub(crate) fn numbers(&self) -> [(&'static str, f64); 13] {
-        [
-            ("velocity_weight", self.velocity_weight),
-            ("acceleration_weight", self.acceleration_weight),
-            ("jerk_weight", self.jerk_weight),
-            ("quat_delta_weight", self.quat_delta_weight),
-            ("phase_monotonic_weight", self.phase_monotonic_weight),
-            ("quat_norm_weight", self.quat_norm_weight),
-            ("angular_velocity_weight", self.angular_velocity_weight),
-            (
-                "position_smoothness_weight",
-                self.position_smoothness_weight,
-            ),
-            ("target_jerk", self.target_jerk),
-            ("target_vel_coherence", self.target_vel_coherence),
-            ("target_accel_coherence", self.target_accel_coherence),
-            ("target_quat_delta", self.target_quat_delta),
-            ("target_angular_velocity", self.target_angular_velocity),
-        ]
-    }
 }
 
 /// The weighted terms of `decoded`, by name; those of weight 0 are left out. A motion of one frame

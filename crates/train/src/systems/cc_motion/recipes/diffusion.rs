@@ -9,50 +9,19 @@
 //! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance.
 
 use burn::tensor::Device;
-use kinegrad_data::{AUDIO, Batch};
+use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
 use kinegrad_models::UNet1d;
 
-use crate::denoising::{Draws, HeldOut, Inputs};
-use crate::recipe::{Loss, Measured, Recipe, StepKey};
+use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
+use crate::recipe::Loss;
 
-/// Trains a [`UNet1d`] to denoise.
-pub struct DiffusionRecipe {
+/// Trains a [`UNet1d`] to denoise, over `diffusion`, validated on `held_out`.
+pub fn diffusion_recipe(
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
-}
-
-impl DiffusionRecipe {
-    /// A recipe over `diffusion`, validated on `held_out`.
-    pub fn new(diffusion: GaussianDiffusion, held_out: HeldOut) -> Self {
-        Self {
-            diffusion,
-            held_out,
-        }
-    }
-
-    /// The loss of given draws.
-    pub fn loss_of(&self, model: &UNet1d, inputs: Inputs, draws: Draws) -> Loss {
-        denoising_loss(&self.diffusion, model, inputs, draws, true)
-    }
-}
-
-impl Recipe for DiffusionRecipe {
-    type Model = UNet1d;
-    type Pending = ();
-
-    fn loss(&self, model: &UNet1d, batch: &Batch, key: StepKey, device: &Device) -> Loss {
-        let inputs = Inputs::new(batch, device);
-        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
-        self.loss_of(model, inputs, draws)
-    }
-
-    fn validation_loss(&self, model: &UNet1d, device: &Device) -> Measured {
-        Measured {
-            total: denoising_validation_loss(&self.diffusion, model, &self.held_out, device),
-            terms: Vec::new(),
-        }
-    }
+) -> DenoisingRecipe<UNet1d> {
+    DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
 /// The loss above, with the weights w(t) where it is `weighted`.

@@ -6,6 +6,6 @@ pub mod e2e;
 mod rollouts;
 
 pub use decoder::DecoderRecipe;
-pub use diffusion::DiffusionRecipe;
+pub use diffusion::diffusion_recipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::goal::{Goal, Keyframe, Obstacle};
 use kinegrad_motion::humanml::{Joints, TEXT_CHANNELS};
-use kinegrad_motion::metrics::{GoalReport, GoalSample, JointTracks};
+use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use serde::Serialize;
 
 use super::text_motion::{TextMotion, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample, Stage};
+use crate::evaluation::OnStep;
+use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample};
 
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
@@ -38,11 +39,8 @@ impl GoalTask {
     /// The goal derived from `clip`.
     pub fn goal(&self, clip: &Clip) -> Goal {
         let frames = clip.features.frames().min(self.frames);
-        let path = clip
-            .features
-            .slice(0..frames)
-            .to_absolute()
-            .root_positions();
+        let features = clip.features.slice(0..frames).to_absolute();
+        let path = features.root_positions();
         let last = frames - 1;
         let mut goal = Goal::new(frames);
         let keyframe = |frame: usize| {
@@ -120,7 +118,7 @@ pub fn evaluate_goals(
     held_out: &[Arc<Clip>],
     settings: &GoalSettings,
     evaluator: Option<&TextMotion>,
-    on_step: &mut dyn FnMut(Stage, usize, usize),
+    on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
     let task = &settings.task;
     let goals: Vec<Goal> = held_out.iter().map(|clip| task.goal(clip)).collect();
@@ -158,12 +156,7 @@ pub fn evaluate_goals(
         .zip(&goals)
         .map(|(clip, goal)| {
             let features = clip.features.slice(0..goal.frames).to_absolute();
-            let positions = features.root_positions();
-            ClipSample {
-                ground: positions.into_iter().map(|[x, _, z]| [x, z]).collect(),
-                features: Some(features),
-                path: None,
-            }
+            ClipSample::of(features)
         })
         .collect();
     let drawn = Measured::new(&samples, &goals);
@@ -225,20 +218,18 @@ impl<'a> Measured<'a> {
 
     fn report(&self, generator: &ClipGenerator, goals: &[Goal], real: &Self) -> GoalReport {
         let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
-        let fps = skeleton.description().fps;
         let samples = self.samples.iter().zip(goals).zip(&self.joints);
         let samples: Vec<GoalSample> = samples
             .map(|((sample, goal), joints)| GoalSample {
                 goal,
                 ground: &sample.ground,
-                joints: joints
-                    .as_ref()
-                    .map(|j| JointTracks::new(j.as_slice(), j.joints(), fps)),
+                joints: joints.as_ref(),
             })
             .collect();
         let feet = skeleton.contact_joints();
         // Left and right toe: the second of each pair of contacts.
-        let report = GoalReport::compute(&samples, &[feet[1], feet[3]]);
+        let fps = skeleton.description().fps;
+        let report = GoalReport::compute(&samples, fps, &[feet[1], feet[3]]);
         let seed = generator.config().run.seed;
         report.with_features(&self.features, &real.features, DIVERSITY_PAIRS, seed)
     }

@@ -12,7 +12,7 @@ use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::sampling::Subject;
-use crate::systems::gmd::sample::{must_draw_paths, name_of};
+use crate::systems::gmd::sample::must_draw_paths;
 use crate::systems::gmd::{ClipGenerator, GmdConfig};
 
 /// An evaluation of position control.
@@ -74,7 +74,7 @@ pub fn prepare<'a>(
             &held_out,
             &settings,
             evaluator.as_ref(),
-            &mut |stage, done, all| on_step(name_of(stage), done, all),
+            on_step,
         )?;
         if let Some(reports) = &evaluation.text_motion {
             remarks.push(format!("{}: {}", evaluation.run, reports.drawn));

@@ -11,13 +11,13 @@ use serde::Serialize;
 
 use crate::error::Error;
 use crate::published::{load, read_tensors, vector};
+use crate::systems::gmd::EvaluatorFiles;
 
 /// A shorter clip is followed by frames of zeros, after normalisation, up to this many.
 const PADDED_FRAMES: usize = 196;
 
 /// Clips or captions that are encoded together.
 const GROUP: usize = 32;
-use crate::systems::gmd::EvaluatorFiles;
 
 /// The evaluator, ready to use.
 pub struct TextMotion {
@@ -74,27 +74,24 @@ impl TextMotion {
         }
         let layout = FeatureLayout::of_channels(statistics.channels())?;
         let frame = layout.contacts().start;
-        let fits = |what: &str, found: usize, reader: &str, expected: usize| match found == expected
-        {
-            true => Ok(()),
-            false => Err(Error::usage(
-                format!("{what} has width {found}, but {reader} needs {expected}"),
-                "weights, mean and deviation, and word vectors must be those that were published \
-                 together, for features of the same kind as the clips",
-            )),
-        };
-        fits(
-            "a frame without contact flags",
-            frame,
-            "`movement_encoder`",
-            encoders.channels(),
-        )?;
-        fits(
-            "a word vector",
-            words.width(),
-            "`text_encoder`",
-            encoders.word_vector(),
-        )?;
+        let (of_frame, of_word) = (encoders.config().channels, encoders.config().word_vector);
+        for (what, found, reader, expected) in [
+            (
+                "a frame without contact flags",
+                frame,
+                "movement_encoder",
+                of_frame,
+            ),
+            ("a word vector", words.width(), "text_encoder", of_word),
+        ] {
+            if found != expected {
+                return Err(Error::usage(
+                    format!("{what} has width {found}, but `{reader}` needs {expected}"),
+                    "weights, mean and deviation, and word vectors must be those that were \
+                     published together, for features of the same kind as the clips",
+                ));
+            }
+        }
         Ok(Self {
             encoders,
             statistics,
@@ -122,19 +119,12 @@ impl TextMotion {
                 ));
             }
             let (expected, found) = (self.statistics.channels(), features.layout().channels());
-            if found != expected {
-                return Err(FeatureError::LengthMismatch {
-                    what: "channels of a frame",
-                    expected,
-                    found,
-                }
-                .into());
-            }
+            FeatureError::unless_equal("channels of a frame", expected, found)?;
             normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
         }
         let lengths: Vec<usize> = clips.iter().map(|clip| clip.frames()).collect();
         let padded = |frames: usize| frames.max(PADDED_FRAMES);
-        let channels = self.encoders.channels();
+        let channels = self.encoders.config().channels;
         Ok(in_groups(&lengths, padded, |group, lengths, padded| {
             let mut frames = vec![0.0; group.len() * channels * padded];
             let rows = frames.chunks_exact_mut(channels * padded);

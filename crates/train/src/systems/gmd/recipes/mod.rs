@@ -1,8 +1,6 @@
-//! One file per recipe, with its loss.
+//! The recipe of both models, and its loss.
 
+mod clips;
 pub mod loss;
-pub mod motion;
-pub mod trajectory;
 
-pub use motion::GmdMotionRecipe;
-pub use trajectory::GmdTrajectoryRecipe;
+pub use clips::clip_recipe;
