@@ -51,7 +51,7 @@ fn run(device: &Device) -> Outcome {
     let mut tracked = loss.backward();
     let names = parameters::infos(&model).into_iter().map(|info| info.name);
     let gradients = names
-        .zip(parameters::gradients(&model, &mut tracked))
+        .zip(kinegrad_models::gradients(&model, &mut tracked))
         .collect();
     Outcome {
         output,

@@ -53,10 +53,10 @@ pub use bvh::{Axis, Bvh, Channel, Joint};
 pub use c3d::{C3d, Processor};
 pub use error::Error;
 pub use join::{Joining, join};
-pub use markers::{MarkerGaps, MarkerMap, MarkerRoot};
+pub use markers::{MarkerMap, MarkerRoot};
 pub use phase::{BeatGrid, Beats, TrackedBeats};
 pub use phrases::{Stretch, stretches};
-pub use track::{RootPose, RootSource, RootTrack, resample};
+pub use track::{MarkerGaps, RootPose, RootSource, RootTrack, resample};
 
 /// Which axis of a capture file points up.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]

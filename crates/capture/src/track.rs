@@ -5,8 +5,8 @@ use std::ops::RangeInclusive;
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::kinematics::make_sign_continuous;
 
+use crate::Error;
 use crate::error::require;
-use crate::{Error, MarkerGaps};
 
 /// Rates of tracks in frames per second. The lower bound keeps the resampled track within a few
 /// hundred times the length of the original.
@@ -22,6 +22,19 @@ pub struct RootPose {
     pub position: [f64; 3],
     /// Unit quaternion from body to world; the identity faces +z.
     pub orientation: Quaternion,
+}
+
+/// What was missing of one marker.
+#[derive(Clone, Debug, Default, Eq, PartialEq)]
+pub struct MarkerGaps {
+    /// The marker's label in the file.
+    pub marker: String,
+    /// Frames without it.
+    pub missing_frames: usize,
+    /// Those of them that were filled by a straight line.
+    pub filled_frames: usize,
+    /// Length of its longest gap in frames.
+    pub longest_gap_frames: usize,
 }
 
 /// A take that tells where its root is, between frames too.

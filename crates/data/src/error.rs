@@ -7,7 +7,7 @@ use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
-use crate::{DataKind, Item, StoreError};
+use crate::{Item, StoreError};
 
 /// Why one array file could not be used. `file` is its path, followed by `:member` inside an
 /// archive.
@@ -230,7 +230,7 @@ impl Error {
     }
 
     /// An [`Error::Config`] of `data.kind`.
-    pub(crate) fn wrong_kind(kind: DataKind, allowed: &str, hint: &str) -> Self {
+    pub(crate) fn wrong_kind(kind: impl Display, allowed: &str, hint: &str) -> Self {
         let found = format!("\"{kind}\"");
         InvalidSetting::new("data.kind", found, allowed)
             .hint(hint)

@@ -1,10 +1,8 @@
 //! Noise schedules.
 
-use std::f64::consts::FRAC_PI_2;
-
 use kinegrad_settings::InvalidSetting;
 
-use crate::{BetaSchedule, DiffusionConfig};
+use crate::DiffusionConfig;
 
 /// Tables over the timesteps 0..T, in f64 on the host; built by [`NoiseSchedule::new`].
 ///
@@ -56,7 +54,7 @@ impl NoiseSchedule {
     /// If the config is not valid ([`DiffusionConfig::validate`]).
     pub fn new(config: &DiffusionConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
-        let mut betas = betas(config);
+        let mut betas = config.betas();
         if config.rescale_betas_zero_snr {
             betas = rescale_zero_terminal_snr(&betas);
         }
@@ -115,43 +113,6 @@ impl NoiseSchedule {
     }
 }
 
-/// The betas of `config`, one per timestep, before any rescaling.
-pub(crate) fn betas(config: &DiffusionConfig) -> Vec<f64> {
-    let steps = config.num_train_timesteps;
-    match config.beta_schedule {
-        BetaSchedule::Linear => linspace(config.beta_start, config.beta_end, steps),
-        BetaSchedule::Sqrt => linspace(config.beta_start.sqrt(), config.beta_end.sqrt(), steps)
-            .into_iter()
-            .map(|root| root * root)
-            .collect(),
-        BetaSchedule::Cosine => (0..steps)
-            .map(|t| cosine_beta(t, steps).clamp(config.beta_min, config.beta_max))
-            .collect(),
-    }
-}
-
-/// `n` (at least 2) equidistant values, both ends exact.
-fn linspace(start: f64, end: f64, n: usize) -> Vec<f64> {
-    let step = (end - start) / (n - 1) as f64;
-    let mut values: Vec<f64> = (0..n).map(|i| start + i as f64 * step).collect();
-    values[n - 1] = end;
-    values
-}
-
-/// Offset that keeps the first betas of the cosine schedule from vanishing.
-const COSINE_OFFSET: f64 = 0.008;
-
-/// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as the sources compute it. The
-/// difference costs the smallest beta the last 5 of its 16 digits; a form that keeps them would
-/// not agree with published schedules to the 12 digits that these agree to.
-fn cosine_beta(t: usize, steps: usize) -> f64 {
-    let cumulative = |t: usize| {
-        let angle = (t as f64 / steps as f64 + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * FRAC_PI_2;
-        angle.cos().powi(2)
-    };
-    1.0 - cumulative(t + 1) / cumulative(t)
-}
-
 /// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and scales it
 /// back to its old value at the first.
 fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
@@ -180,7 +141,10 @@ fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
 mod tests {
     use proptest::prelude::*;
 
+    use std::f64::consts::FRAC_PI_2;
+
     use super::*;
+    use crate::BetaSchedule;
     use crate::PredictionType;
 
     fn any_schedule() -> impl Strategy<Value = BetaSchedule> {

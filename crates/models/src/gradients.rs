@@ -3,6 +3,14 @@
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor};
 
+/// Takes the gradients of `module`'s parameters out of `gradients`; zeros where a parameter had no
+/// part in the loss or is frozen.
+pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+    let mut sum = GradientSum::default();
+    sum.add(module, gradients);
+    sum.into_host(module)
+}
+
 /// The sum of the gradients of a module's parameters, in the module's order
 /// ([`crate::parameters`]).
 #[derive(Debug, Default)]

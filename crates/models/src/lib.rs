@@ -32,7 +32,7 @@ pub use config::{NamedSizes, NetworkConfig};
 pub use decoder::{DecoderConfig, MotionDecoder};
 pub use dropout::{Dropout, DropoutKey};
 pub use error::Error;
-pub use gradients::GradientSum;
+pub use gradients::{GradientSum, gradients};
 pub use init::Initializer;
 pub use lora::{LoraConfig, LoraTarget};
 pub use low_rank::LowRank;

@@ -92,7 +92,7 @@ mod tests {
     /// quadratic in each single element, so differences over any distance are exact.
     fn check_gradients<M: Module>(layer: M, loss: impl Fn(&M) -> Tensor<1>) {
         let mut tracked = loss(&layer).backward();
-        let gradients = parameters::gradients(&layer, &mut tracked);
+        let gradients = crate::gradients(&layer, &mut tracked);
         let weights = parameters::export(&layer);
         let names: Vec<&str> = weights.iter().map(|p| p.info.name.as_str()).collect();
         assert_eq!(names, ["weight", "bias", "lora.a", "lora.b"]);

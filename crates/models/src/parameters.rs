@@ -6,9 +6,9 @@
 use std::collections::{BTreeMap, HashMap};
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
-use burn::tensor::{Gradients, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 
-use crate::{Error, GradientSum};
+use crate::Error;
 
 /// Where a parameter stands and how large it is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -197,14 +197,6 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
         }
     }
     module.map(&mut Mapper(values.into_iter()))
-}
-
-/// Takes the gradients of all parameters out of `gradients`; zeros where a parameter had no part
-/// in the loss or is frozen.
-pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
-    let mut sum = GradientSum::default();
-    sum.add(module, gradients);
-    sum.into_host(module)
 }
 
 /// Hands the values of every parameter that is not frozen to `change`, with its index among all,

@@ -6,7 +6,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_data::Batch;
-use kinegrad_models::GradientSum;
+use kinegrad_models::gradients;
 use kinegrad_random::{Key, Purpose};
 
 /// A training recipe of a system.
@@ -101,9 +101,7 @@ pub trait Recipe {
 
     /// The gradients of a loss, in the module's order; zeros for frozen parameters.
     fn backward(&self, model: &Self::Model, loss: Loss<Self::Pending>) -> Vec<Vec<f32>> {
-        let mut sum = GradientSum::default();
-        sum.add(model, &mut loss.total.backward());
-        sum.into_host(model)
+        gradients(model, &mut loss.total.backward())
     }
 
     /// The mean loss over held-out phrases, with fixed noise so that runs compare; `model` is on

@@ -123,7 +123,7 @@ fn golden_res_block(golden: Golden) {
             ),
         ];
         let infos = parameters::infos(&block);
-        let gradients = parameters::gradients(&block, &mut gradients);
+        let gradients = kinegrad_models::gradients(&block, &mut gradients);
         compare_gradients(&golden, &case, &inputs, &infos, &gradients);
     }
 }
@@ -179,7 +179,7 @@ fn golden_attention_block(golden: Golden) {
             inputs.push(("context", gradient(context)));
         }
         let infos = parameters::infos(&block);
-        let gradients = parameters::gradients(&block, &mut gradients);
+        let gradients = kinegrad_models::gradients(&block, &mut gradients);
         compare_gradients(&golden, &case, &inputs, &infos, &gradients);
     }
     assert!(graded > 0, "no case has gradients");

@@ -47,7 +47,7 @@ fn golden_decoder(golden: Golden) {
             &[norm],
             tolerance,
         );
-        let gradients = parameters::gradients(&decoder, &mut tracked);
+        let gradients = kinegrad_models::gradients(&decoder, &mut tracked);
         let stored = golden.names_under(&format!("grad.{case}.model."));
         let mut compared = 0;
         for (info, gradient) in infos.iter().zip(&gradients) {

@@ -64,7 +64,7 @@ fn golden_diffusion_loss(golden: Golden, network: Golden) {
 
         let mut tracked = loss.backward();
         let infos = parameters::infos(&model);
-        let gradients = parameters::gradients(&model, &mut tracked);
+        let gradients = kinegrad_models::gradients(&model, &mut tracked);
         // Not every case has gradients.
         let prefix = format!("{case}.model.");
         for name in graded.iter().filter_map(|name| name.strip_prefix(&prefix)) {

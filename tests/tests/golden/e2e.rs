@@ -265,7 +265,7 @@ fn gradients_of_each_step(case: &Case) {
             &cond,
             &mut gradients,
             &mut |index, mut local| {
-                let of_step = parameters::gradients(unet, &mut local);
+                let of_step = kinegrad_models::gradients(unet, &mut local);
                 let prefix = format!("stepgrad64.{}.{index}.unet.", case.name);
                 for name in case.golden.names_under(&prefix) {
                     let place = names.iter().position(|n| *n == name).expect("a parameter");

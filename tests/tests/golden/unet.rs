@@ -70,7 +70,7 @@ fn compare(golden: &Golden, model: &UNet1d, device: &Device, gradient_tolerance:
                 .assert_close_tensor(&format!("{case} d{name}"), gradient, gradient_tolerance);
         }
         let infos = parameters::infos(model);
-        let gradients = parameters::gradients(model, &mut gradients);
+        let gradients = kinegrad_models::gradients(model, &mut gradients);
         let stored = golden.names_under(&format!("grad.{case}.model."));
         let mut compared = 0;
         for (info, gradient) in infos.iter().zip(&gradients) {

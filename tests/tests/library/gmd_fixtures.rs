@@ -85,7 +85,7 @@ fn the_transformer_is_that_of_pytorch() {
         .get("grad.in.x")
         .assert_close_tensor("dx", dx, GRADIENT);
     let infos = parameters::infos(&network);
-    let gradients = parameters::gradients(&network, &mut gradients);
+    let gradients = kinegrad_models::gradients(&network, &mut gradients);
     let mut compared = 0;
     for (info, gradient) in infos.iter().zip(&gradients) {
         let name = format!("grad.model.{}", info.name);

@@ -30,7 +30,7 @@ impl Bvh {
         skeleton: &Skeleton,
         units_per_metre: f64,
     ) -> Result<Self, Error> {
-        skeleton.accept(clip)?;
+        clip.must_be_of(skeleton)?;
         let allowed = "a positive number: 1 for metres, 100 for centimetres";
         require_positive("units_per_metre", units_per_metre, allowed)?;
         let figure = Figure::new(skeleton, clip, units_per_metre);

@@ -1,19 +1,6 @@
 //! Gaps: frames in which a marker was not captured.
 
-use crate::track::{lerp, runs};
-
-/// What was missing of one marker.
-#[derive(Clone, Debug, Default, Eq, PartialEq)]
-pub struct MarkerGaps {
-    /// The marker's label in the file.
-    pub marker: String,
-    /// Frames without it.
-    pub missing_frames: usize,
-    /// Those of them that were filled by a straight line.
-    pub filled_frames: usize,
-    /// Length of its longest gap in frames.
-    pub longest_gap_frames: usize,
-}
+use crate::track::{MarkerGaps, lerp, runs};
 
 /// Fills gaps of at most `max_gap_frames` frames between two known frames.
 pub(super) fn fill_gaps(

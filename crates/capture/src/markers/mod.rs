@@ -13,7 +13,6 @@ use self::root::Axes;
 use crate::error::require;
 use crate::{C3d, Error, UpAxis};
 
-pub use gaps::MarkerGaps;
 pub use root::MarkerRoot;
 
 /// Which markers carry the root. A group of several stands for its mean; names are given with or

@@ -13,8 +13,7 @@
 use kinegrad_motion::Quaternion;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use super::MarkerGaps;
-use crate::track::{lerp, split};
+use crate::track::{MarkerGaps, lerp, split};
 use crate::{RootPose, RootSource};
 
 /// A direction shorter than this, in metres, is none.

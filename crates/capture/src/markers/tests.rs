@@ -1,4 +1,5 @@
 use super::*;
+use crate::MarkerGaps;
 use crate::RootSource;
 use crate::c3d::tests::writer::Example;
 use kinegrad_motion::Quaternion;

@@ -6,13 +6,15 @@
 //! An [`Objective`] is any function from the predicted motion to the gradient of a loss.
 
 mod imputation;
+mod steered;
 mod step;
 
 use burn::tensor::Tensor;
 use kinegrad_settings::{Refused, require};
 
 pub use imputation::{Imputation, Space};
-pub use step::{Steered, steered_prediction};
+pub use steered::Steered;
+pub use step::steered_prediction;
 
 use crate::sampler::draw;
 use crate::{

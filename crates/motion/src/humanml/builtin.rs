@@ -1,6 +1,6 @@
 //! The skeletons of the two published datasets.
 
-use super::skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};
+use super::{FaceJoints, Feet, Skeleton, SkeletonDescription};
 
 const LEFT: [f64; 3] = [1.0, 0.0, 0.0];
 const RIGHT: [f64; 3] = [-1.0, 0.0, 0.0];

@@ -65,7 +65,7 @@ impl Extraction {
     ) -> Result<Features, FeatureError> {
         in_range("contact_threshold", self.contact_threshold, 0.0..)
             .hint("square metres; 0.002 in the published data set")?;
-        skeleton.accept(joints)?;
+        joints.must_be_of(skeleton)?;
         if joints.frames() < 2 {
             return Err(FeatureError::TooFewFrames {
                 found: joints.frames(),
@@ -144,7 +144,7 @@ pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureEr
 /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
 /// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
 pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
-    skeleton.accept(joints)?;
+    joints.must_be_of(skeleton)?;
     let heights = joints.as_slice().iter().map(|[_, y, _]| *y);
     let floor = heights.fold(f64::INFINITY, f64::min);
     let first = joints.frame(0);

@@ -94,13 +94,21 @@ impl Joints {
         Self { values, joints }
     }
 
+    /// Rejects the joints of another skeleton than `skeleton`.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] for another number of joints.
+    pub fn must_be_of(&self, skeleton: &Skeleton) -> Result<(), FeatureError> {
+        FeatureError::unless_equal("joints of a frame", skeleton.joints(), self.joints)
+    }
+
     /// The clip reflected at the plane x = 0, left for right: the joints of each pair change
     /// places and x is negated, as the dataset's own mirrored half is made.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
     pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
-        skeleton.accept(self)?;
+        self.must_be_of(skeleton)?;
         let mirrored = skeleton.mirrored();
         let values = (0..self.frames()).flat_map(|t| {
             let frame = self.frame(t);

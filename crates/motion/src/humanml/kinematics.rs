@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use super::skeleton::FaceJoints;
+use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
 use crate::Quaternion;
 use crate::rotation::length;
@@ -64,7 +64,7 @@ pub fn facing(
     joints: &Joints,
     heading: Heading,
 ) -> Result<Vec<[f64; 3]>, FeatureError> {
-    skeleton.accept(joints)?;
+    joints.must_be_of(skeleton)?;
     let frames = (0..joints.frames()).map(|t| joints.frame(t));
     let raw: Vec<[f64; 3]> = frames
         .map(|frame| forward(skeleton, frame, Across::Published))

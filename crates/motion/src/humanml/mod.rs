@@ -38,6 +38,7 @@
 pub const TEXT_CHANNELS: usize = 512;
 
 mod builtin;
+mod description;
 mod error;
 pub mod extract;
 mod features;
@@ -54,6 +55,7 @@ mod moving;
 #[cfg(test)]
 pub(crate) use moving::moving;
 
+pub use description::{FaceJoints, Feet, SkeletonDescription};
 pub use error::FeatureError;
 pub use extract::Extraction;
 pub use features::Features;
@@ -61,4 +63,4 @@ pub use joints::Joints;
 pub use kinematics::Heading;
 pub use layout::FeatureLayout;
 pub use root::Root;
-pub use skeleton::{FaceJoints, Feet, Skeleton, SkeletonDescription};
+pub use skeleton::Skeleton;

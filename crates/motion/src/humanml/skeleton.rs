@@ -2,62 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{FeatureError, FeatureLayout, Joints};
+use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
 use crate::rotation::length;
-
-/// The description of a skeleton, as written in files; [`Skeleton`] is its checked form.
-///
-/// Joints are given by their indices. Axes: +x left, +y up, +z forward.
-#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct SkeletonDescription {
-    /// Name, for messages and files.
-    pub name: String,
-    /// Frames per second of its clips.
-    pub fps: f64,
-    /// Names of the joints, `[J]`, the root first.
-    pub joint_names: Vec<String>,
-    /// The bones, as chains from joint to joint. The first chain begins at joint 0, every later
-    /// one at a joint of an earlier one; the rotations of each chain begin at the root's.
-    pub chains: Vec<Vec<usize>>,
-    /// Directions that bones take without rotation, `[J, 3]`: unit vectors, of joint 0 unused.
-    pub raw_directions: Vec<[f64; 3]>,
-    /// Child minus parent in the reference pose, `[J, 3]`, metres, of joint 0 unused: the lengths
-    /// are those of the bones that clips are rescaled to.
-    pub rest_offsets: Vec<[f64; 3]>,
-    /// The joints that show where the body faces.
-    pub face_joints: FaceJoints,
-    /// Pairs of left and right joints; those of no pair lie in the middle.
-    pub mirrored_joints: Vec<[usize; 2]>,
-    /// The joints of the feet, in the order of the contact flags.
-    pub feet: Feet,
-    /// The joints whose bones' lengths together measure the body: a knee and an ankle.
-    pub leg_joints: [usize; 2],
-}
-
-/// The joints that show where the body faces.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct FaceJoints {
-    /// Right hip.
-    pub right_hip: usize,
-    /// Left hip.
-    pub left_hip: usize,
-    /// Right shoulder.
-    pub right_shoulder: usize,
-    /// Left shoulder.
-    pub left_shoulder: usize,
-}
-
-/// The joints of the feet: ankle and foot of each side.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Feet {
-    /// Of the left foot.
-    pub left: [usize; 2],
-    /// Of the right foot.
-    pub right: [usize; 2],
-}
 
 /// A skeleton whose description is sound. Made from a [`SkeletonDescription`], which is also its
 /// stored form, or built in: [`humanml3d`](Self::humanml3d), [`kit`](Self::kit).
@@ -188,14 +134,6 @@ impl Skeleton {
         let joint = joint.or_else(|| Some(self.contact_joints()[contact?]));
         let of = joint.map_or("root", |joint| &self.description.joint_names[joint]);
         format!("{of}.{component}")
-    }
-
-    /// Rejects joints of another skeleton.
-    ///
-    /// # Errors
-    /// [`FeatureError::LengthMismatch`] for another number of joints.
-    pub fn accept(&self, joints: &Joints) -> Result<(), FeatureError> {
-        FeatureError::unless_equal("joints of a frame", self.joints(), joints.joints())
     }
 
     /// Rejects features of another skeleton.

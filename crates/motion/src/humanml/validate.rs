@@ -1,7 +1,6 @@
 //! What a description of a skeleton must fulfil.
 
-use super::FeatureError;
-use super::skeleton::{Feet, SkeletonDescription};
+use super::{FeatureError, Feet, SkeletonDescription};
 use crate::rotation::length;
 
 /// A raw direction may miss the length 1 by this.

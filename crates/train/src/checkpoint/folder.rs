@@ -3,25 +3,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use kinegrad_models::parameters::ParameterInfo;
-use serde::{Deserialize, Serialize};
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
-use super::{Checkpoint, CheckpointRef, State};
+use super::{Best, Checkpoint, CheckpointRef, State};
 use crate::Error;
 
 /// The folder `checkpoints` of a run.
 #[derive(Clone, Debug)]
 pub struct Checkpoints {
     path: PathBuf,
-}
-
-/// `best.json`: the step with the lowest validation loss.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Best {
-    /// Its checkpoint is `step-XXXXXXXX`.
-    pub step: u64,
-    /// Its loss.
-    pub val_loss: f64,
 }
 
 impl Checkpoints {

@@ -8,9 +8,9 @@ mod resolve;
 mod state;
 mod tensors;
 
-pub use folder::{Best, Checkpoints};
+pub use folder::Checkpoints;
 pub use resolve::resolve_checkpoint;
-pub use state::{FORMAT, Progress, State};
+pub use state::{Best, FORMAT, Progress, State};
 pub use tensors::{Weights, read_optimizer, read_weights};
 
 pub(crate) use folder::{must_be_free, write_weights};

@@ -6,7 +6,6 @@ use sha2::{Digest, Sha256};
 
 use kinegrad_motion::{Representation, Statistics};
 
-use super::Best;
 use crate::Error;
 use crate::config::{self, Config};
 
@@ -23,6 +22,15 @@ pub struct Progress {
     pub best_val_loss: Option<f64>,
     /// Validations since then.
     pub validations_since_best: u64,
+}
+
+/// `best.json`: the step with the lowest validation loss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Best {
+    /// Its checkpoint is `step-XXXXXXXX`.
+    pub step: u64,
+    /// Its loss.
+    pub val_loss: f64,
 }
 
 impl Progress {

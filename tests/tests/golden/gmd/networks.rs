@@ -101,7 +101,7 @@ fn compare_unet(golden: Golden) {
         cond.grad(&gradients).expect("too"),
         GRADIENT,
     );
-    let computed = parameters::gradients(&network, &mut gradients);
+    let computed = kinegrad_models::gradients(&network, &mut gradients);
     compare_gradients(&golden, &network, &computed);
 }
 
@@ -175,7 +175,7 @@ fn golden_gmd_whole_model(golden: Golden) {
         .get("grad.in.x")
         .flat()
         .assert_close_tensor("dx", dx, GRADIENT);
-    let computed = parameters::gradients(&network, &mut gradients);
+    let computed = kinegrad_models::gradients(&network, &mut gradients);
     compare_gradients(&golden, &network, &computed);
 }
 

@@ -117,7 +117,7 @@ fn a_merged_network_trains_all_its_weights() {
     let device = device();
     let merged = trained(&all(), &device).merge_adapters();
     let mut tracked = output(&merged, &device).square().mean().backward();
-    let gradients = parameters::gradients(&merged, &mut tracked);
+    let gradients = crate::gradients(&merged, &mut tracked);
     for (name, gradient) in names(&merged).iter().zip(gradients) {
         assert!(gradient.iter().any(|&g| g != 0.0), "{name}");
     }
@@ -126,7 +126,7 @@ fn a_merged_network_trains_all_its_weights() {
 fn assert_only_adapters_get_gradients(device: &Device) {
     let network = trained(&all(), device);
     let mut tracked = output(&network, device).square().mean().backward();
-    let gradients = parameters::gradients(&network, &mut tracked);
+    let gradients = crate::gradients(&network, &mut tracked);
     for (name, gradient) in names(&network).iter().zip(gradients) {
         let reached = gradient.iter().any(|&g| g != 0.0);
         assert_eq!(reached, is_adapter(name), "{name}");

@@ -10,7 +10,6 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
-use super::evaluate::CondSource;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::{E2E, rolls_out};
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
@@ -237,6 +236,18 @@ impl Default for LossConfig {
             temporal: TemporalLossConfig::default(),
         }
     }
+}
+
+/// The audio condition of the samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CondSource {
+    /// The audio features of the held-out phrases.
+    #[default]
+    Phrases,
+    /// Standard normal noise in their place, another one for each phrase: what the model does
+    /// when the condition tells it nothing.
+    Noise,
 }
 
 /// The table `evaluation`: the settings of `kinegrad eval`.

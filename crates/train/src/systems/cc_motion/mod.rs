@@ -24,8 +24,8 @@ use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
 
 pub use config::{
-    CcMotionConfig, CcMotionNetwork, EvaluationConfig, InitConfig, LossConfig, PretrainConfig,
-    ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
+    CcMotionConfig, CcMotionNetwork, CondSource, EvaluationConfig, InitConfig, LossConfig,
+    PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
 pub use networks::Trained;
 

@@ -10,29 +10,18 @@ use std::sync::Arc;
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
 use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 pub(super) use run::prepare;
 
 pub use measures::{CheckRate, Measures, ProfileRates};
 pub use terms::LossTerm;
 
+use super::CondSource;
 use super::generate::Generator;
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use measures::Reference;
-
-/// The audio condition of the samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CondSource {
-    /// The audio features of the held-out phrases.
-    #[default]
-    Phrases,
-    /// Standard normal noise in their place, another one for each phrase: what the model does
-    /// when the condition tells it nothing.
-    Noise,
-}
 
 /// Settings of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,0 +1,57 @@
+//! A skeleton as it is written in files.
+
+use serde::{Deserialize, Serialize};
+
+/// The description of a skeleton, as written in files; [`Skeleton`](super::Skeleton) is its checked form.
+///
+/// Joints are given by their indices. Axes: +x left, +y up, +z forward.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkeletonDescription {
+    /// Name, for messages and files.
+    pub name: String,
+    /// Frames per second of its clips.
+    pub fps: f64,
+    /// Names of the joints, `[J]`, the root first.
+    pub joint_names: Vec<String>,
+    /// The bones, as chains from joint to joint. The first chain begins at joint 0, every later
+    /// one at a joint of an earlier one; the rotations of each chain begin at the root's.
+    pub chains: Vec<Vec<usize>>,
+    /// Directions that bones take without rotation, `[J, 3]`: unit vectors, of joint 0 unused.
+    pub raw_directions: Vec<[f64; 3]>,
+    /// Child minus parent in the reference pose, `[J, 3]`, metres, of joint 0 unused: the lengths
+    /// are those of the bones that clips are rescaled to.
+    pub rest_offsets: Vec<[f64; 3]>,
+    /// The joints that show where the body faces.
+    pub face_joints: FaceJoints,
+    /// Pairs of left and right joints; those of no pair lie in the middle.
+    pub mirrored_joints: Vec<[usize; 2]>,
+    /// The joints of the feet, in the order of the contact flags.
+    pub feet: Feet,
+    /// The joints whose bones' lengths together measure the body: a knee and an ankle.
+    pub leg_joints: [usize; 2],
+}
+
+/// The joints that show where the body faces.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct FaceJoints {
+    /// Right hip.
+    pub right_hip: usize,
+    /// Left hip.
+    pub left_hip: usize,
+    /// Right shoulder.
+    pub right_shoulder: usize,
+    /// Left shoulder.
+    pub left_shoulder: usize,
+}
+
+/// The joints of the feet: ankle and foot of each side.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Feet {
+    /// Of the left foot.
+    pub left: [usize; 2],
+    /// Of the right foot.
+    pub right: [usize; 2],
+}
