@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use toml::Table;
 
 use super::losses::{SignMatching, TemporalLossConfig};
-use super::{E2E, rolls_out};
+use super::recipe_name::RecipeName;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use crate::error::Error;
 
@@ -279,7 +279,7 @@ impl Default for EvaluationConfig {
 /// For the first invalid value; the error names the key.
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = CcMotionConfig::of(config)?;
-    let recipe = &config.train.recipe;
+    let (name, recipe) = (RecipeName::of(config)?, &config.train.recipe);
     own.diffusion.validate()?;
     require(
         matches!(config.data.kind, DataKind::Phrases | DataKind::Synthetic),
@@ -296,21 +296,21 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         in_range("evaluation.phrases", phrases, 1..)
             .hint("leave it out for all phrases that are held out")?;
     }
-    if rolls_out(config) {
+    if name.trains_through_sampler() {
         own.decoder.validate()?;
-        own.validate_fine_tuning(recipe)?;
+        own.validate_fine_tuning(name)?;
     }
     if let Some(lora) = &own.lora {
         lora.validate()?;
         let found = format!("set, for recipe `{recipe}`");
-        require(recipe == E2E, "lora", found, "recipe `e2e` alone")?;
+        require(name == RecipeName::E2e, "lora", found, "recipe `e2e` alone")?;
     }
     Ok(())
 }
 
 impl CcMotionConfig {
     /// Rejects bad values in `init`, `rollout` and `loss`.
-    fn validate_fine_tuning(&self, recipe: &str) -> Result<(), InvalidSetting> {
+    fn validate_fine_tuning(&self, recipe: RecipeName) -> Result<(), InvalidSetting> {
         let Self {
             init,
             rollout,
@@ -326,7 +326,7 @@ impl CcMotionConfig {
                 "a decoder together with the base it was made on",
             )?;
             require(
-                recipe != E2E || pretrain.diffusion_steps > 0,
+                recipe != RecipeName::E2e || pretrain.diffusion_steps > 0,
                 "init.pretrain.diffusion_steps",
                 0,
                 "1 or more, or an `init.diffusion`",

@@ -10,6 +10,7 @@ pub mod losses;
 mod merge;
 mod networks;
 mod pretrain;
+mod recipe_name;
 pub mod recipes;
 mod sample;
 mod start;
@@ -37,20 +38,11 @@ use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
 use crate::system::System;
+use recipe_name::{RECIPES, RecipeName};
 use start::Starts;
 
 /// The system.
 pub struct CcMotion;
-
-/// Names of the recipes.
-const DIFFUSION: &str = "diffusion";
-const DECODER: &str = "decoder";
-const E2E: &str = "e2e";
-
-/// Whether the config's recipe runs the sampler in training, so that `rollout` and `loss` matter.
-fn rolls_out(config: &Config) -> bool {
-    config.train.recipe != DIFFUSION
-}
 
 impl System for CcMotion {
     fn name(&self) -> &'static str {
@@ -58,20 +50,7 @@ impl System for CcMotion {
     }
 
     fn recipes(&self) -> &'static [RecipeInfo] {
-        &[
-            RecipeInfo {
-                name: DIFFUSION,
-                groups: &["unet"],
-            },
-            RecipeInfo {
-                name: DECODER,
-                groups: &["decoder"],
-            },
-            RecipeInfo {
-                name: E2E,
-                groups: &["unet", "decoder"],
-            },
-        ]
+        &RECIPES
     }
 
     fn representations(&self) -> Vec<Box<dyn Representation>> {
@@ -88,7 +67,7 @@ impl System for CcMotion {
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        if !rolls_out(config) {
+        if !RecipeName::of(config)?.trains_through_sampler() {
             return Ok(None);
         }
         match saved {
@@ -109,7 +88,7 @@ impl System for CcMotion {
         // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
         let device = burn::tensor::Device::flex();
         let unet = parameters::count(&networks::denoiser(config, &device)?);
-        if !rolls_out(config) {
+        if !RecipeName::of(config)?.trains_through_sampler() {
             return Ok(unet);
         }
         let random = DecoderConfig {

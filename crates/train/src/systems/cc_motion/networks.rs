@@ -10,7 +10,8 @@ use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameter
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Statistics};
 
-use super::{CcMotionConfig, CcMotionNetwork, DECODER, rolls_out};
+use super::recipe_name::RecipeName;
+use super::{CcMotionConfig, CcMotionNetwork};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -34,7 +35,7 @@ impl Trained {
         let state = State::read(path)?;
         let values = read_weights(path, &state, weights)?;
         let config = &state.config;
-        let (unet, decoder) = match rolls_out(config) {
+        let (unet, decoder) = match RecipeName::of(config)?.trains_through_sampler() {
             false => (parameters::load(denoiser(config, device)?, values)?, None),
             true => {
                 let fresh = networks(config, state.statistics_of(&Phrases)?, device)?;
@@ -110,8 +111,10 @@ pub(crate) fn trainable(
             let init = Initializer::new(config.run.seed, device).at("unet");
             unet.with_adapters(&lora, &init)?
         }
-        None if config.train.recipe == DECODER => unet.no_grad(),
-        None => unet,
+        None => match RecipeName::of(config)? {
+            RecipeName::Decoder => unet.no_grad(),
+            RecipeName::Diffusion | RecipeName::E2e => unet,
+        },
     };
     Ok(MotionModel { unet, decoder })
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig};
 use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
 use crate::error::Error;
@@ -41,8 +42,8 @@ pub(super) fn run(
     let decoder = (pretrain.decoder_steps, pretrain.decoder_learning_rate);
     let mut init = InitConfig::default();
     for (name, recipe, (steps, rate)) in [
-        (BASE, super::DIFFUSION, base),
-        (DECODER, super::DECODER, decoder),
+        (BASE, RecipeName::Diffusion, base),
+        (DECODER, RecipeName::Decoder, decoder),
     ] {
         if steps == 0 {
             continue;
@@ -55,8 +56,8 @@ pub(super) fn run(
             return Ok(Err(Box::new(outcome)));
         }
         match recipe {
-            super::DECODER => init.decoder = run,
-            _ => init.diffusion = run,
+            RecipeName::Decoder => init.decoder = run,
+            RecipeName::Diffusion | RecipeName::E2e => init.diffusion = run,
         }
     }
     Ok(Ok(init))
@@ -66,7 +67,7 @@ pub(super) fn run(
 fn stage(
     config: &Config,
     name: &str,
-    recipe: &str,
+    recipe: RecipeName,
     init: &InitConfig,
     steps: u64,
     rate: f64,
@@ -89,7 +90,7 @@ fn stage(
             ..config.optim.clone()
         },
         train: TrainConfig {
-            recipe: recipe.into(),
+            recipe: recipe.name().into(),
             max_steps: steps,
             patience: 0,
             ..config.train.clone()

@@ -9,9 +9,10 @@ use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
 
 use super::networks::{denoiser, networks};
+use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::start::Starts;
-use super::{CcMotionConfig, DECODER, E2E, pretrain, rolls_out};
+use super::{CcMotionConfig, pretrain};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -27,19 +28,19 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         observer.warning(warning);
     }
     setup.same_dataset(dataset.digest)?;
-    let recipe = setup.recipe.name;
-    let starts = match rolls_out(&config) && setup.checkpoint.is_none() {
+    let recipe = RecipeName::of(&config)?;
+    let starts = match recipe.trains_through_sampler() && setup.checkpoint.is_none() {
         false => None,
         true => {
             let mut init = own.init.clone();
-            if recipe == E2E && init.diffusion.as_os_str().is_empty() {
+            if recipe == RecipeName::E2e && init.diffusion.as_os_str().is_empty() {
                 init = match pretrain::run(&config, &setup.folder, observer)? {
                     Ok(trained) => trained,
                     Err(interrupted) => return Ok(*interrupted),
                 };
             }
             let missing = || {
-                let allowed = format!("a trained denoiser for recipe `{recipe}`");
+                let allowed = format!("a trained denoiser for recipe `{}`", recipe.name());
                 InvalidSetting::new("init.diffusion", "empty", allowed)
                     .hint("name a run or checkpoint: `--set init.diffusion=runs/phrases`")
             };
@@ -57,25 +58,29 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         PhraseSamples::new(phrases, shared.clone(), &config.data, config.run.seed)
     };
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
-    if !rolls_out(&config) {
-        let model = denoiser(&config, &setup.device)?;
-        let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-        let recipe = diffusion_recipe(diffusion, held_out);
-        return setup.train(material, recipe, model, observer);
-    }
-    let model = match starts {
-        Some(starts) => starts.networks(&config, &setup.device)?,
-        // The weights of the checkpoint will replace them.
-        None => networks(&config, &statistics, &setup.device)?,
+    let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
+    let through_sampler = |diffusion| {
+        let model = match starts {
+            Some(starts) => starts.networks(&config, &setup.device)?,
+            // The weights of the checkpoint will replace them.
+            None => networks(&config, &statistics, &setup.device)?,
+        };
+        let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
+        Ok::<_, Error>((model, rollouts))
     };
-    let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-    let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
     match recipe {
-        DECODER => {
+        RecipeName::Diffusion => {
+            let model = denoiser(&config, &setup.device)?;
+            let recipe = diffusion_recipe(diffusion, held_out);
+            setup.train(material, recipe, model, observer)
+        }
+        RecipeName::Decoder => {
+            let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
             setup.train(material, recipe, model, observer)
         }
-        _ => {
+        RecipeName::E2e => {
+            let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
             setup.train(material, recipe, model, observer)
         }

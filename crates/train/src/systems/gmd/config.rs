@@ -11,7 +11,7 @@ use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
-use super::TRAJECTORY;
+use super::recipe_name::RecipeName;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
@@ -132,7 +132,7 @@ impl SystemTables for GmdConfig {
 pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let own = GmdConfig::of(config)?;
     let Config { data, sampling, .. } = config;
-    let recipe = &config.train.recipe;
+    let (name, recipe) = (RecipeName::of(config)?, &config.train.recipe);
     own.diffusion.validate()?;
     require(
         matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
@@ -153,7 +153,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
     let projects = own.emphasis.kind != EmphasisKind::None;
     require(
-        !(recipe == TRAJECTORY && projects),
+        !(name == RecipeName::Trajectory && projects),
         "emphasis.kind",
         "a projection",
         "\"none\": the trajectory model's four channels are not projected",
@@ -166,7 +166,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
          whose range is known",
     )?;
     require(
-        scale == 1.0 || !(projects || recipe == TRAJECTORY),
+        scale == 1.0 || !(projects || name == RecipeName::Trajectory),
         "loss.trajectory_scale",
         scale,
         "1 in a projected space, where no channel is the trajectory's, and in recipe \
@@ -186,7 +186,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
 
 /// Warnings.
 pub(super) fn warnings(config: &Config) -> Option<String> {
-    let overtrains = config.train.recipe == TRAJECTORY
+    let overtrains = config.train.recipe == RecipeName::Trajectory.name()
         && (config.train.patience == 0 || config.validation.every_steps == 0);
     overtrains.then(|| {
         "an overfitted trajectory model responds poorly to guidance, and this run \

@@ -4,7 +4,9 @@ use kinegrad_models::NetworkConfig;
 use kinegrad_models::gmd::GmdUnetConfig;
 use toml::Table;
 
+use super::recipe_name::RecipeName;
 use crate::config::lay_over;
+use crate::recipe::RecipeInfo;
 
 /// Defaults of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
 /// sections 4.3, 4.5 and 4.11).
@@ -64,10 +66,11 @@ clip = "six"
 "#;
 
 /// The defaults of a recipe that differ from those of the tables.
-pub(super) fn of_recipe(recipe: &str, given: &Table) -> Table {
-    let own = match recipe {
-        super::TRAJECTORY => GMD_TRAJECTORY,
-        _ => GMD_MOTION,
+pub(super) fn of_recipe(recipe: &RecipeInfo, given: &Table) -> Table {
+    let own = match RecipeName::named(recipe.name) {
+        Some(RecipeName::Motion) => GMD_MOTION,
+        Some(RecipeName::Trajectory) => GMD_TRAJECTORY,
+        None => return Table::new(),
     };
     let parse = |text: &str| text.parse::<Table>().expect("text of this file");
     let mut table = parse(GMD);

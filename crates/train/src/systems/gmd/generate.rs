@@ -19,9 +19,10 @@ use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, require};
 
+use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of};
+use super::recipe_name::RecipeName;
 use super::space::{FeatureSpace, GroundObjective};
-use super::{GmdConfig, MOTION, TRAJECTORY};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
@@ -83,7 +84,7 @@ impl ClipGenerator {
             projection,
             state,
         } = TrainedClips::load(path, weights, &device.clone().autodiff())?;
-        let channels = channels_of(&state.config);
+        let channels = channels_of(&state.config)?;
         let own = GmdConfig::of(&state.config)?;
         Ok(Self {
             plain: model.valid(),
@@ -152,7 +153,7 @@ impl ClipGenerator {
         }
         let mut told = |done, all| on_step("motion", done, all);
         let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
-        if self.config().train.recipe == TRAJECTORY {
+        if RecipeName::of(self.config())? == RecipeName::Trajectory {
             let of_path = |ground| ClipSample {
                 features: None,
                 ground,
@@ -173,7 +174,7 @@ impl ClipGenerator {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
             == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
-        match own.train.recipe == MOTION && same {
+        match RecipeName::of(own)? == RecipeName::Motion && same {
             true => Ok(()),
             false => Err(Error::usage(
                 format!(

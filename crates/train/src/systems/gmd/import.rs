@@ -13,7 +13,8 @@ use kinegrad_motion::humanml::Root;
 use pytorch_reader::Tensor;
 
 use super::networks::{channels_of, text_denoiser};
-use super::{Gmd, GmdConfig, MOTION};
+use super::recipe_name::RecipeName;
+use super::{Gmd, GmdConfig};
 use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -43,7 +44,10 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         return Err(Error::usage(message, hint));
     };
     let mut warnings = Vec::new();
-    match (request.architecture == MOTION, &request.projection) {
+    match (
+        request.architecture == RecipeName::Motion.name(),
+        &request.projection,
+    ) {
         (true, None) => warnings.push(
             "no `--projection`: published motion models work in a projected space and do not work \
              without their projection matrix"
@@ -177,7 +181,7 @@ fn settings(
         allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;
     config.data.humanml3d.skeleton = skeleton;
-    let channels = channels_of(&config);
+    let channels = channels_of(&config)?;
     if channels != sizes.channels {
         return Err(Error::Foreign {
             path: request.weights.clone(),

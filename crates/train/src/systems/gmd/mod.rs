@@ -10,6 +10,7 @@ pub mod evaluate;
 mod generate;
 mod import;
 mod networks;
+mod recipe_name;
 pub mod recipes;
 mod sample;
 mod space;
@@ -36,13 +37,10 @@ use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
 use crate::start::Start;
 use crate::system::System;
+use recipe_name::{RECIPES, RecipeName};
 
 /// The system.
 pub struct Gmd;
-
-/// Names of the recipes.
-const MOTION: &str = "gmd_motion";
-const TRAJECTORY: &str = "gmd_trajectory";
 
 impl System for Gmd {
     fn name(&self) -> &'static str {
@@ -50,16 +48,7 @@ impl System for Gmd {
     }
 
     fn recipes(&self) -> &'static [RecipeInfo] {
-        &[
-            RecipeInfo {
-                name: MOTION,
-                groups: &["unet"],
-            },
-            RecipeInfo {
-                name: TRAJECTORY,
-                groups: &["unet"],
-            },
-        ]
+        &RECIPES
     }
 
     fn representations(&self) -> Vec<Box<dyn Representation>> {
@@ -76,7 +65,7 @@ impl System for Gmd {
     }
 
     fn defaults(&self, recipe: &RecipeInfo, given: &Table) -> Table {
-        defaults::of_recipe(recipe.name, given)
+        defaults::of_recipe(recipe, given)
     }
 
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
@@ -103,12 +92,12 @@ impl System for Gmd {
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         // Parameters are lazy: no weight is drawn and no memory taken.
-        let denoiser = text_denoiser(config, channels_of(config), &Device::flex())?;
+        let denoiser = text_denoiser(config, channels_of(config)?, &Device::flex())?;
         Ok(parameters::count(&denoiser))
     }
 
     fn architectures(&self) -> &'static [&'static str] {
-        &[MOTION, TRAJECTORY]
+        const { &[RecipeName::Motion.name(), RecipeName::Trajectory.name()] }
     }
 
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {

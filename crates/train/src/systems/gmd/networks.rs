@@ -9,7 +9,8 @@ use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 use toml::Table;
 
-use super::{GmdConfig, MOTION, TRAJECTORY};
+use super::GmdConfig;
+use super::recipe_name::RecipeName;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -19,11 +20,14 @@ use crate::start::{Start, must_agree, tables_of};
 pub(super) const MATRIX: &str = "projection.matrix";
 
 /// Channels that the networks of a run of `config` take and give.
-pub fn channels_of(config: &Config) -> usize {
-    match config.train.recipe.as_str() {
-        TRAJECTORY => TRAJECTORY_CHANNELS,
-        _ => config.data.humanml3d.representation().channels(),
-    }
+///
+/// # Errors
+/// [`Error::OtherRepresentation`] for a run of another system.
+pub fn channels_of(config: &Config) -> Result<usize, Error> {
+    Ok(match RecipeName::of(config)? {
+        RecipeName::Motion => config.data.humanml3d.representation().channels(),
+        RecipeName::Trajectory => TRAJECTORY_CHANNELS,
+    })
 }
 
 /// The denoiser of a config with fresh weights, in the space of normalised motion.
@@ -45,11 +49,11 @@ pub fn text_denoiser(
 /// # Errors
 /// If it cannot be built.
 pub fn model_in_space(config: &Config, device: &Device) -> Result<TextDenoiser, Error> {
-    let channels = channels_of(config);
+    let channels = channels_of(config)?;
     let model = text_denoiser(config, channels, device)?;
-    let projection = match config.train.recipe == TRAJECTORY {
-        true => None,
-        false => GmdConfig::of(config)?.emphasis.projection(channels)?,
+    let projection = match RecipeName::of(config)? {
+        RecipeName::Motion => GmdConfig::of(config)?.emphasis.projection(channels)?,
+        RecipeName::Trajectory => None,
     };
     Ok(match projection {
         Some(projection) => model.in_space_of(projection.matrix().to_vec(), device),
@@ -74,13 +78,8 @@ impl TrainedClips {
     /// If the checkpoint is damaged, is not of a recipe on clips, or does not fit its own config.
     pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
         let state = State::read(path)?;
-        if ![MOTION, TRAJECTORY].contains(&state.config.train.recipe.as_str()) {
-            let expected = state.config.data.humanml3d.representation().name();
-            let recipe = state.config.train.recipe;
-            return Err(Error::OtherRepresentation { recipe, expected });
-        }
+        let channels = channels_of(&state.config)?;
         let values = read_weights(path, &state, weights)?;
-        let channels = channels_of(&state.config);
         let mut model = text_denoiser(&state.config, channels, device)?;
         // The stored matrix counts, whatever the config would make today.
         let matrix = values.iter().find(|p| p.info.name == MATRIX);
@@ -137,7 +136,7 @@ pub(super) fn started(
         let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
         return Err(start.refused(&reason));
     }
-    let fresh = text_denoiser(config, channels_of(config), device)?;
+    let fresh = text_denoiser(config, channels_of(config)?, device)?;
     let fresh = match &trained.projection {
         Some(projection) => fresh.in_space_of(projection.matrix().to_vec(), device),
         None => fresh,

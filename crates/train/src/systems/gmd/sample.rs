@@ -9,9 +9,9 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
-use super::TRAJECTORY;
 use super::evaluate::embedding;
 use super::generate::{ClipGenerator, ClipRequest, ClipSample, read_goal};
+use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
@@ -125,7 +125,7 @@ fn for_held_out(
 /// [`Error::Usage`], or if the checkpoint is damaged.
 pub(super) fn must_draw_paths(checkpoint: &Path) -> Result<(), Error> {
     let recipe = State::read(checkpoint)?.config.train.recipe;
-    if recipe == TRAJECTORY {
+    if recipe == RecipeName::Trajectory.name() {
         return Ok(());
     }
     let message = format!(

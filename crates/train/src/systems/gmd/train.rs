@@ -34,7 +34,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         (None, Some(start)) => statistics_in(&start.state()?)?.clone(),
         (None, None) => dataset.statistics()?,
     };
-    let channels = channels_of(&config);
+    let channels = channels_of(&config)?;
     let model = match start {
         Some(start) => started(&start, &config, &setup.device)?,
         None => model_in_space(&config, &setup.device)?,
