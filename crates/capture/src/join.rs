@@ -198,7 +198,8 @@ mod tests {
             prop_assert!(length(jump) < 1e-9, "the velocity holds: {jump:?}");
             let turning = angular_velocity(track.orientations(), FPS);
             prop_assert!(length(turning[29]) < 1e-9, "the orientation holds: {turning:?}");
-            // After the fade, nothing but a turn about the vertical and a move on the floor is left.
+            // After the fade, nothing but a turn about the vertical and a move on the floor is
+            // left.
             for t in 45..60 {
                 let captured = takes[0].pose(second + t - 30).unwrap();
                 let joined = track.pose(t).unwrap();

@@ -148,8 +148,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, saying `message`, once something is `under_way`; a second Ctrl-C, or one
-/// before, ends the process.
+/// A flag that Ctrl-C sets, saying `message`, once something is `under_way`; a second Ctrl-C, or
+/// one before, ends the process.
 pub fn stop_on_ctrl_c(message: &'static str, under_way: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();

@@ -10,8 +10,8 @@ use crate::Error;
 /// Writes begun by this process.
 static WRITERS: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path`: into a temporary name beside it, flushed to disk, then renamed, so that
-/// a reader never sees half a file. Missing parent folders are made.
+/// Writes `bytes` to `path`: into a temporary name beside it, flushed to disk, then renamed, so
+/// that a reader never sees half a file. Missing parent folders are made.
 ///
 /// # Errors
 /// [`Error::Io`]; the temporary file is removed and an older `path` stays as it was.

@@ -16,8 +16,8 @@ pub const MIN_FRAMES: usize = 4;
 /// The frames that a sample may have.
 const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 
-/// The dataset and its loading. What is said of phrases also applies to [clips](crate::humanml), unless
-/// stated otherwise.
+/// The dataset and its loading. What is said of phrases also applies to [clips](crate::humanml),
+/// unless stated otherwise.
 ///
 /// Defaults follow CC-MotionGen, sections 6.1 and 6.3 (120 frames, batches of 32, four workers).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,9 +25,9 @@ const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 pub struct DataConfig {
     /// Kind of the dataset.
     pub kind: DataKind,
-    /// Location of the dataset: a folder as a path or `file://` URI, a bucket as `gs://BUCKET/PREFIX`
-    /// or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`. Needed for
-    /// `kind = "phrases"` and `kind = "humanml3d"`.
+    /// Location of the dataset: a folder as a path or `file://` URI, a bucket as
+    /// `gs://BUCKET/PREFIX` or `s3://BUCKET/PREFIX`, a web server as `http://` or `https://`.
+    /// Needed for `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
     /// Frames of a sample (30 per second; 20 in HumanML3D, where 196 is common). Longer phrases are
@@ -231,8 +231,8 @@ pub struct AugmentConfig {
     /// each up to a quarter of them (SpecAugment, Park et al. 2019,
     /// <https://arxiv.org/abs/1904.08779>).
     pub audio_masks: usize,
-    /// Probability of replacing a sample's audio features by standard normal noise, for robustness to
-    /// unfamiliar music.
+    /// Probability of replacing a sample's audio features by standard normal noise, for robustness
+    /// to unfamiliar music.
     pub audio_replace_prob: f64,
 }
 

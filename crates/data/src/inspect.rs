@@ -23,8 +23,8 @@ pub struct Inspection {
     pub items: usize,
     /// Items that cannot be used.
     pub bad_items: usize,
-    /// Valid items that are left out: clips that are too short, too long, or have only captions of short
-    /// segments.
+    /// Valid items that are left out: clips that are too short, too long, or have only captions of
+    /// short segments.
     pub left_out: usize,
     /// Items to train on.
     pub train: usize,

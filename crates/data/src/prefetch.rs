@@ -21,7 +21,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 ///
 /// Workers never run further ahead of the consumer than the look-ahead. Dropping it ends them.
 pub(crate) struct Prefetch<T> {
-    /// Where each thing that was ordered arrives, in order; or the panic of the worker that made it.
+    /// Where each thing that was ordered arrives, in order; or the panic of the worker that made
+    /// it.
     ordered: VecDeque<Receiver<thread::Result<T>>>,
     orders: Sender<Order<T>>,
     next_to_order: u64,

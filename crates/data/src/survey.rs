@@ -58,7 +58,8 @@ pub(crate) struct Gathered<T> {
 
 impl<T: Item> Survey<T> {
     /// Reads all items, keeps so many in memory as `config` allows, and sets bad ones apart as
-    /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded too.
+    /// `on_bad` says; if it says nothing, all of them, those that are not as they were recorded
+    /// too.
     ///
     /// # Errors
     /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id.
@@ -116,7 +117,8 @@ impl<T: Item> Survey<T> {
         Ok(gathered)
     }
 
-    /// The sides of the split of what was gathered, to train on and held out, and a checksum of all.
+    /// The sides of the split of what was gathered, to train on and held out, and a checksum of
+    /// all.
     pub fn divide(
         self,
         entries: Vec<Entry>,
@@ -135,7 +137,8 @@ impl<T: Item> Survey<T> {
     }
 }
 
-/// Whether other items may be good all the same; of a store `here`, where changes may be `tolerated`.
+/// Whether other items may be good all the same; of a store `here`, where changes may be
+/// `tolerated`.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
         // A file that this machine does not give out says nothing of the next one.

@@ -79,8 +79,8 @@ pub struct DiffusionConfig {
     /// <https://arxiv.org/abs/2305.08891>, algorithm 1). Not with `epsilon` prediction. Sample
     /// with `trailing` or `linspace` spacing then: `leading` never visits the last timestep.
     pub rescale_betas_zero_snr: bool,
-    /// Probability of replacing the condition by the null condition in training, for classifier-free
-    /// guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
+    /// Probability of replacing the condition by the null condition in training, for
+    /// classifier-free guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
     pub cond_drop_prob: f64,
 }
 

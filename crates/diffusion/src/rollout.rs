@@ -1,14 +1,14 @@
 //! A differentiable sampler, with gradients from the motion back to the start noise and the network
 //! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
-//! A rollout is deterministic DDIM over K timesteps, run during training. [`RolloutMode`] trades memory
-//! for compute: one graph over all steps; no graph, with each step recomputed in the backward pass
-//! ([`Trace::backward`]); or a graph over the last steps alone.
+//! A rollout is deterministic DDIM over K timesteps, run during training. [`RolloutMode`] trades
+//! memory for compute: one graph over all steps; no graph, with each step recomputed in the
+//! backward pass ([`Trace::backward`]); or a graph over the last steps alone.
 //!
 //! With the cosine schedule a naive rollout is unstable: from t = 999 of 1000 a noise prediction is
 //! multiplied by 1/sqrt(abar) = 64179. To stabilise it, predict the clean motion, clip it
-//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient from step to step
-//! (`gradient_decay`).
+//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient from step
+//! to step (`gradient_decay`).
 
 use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
@@ -99,8 +99,8 @@ impl Rollout {
     /// `model` without gradients (Burn: `Module::valid`); both run the same operations.
     ///
     /// # Shapes
-    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; its graph, if any,
-    ///   is not kept
+    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; its graph, if
+    ///   any, is not kept
     ///
     /// # Errors
     /// If the clipping bounds do not fit the channels, or the network's output has other sizes

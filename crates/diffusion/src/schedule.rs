@@ -16,8 +16,8 @@ use crate::DiffusionConfig;
 ///          f(u) = cos^2(pi/2 (u + 0.008) / 1.008)
 /// ```
 ///
-/// Values are rounded to single precision once, where they are used. Evaluated in single precision from a
-/// rounded `abar`, `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
+/// Values are rounded to single precision once, where they are used. Evaluated in single precision
+/// from a rounded `abar`, `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseSchedule {
     /// Variance of the noise that step t adds.

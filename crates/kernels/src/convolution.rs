@@ -28,8 +28,8 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// Weight `[out, in, kernel]`. The kernel is padded by `(kernel - 1) / 2`: under an odd one `time`
-    /// frames become `ceil(time / stride)`, under one of 4 with stride 2 `floor(time / 2)`.
+    /// Weight `[out, in, kernel]`. The kernel is padded by `(kernel - 1) / 2`: under an odd one
+    /// `time` frames become `ceil(time / stride)`, under one of 4 with stride 2 `floor(time / 2)`.
     pub fn new(weight: Tensor<3>, stride: usize) -> Self {
         let kernel = weight.dims()[2];
         Self {

@@ -4,8 +4,9 @@
 //! parts are in [`layers`], with PyTorch's names and weight layouts, so that the path of a
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
-//! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a text-conditioned
-//! denoiser with either of them. [`text_motion`] contains the encoders of the text-motion evaluator.
+//! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
+//! text-conditioned denoiser with either of them. [`text_motion`] contains the encoders of the
+//! text-motion evaluator.
 
 pub mod attention;
 pub mod config;

@@ -45,9 +45,9 @@ pub struct HostParameter {
 struct Path(Vec<String>);
 
 impl Path {
-    /// A field `at_n` stands for child `n` of a torch `Sequential`, and `a_at_b` for `b` in a module
-    /// `a`. A field `flat_x` is no part of a name, as if what it holds stood in its place, nor is
-    /// the variant of an enum.
+    /// A field `at_n` stands for child `n` of a torch `Sequential`, and `a_at_b` for `b` in a
+    /// module `a`. A field `flat_x` is no part of a name, as if what it holds stood in its place,
+    /// nor is the variant of an enum.
     fn enter(&mut self, name: &str, container: &str) {
         let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
         let name = if nameless { "" } else { name };

@@ -61,8 +61,8 @@ enum Network {
     Transformer(Encoder),
 }
 
-/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`, those of
-/// the backbone, and `projection.matrix` if it works in a projected space.
+/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`,
+/// those of the backbone, and `projection.matrix` if it works in a projected space.
 ///
 /// The condition is the text's pooled feature `[batch, 512, 1]`; zeros stand for no text.
 #[derive(Module, Debug)]

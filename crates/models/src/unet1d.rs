@@ -351,8 +351,8 @@ impl UNet1d {
     }
 
     /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`,
-    /// `audio_ctx`, `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and `dec.i`
-    /// after its length is doubled, from the coarsest level to the finest.
+    /// `audio_ctx`, `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and
+    /// `dec.i` after its length is doubled, from the coarsest level to the finest.
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,

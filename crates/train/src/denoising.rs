@@ -282,8 +282,8 @@ impl HeldOut {
     }
 
     /// The mean of a loss over all items and draws, without dropout, at timesteps that are the same
-    /// each time: those of draw k of item p of P are `floor((k P + p + 0.5) T / (draws P))`, so that
-    /// all together cover them evenly.
+    /// each time: those of draw k of item p of P are `floor((k P + p + 0.5) T / (draws P))`, so
+    /// that all together cover them evenly.
     pub fn mean_loss(
         &self,
         diffusion: &GaussianDiffusion,

@@ -35,8 +35,8 @@ pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<Strin
 /// Replaces every parameter of `module` by the tensor of its name, read from the file at `path`.
 ///
 /// # Errors
-/// [`Error::ForeignWeights`] with everything that is missing, superfluous, of another shape or type,
-/// or not finite.
+/// [`Error::ForeignWeights`] with everything that is missing, superfluous, of another shape or
+/// type, or not finite.
 pub fn load<M: Module>(
     path: &Path,
     module: M,

@@ -72,8 +72,8 @@ pub struct TrainerParts<R: Recipe> {
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// A trainer of `model`, networks on the autodiff device with the weights to start from, at step
-    /// 0, or at the step of `checkpoint`, whose weights it has.
+    /// A trainer of `model`, networks on the autodiff device with the weights to start from, at
+    /// step 0, or at the step of `checkpoint`, whose weights it has.
     ///
     /// # Errors
     /// If the run's files cannot be opened.

@@ -1,9 +1,9 @@
 //! `kinegrad data prepare`: from captures and songs to a dataset of phrases.
 //!
-//! A plan lists takes; each is converted to phrases in the dataset layout, and the manifest is written
-//! last. Finished takes are recorded in `prepare/TAKE.json` next to the phrases, so that an interrupted
-//! preparation continues with the remaining takes, and takes whose plan and files have not changed are
-//! not processed again.
+//! A plan lists takes; each is converted to phrases in the dataset layout, and the manifest is
+//! written last. Finished takes are recorded in `prepare/TAKE.json` next to the phrases, so that an
+//! interrupted preparation continues with the remaining takes, and takes whose plan and files have
+//! not changed are not processed again.
 
 mod choreonet;
 mod journal;

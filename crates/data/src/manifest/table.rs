@@ -30,7 +30,8 @@ pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with it.
+/// The `wanted` columns that a Parquet file has, or all of them; in an error, what is wrong with
+/// it.
 pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
     let most_text = footer::most_unpacked(bytes.len());
     // polars panics on some damaged pages.

@@ -175,7 +175,8 @@ impl Store {
         }
     }
 
-    /// Where on this machine the object at `path` lies or would lie; none in buckets and on servers.
+    /// Where on this machine the object at `path` lies or would lie; none in buckets and on
+    /// servers.
     ///
     /// # Errors
     /// [`StoreError::Outside`] where a link leads out of the folder.

@@ -1,5 +1,6 @@
 //! Eight style dimensions measured from a motion (CC-MotionGen, section 2.5, names the four pairs:
-//! intensity, spatial extent, rhythmic feel, body attitude; the measures are one reasonable choice).
+//! intensity, spatial extent, rhythmic feel, body attitude; the measures are one reasonable
+//! choice).
 
 use kinegrad_motion::kinematics::{angular_velocity, forward_differences};
 use kinegrad_motion::rotation::length;
@@ -12,8 +13,8 @@ const WIDE: usize = 30;
 
 /// Style of every frame, `[frames, 8]`, over centred windows cut at the ends: mean speed (m/s),
 /// mean acceleration / 10, extent on the floor and range of height over two seconds (m), burstiness
-/// (deviation of the floor speed over its mean + 0.1), mean yaw rate / 3, five times the mean height
-/// above the median (m), mean tilt from the vertical (rad).
+/// (deviation of the floor speed over its mean + 0.1), mean yaw rate / 3, five times the mean
+/// height above the median (m), mean tilt from the vertical (rad).
 pub fn describe(positions: &[[f64; 3]], quaternions: &[Quaternion]) -> Vec<[f64; 8]> {
     let frames = positions.len();
     let velocity = forward_differences(positions, FPS);

@@ -60,7 +60,8 @@ pub fn dpmpp_2m(
             _ => x_start.clone(),
         };
 
-        // 2. x' = (sigma' / sigma) x + alpha' (1 - e^-h) D,  e^-h = (alpha sigma') / (sigma alpha').
+        // 2. x' = (sigma' / sigma) x + alpha' (1 - e^-h) D,  e^-h = (alpha sigma') / (sigma
+        //    alpha').
         let levels = || now.iter().zip(&next);
         let kept: Vec<f64> = levels().map(|(now, next)| next.sigma / now.sigma).collect();
         let gained: Vec<f64> = levels()

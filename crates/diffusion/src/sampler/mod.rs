@@ -1,9 +1,9 @@
 //! Samplers: from noise to motion.
 //!
 //! Each sampler is a function in its own file that contains its whole loop: it calls a [`Predict`]
-//! for the clean motion along a [`Path`] of noise levels. [`sample`] runs the sampler of a config with
-//! a network, [`draw`] with any [`Predict`]. The single steps of DDIM and DDPM are public too, with
-//! their noise as an argument, for custom loops.
+//! for the clean motion along a [`Path`] of noise levels. [`sample`] runs the sampler of a config
+//! with a network, [`draw`] with any [`Predict`]. The single steps of DDIM and DDPM are public too,
+//! with their noise as an argument, for custom loops.
 
 #![expect(
     non_snake_case,
@@ -39,8 +39,8 @@ pub(crate) use step::Posterior;
 
 use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
 
-/// Callback after each step: the number of steps done, starting from 1, the total number of steps, and
-/// the new state `[batch, channels, time]`.
+/// Callback after each step: the number of steps done, starting from 1, the total number of steps,
+/// and the new state `[batch, channels, time]`.
 pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 
 /// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
@@ -49,8 +49,8 @@ pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
 /// Run it on a plain device with a network of plain weights (Burn: `Module::valid`): on a device
 /// with autodiff every step keeps its graph, and memory grows from call to call.
 ///
-/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), which is generated on
-/// the host so that it does not depend on the device.
+/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), which is generated
+/// on the host so that it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`

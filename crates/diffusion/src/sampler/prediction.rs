@@ -32,7 +32,8 @@ impl<'s> Prediction<'s> {
     /// What `model_output` says of `x_t`, by the process's prediction type.
     ///
     /// # Errors
-    /// If the sizes of the network's output and input differ, or the bounds do not fit the channels.
+    /// If the sizes of the network's output and input differ, or the bounds do not fit the
+    /// channels.
     pub fn new(
         diffusion: &GaussianDiffusion,
         model_output: Tensor<3>,

@@ -63,8 +63,8 @@ pub struct Networks<'a, D: ?Sized> {
 /// that `steering` returns for each timestep.
 ///
 /// Noise is drawn as [`sample`](crate::sample) draws it, that of an imputation by the name
-/// `imputation`. `on_step` is called after each step with the number of steps done and in total, and
-/// the new state.
+/// `imputation`. `on_step` is called after each step with the number of steps done and in total,
+/// and the new state.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device

@@ -50,8 +50,8 @@ pub struct NormGradients {
     pub film: Option<Vec<f32>>,
 }
 
-/// The maps of a task's channels: `u = scale (x - mean) + shift`. Side by side, as vector code wants
-/// them.
+/// The maps of a task's channels: `u = scale (x - mean) + shift`. Side by side, as vector code
+/// wants them.
 #[derive(Default)]
 struct Affine {
     scale: Vec<f32>,
@@ -249,8 +249,8 @@ pub(crate) fn backward(
     gradients
 }
 
-/// Through mask and activation: `gradient` becomes that of `u`. Returns of each channel `sum du` and
-/// `sum du (x - mean)`.
+/// Through mask and activation: `gradient` becomes that of `u`. Returns of each channel `sum du`
+/// and `sum du (x - mean)`.
 #[inline(always)]
 fn backward_activation(
     x: Rows<'_>,
@@ -340,7 +340,8 @@ fn backward_affine(
         || {
             for time in 0..x.time {
                 let row = &x.row(task.sample, time)[task.first..][..task.channels];
-                // SAFETY: a task owns its columns of its sample; this is its only slice of them now.
+                // SAFETY: a task owns its columns of its sample; this is its only slice of them
+                // now.
                 #[allow(unsafe_code)]
                 let gradient =
                     unsafe { gradient.segment(task.sample, time, task.first, task.channels) };

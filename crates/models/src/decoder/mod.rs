@@ -56,8 +56,8 @@ impl DecoderBlock {
 /// component, the component's activation; then, if configured, the projection onto coherent
 /// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
 ///
-/// The latent is the normalised motion that a sampler generates; the output is in metres, seconds and
-/// radians.
+/// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
+/// and radians.
 #[derive(Module, Debug)]
 pub struct MotionDecoder {
     input_proj: Linear,

@@ -21,7 +21,8 @@ pub struct GmdUnetConfig {
     pub dim_mults: Vec<f64>,
     /// The condition scales and shifts (AdaGN) instead of being added.
     pub adagn: bool,
-    /// Second convolutions and the last one are initialised to zero, so that a new network outputs 0.
+    /// Second convolutions and the last one are initialised to zero, so that a new network outputs
+    /// 0.
     pub zero_init: bool,
     /// Frames that every clip is padded to.
     pub padded_frames: usize,
@@ -139,8 +140,8 @@ impl GmdUnetConfig {
         .hint("every level but the last halves the length; the published models have 224")
     }
 
-    /// Builds the network for motion of `in_channels`, conditioned on a vector of width `cond_dim`; its
-    /// parameters are initialised when they are first used.
+    /// Builds the network for motion of `in_channels`, conditioned on a vector of width `cond_dim`;
+    /// its parameters are initialised when they are first used.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -246,9 +247,9 @@ impl GmdUnet {
         self.forward_stages(x, cond, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives: `c [batch, latent_dim]`, `downI.res0`,
-    /// `downI.res1` (the skip), `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`, `upI.up`, and
-    /// `final0`, the last activation.
+    /// [`forward`](Self::forward), and what each stage gives: `c [batch, latent_dim]`,
+    /// `downI.res0`, `downI.res1` (the skip), `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`,
+    /// `upI.up`, and `final0`, the last activation.
     pub fn forward_stages(
         &self,
         x: Tensor<3>,

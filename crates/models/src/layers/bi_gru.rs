@@ -13,9 +13,9 @@ use crate::Initializer;
 /// ```
 ///
 /// with `input` and `state` the three parts (reset, update, new) of `weight_ih x + bias_ih` and
-/// `weight_hh h + bias_hh`. Names and layouts are those of torch's bidirectional `GRU` of one layer:
-/// weights `[3 state, in]` and `[3 state, state]`, biases `[3 state]`. Source: Cho et al. 2014,
-/// <https://arxiv.org/abs/1406.1078>, in PyTorch's form.
+/// `weight_hh h + bias_hh`. Names and layouts are those of torch's bidirectional `GRU` of one
+/// layer: weights `[3 state, in]` and `[3 state, state]`, biases `[3 state]`. Source: Cho et al.
+/// 2014, <https://arxiv.org/abs/1406.1078>, in PyTorch's form.
 #[derive(Module, Debug)]
 pub struct BiGru {
     weight_ih_l0: Param<Tensor<2>>,

@@ -5,9 +5,9 @@ use kinegrad_kernels::Convolution;
 use crate::lora::Adaptable;
 use crate::{Initializer, LoraConfig, LowRank};
 
-/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels are
-/// padded by `(kernel - 1) / 2`, so that stride 1 keeps the length under odd ones. An adapter, if
-/// there is one, changes the weight.
+/// A convolution over time with torch's layout: weight `[out, in, kernel]`, bias `[out]`. Kernels
+/// are padded by `(kernel - 1) / 2`, so that stride 1 keeps the length under odd ones. An adapter,
+/// if there is one, changes the weight.
 #[derive(Module, Debug)]
 pub struct Conv1d {
     weight: Param<Tensor<3>>,

@@ -51,7 +51,8 @@ impl Default for EmphasisConfig {
 }
 
 impl EmphasisConfig {
-    /// Rejects a scale that is not positive or beyond a million, and channels that are missing or repeated.
+    /// Rejects a scale that is not positive or beyond a million, and channels that are missing or
+    /// repeated.
     ///
     /// # Errors
     /// Names the first such setting.

@@ -1,10 +1,10 @@
 //! Emphasis projection: increases the weight of the trajectory in the input of a motion model.
 //!
-//! Among a frame's 263 features the root's rotation and ground position are three, and a model
-//! that predicts all of them equally well can be inaccurate about where the body goes. These three rows
-//! are multiplied by a scale c, and a random matrix distributes them over all features, so that each has
-//! about unit variance again. A frame is a row: `y = x P`, `x = y P^-1`. Source: Guided Motion
-//! Diffusion, appendix C.
+//! Among a frame's 263 features the root's rotation and ground position are three, and a model that
+//! predicts all of them equally well can be inaccurate about where the body goes. These three rows
+//! are multiplied by a scale c, and a random matrix distributes them over all features, so that
+//! each has about unit variance again. A frame is a row: `y = x P`, `x = y P^-1`. Source: Guided
+//! Motion Diffusion, appendix C.
 //!
 //! Deviation: the source's factor `1/(D - 3 + 3 c^2)` is one of variance; the matrix carries its
 //! square root. Taken as an amplitude it would leave a variance of 1/560 at c = 10.

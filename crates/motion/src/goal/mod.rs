@@ -142,8 +142,8 @@ impl Goal {
         }
     }
 
-    /// Rejects invalid goals: outside the clip, contradictory, not finite, or empty. Other functions
-    /// of this module accept every valid goal.
+    /// Rejects invalid goals: outside the clip, contradictory, not finite, or empty. Other
+    /// functions of this module accept every valid goal.
     ///
     /// # Errors
     /// Names the first such value by its place, such as `keyframe[2].frame`; lists count from 0.
@@ -238,9 +238,9 @@ impl Goal {
         }
     }
 
-    /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes with
-    /// the [line between them](GroundTargets::point_to_point). With obstacles only the keyframes are
-    /// used, because the line could pass through an obstacle (GMD, appendix F).
+    /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes
+    /// with the [line between them](GroundTargets::point_to_point). With obstacles only the
+    /// keyframes are used, because the line could pass through an obstacle (GMD, appendix F).
     ///
     /// # Panics
     /// Panics if [`validate`](Self::validate) would refuse a frame.

@@ -29,8 +29,8 @@ impl GroundTargets {
     /// The keyframes and straight lines between them, walked at even speed, beginning at the
     /// origin in frame 0. Frames after the last keyframe have no target.
     ///
-    /// If frame 0 is not a keyframe, the line from the origin to the first keyframe is included; if it
-    /// is one, it need not be at the origin.
+    /// If frame 0 is not a keyframe, the line from the origin to the first keyframe is included; if
+    /// it is one, it need not be at the origin.
     ///
     /// # Panics
     /// Panics if a keyframe lies outside of the clip.
@@ -82,8 +82,9 @@ impl GroundTargets {
         targets.filter_map(|(frame, target)| target.map(|target| (frame, target)))
     }
 
-    /// The targets as values `[channels, frames]` of a clip that may be longer, in metres, and which
-    /// of them are given: 1 for x and z of the frames that have a target. All else is 0 in both.
+    /// The targets as values `[channels, frames]` of a clip that may be longer, in metres, and
+    /// which of them are given: 1 for x and z of the frames that have a target. All else is 0 in
+    /// both.
     pub fn in_channels(&self, channels: usize, frames: usize) -> [Vec<f32>; 2] {
         let mut values = vec![0.0; channels * frames];
         let mut given = values.clone();

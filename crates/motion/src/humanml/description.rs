@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The description of a skeleton, as written in files; [`Skeleton`](super::Skeleton) is its checked form.
+/// The description of a skeleton, as written in files; [`Skeleton`](super::Skeleton) is its checked
+/// form.
 ///
 /// Joints are given by their indices. Axes: +x left, +y up, +z forward.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]

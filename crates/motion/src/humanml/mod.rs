@@ -1,5 +1,5 @@
-//! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1` for J
-//! joints.
+//! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1`
+//! for J joints.
 //!
 //! Metres, +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
 //! the world to the facing frame and enter the features by half their angle ([`Root`]). Features

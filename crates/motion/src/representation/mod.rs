@@ -1,7 +1,7 @@
 //! Representations of motion.
 //!
-//! A [`Representation`] defines the channels of a frame, the frame rate, the normalisation, the joint
-//! positions, the sanity checks and the curves to plot. Models are trained on [`Phrases`] and
+//! A [`Representation`] defines the channels of a frame, the frame rate, the normalisation, the
+//! joint positions, the sanity checks and the curves to plot. Models are trained on [`Phrases`] and
 //! [`JointFeatures`]; [`JointPositions`] is a common exchange format.
 
 mod joints;
@@ -19,8 +19,8 @@ use crate::sanity::body;
 use crate::statistics::percentile;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
-/// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the dataset;
-/// they may contain any values, including NaN, unless a method says otherwise.
+/// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the
+/// dataset; they may contain any values, including NaN, unless a method says otherwise.
 pub trait Representation: Debug + Send + Sync {
     /// Its name, for messages.
     fn name(&self) -> String;
@@ -39,8 +39,8 @@ pub trait Representation: Debug + Send + Sync {
     /// Name of a channel, such as `position.x`; for messages and tables.
     fn channel_name(&self, channel: usize) -> String;
 
-    /// Joint positions, `[frames, joints, 3]`, metres, the root being joint 0; `None` if a value is not
-    /// finite.
+    /// Joint positions, `[frames, joints, 3]`, metres, the root being joint 0; `None` if a value is
+    /// not finite.
     fn joints(&self, rows: &[f32]) -> Option<Joints>;
 
     /// The skeleton of the joints, if known.

@@ -101,8 +101,8 @@ pub(crate) fn line_of(text: &str, byte: usize) -> usize {
     text[..byte.min(text.len())].matches('\n').count() + 1
 }
 
-/// Where `path`, such as `model.channel_mult[2]`, stands in the text that `table` was parsed from, or
-/// the nearest key above it.
+/// Where `path`, such as `model.channel_mult[2]`, stands in the text that `table` was parsed from,
+/// or the nearest key above it.
 pub(crate) fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
     let beginnings = table.iter().filter_map(|(name, value)| {
         let rest = path.strip_prefix(name.get_ref().as_ref())?;

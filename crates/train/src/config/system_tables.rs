@@ -39,7 +39,8 @@ pub trait SystemTables: Serialize + DeserializeOwned {
     /// Those of a run's config.
     ///
     /// # Errors
-    /// Names a key that is wrong; not for a config that [`Systems::load`](crate::system::Systems::load) has read.
+    /// Names a key that is wrong; not for a config that
+    /// [`Systems::load`](crate::system::Systems::load) has read.
     fn of(config: &Config) -> Result<Self, ConfigError> {
         Self::read(&config.system, &|_| "the run's config".into())
     }

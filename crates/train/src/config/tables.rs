@@ -171,7 +171,8 @@ impl Default for CheckpointConfig {
 pub struct ValidationConfig {
     /// Steps between validations; 0 disables validation.
     pub every_steps: u64,
-    /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled once.
+    /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled
+    /// once.
     pub draws: usize,
     /// Phrases per forward pass; for phrases of one length it does not change the result beyond
     /// rounding.

@@ -131,7 +131,8 @@ impl Setup {
         }
     }
 
-    /// Trains `model`, which is on the device with gradients, to the end, or until stopped. Nothing but the record of the best step is written before.
+    /// Trains `model`, which is on the device with gradients, to the end, or until stopped. Nothing
+    /// but the record of the best step is written before.
     ///
     /// # Errors
     /// If the checkpoint does not fit the model, or the run fails.
@@ -173,7 +174,8 @@ impl Setup {
         };
         let checkpoints = Checkpoints::of(&folder);
         if checkpoint.is_some() && checkpoints.best() != progress.best() {
-            // All that is written before anything can be refused: a crash came between the checkpoint and the record of its being the best.
+            // All that is written before anything can be refused: a crash came between the
+            // checkpoint and the record of its being the best.
             checkpoints.set_best(progress.best().as_ref())?;
         }
         let patience = config.train.patience;

@@ -105,7 +105,8 @@ pub trait System: Sync {
         receiver: &mut dyn Receiver,
     ) -> Result<Option<Remark>, Error>;
 
-    /// Validates the request and returns a function that evaluates a trained model on held-out motion.
+    /// Validates the request and returns a function that evaluates a trained model on held-out
+    /// motion.
     ///
     /// # Errors
     /// If the request does not apply to its models, or nothing is held out.

@@ -1,9 +1,9 @@
 //! Systems: one folder per generative method.
 //!
 //! A [`System`] defines its name, its recipes, its config tables, and how to validate, train,
-//! sample, evaluate and import weights. Code outside a system's folder does not refer to it by name:
-//! entry points take a list of [`Systems`] and find the system of a run by its recipe. [`BUILT_IN`]
-//! lists the systems of this crate.
+//! sample, evaluate and import weights. Code outside a system's folder does not refer to it by
+//! name: entry points take a list of [`Systems`] and find the system of a run by its recipe.
+//! [`BUILT_IN`] lists the systems of this crate.
 
 pub mod cc_motion;
 pub mod gmd;

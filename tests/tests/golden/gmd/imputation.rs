@@ -63,8 +63,8 @@ fn golden_gmd_imputation_of_motion(golden: Golden) {
     }
 }
 
-/// The stages of the step at timestep 500: the prediction in metres, in the network's space with the
-/// target in it, and the mean that this leads to.
+/// The stages of the step at timestep 500: the prediction in metres, in the network's space with
+/// the target in it, and the mean that this leads to.
 fn stages(bench: &Bench<'_>, variant: &str, x_t: Tensor<3>, known: &Imputation<'_>) {
     let none = Steering::default();
     let step = bench.step(x_t.clone(), 500, None, None, &none);

@@ -119,8 +119,8 @@ pub enum RolloutStart {
     /// signal of its ground truth, so a reconstruction loss is meaningful.
     #[default]
     Motion,
-    /// Pure noise at the last timestep (CC-MotionGen): a reconstruction loss then pulls samples towards
-    /// the mean motion.
+    /// Pure noise at the last timestep (CC-MotionGen): a reconstruction loss then pulls samples
+    /// towards the mean motion.
     Noise,
 }
 
@@ -199,8 +199,8 @@ pub struct LossConfig {
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
     /// Weight of the reconstruction of all components, in units of their standard deviations.
-    /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase and a
-    /// constant orientation.
+    /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase
+    /// and a constant orientation.
     pub w_components: f64,
     /// Weighting of the reconstruction loss of each sample.
     pub reconstruction_weighting: ReconstructionWeighting,

@@ -46,8 +46,8 @@ pub struct GmdInitConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdLossConfig {
-    /// For motion models without a projection: the first four channels (root rotation, x, z and height)
-    /// are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
+    /// For motion models without a projection: the first four channels (root rotation, x, z and
+    /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
 }
 

@@ -8,8 +8,8 @@ use super::recipe_name::RecipeName;
 use crate::config::lay_over;
 use crate::recipe::RecipeInfo;
 
-/// Defaults of both models (Guided Motion Diffusion, table D.1 and appendix E and F; docs/sources.md,
-/// sections 4.3, 4.5 and 4.11).
+/// Defaults of both models (Guided Motion Diffusion, table D.1 and appendix E and F;
+/// docs/sources.md, sections 4.3, 4.5 and 4.11).
 const GMD: &str = r#"
 [data]
 kind = "humanml3d"

@@ -39,7 +39,7 @@ pub struct ClipRequest {
 
 /// One clip.
 #[derive(Clone, Debug)]
-pub struct ClipSample {
+pub struct GeneratedClip {
     /// Its features, absolute or relative as the run's are; none of a trajectory model.
     pub features: Option<Features>,
     /// Where its root stands in each frame, x and z in metres.
@@ -48,7 +48,7 @@ pub struct ClipSample {
     pub path: Option<Vec<[f64; 2]>>,
 }
 
-impl ClipSample {
+impl GeneratedClip {
     /// The clip of these features.
     pub(super) fn of(features: Features) -> Self {
         let positions = features.root_positions().into_iter();
@@ -129,7 +129,7 @@ impl ClipGenerator {
         sampling: &SamplingConfig,
         seed: u64,
         on_step: &mut OnStep<'_>,
-    ) -> Result<Vec<ClipSample>, Error> {
+    ) -> Result<Vec<GeneratedClip>, Error> {
         let key = Key::new(seed, Purpose::Sampling);
         let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
@@ -154,7 +154,7 @@ impl ClipGenerator {
         let mut told = |done, all| on_step("motion", done, all);
         let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
         if RecipeName::of(self.config())? == RecipeName::Trajectory {
-            let of_path = |ground| ClipSample {
+            let of_path = |ground| GeneratedClip {
                 features: None,
                 ground,
                 path: None,
@@ -162,7 +162,7 @@ impl ClipGenerator {
             return Ok(self.paths(x).into_iter().map(of_path).collect());
         }
         let features = self.features(x)?.into_iter();
-        let mut samples: Vec<_> = features.map(ClipSample::of).collect();
+        let mut samples: Vec<_> = features.map(GeneratedClip::of).collect();
         for (sample, path) in samples.iter_mut().zip(paths.into_iter().flatten()) {
             sample.path = Some(path);
         }

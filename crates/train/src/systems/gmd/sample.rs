@@ -10,14 +10,14 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::evaluate::embedding;
-use super::generate::{ClipGenerator, ClipRequest, ClipSample, read_goal};
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal};
 use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
 
-/// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path of a
-/// trajectory model. Returns how near the goals the clips have come.
+/// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path
+/// of a trajectory model. Returns how near the goals the clips have come.
 ///
 /// # Errors
 /// If a condition cannot be used, or a checkpoint cannot be read.
@@ -153,7 +153,7 @@ fn requests(count: usize, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipReque
     }
 }
 
-fn drawn(name: String, sample: &ClipSample, frames: usize, skeleton: &Skeleton) -> Drawn {
+fn drawn(name: String, sample: &GeneratedClip, frames: usize, skeleton: &Skeleton) -> Drawn {
     let Some(features) = &sample.features else {
         let files = vec![(".npy", path(&sample.ground[..frames]))];
         return Drawn { name, files };
@@ -198,7 +198,11 @@ fn path(ground: &[[f64; 2]]) -> Contents {
 }
 
 /// How near the goals the clips have come.
-fn report(samples: &[ClipSample], requests: &[ClipRequest], skeleton: &Skeleton) -> Option<String> {
+fn report(
+    samples: &[GeneratedClip],
+    requests: &[ClipRequest],
+    skeleton: &Skeleton,
+) -> Option<String> {
     let measured: Vec<GoalSample> = samples
         .iter()
         .zip(requests)

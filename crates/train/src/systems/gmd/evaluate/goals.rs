@@ -12,7 +12,7 @@ use super::text_motion::{TextMotion, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipSample};
+use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
 
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
@@ -28,8 +28,8 @@ const DIVERSITY_PAIRS: usize = 200;
 pub struct GoalTask {
     /// Number of keyframes, evenly spaced, the last one in the last frame.
     pub keyframes: usize,
-    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its start
-    /// or end are left out. With obstacles, only the last frame is a keyframe.
+    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
+    /// start or end are left out. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
     /// Maximum number of frames.
     pub frames: usize,
@@ -151,12 +151,12 @@ pub fn evaluate_goals(
         }
         _ => None,
     };
-    let real: Vec<ClipSample> = held_out
+    let real: Vec<GeneratedClip> = held_out
         .iter()
         .zip(&goals)
         .map(|(clip, goal)| {
             let features = clip.features.slice(0..goal.frames).to_absolute();
-            ClipSample::of(features)
+            GeneratedClip::of(features)
         })
         .collect();
     let drawn = Measured::new(&samples, &goals);
@@ -181,14 +181,14 @@ pub fn embedding(clip: &Clip) -> Option<Vec<f32>> {
 
 /// Clips in the form that metrics take.
 struct Measured<'a> {
-    samples: &'a [ClipSample],
+    samples: &'a [GeneratedClip],
     joints: Vec<Option<Joints>>,
     /// Mean position of each joint about the root: what diversity and Fréchet distance compare.
     features: Vec<Vec<f64>>,
 }
 
 impl<'a> Measured<'a> {
-    fn new(samples: &'a [ClipSample], goals: &[Goal]) -> Self {
+    fn new(samples: &'a [GeneratedClip], goals: &[Goal]) -> Self {
         let cut = samples.iter().zip(goals).map(|(sample, goal)| {
             let features = sample.features.as_ref()?;
             Some(features.slice(0..goal.frames))

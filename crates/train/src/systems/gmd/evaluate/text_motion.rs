@@ -37,8 +37,8 @@ pub struct TextMotionReports {
 }
 
 impl TextMotion {
-    /// Reads the evaluator onto `device`, which is to have no gradients. Its files are the weights as
-    /// published, `.npy` files of the mean and deviation that it normalises by, of the relative
+    /// Reads the evaluator onto `device`, which is to have no gradients. Its files are the weights
+    /// as published, `.npy` files of the mean and deviation that it normalises by, of the relative
     /// root, and the word vectors as safetensors (docs/dataset.md).
     ///
     /// # Errors

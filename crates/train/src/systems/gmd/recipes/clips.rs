@@ -11,9 +11,9 @@
 //! Without a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead
 //! (appendix C.1; the height among them, as in the published program).
 //!
-//! The trajectory model: those four channels alone, the root's rotation, x, z and height, normalised
-//! and not projected, predicting the noise. A model of four channels overfits quickly and then
-//! responds poorly to guidance, so its recipe uses early stopping on held-out paths
+//! The trajectory model: those four channels alone, the root's rotation, x, z and height,
+//! normalised and not projected, predicting the noise. A model of four channels overfits quickly
+//! and then responds poorly to guidance, so its recipe uses early stopping on held-out paths
 //! (`train.patience`).
 
 use kinegrad_diffusion::GaussianDiffusion;
