@@ -102,6 +102,36 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
 }
 
 #[test]
+fn what_belongs_to_another_system_is_refused_by_name() {
+    let sandbox = trained();
+    sandbox.write("p.toml", SMALLEST);
+    sandbox
+        .run("train p.toml --name phrases --set train.max_steps=2")
+        .succeeded();
+    for (command, texts) in [
+        (
+            "train p.toml --name x --set train.recipe=decoder --set init.diffusion=runs/gmd_motion",
+            [
+                "`init.diffusion`",
+                "runs/gmd_motion",
+                "recipe is `gmd_motion`",
+            ],
+        ),
+        (
+            "train c.toml --name x --set train.recipe=gmd_motion --set init.diffusion=runs/phrases",
+            ["`init.diffusion`", "runs/phrases", "recipe is `diffusion`"],
+        ),
+        (
+            "eval runs/phrases --trajectory-run runs/gmd_trajectory",
+            ["`--trajectory-run`", "runs/phrases", "a run on phrases"],
+        ),
+    ] {
+        sandbox.run(command).failed(2, &texts);
+    }
+    assert!(!sandbox.path("runs/x").exists());
+}
+
+#[test]
 fn a_run_starts_from_another_and_keeps_its_space() {
     let sandbox = trained();
     let train = "train c.toml --name tuned --set init.diffusion=runs/gmd_motion \

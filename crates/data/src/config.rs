@@ -1,5 +1,7 @@
 //! The `data` table of a training config.
 
+mod clips;
+
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -278,7 +280,7 @@ impl DataConfig {
             self.synthetic.validate()?;
         }
         if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
-            self.humanml3d.validate(self)?;
+            clips::validate(self)?;
         }
         self.validation.validate()?;
         self.cache.validate()?;

@@ -65,6 +65,18 @@ impl Start {
         load(&self.path, Weights::Ema, device).map_err(|error| self.refused(&error))
     }
 
+    /// The tables `names` of its config, every key written out.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, or of another system.
+    pub fn tables<T: SystemTables>(&self, names: &[&str]) -> Result<Table, Error> {
+        let config = self.state()?.config;
+        tables_of::<T>(&config, names).map_err(|error| {
+            let reason = format!("its recipe is `{}`: {error}", config.train.recipe);
+            self.refused(&reason)
+        })
+    }
+
     /// The error of a checkpoint that cannot be started from.
     pub fn refused(&self, reason: &dyn Display) -> Error {
         refused(self.key, &self.path, reason)

@@ -4,10 +4,7 @@ use std::fmt;
 
 use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Root, Skeleton};
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
-
-use crate::{DataConfig, DataKind, MIN_FRAMES};
 
 /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
 ///
@@ -107,111 +104,13 @@ impl Humanml3dConfig {
             root: self.root,
         }
     }
-
-    /// Checks the table, and what the rest of `data` says of clips.
-    ///
-    /// # Errors
-    /// Names the first key that cannot be followed.
-    pub(crate) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
-        let (unit, least) = (self.unit_frames, self.unit_frames.max(MIN_FRAMES));
-        in_range("data.humanml3d.unit_frames", unit, 1..=data.target_frames)
-            .hint("at most `data.target_frames`; 4 in the published training")?;
-        let clips = least..=crate::MAX_FRAMES;
-        in_range("data.humanml3d.min_frames", self.min_frames, clips)
-            .hint("40 for HumanML3D, 24 for KIT-ML; at least `data.humanml3d.unit_frames`")?;
-        in_range(
-            "data.humanml3d.max_frames",
-            self.max_frames,
-            self.min_frames + 1..,
-        )
-        .hint(
-            "more than `data.humanml3d.min_frames`; clips of max_frames and more are left out: 200 \
-             in the published training",
-        )?;
-        let listed = !self.train_list.is_empty();
-        let allowed = "a file within the dataset";
-        require(listed, "data.humanml3d.train_list", "\"\"", allowed)
-            .hint("\"train.txt\" in HumanML3D")?;
-        validate_no_phrase_settings(data)?;
-        match data.kind {
-            DataKind::SyntheticWalks => self.validate_walks(data),
-            _ => validate_split(data),
-        }
-    }
-
-    fn validate_walks(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
-        require(
-            self.skeleton == SkeletonName::Humanml3d,
-            "data.humanml3d.skeleton",
-            format!("\"{}\"", self.skeleton),
-            "\"humanml3d\" with data.kind = \"synthetic_walks\"",
-        )
-        .hint("leave the key out")?;
-        let frames = data.synthetic.frames;
-        in_range(
-            "data.synthetic.frames",
-            frames,
-            self.min_frames..self.max_frames,
-        )
-        .hint(
-            "walks keep to `data.humanml3d.min_frames` and `max_frames`; 20 frames are one second",
-        )
-    }
-}
-
-/// The lists of a HumanML3D dataset decide which clips are held out, and nothing else does.
-fn validate_split(data: &DataConfig) -> Result<(), InvalidSetting> {
-    let split = &data.validation;
-    for (key, set) in [
-        ("fraction", split.fraction.is_some()),
-        ("patterns", !split.patterns.is_empty()),
-        ("ids_file", split.ids_file.is_some()),
-    ] {
-        require(!set, key, "set", "nothing with data.kind = \"humanml3d\"")
-            .within("data.validation")
-            .hint("the dataset's lists decide: data.humanml3d.train_list and validation_list")?;
-    }
-    Ok(())
-}
-
-/// What is done to phrases alone.
-fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> {
-    let augment = &data.augment;
-    let anchored = "every sample begins at the origin facing +z";
-    let mirrored = "a HumanML3D copy lists its mirrored clips beside the others";
-    let turned = "features hold no quaternions";
-    let long = "data.humanml3d.unit_frames says how long samples are";
-    let silent = "clips have no music";
-    for (key, set, hint) in [
-        (
-            "join_neighbours",
-            data.join_neighbours,
-            "clips have no neighbours",
-        ),
-        ("augment.rotate_yaw", augment.rotate_yaw, anchored),
-        ("augment.mirror", augment.mirror, mirrored),
-        ("augment.flip_quaternion", augment.flip_quaternion, turned),
-        ("augment.min_frames", augment.min_frames.is_some(), long),
-        ("augment.audio_noise", augment.audio_noise != 0.0, silent),
-        ("augment.audio_masks", augment.audio_masks != 0, silent),
-        (
-            "augment.audio_replace_prob",
-            augment.audio_replace_prob != 0.0,
-            silent,
-        ),
-    ] {
-        let found = "a setting of phrases";
-        require(!set, key, found, "only the default with clips")
-            .within("data")
-            .hint(hint)?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Error;
+    use crate::{DataConfig, DataKind};
 
     fn clips() -> DataConfig {
         DataConfig {

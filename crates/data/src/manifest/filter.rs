@@ -14,7 +14,7 @@ use std::cmp::Ordering;
 
 use polars::prelude::{DataFrame, DataType};
 
-use super::table::{cast, numbers};
+use super::columns::{cast, numbers};
 use crate::split::matches;
 
 /// Most conditions and brackets of one filter.

@@ -4,6 +4,7 @@
 //! [`Error::Feature`].
 
 #[cfg(feature = "manifest")]
+mod columns;
 mod filter;
 #[cfg(feature = "manifest")]
 mod footer;
@@ -113,6 +114,6 @@ impl Selection {
 
     /// The values of a column of numbers. `None` if there is no such column.
     pub fn numbers(&self, column: &str) -> Option<Vec<Option<f64>>> {
-        table::numbers(self.frame.column(column).ok()?).ok()
+        columns::numbers(self.frame.column(column).ok()?).ok()
     }
 }

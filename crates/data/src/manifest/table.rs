@@ -15,6 +15,7 @@ use serde::de::value::{self, StrDeserializer};
 
 pub(super) use polars::prelude::DataFrame;
 
+use super::columns::{cast, numbers};
 use super::row::{Flag, ManifestRow};
 use super::{filter, footer};
 use crate::layout::check_id;
@@ -191,17 +192,4 @@ pub(super) fn texts(column: &Column) -> Result<Vec<Option<String>>, String> {
     let column = cast(column, &DataType::String)?;
     let texts = column.str().map_err(|error| error.to_string())?;
     Ok(texts.iter().map(|text| text.map(str::to_owned)).collect())
-}
-
-/// The values of a column of numbers.
-pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
-    let column = cast(column, &DataType::Float64)?;
-    let numbers = column.f64().map_err(|error| error.to_string())?;
-    Ok(numbers.iter().collect())
-}
-
-/// A column as values of the type `to`.
-pub(super) fn cast(column: &Column, to: &DataType) -> Result<Column, String> {
-    let broken = |error| format!("column `{}`: {error}", column.name());
-    column.cast(to).map_err(broken)
 }

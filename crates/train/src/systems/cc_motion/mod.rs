@@ -72,7 +72,7 @@ impl System for CcMotion {
         }
         match saved {
             // A resumed run does not need its start any more.
-            Some(saved) => start::inherited(saved, Some(saved)).map(Some),
+            Some(saved) => start::inherited(saved).map(Some),
             None => {
                 let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
                 starts.map(|starts| starts.tables()).transpose()

@@ -11,6 +11,12 @@ use crate::config::Config;
 use crate::error::Error;
 use crate::start::{Start, must_agree, tables_of};
 
+/// Tables that follow from the run that `init.diffusion` names.
+const OF_BASE: [&str; 2] = ["model", "diffusion"];
+
+/// Tables that follow from the run that `init.decoder` names.
+const OF_DECODER: [&str; 1] = ["decoder"];
+
 /// The checkpoints that a fine-tuning starts from.
 #[derive(Clone, Debug)]
 pub(crate) struct Starts {
@@ -36,9 +42,11 @@ impl Starts {
     /// # Errors
     /// If a checkpoint is damaged.
     pub fn tables(&self) -> Result<Table, Error> {
-        let base = self.diffusion.state()?;
-        let decoder = self.decoder.as_ref().map(Start::state).transpose()?;
-        inherited(&base.config, decoder.as_ref().map(|state| &state.config))
+        let mut tables = self.diffusion.tables::<CcMotionConfig>(&OF_BASE)?;
+        if let Some(decoder) = &self.decoder {
+            tables.extend(decoder.tables::<CcMotionConfig>(&OF_DECODER)?);
+        }
+        Ok(tables)
     }
 
     /// The statistics that the denoiser's data were normalised by.
@@ -55,7 +63,7 @@ impl Starts {
     /// Names the key whose checkpoint does not fit, and why.
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let base = self.diffusion.load(device, Trained::load)?;
-        must_agree::<CcMotionConfig>(config, &base.state.config, &["model", "diffusion"])?;
+        must_agree::<CcMotionConfig>(config, &base.state.config, &OF_BASE)?;
         let statistics = base.state.statistics_of(&Phrases)?;
         // Networks of this config, whose dropout and coherence may be others, with the values of
         // the start.
@@ -66,7 +74,7 @@ impl Starts {
             let Some(trained) = start.decoder else {
                 return Err(given.refused(&"its recipe is `diffusion`, it holds no decoder"));
             };
-            must_agree::<CcMotionConfig>(config, &start.state.config, &["decoder"])?;
+            must_agree::<CcMotionConfig>(config, &start.state.config, &OF_DECODER)?;
             let found = start.state.statistics_of(&Phrases)?;
             if (&found.mean, &found.std) != (&statistics.mean, &statistics.std) {
                 return Err(given.refused(
@@ -80,14 +88,10 @@ impl Starts {
     }
 }
 
-/// The tables `model` and `diffusion` of `base` and `decoder` of `decoder`.
+/// What the config of a resumed run says of networks and process.
 ///
 /// # Errors
-/// If a config is of another version and cannot be read.
-pub(super) fn inherited(base: &Config, decoder: Option<&Config>) -> Result<Table, Error> {
-    let mut tables = tables_of::<CcMotionConfig>(base, &["model", "diffusion"])?;
-    if let Some(decoder) = decoder {
-        tables.extend(tables_of::<CcMotionConfig>(decoder, &["decoder"])?);
-    }
-    Ok(tables)
+/// If the config is of another version and cannot be read.
+pub(super) fn inherited(saved: &Config) -> Result<Table, Error> {
+    tables_of::<CcMotionConfig>(saved, &[OF_BASE.as_slice(), &OF_DECODER].concat())
 }

@@ -35,8 +35,9 @@ use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
-use crate::start::Start;
+use crate::start::{Start, tables_of};
 use crate::system::System;
+use networks::INHERITED;
 use recipe_name::{RECIPES, RecipeName};
 
 /// The system.
@@ -80,11 +81,11 @@ impl System for Gmd {
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
         match saved {
             // A resumed run does not need its start any more.
-            Some(saved) => networks::inherited(saved).map(Some),
+            Some(saved) => tables_of::<GmdConfig>(saved, &INHERITED).map(Some),
             None => {
                 let init = GmdConfig::of(config)?.init;
                 let start = Start::named("init.diffusion", &init.diffusion)?;
-                let tables = |start: Start| networks::inherited(&start.state()?.config);
+                let tables = |start: Start| start.tables::<GmdConfig>(&INHERITED);
                 start.map(tables).transpose()
             }
         }

@@ -7,14 +7,13 @@ use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
-use toml::Table;
 
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
-use crate::start::{Start, must_agree, tables_of};
+use crate::start::{Start, must_agree};
 
 /// Parameter of the matrix of a projected space.
 pub(super) const MATRIX: &str = "projection.matrix";
@@ -146,12 +145,4 @@ pub(super) fn started(
 }
 
 /// Tables that follow from what a run starts from.
-const INHERITED: [&str; 3] = ["model", "diffusion", "emphasis"];
-
-/// What the config of a start says of network, process and space.
-///
-/// # Errors
-/// If it is of another version and cannot be read.
-pub(super) fn inherited(config: &Config) -> Result<Table, Error> {
-    tables_of::<GmdConfig>(config, &INHERITED)
-}
+pub(super) const INHERITED: [&str; 3] = ["model", "diffusion", "emphasis"];
