@@ -95,13 +95,20 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
 
     let features = format!("set/audio_features/{phrase}/features.npz");
     let guided = "--guidance-scale 3 --set sampling.sampler.kind=ddpm \
-                  --set sampling.sampler.eta=0.5 --count 2";
-    sandbox
-        .run(&format!(
-            "sample runs/smallest --out d --cond {features} --steps 4 {guided}"
-        ))
-        .succeeded();
-    assert!(sandbox.path("d-001.raw.npy").exists());
+                  --set sampling.sampler.eta=0.5";
+    for names in ["one", "d --count 3"] {
+        let sample = format!("sample runs/smallest --cond {features} --steps 4 {guided}");
+        sandbox.run(&format!("{sample} --out {names}")).succeeded();
+    }
+    assert!(sandbox.path("d-002.raw.npy").exists());
+    for kind in ["npy", "raw.npy"] {
+        let bytes = |name: &str| fs::read(sandbox.path(&format!("{name}.{kind}"))).expect("a file");
+        assert!(
+            bytes("one") == bytes("d-000"),
+            "{kind}: alone as in a batch"
+        );
+        assert!(bytes("d-000") != bytes("d-001"));
+    }
 
     sandbox.run("plot dance.npy --out dance.svg").succeeded();
     sandbox

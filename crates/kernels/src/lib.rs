@@ -24,6 +24,7 @@ mod composed;
 mod convolution;
 mod flex;
 mod host;
+mod invariance;
 pub mod memory;
 mod mode;
 mod normalization;
@@ -32,6 +33,7 @@ pub mod optimizer;
 pub use attention::{cross_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
+pub use invariance::batch_invariant;
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
 

@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::sync::OnceLock;
+use std::thread::LocalKey;
 
 use burn::backend::DispatchTensorKind;
 use burn::tensor::{DType, Tensor};
@@ -59,15 +60,24 @@ impl Mode {
 
     /// Runs `work` with this mode on this thread.
     pub fn scope<R>(self, work: impl FnOnce() -> R) -> R {
-        struct Restore(Option<Mode>);
-        impl Drop for Restore {
-            fn drop(&mut self) {
-                OVERRIDE.set(self.0);
-            }
-        }
-        let _restore = Restore(OVERRIDE.replace(Some(self)));
-        work()
+        scoped(&OVERRIDE, Some(self), work)
     }
+}
+
+/// Runs `work` while this thread's `cell` holds `value`.
+pub(crate) fn scoped<T: Copy, R>(
+    cell: &'static LocalKey<Cell<T>>,
+    value: T,
+    work: impl FnOnce() -> R,
+) -> R {
+    struct Restore<T: Copy + 'static>(&'static LocalKey<Cell<T>>, T);
+    impl<T: Copy> Drop for Restore<T> {
+        fn drop(&mut self) {
+            self.0.set(self.1);
+        }
+    }
+    let _restore = Restore(cell, cell.replace(value));
+    work()
 }
 
 /// Whether the operation on this tensor runs as a kernel.

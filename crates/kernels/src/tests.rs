@@ -4,4 +4,5 @@
 mod bounds;
 mod cases;
 mod fused;
+mod invariance;
 mod reference;

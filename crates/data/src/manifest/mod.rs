@@ -5,6 +5,7 @@
 
 #[cfg(feature = "manifest")]
 mod columns;
+#[cfg(feature = "manifest")]
 mod filter;
 #[cfg(feature = "manifest")]
 mod footer;
@@ -114,6 +115,6 @@ impl Selection {
 
     /// The values of a column of numbers. `None` if there is no such column.
     pub fn numbers(&self, column: &str) -> Option<Vec<Option<f64>>> {
-        columns::numbers(self.frame.column(column).ok()?).ok()
+        table::numbers(self.frame.column(column).ok()?).ok()
     }
 }

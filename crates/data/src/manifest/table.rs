@@ -15,7 +15,8 @@ use serde::de::value::{self, StrDeserializer};
 
 pub(super) use polars::prelude::DataFrame;
 
-use super::columns::{cast, numbers};
+use super::columns::cast;
+pub(super) use super::columns::numbers;
 use super::row::{Flag, ManifestRow};
 use super::{filter, footer};
 use crate::layout::check_id;

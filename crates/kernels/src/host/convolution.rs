@@ -15,6 +15,7 @@ use super::product::{Addends, OutputRows, Windows, multiply};
 use super::rows::{Padded, Rows, SharedRows, rows_written_by};
 use super::simd::vectorized;
 use super::team;
+use crate::invariance::samples;
 
 /// What a convolution is, but for its tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -329,7 +330,7 @@ fn multiply_phases(
                     step: phase.step,
                 };
                 let windows = source.windows(phase);
-                if weight.gathers() && is_narrow(windows.len(), columns) {
+                if weight.gathers() && is_narrow(windows.len() / samples(), columns) {
                     multiply_narrow(windows, weight.data, weight.shape, addends, output);
                 } else {
                     multiply(windows, weight, addends, output);

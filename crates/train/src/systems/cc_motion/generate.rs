@@ -6,6 +6,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
 use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
+use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
@@ -76,7 +77,7 @@ impl Generator {
     }
 
     /// Generates one sample per condition, as a batch; all conditions have the same number of
-    /// frames. Sample i depends on `seed` and i alone, up to rounding not on the number of samples.
+    /// frames. Sample i depends on `seed` and i alone, on the CPU to the bit, elsewhere up to rounding.
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
@@ -104,20 +105,23 @@ impl Generator {
             let start = keys.iter().map(|key| key.at(0).normals(CHANNELS * frames));
             let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
             let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
-            let x = sample(
-                &self.diffusion,
-                &self.unet,
-                on_device(start.flatten().collect(), CHANNELS),
-                &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
-                &sampling.sampler,
-                &sampling.clip.range(self.statistics(), CHANNELS)?,
-                NoiseKeys::Samples(&of_steps),
-                &mut |step, total, _| on_step(done * total + step, all * total),
-            )?;
-            let x = match &self.decoder {
-                Some(decoder) => decoder.forward(x, None),
-                None => x,
-            };
+            // Each sample as if it were drawn alone, to the bit.
+            let x = batch_invariant(conditions.len(), || {
+                let x = sample(
+                    &self.diffusion,
+                    &self.unet,
+                    on_device(start.flatten().collect(), CHANNELS),
+                    &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
+                    &sampling.sampler,
+                    &sampling.clip.range(self.statistics(), CHANNELS)?,
+                    NoiseKeys::Samples(&of_steps),
+                    &mut |step, total, _| on_step(done * total + step, all * total),
+                )?;
+                Ok::<_, Error>(match &self.decoder {
+                    Some(decoder) => decoder.forward(x, None),
+                    None => x,
+                })
+            })?;
             let values = x.try_into_vec_as::<f32>().expect("samples are float32");
             for values in values.chunks(CHANNELS * frames) {
                 let raw = match &self.decoder {
