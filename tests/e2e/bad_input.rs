@@ -62,7 +62,7 @@ fn wrong_types_and_choices_name_the_key() {
 #[test]
 fn values_out_of_range_name_key_value_and_range() {
     let sandbox = sandbox();
-    let cases: [(&str, &[&str]); 9] = [
+    let cases: [(&str, &[&str]); 10] = [
         (
             "train.max_steps=0",
             &["`train.max_steps` is 0", "1 or more"],
@@ -91,12 +91,38 @@ fn values_out_of_range_name_key_value_and_range() {
             &["num_inference_steps", "2000", "1000"],
         ),
         (
+            "sampling.sampler.kind=heun --set sampling.sampler.timestep_spacing=trailing \
+             --set diffusion.rescale_betas_zero_snr=true --set diffusion.prediction_type=sample",
+            &[
+                "`sampling.sampler.kind` is \"heun\"",
+                "rescale_betas_zero_snr",
+            ],
+        ),
+        (
             "diffusion.num_train_timesteps=1",
             &["num_train_timesteps", "1"],
         ),
     ];
     for (setting, texts) in cases {
         refused(&sandbox, &format!("--set {setting}"), texts);
+    }
+}
+
+#[test]
+fn options_that_became_keys_name_the_key() {
+    let sandbox = sandbox();
+    for (command, texts) in [
+        (
+            "sample runs/x --sampler heun --out d",
+            ["`--sampler`", "sampling.sampler.kind=NAME"],
+        ),
+        (
+            "eval runs/x --no-imputation",
+            ["`--no-imputation`", "sampling.steering.imputation=false"],
+        ),
+        ("eval runs/x --seeds 4", ["`--seeds`", "evaluation.seeds=N"]),
+    ] {
+        sandbox.run(command).failed(2, &texts);
     }
 }
 

@@ -6,14 +6,14 @@ use std::path::Path;
 use kinegrad_capture::Bvh;
 use kinegrad_data::humanml::write_walks;
 use kinegrad_data::{read_array, write_values};
-use kinegrad_tests::golden::workspace;
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, contents};
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::Value;
 
-const GOAL: &str = "frames = 16\n[[keyframe]]\nframe = 8\nx = 0.1\nz = 0.4\n\
+pub const GOAL: &str = "frames = 16\n[[keyframe]]\nframe = 8\nx = 0.1\nz = 0.4\n\
                     [[keyframe]]\nframe = 15\nx = 0.2\nz = 0.9\n";
 
-fn sandbox() -> Sandbox {
+pub fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST_WALKS);
     sandbox.write("goal.toml", GOAL);
@@ -32,7 +32,7 @@ fn trained() -> Sandbox {
     sandbox
 }
 
-fn shape(path: &Path) -> Vec<usize> {
+pub fn shape(path: &Path) -> Vec<usize> {
     read_array(path).expect("an array").shape
 }
 
@@ -73,6 +73,39 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
         .run("sample runs/gmd_motion --frames 12 --out free")
         .succeeded();
     assert_eq!(shape(&sandbox.path("free.npy")), [12, 22, 3]);
+}
+
+#[test]
+fn positions_are_checked_with_the_statistics_of_the_features_trained_on() {
+    let sandbox = trained();
+    let walks = sandbox.path("walks");
+    write_walks(&walks, 3, 40, 7).expect("a dataset");
+    let skeleton = Skeleton::humanml3d();
+    let name = "walk_00000.npy";
+    let rows = read_array(&walks.join("new_joint_vecs").join(name)).expect("features");
+    let features = Features::new(rows.values, skeleton.layout(), Root::Relative);
+    let joints = features.expect("a walk").joints();
+    let mut values = joints.to_f32();
+    let shape = [joints.frames(), joints.joints(), 3];
+    write_values(&sandbox.path("walk.npy"), &shape, &values).expect("a file");
+    // The same way in a fifth of the time.
+    for (index, value) in values.iter_mut().enumerate() {
+        let frame = index / (3 * joints.joints());
+        *value += if index % 3 == 2 {
+            0.2 * frame as f32
+        } else {
+            0.0
+        };
+    }
+    write_values(&sandbox.path("fast.npy"), &shape, &values).expect("a file");
+    for statistics in ["--run runs/gmd_motion", "--source walks"] {
+        let check =
+            |file: &str| sandbox.run(&format!("check {file} --profile strict {statistics}"));
+        check("walk.npy").succeeded();
+        let fast = check("fast.npy").failed(1, &[]);
+        let line = fast.stdout.lines().find(|line| line.contains("speed"));
+        assert!(line.is_some_and(|line| line.contains("FAIL")), "{line:?}");
+    }
 }
 
 #[test]
@@ -124,6 +157,14 @@ fn what_belongs_to_another_system_is_refused_by_name() {
         (
             "eval runs/phrases --trajectory-run runs/gmd_trajectory",
             ["`--trajectory-run`", "runs/phrases", "a run on phrases"],
+        ),
+        (
+            "train c.toml --name phrases --set train.recipe=gmd_motion --resume",
+            [
+                "`train.recipe`",
+                "gmd_motion",
+                "\"diffusion\", which the run",
+            ],
         ),
     ] {
         sandbox.run(command).failed(2, &texts);
@@ -369,123 +410,4 @@ fn settings_of_another_kind_of_run_are_refused_by_name() {
     );
     sandbox.write("c.toml", SMALLEST);
     refused("--set data.kind=synthetic_walks", &["data.kind", "phrases"]);
-}
-
-/// A sandbox with the weights of `data_fixtures/gmd` and statistics for them.
-fn published() -> Sandbox {
-    let sandbox = sandbox();
-    for name in ["checkpoint_tiny.pt", "checkpoint_bare.pt"] {
-        let bytes = fs::read(workspace().join("data_fixtures/gmd").join(name)).expect("a fixture");
-        sandbox.write(name, bytes);
-    }
-    for name in ["m.npy", "s.npy"] {
-        write_values(&sandbox.path(name), &[263], &[1.0; 263]).expect("a file");
-    }
-    sandbox
-}
-
-#[test]
-fn published_weights_become_a_run() {
-    let sandbox = published();
-    let import = "import checkpoint_tiny.pt --arch gmd_trajectory --mean m.npy --std s.npy";
-    let said = sandbox.run(&format!("{import} --out runs/gmd")).succeeded();
-    assert!(said.stdout.contains("`model_avg`"), "{}", said.stdout);
-    assert!(said.stdout.contains("12,636 parameters"), "{}", said.stdout);
-    sandbox
-        .run(&format!("{import} --out runs/gmd"))
-        .failed(2, &["runs/gmd"]);
-    sandbox.write("goal.toml", GOAL);
-    sandbox
-        .run("sample runs/gmd --goal goal.toml --steps 3 --out path")
-        .succeeded();
-    assert_eq!(shape(&sandbox.path("path.npy")), [16, 2]);
-    write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
-    sandbox
-        .run("eval runs/gmd --source walks --set evaluation.goals=1 --steps 3")
-        .succeeded();
-    let tune = "train c.toml --name tuned --set train.recipe=gmd_trajectory \
-                --set init.diffusion=runs/gmd --set train.max_steps=2";
-    let without_model = SMALLEST_WALKS
-        .split("[model]")
-        .next()
-        .expect("what comes first");
-    sandbox.write("c.toml", without_model);
-    sandbox.run(tune).succeeded();
-}
-
-#[test]
-fn weights_that_do_not_fit_are_refused_with_all_differences() {
-    let sandbox = published();
-    let import = |weights: &str, arch: &str, rest: &str| {
-        sandbox.run(&format!(
-            "import {weights} --arch {arch} --out runs/gmd {rest}"
-        ))
-    };
-    let statistics = "--mean m.npy --std s.npy";
-    import("checkpoint_tiny.pt", "gmd_trajectory", "").failed(2, &["--mean"]);
-    import("checkpoint_tiny.pt", "gmd_motion", statistics).failed(2, &["4 channels", "263"]);
-    import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
-    write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
-    import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
-    write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");
-
-    // One name changed within the pickle is one parameter missing and another not known.
-    let path = sandbox.path("checkpoint_bare.pt");
-    let bytes = fs::read(&path).expect("a fixture");
-    fs::write(
-        &path,
-        renamed(bytes, b"embed_text.bias", b"embed_text.bios"),
-    )
-    .expect("a file");
-    import("checkpoint_bare.pt", "gmd_trajectory", statistics).failed(
-        2,
-        &[
-            "2 differences",
-            "missing: `embed_text.bias` [8]",
-            "not known: `embed_text.bios`",
-        ],
-    );
-    let left = contents(&sandbox.path("."));
-    assert!(
-        left.iter().all(|(name, _)| !name.starts_with("runs")),
-        "nothing written"
-    );
-}
-
-/// An archive whose first file that holds `name` holds `other`, of the same length, in its place.
-fn renamed(mut archive: Vec<u8>, name: &[u8], other: &[u8]) -> Vec<u8> {
-    let place = |archive: &[u8], text: &[u8]| {
-        archive
-            .windows(text.len())
-            .position(|window| window == text)
-            .expect("the text is there")
-    };
-    // The pickle is the archive's first file: its local header says where it lies.
-    let number = |archive: &[u8], at: usize, bytes: usize| {
-        (0..bytes).fold(0usize, |n, i| n | usize::from(archive[at + i]) << (8 * i))
-    };
-    let directory = place(&archive, b"PK\x01\x02");
-    let (old_sum, length) = (
-        archive[directory + 16..directory + 20].to_vec(),
-        number(&archive, directory + 20, 4),
-    );
-    let start = 30 + number(&archive, 26, 2) + number(&archive, 28, 2);
-    let at = start + place(&archive[start..start + length], name);
-    archive[at..at + name.len()].copy_from_slice(other);
-    let sum = crc32(&archive[start..start + length]).to_le_bytes();
-    for at in 0..archive.len() - 4 {
-        if archive[at..at + 4] == old_sum[..] {
-            archive[at..at + 4].copy_from_slice(&sum);
-        }
-    }
-    archive
-}
-
-/// The checksum of zip archives.
-fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(!0u32, |sum, &byte| {
-        (0..8).fold(sum ^ u32::from(byte), |sum, _| {
-            (sum >> 1) ^ (0xedb8_8320 & (sum & 1).wrapping_neg())
-        })
-    })
 }

@@ -7,6 +7,7 @@ mod commands;
 mod eval;
 mod fine_tuning;
 mod goals;
+mod imports;
 mod own_system;
 mod plans;
 mod preparation;

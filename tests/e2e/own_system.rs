@@ -60,7 +60,7 @@ impl Representation for Point {
     }
 }
 
-/// One way round a circle; what it is conditioned on is its radius.
+/// One way round a circle that lies as high as its radius, on which it is conditioned.
 #[derive(Clone, Debug)]
 struct Circle {
     id: String,
@@ -73,7 +73,7 @@ impl Circle {
         let radius = 0.5 + 0.1 * index as f32;
         let point = |t: usize| {
             let angle = (TAU * t as f64 / frames as f64) as f32;
-            [radius * angle.cos(), 1.0, radius * angle.sin()]
+            [radius * angle.cos(), radius, radius * angle.sin()]
         };
         Arc::new(Self {
             id: format!("circle_{index}"),
@@ -81,6 +81,11 @@ impl Circle {
             rows: (0..frames).flat_map(point).collect(),
         })
     }
+}
+
+/// A radius as the network gets it: about 0, of about 1.
+fn condition(radius: f32) -> f32 {
+    (radius - 0.75) / 0.2
 }
 
 impl Item for Circle {
@@ -138,7 +143,7 @@ impl Samples for CircleSamples {
         let sound = vec![circle.radius; frames];
         let conditions = [
             ConditionRows {
-                values: &[circle.radius],
+                values: &[condition(circle.radius)],
                 frames: 1,
                 range: 0..1,
             },
@@ -270,6 +275,13 @@ fn dataset(config: &Config) -> Result<Dataset<Circle>, Error> {
     Ok(Dataset::of_items(circles, held_out, Point))
 }
 
+/// Mean height of points.
+fn height(rows: &[f32]) -> f64 {
+    let points = rows.chunks(CHANNELS);
+    let count = points.len() as f64;
+    points.map(|point| f64::from(point[1])).sum::<f64>() / count
+}
+
 /// Rows of drawn circles, one for each radius.
 fn draw(subject: &Subject, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Error> {
     let state = State::read(&subject.checkpoint)?;
@@ -279,7 +291,8 @@ fn draw(subject: &Subject, radii: &[f32], seed: u64) -> Result<Vec<Vec<f32>>, Er
     let shape = [radii.len(), CHANNELS, frames];
     let key = Key::new(seed, Purpose::Sampling);
     let noise = kinegrad_train::denoising::noise(key, shape, &subject.device);
-    let radius = TensorData::new(radii.to_vec(), [radii.len(), 1, 1]);
+    let given: Vec<f32> = radii.iter().copied().map(condition).collect();
+    let radius = TensorData::new(given, [radii.len(), 1, 1]);
     let radius = Tensor::from_data(radius, &subject.device);
     let steps = subject.config.sampling.sampler.num_inference_steps;
     let drawn = euler(&network, noise, &radius, steps);
@@ -358,7 +371,7 @@ impl System for Toy {
             let radii: Vec<f32> = held_out.iter().map(|circle| circle.radius).collect();
             let drawn = draw(subject, &radii, seed)?;
             let column = |circles: &mut dyn Iterator<Item = &Vec<f32>>| {
-                let heights: Vec<f64> = circles.map(|rows| f64::from(rows[1])).collect();
+                let heights: Vec<f64> = circles.map(|rows| height(rows)).collect();
                 let value = heights.iter().sum::<f64>() / heights.len() as f64;
                 Column {
                     facts: vec![("circles", Some(heights.len() as u64))],
@@ -376,7 +389,7 @@ impl System for Toy {
             Ok(Evaluated {
                 run: subject.config.run.name.clone(),
                 report: "eval-circles",
-                json: serde_json::json!({ "circles": drawn.len() }),
+                json: serde_json::json!({ "height": height(&drawn.concat()) }),
                 real: column(&mut held_out.iter().map(|circle| &circle.rows)),
                 drawn: column(&mut drawn.iter()),
                 remarks: Vec::new(),
@@ -492,24 +505,17 @@ fn a_system_of_ones_own_has_every_command() {
         assert_eq!(array.shape, [20, CHANNELS]);
         array.values
     };
-    // All circles lie one metre up, and how far out a point lies follows from the radius.
-    assert!(
-        drawn(0)
-            .chunks(CHANNELS)
-            .all(|point| (point[1] - 1.0).abs() < 0.1)
-    );
-    assert!(drawn(0) != drawn(2), "the radius changes what is drawn");
+    for (index, radius) in [0.6, 0.8, 1.0].into_iter().enumerate() {
+        let found = height(&drawn(index));
+        assert!((found - radius).abs() < 0.05, "{found} at radius {radius}");
+    }
 
     kinegrad(here, "eval @/whole/toy --out @/evaluated");
-    let reports = fs::read_dir(here.join("evaluated")).expect("reports");
-    let names = reports.map(|entry| entry.expect("an entry").file_name());
-    let names: Vec<String> = names
-        .map(|name| name.to_string_lossy().into_owned())
-        .collect();
-    assert!(
-        names.iter().any(|name| name.starts_with("eval-circles")),
-        "{names:?}"
-    );
+    let report = fs::read_to_string(here.join("evaluated/eval-circles.json")).expect("a report");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let found = report["evaluations"][0]["height"].as_f64();
+    // Those held out are the three largest of nine: 1.1, 1.2 and 1.3 metres.
+    assert!((found.expect("a height") - 1.2).abs() < 0.1, "{report}");
 
     kinegrad(here, "check @/drawn-0.npy");
     // A real circle is as smooth as those that were trained on; every frame by itself is not.

@@ -328,7 +328,7 @@ pub enum ConfigCommand {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
-  kinegrad config show configs/phrases.toml --set model.size=base")]
+  kinegrad config show configs/quickstart.toml --set model.size=base")]
 pub struct ShowArguments {
     /// The config file
     pub config: PathBuf,
@@ -337,34 +337,45 @@ pub struct ShowArguments {
     pub overrides: Vec<String>,
 }
 
-/// Former options of `kinegrad eval` and the config keys that replace them.
-const REPLACED: [(&str, &str); 10] = [
-    ("--seeds", "seeds=N"),
-    ("--phrases", "phrases=N"),
-    ("--cond", "cond=noise"),
-    ("--goals", "goals=N"),
-    ("--keyframes", "keyframes=N"),
-    ("--obstacles", "obstacles=N"),
-    ("--evaluator", "evaluator.weights=FILE"),
-    ("--evaluator-mean", "evaluator.mean=FILE"),
-    ("--evaluator-std", "evaluator.std=FILE"),
-    ("--word-vectors", "evaluator.word_vectors=FILE"),
+/// Former options of `kinegrad sample` and `kinegrad eval`, and the config keys that replace them.
+const REPLACED: [(&str, &str); 18] = [
+    ("--seeds", "evaluation.seeds=N"),
+    ("--phrases", "evaluation.phrases=N"),
+    ("--cond", "evaluation.cond=noise"),
+    ("--goals", "evaluation.goals=N"),
+    ("--keyframes", "evaluation.keyframes=N"),
+    ("--obstacles", "evaluation.obstacles=N"),
+    ("--evaluator", "evaluation.evaluator.weights=FILE"),
+    ("--evaluator-mean", "evaluation.evaluator.mean=FILE"),
+    ("--evaluator-std", "evaluation.evaluator.std=FILE"),
+    ("--word-vectors", "evaluation.evaluator.word_vectors=FILE"),
+    ("--sampler", "sampling.sampler.kind=NAME"),
+    ("--eta", "sampling.sampler.eta=ETA"),
+    (
+        "--timestep-spacing",
+        "sampling.sampler.timestep_spacing=NAME",
+    ),
+    ("--final-alpha", "sampling.sampler.final_alpha=NAME"),
+    (
+        "--recompute-epsilon",
+        "sampling.sampler.recompute_epsilon=BOOL",
+    ),
+    ("--clip", "sampling.clip=NAME"),
+    ("--classifier-scale", "sampling.steering.scale=SCALE"),
+    ("--no-imputation", "sampling.steering.imputation=false"),
 ];
 
 /// The error for an option that a config key has replaced.
 pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
     let found = error.get(ContextKind::InvalidArg);
-    let (ErrorKind::UnknownArgument, "eval", Some(ContextValue::String(found))) =
+    let (ErrorKind::UnknownArgument, "eval" | "sample", Some(ContextValue::String(found))) =
         (error.kind(), command, found)
     else {
         return None;
     };
     let (option, key) = REPLACED.iter().find(|(option, _)| option == found)?;
     let message = format!("`{option}` has been replaced by a config key");
-    Some(Error::usage(
-        message,
-        format!("use `--set evaluation.{key}`"),
-    ))
+    Some(Error::usage(message, format!("use `--set {key}`")))
 }
 
 /// Parses a config enum by its serde name.

@@ -47,8 +47,8 @@ pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
     ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
-    SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun, sample,
-    timesteps,
+    SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
+    must_suit, sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{

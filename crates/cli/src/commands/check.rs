@@ -23,7 +23,9 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         let array = read_array(&path)?;
         let representation = systems.representation_of(&path, &array.shape, &array.values)?;
         let statistics = statistics(&arguments, &*representation)?;
-        let report = representation.check(&array.values, arguments.profile, statistics.as_ref())?;
+        let report = representation
+            .check(&array.values, arguments.profile, statistics.as_ref())
+            .map_err(|error| unusable(&arguments, error))?;
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
@@ -42,6 +44,21 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         }
     }
     Ok(ExitCode::from(u8::from(passed < reports.len())))
+}
+
+/// The error of a check; that of statistics which say too little names the run they are from.
+fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
+    match (error, &arguments.run) {
+        (kinegrad_motion::Error::StatisticsNeeded, Some(run)) => Error::usage(
+            format!(
+                "{} does not know the speed and jerk of its training motion: its statistics came \
+                 with the dataset, or an older version wrote them",
+                run.display()
+            ),
+            "name the motion itself with `--source`, or use `--profile document`",
+        ),
+        (error, _) => error.into(),
+    }
 }
 
 /// The statistics that `--run` or `--source` names, of motion in this `representation`.
@@ -63,7 +80,7 @@ fn statistics(
         source: Some(source.clone()),
         ..Default::default()
     };
-    match SkeletonName::of_channels(representation.channels()) {
+    match SkeletonName::of_channels(representation.stored_channels()) {
         Some(skeleton) => {
             data.kind = DataKind::Humanml3d;
             data.humanml3d.skeleton = skeleton;

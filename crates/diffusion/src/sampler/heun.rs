@@ -1,7 +1,6 @@
 //! Heun's method.
 
 use burn::tensor::Tensor;
-use kinegrad_settings::{Refused, require};
 
 use super::level::Level;
 use super::{OnStep, Path, Predict};
@@ -17,7 +16,8 @@ use crate::{Error, GaussianDiffusion, Time};
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`.
+/// Those of `predict`. A path that begins in pure noise, without any motion, gives NaN;
+/// [`must_suit`](super::must_suit) refuses it.
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -31,13 +31,6 @@ pub fn heun(
     let mut x = x_T;
     for index in 0..path.len() {
         let now = Level::of(diffusion, path.timesteps(index).iter().copied().map(Some));
-        require(
-            now.iter().all(|level| level.alpha != 0.0),
-            "sampling.sampler.kind",
-            "\"heun\"",
-            "another sampler where `diffusion.rescale_betas_zero_snr` is set",
-        )
-        .hint("its slopes are those of x / alpha, and alpha is 0 in pure noise")?;
         let landings = path.landings(index);
         let next = Level::of(diffusion, landings.iter().copied());
         let prediction = predict(x, &path.time(index))?;

@@ -37,7 +37,9 @@ pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;
 pub(crate) use step::Posterior;
 
-use crate::{Denoiser, Error, GaussianDiffusion, Time, guided};
+use kinegrad_settings::{InvalidSetting, Refused, require};
+
+use crate::{Denoiser, DiffusionConfig, Error, GaussianDiffusion, Time, guided};
 
 /// Callback after each step: the number of steps done, starting from 1, the total number of steps,
 /// and the new state `[batch, channels, time]`.
@@ -97,8 +99,8 @@ pub fn draw(
     keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
+    must_suit(config, &diffusion.config)?;
     let num_train_timesteps = diffusion.schedule.num_train_timesteps();
-    config.validate(num_train_timesteps)?;
     let path = Path::of(config, num_train_timesteps, x_T.dims()[0]);
     match config.kind {
         SamplerKind::Ddim => ddim(diffusion, predict, x_T, &path, config, keys, on_step),
@@ -106,6 +108,24 @@ pub fn draw(
         SamplerKind::Dpmpp2m => dpmpp_2m(diffusion, predict, x_T, &path, on_step),
         SamplerKind::Heun => heun(diffusion, predict, x_T, &path, on_step),
     }
+}
+
+/// Rejects a sampler's settings that do not work with a process.
+///
+/// # Errors
+/// Names the first bad key: what it is, what is allowed, how to mend it.
+pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
+    let all = process.num_train_timesteps;
+    config.validate(all)?;
+    let from_noise = || timesteps(config, all).contains(&(all - 1));
+    let heun = config.kind == SamplerKind::Heun;
+    require(
+        !(heun && process.rescale_betas_zero_snr && from_noise()),
+        "sampling.sampler.kind",
+        "\"heun\"",
+        "another sampler where `diffusion.rescale_betas_zero_snr` is set",
+    )
+    .hint("Heun's method needs some motion in x_t, and the last timestep is pure noise")
 }
 
 /// The timesteps that times stand for.

@@ -176,6 +176,11 @@ impl Representation for JointPositions {
         3 * self.skeleton.joints()
     }
 
+    /// Those of the features: datasets store clips of such bodies as features.
+    fn stored_channels(&self) -> usize {
+        self.skeleton.layout().channels()
+    }
+
     fn fps(&self) -> f64 {
         self.skeleton.description().fps
     }

@@ -28,6 +28,11 @@ pub trait Representation: Debug + Send + Sync {
     /// Number of channels.
     fn channels(&self) -> usize;
 
+    /// Number of channels of the rows that its datasets hold and its statistics describe.
+    fn stored_channels(&self) -> usize {
+        self.channels()
+    }
+
     /// Frames per second.
     fn fps(&self) -> f64;
 

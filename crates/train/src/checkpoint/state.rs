@@ -81,12 +81,12 @@ impl State {
         format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
     }
 
-    /// The statistics, if they are of this `representation`.
+    /// The statistics, if they are of motion in this `representation`.
     ///
     /// # Errors
     /// [`Error::OtherRepresentation`].
     pub fn statistics_of(&self, representation: &dyn Representation) -> Result<&Statistics, Error> {
-        match self.statistics.channels() == representation.channels() {
+        match self.statistics.channels() == representation.stored_channels() {
             true => Ok(&self.statistics),
             false => Err(Error::OtherRepresentation {
                 recipe: self.config.train.recipe.clone(),

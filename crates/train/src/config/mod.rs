@@ -20,7 +20,7 @@ pub use document::{Place, to_toml};
 pub(crate) use document::{apply, from_table, lay_over, line_of, not_among, place, start_of};
 pub use error::ConfigError;
 pub use model::{ModelTable, NetworkKind};
-pub use resume::{may_differ, must_continue};
+pub use resume::{may_differ, must_continue, must_have_recipe};
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
 pub(crate) use tables::validate;

@@ -1,5 +1,7 @@
 //! What may differ between a run's saved config and the one it is resumed with.
 
+use std::fmt::Display;
+
 use kinegrad_settings::InvalidSetting;
 
 use super::{Config, difference};
@@ -28,16 +30,30 @@ pub fn may_differ(key: &str) -> bool {
 /// # Errors
 /// Names the first key that differs and may not.
 pub fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
+    must_have_recipe(saved, given)?;
     let mut differences = difference(saved, given).into_iter();
     match differences.find(|d| !may_differ(&d.key)) {
-        Some(d) => {
-            let saved = format!("{}, which the run was started with", d.left);
-            Err(InvalidSetting::new(d.key, d.right, saved).hint(format!(
-                "a resumed run continues as it was; only {} may differ. For other settings start \
-                 a new run",
-                FREE.join(", ")
-            )))
-        }
+        Some(d) => Err(refused(d.key, d.right, &d.left)),
         None => Ok(()),
     }
+}
+
+/// Rejects a config of another recipe than that of the saved one.
+///
+/// # Errors
+/// Names both.
+pub fn must_have_recipe(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
+    let [saved, given] = [saved, given].map(|config| format!("\"{}\"", config.train.recipe));
+    match saved == given {
+        true => Ok(()),
+        false => Err(refused("train.recipe", given, &saved)),
+    }
+}
+
+fn refused(key: impl Display, found: String, saved: &str) -> InvalidSetting {
+    let saved = format!("{saved}, which the run was started with");
+    InvalidSetting::new(key, found, saved).hint(format!(
+        "a resumed run continues as it was; only {} may differ. For other settings start a new run",
+        FREE.join(", ")
+    ))
 }

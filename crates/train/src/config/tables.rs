@@ -221,7 +221,7 @@ impl ClipSample {
                 let unknown = || {
                     let allowed = "\"six\", \"unit\" or \"none\": the checkpoint does not hold the \
                                    range of the motion it was trained on";
-                    InvalidSetting::new("clip", "\"training_range\"", allowed)
+                    InvalidSetting::new("sampling.clip", "\"training_range\"", allowed)
                         .hint("its statistics came with the dataset, or an older version wrote it")
                 };
                 let [mut min, mut max] = statistics.normalized_range().ok_or_else(unknown)?;

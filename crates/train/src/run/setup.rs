@@ -71,13 +71,20 @@ impl Material {
     /// those held out, which are in memory from now on.
     ///
     /// # Errors
-    /// If an item held out cannot be read.
+    /// If an item held out cannot be read, or the samples at the end cannot be clipped as asked.
     pub fn new<T: Item, S: Samples>(
         dataset: Dataset<T>,
         statistics: Statistics,
         config: &Config,
         samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
     ) -> Result<(Self, HeldOut), Error> {
+        if config.sampling.count_at_end > 0 {
+            // What the samples at the end need is known now.
+            config
+                .sampling
+                .clip
+                .range(&statistics, statistics.channels())?;
+        }
         let held_out = samples(dataset.validation.load()?.into(), config);
         let material = Self {
             train: dataset.train.len(),

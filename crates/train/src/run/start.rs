@@ -43,6 +43,9 @@ pub fn train(
         true => saved_config(systems, &folder)?,
         false => None,
     };
+    if let Some(saved) = &saved {
+        config::must_have_recipe(saved, &config)?;
+    }
     let (system, _) = systems.of(&config)?;
     if let Some(beneath) = system.inherited(&config, saved.as_ref())? {
         let (path, overrides) = (&request.config, &request.overrides);

@@ -4,7 +4,7 @@ use std::ops::Bound;
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph};
+use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph, must_suit};
 use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
@@ -289,8 +289,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     )?;
     let CcMotionNetwork::Unet1d(unet) = &own.model.network;
     unet.validate()?;
-    let timesteps = own.diffusion.num_train_timesteps;
-    config.sampling.sampler.validate(timesteps)?;
+    must_suit(&config.sampling.sampler, &own.diffusion)?;
     in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)

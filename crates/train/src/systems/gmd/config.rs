@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::DiffusionConfig;
+use kinegrad_diffusion::{DiffusionConfig, must_suit};
 use kinegrad_models::Backbone;
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::transformer::EncoderConfig;
@@ -146,8 +146,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let found = data.target_frames;
         require(found <= most, "data.target_frames", found, allowed)?;
     }
-    let timesteps = own.diffusion.num_train_timesteps;
-    sampling.sampler.validate(timesteps)?;
+    must_suit(&sampling.sampler, &own.diffusion)?;
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
