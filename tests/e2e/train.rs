@@ -102,7 +102,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     }
     assert!(sandbox.path("d-002.raw.npy").exists());
     for kind in ["npy", "raw.npy"] {
-        let bytes = |name: &str| fs::read(sandbox.path(&format!("{name}.{kind}"))).expect("a file");
+        let bytes = |name: &str| fs::read(sandbox.path(format!("{name}.{kind}"))).expect("a file");
         assert!(
             bytes("one") == bytes("d-000"),
             "{kind}: alone as in a batch"
