@@ -1,12 +1,21 @@
 //! Loading statistics for a run's `loader.jsonl`, which are not part of its metrics.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use serde::Serialize;
 
 /// Counts shared by a dataset's store, caches and loader.
 #[derive(Debug, Default)]
-pub struct Counters(Mutex<LoaderReport>);
+pub struct Counters {
+    memory_hits: AtomicU64,
+    disk_hits: AtomicU64,
+    reads: AtomicU64,
+    bytes_read: AtomicU64,
+    retries: AtomicU64,
+    samples: AtomicU64,
+    wait_nanoseconds: AtomicU64,
+}
 
 /// The counts at one moment, since the dataset was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -28,14 +37,41 @@ pub struct LoaderReport {
 }
 
 impl Counters {
-    /// The counts, to be changed.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, LoaderReport> {
-        // Nothing that panics runs under the lock.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn memory_hit(&self) {
+        self.memory_hits.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn disk_hit(&self) {
+        self.disk_hits.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn read(&self, bytes: usize) {
+        self.reads.fetch_add(1, Ordering::Relaxed);
+        self.bytes_read.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
+
+    pub(crate) fn retry(&self) {
+        self.retries.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn batch(&self, samples: usize, waited: Duration) {
+        self.samples.fetch_add(samples as u64, Ordering::Relaxed);
+        let nanoseconds = u64::try_from(waited.as_nanos()).unwrap_or(u64::MAX);
+        self.wait_nanoseconds
+            .fetch_add(nanoseconds, Ordering::Relaxed);
     }
 
     /// The counts so far.
     pub fn report(&self) -> LoaderReport {
-        *self.lock()
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        LoaderReport {
+            samples: count(&self.samples),
+            wait_seconds: count(&self.wait_nanoseconds) as f64 * 1e-9,
+            memory_hits: count(&self.memory_hits),
+            disk_hits: count(&self.disk_hits),
+            reads: count(&self.reads),
+            bytes_read: count(&self.bytes_read),
+            retries: count(&self.retries),
+        }
     }
 }

@@ -88,7 +88,7 @@ impl Files {
             };
             let cached = known.and_then(|digest| Some((disk.get(&digest)?, digest)));
             if let Some(found) = cached {
-                self.store.counters().lock().disk_hits += 1;
+                self.store.counters().disk_hit();
                 return Ok(found);
             }
         }
@@ -107,7 +107,7 @@ impl Files {
                             expected: digest.to_string(),
                         });
                     }
-                    self.store.counters().lock().retries += 1;
+                    self.store.counters().retry();
                 }
                 _ => break (bytes, found, version),
             }

@@ -177,7 +177,7 @@ impl<T: Item> Library<T> {
     pub fn get(&self, index: usize) -> Result<Arc<T>, Error> {
         let entry = &self.entries[index];
         if let Some(item) = self.memory.get(entry.number) {
-            self.counters.lock().memory_hits += 1;
+            self.counters.memory_hit();
             return Ok(item);
         }
         let expected = entry.content.iter().copied().map(Expected::Checksum);

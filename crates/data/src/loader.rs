@@ -133,9 +133,7 @@ impl Loader {
         };
         self.next_batch += 1;
         let batch = batch?;
-        let mut counts = self.counters.lock();
-        counts.samples += batch.batch_size as u64;
-        counts.wait_seconds += asked.elapsed().as_secs_f64();
+        self.counters.batch(batch.batch_size, asked.elapsed());
         Ok(Some(batch))
     }
 

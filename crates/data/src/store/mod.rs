@@ -145,9 +145,7 @@ impl Store {
             #[cfg(feature = "cloud")]
             Kind::Remote(remote) => remote.read(path, limit)?,
         };
-        let mut counts = self.counters.lock();
-        counts.reads += 1;
-        counts.bytes_read += bytes.len() as u64;
+        self.counters.read(bytes.len());
         Ok((bytes, version))
     }
 

@@ -223,7 +223,7 @@ impl Remote {
                 if attempts > self.max_retries {
                     return Err(failed(object, action, attempts, reason));
                 }
-                self.counters.lock().retries += 1;
+                self.counters.retry();
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }
