@@ -204,7 +204,7 @@ impl Error {
     /// it was given is wrong.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::NotFinite { .. } | Self::NoGoodCheckpoint { .. } | Self::Io { .. } => 1,
+            Self::NotFinite { .. } | Self::Io { .. } => 1,
             Self::Data(error) if error.is_failure() => 1,
             _ => 2,
         }

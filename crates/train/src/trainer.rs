@@ -365,11 +365,16 @@ impl<R: Recipe> Trainer<R> {
             progress: self.progress.clone(),
             checksums: Default::default(),
         };
-        let model = self.model.as_ref().expect("held between updates");
+        let weights = parameters::values(self.model.as_ref().expect("held between updates"));
+        for (info, values) in self.infos.iter().zip(&weights) {
+            if !values.iter().all(|value| value.is_finite()) {
+                return Err(self.not_finite(format!("the parameter `{}`", info.name)));
+            }
+        }
         let path = self.checkpoints.save(CheckpointRef {
             state: &state,
             infos: &self.infos,
-            model: &parameters::values(model),
+            model: &weights,
             ema: self.ema.shadow(),
             moments: self.optimizer.moments(),
         })?;

@@ -1,5 +1,8 @@
 //! `kinegrad train`
 
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -41,7 +44,8 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     if outcome.ending == Some(Ending::Interrupted) {
         return Ok(ExitCode::from(130));
     }
-    if outcome.ending.is_some() && outcome.config.sampling.count_at_end > 0 {
+    let missing = outcome.ending.is_some() || !outcome.folder.join(SAMPLES).exists();
+    if missing && outcome.config.sampling.count_at_end > 0 {
         draw_samples(systems, &outcome)?;
     }
     Ok(ExitCode::SUCCESS)
@@ -67,7 +71,11 @@ fn summarise(outcome: &Outcome, started: Instant) {
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// Writes samples for the first held-out items to the run's folder.
+/// Folder of the samples drawn at a run's end, in the run's folder.
+const SAMPLES: &str = "samples";
+
+/// Writes samples for the first held-out items to the run's folder: all of them or, if this process
+/// ends before, none.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = systems.trained(&path, &[], Weights::Ema, None)?;
@@ -80,10 +88,14 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
         frames: None,
         seed: outcome.config.run.seed,
     };
-    let folder = outcome.folder.join("samples");
+    let folder = outcome.folder.join(SAMPLES);
+    let unfinished = outcome.folder.join(".writing-samples");
     let (system, _) = systems.of(&subject.config)?;
-    let mut files = Files::silent(&folder);
+    remove(&unfinished)?;
+    let mut files = Files::silent(&unfinished);
     let remark = system.sample(&subject, &request, &mut files)?;
+    remove(&folder)?;
+    fs::rename(&unfinished, &folder).map_err(Error::io("rename", &unfinished))?;
     say!(
         "\n{} samples of step {} in {}",
         files.written(),
@@ -92,4 +104,14 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     );
     say_remark(remark);
     Ok(())
+}
+
+/// Removes a folder that may not be there.
+fn remove(folder: &Path) -> Result<(), Error> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(Error::io("remove", folder)(error))
+        }
+        _ => Ok(()),
+    }
 }

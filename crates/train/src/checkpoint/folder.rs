@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use kinegrad_models::parameters::ParameterInfo;
@@ -7,6 +8,9 @@ use kinegrad_models::parameters::ParameterInfo;
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
 use super::{Best, Checkpoint, CheckpointRef, State};
 use crate::Error;
+
+/// Names of what is being written or removed begin with this.
+const UNFINISHED: &str = ".writing-";
 
 /// The folder `checkpoints` of a run.
 #[derive(Clone, Debug)]
@@ -32,41 +36,50 @@ impl Checkpoints {
         self.path.join(format!("step-{step:08}"))
     }
 
-    /// Steps that have a checkpoint, oldest first, whether it is good or not.
-    pub fn steps(&self) -> Vec<u64> {
-        let entries = fs::read_dir(&self.path).into_iter().flatten().flatten();
-        let mut steps: Vec<u64> = entries
-            .filter_map(|entry| {
-                entry
-                    .file_name()
-                    .to_str()?
-                    .strip_prefix("step-")?
-                    .parse()
-                    .ok()
-            })
-            .collect();
+    /// Steps that have a checkpoint, oldest first, whether it is good or not; none where there is
+    /// no folder.
+    ///
+    /// # Errors
+    /// If the folder cannot be listed.
+    pub fn steps(&self) -> Result<Vec<u64>, Error> {
+        let step = |name: String| name.strip_prefix("step-")?.parse().ok();
+        let mut steps: Vec<u64> = self.names()?.into_iter().filter_map(step).collect();
         steps.sort_unstable();
-        steps
+        Ok(steps)
+    }
+
+    /// What the folder holds.
+    fn names(&self) -> Result<Vec<String>, Error> {
+        let entries = match fs::read_dir(&self.path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries.map_err(Error::io("list", &self.path))?,
+        };
+        let name = |entry: std::io::Result<fs::DirEntry>| {
+            let entry = entry.map_err(Error::io("list", &self.path))?;
+            Ok(entry.file_name().to_string_lossy().into_owned())
+        };
+        entries.map(name).collect()
     }
 
     /// The latest valid checkpoint, if there are any checkpoints; `skipped` is called
     /// of each damaged one.
     ///
     /// # Errors
-    /// If there are checkpoints and none is good.
+    /// If there are checkpoints and none is good, or one cannot be read, which may be a good one.
     pub fn newest_good(
         &self,
         mut skipped: impl FnMut(&Error),
     ) -> Result<Option<Checkpoint>, Error> {
-        let steps = self.steps();
+        let steps = self.steps()?;
         let mut tried = Vec::new();
         for &step in steps.iter().rev() {
             match Checkpoint::read(&self.step_path(step)) {
                 Ok(checkpoint) => return Ok(Some(checkpoint)),
-                Err(error) => {
+                Err(error @ Error::CheckpointDamaged { .. }) => {
                     skipped(&error);
                     tried.push(format!("  {error}"));
                 }
+                Err(error) => return Err(error),
             }
         }
         if tried.is_empty() {
@@ -90,11 +103,13 @@ impl Checkpoints {
     pub fn save(&self, checkpoint: CheckpointRef<'_>) -> Result<PathBuf, Error> {
         let step = checkpoint.state.step;
         let target = self.step_path(step);
-        let temporary = self.path.join(format!(".writing-{step:08}"));
+        let temporary = self.path.join(format!("{UNFINISHED}{step:08}"));
         fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
         let written = remove(&temporary)
             .and_then(|()| fs::create_dir(&temporary).map_err(Error::io("create", &temporary)))
             .and_then(|()| write_files(&temporary, checkpoint))
+            // What cannot be read back must not replace what can.
+            .and_then(|()| State::read(&temporary).map(|_| ()))
             // One of the same step can only be damaged, or from before a fall back to an older.
             .and_then(|()| remove(&target))
             .and_then(|()| {
@@ -118,7 +133,7 @@ impl Checkpoints {
         let Some(best) = best else {
             return remove(&target);
         };
-        let temporary = self.path.join(".writing-best.json");
+        let temporary = self.path.join(format!("{UNFINISHED}best.json"));
         let text = serde_json::to_string_pretty(best).expect("plain data") + "\n";
         write_flushed(&temporary, text.as_bytes())?;
         fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))?;
@@ -131,13 +146,16 @@ impl Checkpoints {
     /// # Errors
     /// If something cannot be removed.
     pub fn prune(&self, current: u64, keep_last: usize, best: Option<u64>) -> Result<(), Error> {
-        let entries = fs::read_dir(&self.path).map_err(Error::io("list", &self.path))?;
-        for entry in entries.flatten() {
-            if entry.file_name().to_string_lossy().starts_with(".writing-") {
-                remove(&entry.path())?;
+        for name in self.names()? {
+            if name.starts_with(UNFINISHED) {
+                remove(&self.path.join(name))?;
             }
         }
-        let reached: Vec<u64> = self.steps().into_iter().filter(|&s| s <= current).collect();
+        let reached: Vec<u64> = self
+            .steps()?
+            .into_iter()
+            .filter(|&s| s <= current)
+            .collect();
         let superfluous = reached
             .iter()
             .rev()
@@ -221,20 +239,22 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
     flush_folder(folder)
 }
 
-/// Removes a file or folder; one that is not there is fine. A folder is renamed first, so that a
-/// crash midway leaves no checkpoint with files missing.
+/// Removes a file or folder; one that is not there is fine. A checkpoint is renamed first, so that
+/// a crash midway leaves none with files missing.
 fn remove(path: &Path) -> Result<(), Error> {
-    let result = if path.is_dir() {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let doomed = path.with_file_name(format!(".writing-removed-{name}"));
-        fs::rename(path, &doomed).and_then(|()| fs::remove_dir_all(&doomed))
-    } else {
-        fs::remove_file(path)
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let result = match (path.is_dir(), name.starts_with(UNFINISHED)) {
+        (false, _) => fs::remove_file(path),
+        (true, true) => fs::remove_dir_all(path),
+        (true, false) => {
+            let doomed = path.with_file_name(format!("{UNFINISHED}removed-{name}"));
+            // A kill may have left one of this name.
+            remove(&doomed)?;
+            fs::rename(path, &doomed).and_then(|()| fs::remove_dir_all(&doomed))
+        }
     };
     match result {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(Error::io("remove", path)(error))
-        }
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io("remove", path)(error)),
         _ => Ok(()),
     }
 }

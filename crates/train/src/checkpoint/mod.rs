@@ -45,6 +45,12 @@ impl Checkpoint {
         let model = read_weights(path, &state, Weights::Model)?;
         let ema = read_weights(path, &state, Weights::Ema)?;
         let infos: Vec<ParameterInfo> = model.iter().map(|p| p.info.clone()).collect();
+        if !ema.iter().map(|p| &p.info).eq(&infos) {
+            return Err(Error::CheckpointDamaged {
+                path: path.to_path_buf(),
+                reason: "the averaged weights are of other tensors than the weights".into(),
+            });
+        }
         let moments = read_optimizer(path, &state, &infos)?;
         Ok(Self {
             state,

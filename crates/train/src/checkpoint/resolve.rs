@@ -19,7 +19,8 @@ pub fn resolve_checkpoint(path: &Path, mut skipped: impl FnMut(&Error)) -> Resul
             .and_then(|state| read_weights(&path, &state, Weights::Ema).map(|_| ()));
         match readable {
             Ok(()) => return Ok(path),
-            Err(error) => skipped(&error),
+            Err(error @ Error::CheckpointDamaged { .. }) => skipped(&error),
+            Err(error) => return Err(error),
         }
     }
     match checkpoints.newest_good(skipped)? {

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -104,7 +105,7 @@ impl State {
             path: path.to_path_buf(),
             reason,
         };
-        let text = std::fs::read_to_string(path.join("state.json"))
+        let text = String::from_utf8(read_file(path, "state.json")?)
             .map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
         let sealed =
@@ -123,6 +124,22 @@ impl State {
         }
         Ok(state)
     }
+}
+
+/// Reads one file of the checkpoint in `path`.
+///
+/// # Errors
+/// [`Error::CheckpointDamaged`] if it is not there; [`Error::Io`] if it cannot be read, which says
+/// nothing of what it holds.
+pub(super) fn read_file(path: &Path, file: &str) -> Result<Vec<u8>, Error> {
+    let whole = path.join(file);
+    std::fs::read(&whole).map_err(|error| match error.kind() {
+        ErrorKind::NotFound | ErrorKind::NotADirectory => Error::CheckpointDamaged {
+            path: path.to_path_buf(),
+            reason: format!("{file}: {error}"),
+        },
+        _ => Error::io("read", &whole)(error),
+    })
 }
 
 /// SHA-256 in hexadecimal.

@@ -7,7 +7,7 @@ use std::path::Path;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use safetensors::{Dtype, SafeTensors, View};
 
-use super::state::{State, sha256};
+use super::state::{State, read_file, sha256};
 use crate::Error;
 use crate::optim::Moments;
 
@@ -116,7 +116,7 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
         path: path.to_path_buf(),
         reason: format!("{file}: {reason}"),
     };
-    let bytes = std::fs::read(path.join(file)).map_err(|error| damaged(error.to_string()))?;
+    let bytes = read_file(path, file)?;
     if state.checksums.get(file) != Some(&sha256(&bytes)) {
         return Err(damaged("the checksum does not match".into()));
     }

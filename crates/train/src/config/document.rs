@@ -51,6 +51,38 @@ pub(crate) fn from_table<T: DeserializeOwned>(
         .map_err(|error| explain(place, &error.path().to_string(), error.inner().message()))
 }
 
+/// Rejects numbers that are not finite: no setting means one, and saved configs cannot hold one.
+///
+/// # Errors
+/// Names the first such key.
+pub(crate) fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), ConfigError> {
+    match table.iter().find_map(|(key, value)| not_finite(key, value)) {
+        None => Ok(()),
+        Some((key, number)) => Err(ConfigError::Value {
+            place: place(&key),
+            message: format!("{number} is not a finite number"),
+            key,
+            hint: "write a number, or leave the key out for its default".into(),
+        }),
+    }
+}
+
+/// The first number in `value`, which stands at `key`, that is not finite, and its key.
+fn not_finite(key: &str, value: &Value) -> Option<(String, f64)> {
+    match value {
+        Value::Float(number) => (!number.is_finite()).then(|| (key.to_string(), *number)),
+        Value::Array(values) => {
+            let mut values = values.iter().enumerate();
+            values.find_map(|(index, value)| not_finite(&format!("{key}[{index}]"), value))
+        }
+        Value::Table(table) => {
+            let mut entries = table.iter();
+            entries.find_map(|(name, value)| not_finite(&format!("{key}.{name}"), value))
+        }
+        _ => None,
+    }
+}
+
 /// Sets one dotted key; a value that is not TOML is taken as text, so that `run.device=cpu` needs
 /// no quotes in a shell.
 pub(crate) fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {

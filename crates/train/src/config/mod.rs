@@ -17,7 +17,9 @@ mod tables;
 
 pub use difference::{Difference, difference};
 pub use document::{Place, to_toml};
-pub(crate) use document::{apply, from_table, lay_over, line_of, not_among, place, start_of};
+pub(crate) use document::{
+    apply, from_table, lay_over, line_of, must_be_finite, not_among, place, start_of,
+};
 pub use error::ConfigError;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};

@@ -14,6 +14,14 @@ pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> 
     fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
 }
 
+/// The error of a run that would be overwritten.
+pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
+    Error::usage(
+        format!("the run `{name}` exists already: {}", folder.display()),
+        "add `--resume` to continue it, or choose another `--name`",
+    )
+}
+
 /// Takes the run's lock, which ends with this process however it ends.
 pub(super) fn lock(folder: &Path) -> Result<File, Error> {
     let path = folder.join("lock");

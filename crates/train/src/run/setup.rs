@@ -8,7 +8,7 @@ use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
-use super::folder::write_config;
+use super::folder::{exists_already, write_config};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
@@ -188,6 +188,8 @@ impl Setup {
         let patience = config.train.patience;
         let stopped = patience > 0 && progress.validations_since_best >= patience;
         if step > 0 && (step >= config.train.max_steps || stopped) {
+            // What a kill after the last checkpoint left undone.
+            checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
             observer.started(&summary);
             return Ok(Outcome {
                 folder,
@@ -202,7 +204,14 @@ impl Setup {
         fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
         let lock = match lock {
             Some(lock) => lock,
-            None => super::folder::lock(&folder)?,
+            None => {
+                let lock = super::folder::lock(&folder)?;
+                // Another process may have begun or ended the run since this one looked.
+                if folder.join("config.toml").exists() || !checkpoints.steps()?.is_empty() {
+                    return Err(exists_already(&config.run.name, &folder));
+                }
+                lock
+            }
         };
         write_config(&folder, &config)?;
         observer.started(&summary);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::folder::lock;
+use super::folder::{exists_already, lock};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError};
@@ -104,14 +104,9 @@ pub fn train_config(
     let folder = runs_dir.join(&name);
     let exists = folder.join("config.toml").exists()
         || system.has_begun(&folder)
-        || !Checkpoints::of(&folder).steps().is_empty();
+        || !Checkpoints::of(&folder).steps()?.is_empty();
     match (exists, resume) {
-        (true, false) => {
-            return Err(Error::usage(
-                format!("the run `{name}` exists already: {}", folder.display()),
-                "add `--resume` to continue it, or choose another `--name`",
-            ));
-        }
+        (true, false) => return Err(exists_already(&name, &folder)),
         (false, true) if !folder.exists() => {
             let hint = "without `--resume` a new run of that name is started".into();
             return Err(Error::RunMissing { path: folder, hint });

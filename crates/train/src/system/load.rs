@@ -8,7 +8,8 @@ use toml::{Table, Value};
 use super::Systems;
 use crate::checkpoint::{State, Weights};
 use crate::config::{
-    self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, not_among, start_of,
+    self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
+    not_among, start_of,
 };
 use crate::error::Error;
 use crate::sampling::Subject;
@@ -104,6 +105,7 @@ impl Systems<'_> {
 
     /// The config of `given`, where what it leaves out is as its recipe has it.
     fn whole(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
+        must_be_finite(given, place)?;
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let default = TrainConfig::default().recipe;
         // What is no text is refused below.
