@@ -62,12 +62,22 @@ fn wrong_types_and_choices_name_the_key() {
 #[test]
 fn values_out_of_range_name_key_value_and_range() {
     let sandbox = sandbox();
-    let cases: [(&str, &[&str]); 10] = [
+    let cases: [(&str, &[&str]); 13] = [
         (
             "train.max_steps=0",
             &["`train.max_steps` is 0", "1 or more"],
         ),
         ("optim.warmup_steps=-1", &["`optim.warmup_steps`"]),
+        (
+            "optim.learning_rate=inf",
+            &["`optim.learning_rate`", "inf is not a finite number"],
+        ),
+        (
+            "optim.betas=[0.9,nan]",
+            &["`optim.betas[1]`", "NaN is not a finite number"],
+        ),
+        // A key that this recipe does not use.
+        ("loss.w_diff=nan", &["`loss.w_diff`", "finite"]),
         (
             "optim.learning_rate=-1.0",
             &["`optim.learning_rate` is -1", "0 or more"],

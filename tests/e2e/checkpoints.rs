@@ -79,7 +79,7 @@ fn a_missing_file_makes_a_checkpoint_damaged_too() {
 }
 
 #[test]
-fn no_good_checkpoint_left_exits_with_1() {
+fn no_good_checkpoint_left_exits_with_2() {
     let sandbox = sandbox();
     sandbox.run(TRAIN).succeeded();
     for name in sandbox.list("runs/smallest/checkpoints") {
@@ -93,10 +93,74 @@ fn no_good_checkpoint_left_exits_with_1() {
         "step-00000012",
         "step-00000008",
     ];
-    sandbox.run(&format!("{TRAIN} --resume")).failed(1, &texts);
+    sandbox.run(&format!("{TRAIN} --resume")).failed(2, &texts);
     sandbox
         .run("sample runs/smallest --out s")
-        .failed(1, &["no good checkpoint"]);
+        .failed(2, &["no good checkpoint"]);
+}
+
+#[test]
+fn checkpoints_that_cannot_be_listed_or_read_are_no_empty_folder_and_not_damaged() {
+    let sandbox = sandbox();
+    sandbox.run(TRAIN).succeeded();
+    let metrics = sandbox.path("runs/smallest/metrics.jsonl");
+    let before = fs::read(&metrics).expect("bytes");
+    let state = checkpoint(&sandbox, 12).join("state.json");
+    fs::rename(&state, sandbox.path("state.json")).expect("moved");
+    fs::create_dir(&state).expect("a folder in its place");
+    let resume = format!("{TRAIN} --resume");
+    sandbox
+        .run(&resume)
+        .failed(1, &["cannot read", "step-00000012"]);
+    fs::remove_dir(&state).expect("removed");
+    fs::rename(sandbox.path("state.json"), &state).expect("moved back");
+
+    let folder = sandbox.path("runs/smallest/checkpoints");
+    fs::rename(&folder, sandbox.path("kept")).expect("moved");
+    fs::write(&folder, "a file").expect("written");
+    sandbox
+        .run(&resume)
+        .failed(1, &["cannot list", "checkpoints"]);
+    fs::remove_file(&folder).expect("removed");
+    fs::rename(sandbox.path("kept"), &folder).expect("moved back");
+    assert!(before == fs::read(&metrics).expect("bytes"));
+    sandbox.run(&resume).succeeded();
+}
+
+#[test]
+fn what_kills_left_behind_stops_no_run() {
+    let sandbox = sandbox();
+    let half = "train c.toml --set train.max_steps=6";
+    sandbox.run(half).succeeded();
+    let folder = "runs/smallest/checkpoints";
+    for name in [
+        ".writing-00000008",
+        ".writing-removed-step-00000004",
+        ".writing-removed-step-00000006",
+        ".writing-removed-.writing-00000008",
+    ] {
+        fs::create_dir_all(sandbox.path(format!("{folder}/{name}"))).expect("a folder");
+        sandbox.write(format!("{folder}/{name}/model.safetensors"), "half");
+    }
+    sandbox.run(&format!("{TRAIN} --resume")).succeeded();
+    let left = sandbox.list(folder);
+    assert!(!left.iter().any(|name| name.starts_with('.')), "{left:?}");
+}
+
+#[test]
+fn a_run_killed_after_its_last_checkpoint_is_completed() {
+    let sandbox = sandbox();
+    let train = format!("{TRAIN} --set sampling.count_at_end=1");
+    sandbox.run(&train).succeeded();
+    let samples = sandbox.list("runs/smallest/samples");
+    fs::remove_dir_all(sandbox.path("runs/smallest/samples")).expect("removed");
+    let doomed = "runs/smallest/checkpoints/.writing-removed-step-00000002";
+    fs::create_dir(sandbox.path(doomed)).expect("a folder");
+    sandbox.write(format!("{doomed}/model.safetensors"), "half");
+    let said = sandbox.run(&format!("{train} --resume")).succeeded();
+    assert!(said.stdout.contains("finished before"), "{}", said.stdout);
+    assert_eq!(sandbox.list("runs/smallest/samples"), samples);
+    assert!(!sandbox.path(doomed).exists());
 }
 
 #[test]
