@@ -140,7 +140,7 @@ fn what_kills_left_behind_stops_no_run() {
         ".writing-removed-.writing-00000008",
     ] {
         fs::create_dir_all(sandbox.path(format!("{folder}/{name}"))).expect("a folder");
-        sandbox.write(format!("{folder}/{name}/model.safetensors"), "half");
+        sandbox.write(&format!("{folder}/{name}/model.safetensors"), "half");
     }
     sandbox.run(&format!("{TRAIN} --resume")).succeeded();
     let left = sandbox.list(folder);
@@ -156,7 +156,7 @@ fn a_run_killed_after_its_last_checkpoint_is_completed() {
     fs::remove_dir_all(sandbox.path("runs/smallest/samples")).expect("removed");
     let doomed = "runs/smallest/checkpoints/.writing-removed-step-00000002";
     fs::create_dir(sandbox.path(doomed)).expect("a folder");
-    sandbox.write(format!("{doomed}/model.safetensors"), "half");
+    sandbox.write(&format!("{doomed}/model.safetensors"), "half");
     let said = sandbox.run(&format!("{train} --resume")).succeeded();
     assert!(said.stdout.contains("finished before"), "{}", said.stdout);
     assert_eq!(sandbox.list("runs/smallest/samples"), samples);
