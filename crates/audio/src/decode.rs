@@ -14,9 +14,10 @@ use symphonia::core::io::{MediaSource, MediaSourceStream};
 use symphonia::core::meta::MetadataOptions;
 use symphonia::core::packet::Packet;
 
+use crate::Error;
 use crate::analysis::unusable_sample;
 use crate::guard::guarded;
-use crate::{Error, resample};
+use crate::resample::Resampling;
 
 /// Longest recording that is read.
 pub const MAX_HOURS: u64 = 4;
@@ -108,7 +109,7 @@ pub fn decode_reader(
         source_channels: mono.channels,
         skipped_packets: mono.skipped_packets,
         missing_seconds: mono.missing_seconds(),
-        samples: resample::to_sample_rate(mono.samples, mono.rate),
+        samples: mono.signal.map_or_else(Vec::new, Resampling::finish),
     })
 }
 
@@ -183,7 +184,10 @@ struct Mono<'a> {
     skipped_packets: usize,
     /// Samples that the headers promise.
     promised: Option<u64>,
-    samples: Vec<f32>,
+    /// The signal so far, from the first packet on.
+    signal: Option<Resampling>,
+    /// Samples of the packet that is decoded.
+    mono: Vec<f32>,
     interleaved: Vec<f32>,
 }
 
@@ -195,7 +199,8 @@ impl<'a> Mono<'a> {
             channels: 0,
             skipped_packets: 0,
             promised: None,
-            samples: Vec::new(),
+            signal: None,
+            mono: Vec::new(),
             interleaved: Vec::new(),
         }
     }
@@ -250,8 +255,8 @@ impl<'a> Mono<'a> {
                 after: rate,
             });
         }
-        let start = self.samples.len();
-        if (start + decoded.frames()) as u64 > MAX_HOURS * 3600 * u64::from(rate) {
+        let start = self.received();
+        if start + decoded.frames() as u64 > MAX_HOURS * 3600 * u64::from(rate) {
             return Err(Error::TooLong {
                 file: self.name.to_owned(),
                 hours: MAX_HOURS,
@@ -260,15 +265,18 @@ impl<'a> Mono<'a> {
         decoded.copy_to_vec_interleaved(&mut self.interleaved);
         let share = 1.0 / channels as f32;
         let frames = self.interleaved.chunks_exact(channels);
-        self.samples
+        self.mono.clear();
+        self.mono
             .extend(frames.map(|frame| frame.iter().sum::<f32>() * share));
-        if let Some(offset) = unusable_sample(&self.samples[start..]) {
+        if let Some(offset) = unusable_sample(&self.mono) {
             return Err(Error::DecodedSample {
                 file: self.name.to_owned(),
-                second: (start + offset) as f64 / f64::from(rate),
-                found: self.samples[start + offset],
+                second: (start + offset as u64) as f64 / f64::from(rate),
+                found: self.mono[offset],
             });
         }
+        let signal = self.signal.get_or_insert_with(|| Resampling::new(rate));
+        signal.push(&self.mono);
         Ok(())
     }
 
@@ -276,11 +284,11 @@ impl<'a> Mono<'a> {
     /// known to keep.
     fn skip(&mut self, packet: &Packet) {
         self.skipped_packets += 1;
-        if self.rate > 0 {
+        if let Some(signal) = &mut self.signal {
             // The formats that are read count packets in samples. A forged duration adds at most
             // a second.
             let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
-            self.samples.resize(self.samples.len() + silence, 0.0);
+            signal.push(&vec![0.0; silence]);
         }
     }
 
@@ -302,12 +310,17 @@ impl<'a> Mono<'a> {
     /// See [`Waveform::missing_seconds`].
     fn missing_seconds(&self) -> f64 {
         let promised = self.promised.filter(|_| !self.is_endless());
-        let missing = promised.map_or(0, |p| p.saturating_sub(self.samples.len() as u64));
+        let missing = promised.map_or(0, |p| p.saturating_sub(self.received()));
         missing as f64 / f64::from(self.rate.max(1))
     }
 
+    /// Samples decoded so far.
+    fn received(&self) -> u64 {
+        self.signal.as_ref().map_or(0, Resampling::received)
+    }
+
     fn seconds(&self) -> f64 {
-        self.samples.len() as f64 / f64::from(self.rate.max(1))
+        self.received() as f64 / f64::from(self.rate.max(1))
     }
 }
 

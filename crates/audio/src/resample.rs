@@ -9,21 +9,100 @@ use crate::SAMPLE_RATE;
 /// the lower Nyquist frequency and stops everything above it, as soxr's "HQ" does.
 const BLOCK: usize = 288;
 
-/// The signal at [`SAMPLE_RATE`], linear phase, without delay:
-/// `ceil(samples.len() * 44100 / rate)` samples.
-///
-/// # Panics
-/// Panics if `rate` is zero.
-pub fn to_sample_rate(samples: Vec<f32>, rate: u32) -> Vec<f32> {
-    if rate == SAMPLE_RATE || samples.is_empty() {
-        return samples;
+/// Brings a signal that arrives in pieces to [`SAMPLE_RATE`], linear phase, without delay. Of what
+/// it was given it holds less than a block.
+pub(crate) struct Resampling {
+    rate: u32,
+    /// None where the signal has the rate already.
+    resampler: Option<Fft<f32>>,
+    /// What does not fill a block yet.
+    pending: Vec<f32>,
+    /// Samples of the filter's delay that are still to come.
+    delay: usize,
+    received: u64,
+    resampled: Vec<f32>,
+}
+
+impl Resampling {
+    /// Of a signal with `rate` samples per second.
+    ///
+    /// # Panics
+    /// Panics if `rate` is zero.
+    pub fn new(rate: u32) -> Self {
+        let resampler = (rate != SAMPLE_RATE).then(|| resampler(rate));
+        Self {
+            rate,
+            delay: resampler.as_ref().map_or(0, Resampler::output_delay),
+            resampler,
+            pending: Vec::new(),
+            received: 0,
+            resampled: Vec::new(),
+        }
     }
+
+    /// Samples received so far.
+    pub fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Takes the next piece.
+    pub fn push(&mut self, samples: &[f32]) {
+        self.received += samples.len() as u64;
+        let Some(resampler) = &self.resampler else {
+            self.resampled.extend_from_slice(samples);
+            return;
+        };
+        let block = resampler.input_frames_next();
+        self.pending.extend_from_slice(samples);
+        let whole = self.pending.len() - self.pending.len() % block;
+        let rest = self.pending.split_off(whole);
+        let blocks = std::mem::replace(&mut self.pending, rest);
+        for block in blocks.chunks_exact(block) {
+            self.resample(block);
+        }
+    }
+
+    /// Resamples one block.
+    fn resample(&mut self, block: &[f32]) {
+        let input = InterleavedSlice::new(block, 1, block.len()).expect("one channel");
+        let resampler = self
+            .resampler
+            .as_mut()
+            .expect("only where the rates differ");
+        let output = resampler.process(&input, None);
+        let output = output
+            .expect("the block has the size asked for")
+            .take_data();
+        let late = self.delay.min(output.len());
+        self.delay -= late;
+        self.resampled.extend_from_slice(&output[late..]);
+    }
+
+    /// The whole signal: `ceil(received * 44100 / rate)` samples.
+    pub fn finish(mut self) -> Vec<f32> {
+        let length = self.received * u64::from(SAMPLE_RATE);
+        let length = length.div_ceil(u64::from(self.rate)) as usize;
+        if let Some(resampler) = &self.resampler {
+            let block = resampler.input_frames_next();
+            let mut last = std::mem::take(&mut self.pending);
+            while !last.is_empty() || self.resampled.len() < length {
+                last.resize(block, 0.0);
+                self.resample(&last);
+                last.clear();
+            }
+        }
+        self.resampled.resize(length, 0.0);
+        self.resampled
+    }
+}
+
+fn resampler(rate: u32) -> Fft<f32> {
     let divisor = greatest_common_divisor(rate, SAMPLE_RATE);
     let lower = (rate.min(SAMPLE_RATE) / divisor) as usize;
     // An even number of blocks: the filter's delay is half a block, a whole number of samples.
     let blocks = BLOCK.div_ceil(lower).next_multiple_of(2);
     let block = blocks * (rate / divisor) as usize;
-    let mut resampler = Fft::<f32>::new_custom(
+    Fft::new_custom(
         rate as usize,
         SAMPLE_RATE as usize,
         block,
@@ -32,15 +111,7 @@ pub fn to_sample_rate(samples: Vec<f32>, rate: u32) -> Vec<f32> {
         WindowFunction::BlackmanHarris2,
         FixedSync::Both,
     )
-    .expect("both rates and the block are positive");
-    let input = InterleavedSlice::new(&samples, 1, samples.len()).expect("one channel");
-    let resampled = resampler
-        .process_all(&input, samples.len(), None)
-        .expect("the buffers have the sizes asked for");
-    let mut resampled = resampled.take_data();
-    let length = samples.len() as u64 * u64::from(SAMPLE_RATE);
-    resampled.resize(length.div_ceil(u64::from(rate)) as usize, 0.0);
-    resampled
+    .expect("both rates and the block are positive")
 }
 
 fn greatest_common_divisor(a: u32, b: u32) -> u32 {
@@ -56,6 +127,12 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
+
+    fn to_sample_rate(samples: Vec<f32>, rate: u32) -> Vec<f32> {
+        let mut resampling = Resampling::new(rate);
+        resampling.push(&samples);
+        resampling.finish()
+    }
 
     fn sine(hz: f64, rate: u32, samples: usize) -> Vec<f32> {
         (0..samples)
@@ -89,5 +166,18 @@ mod tests {
         assert_eq!(to_sample_rate(vec![0.0; 0], 48_000).len(), 0);
         assert_eq!(to_sample_rate(vec![0.0; 481], 48_000).len(), 442);
         assert_eq!(to_sample_rate(vec![0.0; 7], 44_100).len(), 7);
+    }
+
+    #[test]
+    fn pieces_make_the_same_signal_and_are_not_kept() {
+        let signal = sine(440.0, 96_000, 10_007);
+        let whole = to_sample_rate(signal.clone(), 96_000);
+        let mut resampling = Resampling::new(96_000);
+        for piece in signal.chunks(113) {
+            resampling.push(piece);
+            assert!(resampling.pending.len() < 2 * 640);
+        }
+        assert_eq!(resampling.received(), 10_007);
+        assert_eq!(resampling.finish(), whole);
     }
 }
