@@ -22,7 +22,8 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
     })?;
     let tensors: BTreeMap<String, Tensor> = read.into_tensors().into_iter().collect();
     let held = std::fs::metadata(path).map_err(Error::io("read", path))?.len();
-    let stated = tensors.values().map(bytes_of).try_fold(0, u64::checked_add);
+    let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
+    let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
     match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(held)) {
         true => Ok(tensors),
         false => Err(Error::Foreign {
@@ -34,18 +35,6 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
 
 /// How often the same bytes may count, in tensors that share their storage.
 const SHARED: u64 = 4;
-
-/// Bytes of a tensor that is read; nothing is known to be larger than the largest number.
-fn bytes_of(tensor: &Tensor) -> u64 {
-    let each = match tensor.dtype() {
-        DType::F64 | DType::I64 | DType::U64 => 8,
-        DType::F32 | DType::I32 | DType::U32 => 4,
-        DType::F16 | DType::BF16 | DType::I16 | DType::U16 => 2,
-        _ => 1,
-    };
-    let sizes = tensor.shape().iter();
-    sizes.fold(each, |bytes, &size| bytes.saturating_mul(size as u64))
-}
 
 /// The tensors below `part`, by the rest of their names.
 pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<String, Tensor> {
