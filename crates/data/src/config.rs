@@ -10,6 +10,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use crate::location::Location;
+use crate::prefetch::LOOK_AHEAD_PER_WORKER;
 use crate::{Error, Humanml3dConfig};
 
 /// Fewest frames a sample may have: the third difference of the jerk check needs four.
@@ -260,7 +261,26 @@ impl Default for SyntheticConfig {
     }
 }
 
+/// Numbers that a frame of an item has, of whichever kind, at most: 263 joint features and what is
+/// known of the frame.
+const NUMBERS_A_FRAME: u64 = 280;
+
 impl DataConfig {
+    /// Bytes of memory that the items of a dataset without files and the batches that are made
+    /// ahead take, roughly.
+    pub fn memory(&self) -> u64 {
+        let frames = |items: usize, frames: usize| items as u64 * frames as u64;
+        let made_up = match self.kind {
+            DataKind::Synthetic | DataKind::SyntheticWalks => {
+                frames(self.synthetic.phrases, self.synthetic.frames)
+            }
+            DataKind::Phrases | DataKind::Humanml3d => 0,
+        };
+        let batches = 1 + LOOK_AHEAD_PER_WORKER * self.num_workers;
+        let ahead = frames(batches * self.batch_size, self.target_frames);
+        (made_up + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
+    }
+
     /// Checks every value that can be checked without opening a file.
     ///
     /// # Errors

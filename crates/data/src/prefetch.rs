@@ -9,7 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 /// How many finished things may wait for each worker: one being handed out, one in reserve.
-const LOOK_AHEAD_PER_WORKER: usize = 2;
+pub(crate) const LOOK_AHEAD_PER_WORKER: usize = 2;
 
 /// How often a waiting consumer checks whether to stop.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);

@@ -6,6 +6,12 @@ use serde::de::DeserializeOwned;
 /// Settings by the name of a size.
 pub type NamedSizes<N> = &'static [(&'static str, fn() -> N)];
 
+/// Widest layer, in channels.
+pub const MAX_WIDTH: usize = 65_536;
+
+/// Most layers or blocks in a row.
+pub const MAX_LAYERS: usize = 1_024;
+
 /// The settings of one kind of network: the keys of a table `model` beside its `kind` and `size`,
 /// with a default for each. What its data decide, such as the number of channels, is given when it
 /// is built.

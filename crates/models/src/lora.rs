@@ -4,6 +4,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use crate::Initializer;
+use crate::config::MAX_WIDTH;
 
 /// Layers that adapters can be put on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,7 +48,7 @@ impl LoraConfig {
     /// # Errors
     /// Names the key that no adapter can be built from.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        in_range("lora.rank", self.rank, 1..).hint("4 to 16 is usual")?;
+        in_range("lora.rank", self.rank, 1..=MAX_WIDTH).hint("4 to 16 is usual")?;
         in_range("lora.alpha", self.alpha, ABOVE_ZERO)
             .hint("`lora.rank` itself gives a scale of 1")?;
         let allowed = "one or more of `attention`, `convolution` and `conditioning`";

@@ -36,6 +36,14 @@ impl Backbone {
         }
     }
 
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        match self {
+            Self::GmdUnet(config) => config.activations(),
+            Self::MdmTransformer(config) => config.activations(frames),
+        }
+    }
+
     /// Maximum number of frames of a clip, if there is one.
     pub fn longest(&self) -> Option<usize> {
         match self {

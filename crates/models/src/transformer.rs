@@ -14,6 +14,7 @@ use kinegrad_kernels::{Convolution, gelu, self_attention};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
+use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{LayerNorm, Linear};
 use crate::{Initializer, NamedSizes, NetworkConfig};
@@ -70,10 +71,10 @@ impl EncoderConfig {
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let width = self.latent_dim;
         require(
-            width > 0 && width.is_multiple_of(2),
+            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
             "model.latent_dim",
             width,
-            "an even number",
+            format!("an even number, 2 to {MAX_WIDTH}"),
         )
         .hint("the published model has 512")?;
         require(
@@ -83,8 +84,16 @@ impl EncoderConfig {
             format!("a divisor of model.latent_dim ({width})"),
         )
         .hint("the published model has 4")?;
-        in_range("model.num_layers", self.num_layers, 1..).hint("the published model has 8")?;
-        in_range("model.ff_size", self.ff_size, 1..).hint("the published model has 1024")
+        in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
+            .hint("the published model has 8")?;
+        in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH).hint("the published model has 1024")
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        let [width, ff_size] = [self.latent_dim, self.ff_size].map(|size| size as u64);
+        let a_token = self.num_layers as u64 * (12 * width + 3 * ff_size);
+        (frames as u64 + 1) * a_token
     }
 
     /// Builds the network for motion of `in_channels`; its parameters are drawn when they are first

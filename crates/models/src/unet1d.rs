@@ -10,6 +10,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
 use crate::attention::AttentionBlock;
+use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::layers::{Conv1d, GROUPS, Linear};
 use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
@@ -125,20 +126,26 @@ impl UNet1dConfig {
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let mults = &self.channel_mult;
         require(
-            !mults.is_empty() && !mults.contains(&0),
+            (1..=16).contains(&mults.len()) && mults.iter().all(|m| (1..=MAX_WIDTH).contains(m)),
             "model.channel_mult",
             format!("{mults:?}"),
-            "one factor of at least 1 a level",
+            format!("1 to 16 factors of 1 to {MAX_WIDTH}, one a level"),
         )
         .hint("try [1, 2, 4, 8]")?;
-        in_range("model.num_res_blocks", self.num_res_blocks, 1..).hint("CC-MotionGen has 2")?;
+        in_range("model.num_res_blocks", self.num_res_blocks, 1..=MAX_LAYERS)
+            .hint("CC-MotionGen has 2")?;
+        in_range("model.model_channels", self.model_channels, 1..=MAX_WIDTH)
+            .hint("CC-MotionGen has 256")?;
         let channels = self.channels();
         for &width in &channels {
             require(
-                width > 0 && width.is_multiple_of(GROUPS),
+                width <= MAX_WIDTH && width.is_multiple_of(GROUPS),
                 "model.model_channels",
                 format!("{} (a level of {width} channels)", self.model_channels),
-                format!("levels that divide into {GROUPS} groups for GroupNorm"),
+                format!(
+                    "levels of at most {MAX_WIDTH} channels that divide into {GROUPS} groups for \
+                     GroupNorm"
+                ),
             )
             .hint(format!(
                 "choose `model.model_channels` a multiple of {GROUPS}"
@@ -163,14 +170,31 @@ impl UNet1dConfig {
             .hint("CC-MotionGen has 8")?;
         }
         require(
-            self.time_embed_dim >= 2 && self.time_embed_dim.is_multiple_of(2),
+            (2..=MAX_WIDTH).contains(&self.time_embed_dim) && self.time_embed_dim.is_multiple_of(2),
             "model.time_embed_dim",
             self.time_embed_dim,
-            "an even number",
+            format!("an even number, 2 to {MAX_WIDTH}"),
         )
         .hint("half are cosines, half sines")?;
-        in_range("model.context_dim", self.context_dim, 1..).hint("CC-MotionGen has 256")?;
+        in_range("model.context_dim", self.context_dim, 1..=MAX_WIDTH)
+            .hint("CC-MotionGen has 256")?;
         in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        let attending = self.attention_levels();
+        let of_level = |(level, width): (usize, usize)| {
+            let here = frames.div_ceil(1 << level) as u64;
+            // A block keeps its input and what its convolutions and its dropout give. On the way up
+            // there are two, the first of which takes the skip connection too.
+            let blocks = 4 * self.num_res_blocks as u64 + 12;
+            let attention = if attending.contains(&level) { 2 } else { 0 };
+            // Queries, keys, values and results, and the keys and values of the whole context.
+            let attended = attention * (9 * here + 2 * frames as u64);
+            width as u64 * (blocks * here + attended)
+        };
+        self.channels().into_iter().enumerate().map(of_level).sum()
     }
 
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per

@@ -64,6 +64,11 @@ const KINDS: &[Kind] = &[
     },
 ];
 
+/// Whether the device that goes by `name` computes on the CPU, in main memory.
+pub fn is_host(name: &str) -> bool {
+    ["cpu", "ndarray"].iter().any(|host| name.starts_with(host))
+}
+
 /// The devices compiled into this build, best first, with whether each works on this machine.
 pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
     KINDS.iter().map(|kind| (kind, works(kind, 0).is_some()))

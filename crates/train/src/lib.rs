@@ -35,6 +35,7 @@ pub mod ema;
 mod error;
 pub mod evaluation;
 pub mod import;
+pub mod memory;
 mod observer;
 pub mod optim;
 pub mod published;

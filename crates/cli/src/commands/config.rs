@@ -3,12 +3,13 @@
 use std::process::ExitCode;
 
 use kinegrad_report::grouped;
+use kinegrad_train::memory::gibibytes;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, config, run};
 
 use crate::args::ShowArguments;
 
-/// Prints the resolved config, and the model's size as a comment, so that the output is a config.
+/// Prints the resolved config, and what the model takes as comments, so that the output is a config.
 pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
     let config = run::load_config(
         systems,
@@ -24,6 +25,11 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     let (system, _) = systems.of(&config)?;
     let parameters = grouped(system.parameter_count(&config)?);
     say!("# model: {parameters} parameters");
+    let needed = system.footprint(&config)?.of_training(&config, true);
+    say!(
+        "# memory: about {} to train it on the CPU",
+        gibibytes(needed)
+    );
     say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

@@ -4,6 +4,8 @@ use kinegrad_motion::CHANNELS;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use serde::{Deserialize, Serialize};
 
+use crate::config::{MAX_LAYERS, MAX_WIDTH};
+
 /// What bounds one component of the decoded motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -149,8 +151,10 @@ impl DecoderConfig {
             DecoderInit::Identity => CHANNELS,
             DecoderInit::Random => 1,
         };
-        in_range("decoder.hidden_dim", self.hidden_dim, least..)
+        in_range("decoder.hidden_dim", self.hidden_dim, least..=MAX_WIDTH)
             .hint("CC-MotionGen has 256; `decoder.init = \"random\"` allows fewer than 25")?;
+        in_range("decoder.num_layers", self.num_layers, 0..=MAX_LAYERS)
+            .hint("CC-MotionGen has 3")?;
         in_range("decoder.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
         let ranges = &self.output_ranges;
         for (component, range) in [
@@ -165,5 +169,12 @@ impl DecoderConfig {
                 .hint("a velocity of 20 m/s is CC-MotionGen's")?;
         }
         Ok(())
+    }
+
+    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    pub fn activations(&self, frames: usize) -> u64 {
+        // Inside, a block is four times as wide.
+        let a_frame = (16 * self.num_layers as u64 + 2) * self.hidden_dim as u64;
+        frames as u64 * (a_frame + 8 * CHANNELS as u64)
     }
 }

@@ -8,8 +8,12 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::{Deserialize, Serialize};
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
+use crate::config::MAX_WIDTH;
 use crate::layers::{Conv1d, ConvTranspose1d, Linear};
 use crate::{Initializer, NamedSizes, NetworkConfig, Stages};
+
+/// Longest clip that the network may be padded to.
+const MAX_PADDED_FRAMES: usize = 1 << 20;
 
 /// The sizes of a [`GmdUnet`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -112,32 +116,41 @@ impl GmdUnetConfig {
         )
         .hint("the motion model has [2.0, 2.0, 2.0, 2.0]")?;
         require(
-            width > 0 && width.is_multiple_of(2),
+            (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
             "model.latent_dim",
             width,
-            "an even number",
+            format!("an even number, 2 to {MAX_WIDTH}"),
         )
         .hint("the published models have 512")?;
         for (channels, mult) in self.channels().into_iter().zip(mults) {
             let exact = (width as f64 * mult - channels as f64).abs() < 1e-6;
             require(
-                exact && channels > 0 && channels.is_multiple_of(GROUPS),
+                exact && (1..=MAX_WIDTH).contains(&channels) && channels.is_multiple_of(GROUPS),
                 "model.dim_mults",
                 format!("{mults:?} of {width}"),
-                format!("levels of a multiple of {GROUPS} channels"),
+                format!("levels of a multiple of {GROUPS} channels, at most {MAX_WIDTH}"),
             )
-            .hint(format!(
-                "a level of {channels} does not divide into {GROUPS} groups"
-            ))?;
+            .hint(format!("a level has {channels}"))?;
         }
         let multiple = self.length_multiple();
         require(
-            self.padded_frames.is_multiple_of(multiple),
+            (1..=MAX_PADDED_FRAMES).contains(&self.padded_frames)
+                && self.padded_frames.is_multiple_of(multiple),
             "model.padded_frames",
             self.padded_frames,
-            format!("a multiple of {multiple}"),
+            format!("a multiple of {multiple}, at most {MAX_PADDED_FRAMES}"),
         )
         .hint("every level but the last halves the length; the published models have 224")
+    }
+
+    /// Numbers that the backward pass keeps of one item, roughly.
+    pub fn activations(&self) -> u64 {
+        let of_level = |(level, width): (usize, usize)| {
+            let frames = self.padded_frames.div_ceil(1 << level) as u64;
+            // Two blocks down and two up, the first of which takes the skip connection too.
+            24 * width as u64 * frames
+        };
+        self.channels().into_iter().enumerate().map(of_level).sum()
     }
 
     /// Builds the network for motion of `in_channels`, conditioned on a vector of width `cond_dim`;

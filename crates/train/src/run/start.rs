@@ -7,6 +7,7 @@ use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError};
 use crate::error::Error;
+use crate::memory;
 use crate::observer::Observer;
 use crate::system::Systems;
 
@@ -131,6 +132,14 @@ pub fn train_config(
     };
 
     let (device, device_name) = crate::device::open(&config.run.device)?;
+    let on_host = crate::device::is_host(&device_name);
+    let needed = system.footprint(&config)?.of_training(&config, on_host);
+    memory::must_fit(
+        "training",
+        needed,
+        "choose a smaller model (`model.*`), fewer `data.batch_size`, `data.target_frames` or, with \
+         synthetic data, `data.synthetic.phrases`; `kinegrad config show` prints the estimate",
+    )?;
     let setup = Setup {
         recipe,
         device,

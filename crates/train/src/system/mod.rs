@@ -12,6 +12,7 @@ use crate::config::{Config, ConfigError, Place};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
+use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
@@ -66,6 +67,18 @@ pub trait System: Sync {
     /// # Errors
     /// If a network cannot be built.
     fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
+
+    /// What its networks take in training, for the estimate of memory. Activations count nothing
+    /// where a system does not say.
+    ///
+    /// # Errors
+    /// If a network cannot be built.
+    fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
+        Ok(Footprint {
+            parameters: self.parameter_count(config)? as u64,
+            activations: 0,
+        })
+    }
 
     /// Names of the architectures that [`import`](Self::import) supports.
     fn architectures(&self) -> &'static [&'static str] {

@@ -175,6 +175,18 @@ impl RolloutConfig {
             RolloutMode::LastK => Graph::LastK(self.last_k),
         }
     }
+
+    /// Passes of the denoiser whose activations are kept at a time, the one of the diffusion loss
+    /// among them.
+    pub(super) fn steps_kept(&self) -> u64 {
+        let steps = match self.mode {
+            RolloutMode::Full => self.steps,
+            RolloutMode::Checkpointed => 1,
+            RolloutMode::LastK => self.last_k,
+        };
+        let passes = if self.guidance_scale == 1.0 { 1 } else { 2 };
+        1 + passes * steps as u64
+    }
 }
 
 /// Weighting of the reconstruction loss of each sample.

@@ -89,15 +89,36 @@ impl Generator {
         seed: u64,
         on_step: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<Sample>, Error> {
-        let Some(frames) = conditions.first().map(AudioFeatures::frames) else {
-            return Ok(Vec::new());
-        };
-        let key = Key::new(seed, Purpose::Sampling);
-        let keys: Vec<Key> = (0..conditions.len() as u64).map(|i| key.at(i)).collect();
-        let batches = conditions.chunks(BATCH).zip(keys.chunks(BATCH));
-        let all = conditions.len().div_ceil(BATCH);
         let mut samples = Vec::with_capacity(conditions.len());
-        for (done, (conditions, keys)) in batches.enumerate() {
+        let conditions = conditions.iter().cloned();
+        self.sample_each(conditions, sampling, seed, on_step, &mut |sample| {
+            samples.push(sample);
+            Ok(())
+        })?;
+        Ok(samples)
+    }
+
+    /// [`sample`](Self::sample) of any number of conditions, of which one batch is in memory at a
+    /// time; `take` gets the samples in order.
+    ///
+    /// # Errors
+    /// As [`sample`](Self::sample), and of `take`, after which nothing more is drawn.
+    pub fn sample_each(
+        &self,
+        mut conditions: impl ExactSizeIterator<Item = AudioFeatures>,
+        sampling: &SamplingConfig,
+        seed: u64,
+        on_step: &mut dyn FnMut(usize, usize),
+        take: &mut dyn FnMut(Sample) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let key = Key::new(seed, Purpose::Sampling);
+        let all = conditions.len().div_ceil(BATCH);
+        for done in 0..all {
+            let conditions: Vec<AudioFeatures> = conditions.by_ref().take(BATCH).collect();
+            let frames = conditions.first().map_or(0, AudioFeatures::frames);
+            let first = done * BATCH;
+            let numbers = (first..first + conditions.len()).map(|number| number as u64);
+            let keys: Vec<Key> = numbers.map(|number| key.at(number)).collect();
             let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)
@@ -129,9 +150,9 @@ impl Generator {
                     None => Motion::new(self.statistics().denormalize(values))?,
                 };
                 let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
-                samples.push(Sample { raw, motion });
+                take(Sample { raw, motion })?;
             }
         }
-        Ok(samples)
+        Ok(())
     }
 }

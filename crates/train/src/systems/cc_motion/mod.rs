@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::{DecoderConfig, Initializer, parameters};
 use kinegrad_motion::phrase::CHANNELS;
-use kinegrad_motion::{Phrases, Representation};
+use kinegrad_motion::{Phrases, Representation, Statistics};
 use toml::Table;
 
 pub use config::{
@@ -33,6 +33,7 @@ pub use networks::Trained;
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
@@ -101,6 +102,31 @@ impl System for CcMotion {
         };
         let decoder = random.init(unit, &Initializer::new(0, &device))?;
         Ok(unet + parameters::count(&decoder))
+    }
+
+    fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
+        let own = CcMotionConfig::of(config)?;
+        let CcMotionNetwork::Unet1d(unet) = &own.model.network;
+        let frames = config.data.target_frames;
+        let unet = unet.activations(frames);
+        let recipe = RecipeName::of(config)?;
+        let (parameters, activations) = match recipe.trains_through_sampler() {
+            false => (self.parameter_count(config)?, unet),
+            true => {
+                let unit = Statistics {
+                    mean: vec![0.0; CHANNELS],
+                    std: vec![1.0; CHANNELS],
+                    ..Statistics::default()
+                };
+                let model = networks::networks(config, &unit, &burn::tensor::Device::flex())?;
+                let kept = own.rollout.steps_kept() * unet + own.decoder.activations(frames);
+                (parameters::count(&model), kept)
+            }
+        };
+        Ok(Footprint {
+            parameters: parameters as u64,
+            activations,
+        })
     }
 
     fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {

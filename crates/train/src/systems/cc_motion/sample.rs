@@ -1,5 +1,7 @@
 //! Sampling phrases conditioned on audio.
 
+use std::cell::RefCell;
+use std::iter::repeat_n;
 use std::path::Path;
 
 use kinegrad_data::{AudioFeatures, DataKind, Dataset, Phrase, load_audio};
@@ -32,23 +34,26 @@ pub(super) fn sample(
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
-        let repeated = vec![condition; request.count];
-        let samples = generator.sample(
-            &repeated,
+        let mut index = 0;
+        let stem = match several {
+            true => format!("-{id}"),
+            false => String::new(),
+        };
+        let receiver = RefCell::new(&mut *receiver);
+        generator.sample_each(
+            repeat_n(condition, request.count),
             &subject.config.sampling,
             phrase_seed(request.seed, &id),
-            &mut |done, all| receiver.stepped("", done, all),
+            &mut |done, all| receiver.borrow_mut().stepped("", done, all),
+            &mut |sample| {
+                let name = match request.count {
+                    1 => stem.clone(),
+                    _ => format!("{stem}-{index:03}"),
+                };
+                index += 1;
+                receiver.borrow_mut().drawn(drawn(name, sample))
+            },
         )?;
-        for (index, sample) in samples.into_iter().enumerate() {
-            let mut name = match several {
-                true => format!("-{id}"),
-                false => String::new(),
-            };
-            if request.count > 1 {
-                name += &format!("-{index:03}");
-            }
-            receiver.drawn(drawn(name, sample))?;
-        }
     }
     Ok(None)
 }

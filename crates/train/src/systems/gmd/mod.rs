@@ -31,6 +31,7 @@ use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
+use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
@@ -92,9 +93,11 @@ impl System for Gmd {
     }
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        // Parameters are lazy: no weight is drawn and no memory taken.
-        let denoiser = text_denoiser(config, channels_of(config)?, &Device::flex())?;
-        Ok(parameters::count(&denoiser))
+        networks::parameter_count(config)
+    }
+
+    fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
+        networks::footprint(config, config.data.target_frames)
     }
 
     fn architectures(&self) -> &'static [&'static str] {

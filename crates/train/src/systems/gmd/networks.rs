@@ -13,6 +13,7 @@ use super::recipe_name::RecipeName;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
+use crate::memory::Footprint;
 use crate::start::{Start, must_agree};
 
 /// Parameter of the matrix of a projected space.
@@ -41,6 +42,28 @@ pub fn text_denoiser(
     let backbone = GmdConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
     Ok(TextDenoiser::new(&backbone, channels, &init)?)
+}
+
+/// Number of parameters of the denoiser of a config.
+///
+/// # Errors
+/// If it cannot be built.
+pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
+    // Parameters are lazy: no weight is drawn and no memory taken.
+    let denoiser = text_denoiser(config, channels_of(config)?, &Device::flex())?;
+    Ok(parameters::count(&denoiser))
+}
+
+/// What the networks of a config take for clips of `frames` frames.
+///
+/// # Errors
+/// As [`parameter_count`].
+pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
+    let network = GmdConfig::of(config)?.model.network;
+    Ok(Footprint {
+        parameters: parameter_count(config)? as u64,
+        activations: network.activations(frames),
+    })
 }
 
 /// [`text_denoiser`] in the space that `emphasis` of the config makes.

@@ -11,9 +11,11 @@ use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::evaluate::embedding;
 use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal};
+use super::networks::footprint;
 use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
 use crate::error::Error;
+use crate::memory::must_fit;
 use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
 
 /// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path
@@ -58,11 +60,20 @@ pub(super) fn sample(
         return Err(Error::usage("`--frames` with `--goal`", hint));
     }
     let text = conditions.text_embedding.as_deref().map(read_embedding);
-    let requests = requests(request.count, &goals, text.transpose()?.as_deref());
+    let text = text.transpose()?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
         Some(frames) => frames,
         None => request.frames.unwrap_or(subject.config.data.target_frames),
     };
+    let clips = request.count.saturating_mul(goals.len().max(1));
+    let needed = footprint(&subject.config, frames)?.of_sampling(clips, !goals.is_empty());
+    let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
+    must_fit(
+        &format!("drawing {clips} clips of {frames} frames"),
+        needed,
+        hint,
+    )?;
+    let requests = requests(request.count, &goals, text.as_deref());
     let load =
         |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
     let trajectory = match &conditions.trajectory {

@@ -5,6 +5,7 @@ mod report;
 mod run;
 mod terms;
 
+use std::iter::repeat_n;
 use std::sync::Arc;
 
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
@@ -80,17 +81,18 @@ pub fn evaluate(
     let mut raw = Vec::with_capacity(held_out.len());
     let mut processed = Vec::with_capacity(held_out.len());
     for (index, phrase) in held_out.iter().enumerate() {
-        let conditions = vec![condition(phrase, settings); settings.seeds];
-        let samples = generator.sample(
-            &conditions,
+        let (mut drawn, mut repaired) = (Vec::new(), Vec::new());
+        generator.sample_each(
+            repeat_n(condition(phrase, settings), settings.seeds),
             &settings.sampling,
             phrase_seed(settings.seed, &phrase.id),
             &mut |step, total| on_step(index * total + step, held_out.len() * total),
+            &mut |sample| {
+                drawn.push(sample.raw);
+                repaired.push(sample.motion);
+                Ok(())
+            },
         )?;
-        let (drawn, repaired): (Vec<Motion>, Vec<Motion>) = samples
-            .into_iter()
-            .map(|sample| (sample.raw, sample.motion))
-            .unzip();
         raw.push(drawn);
         processed.push(repaired);
     }

@@ -7,9 +7,14 @@ use super::{EvaluationSettings, evaluate};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::Generator;
+
+/// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
+/// the differences that are measured of each.
+const BYTES_A_FRAME: u64 = 800;
 
 /// An evaluation on the held-out phrases.
 ///
@@ -46,6 +51,14 @@ pub fn prepare<'a>(
     }
     let mut held_out = dataset.validation.load()?;
     held_out.truncate(wanted.phrases.unwrap_or(usize::MAX));
+    let frames = held_out.iter().map(|phrase| phrase.frames() as u64);
+    let of_a_seed = frames.sum::<u64>() * BYTES_A_FRAME;
+    must_fit(
+        "the evaluation",
+        of_a_seed.saturating_mul(wanted.seeds as u64),
+        "all samples are compared with each other: choose fewer `evaluation.seeds` or \
+         `evaluation.phrases`",
+    )?;
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,

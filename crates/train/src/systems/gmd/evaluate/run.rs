@@ -11,7 +11,9 @@ use super::{GoalSettings, GoalTask, TextMotion, evaluate_goals};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
+use crate::memory::must_fit;
 use crate::sampling::Subject;
+use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
 use crate::systems::gmd::{ClipGenerator, GmdConfig};
 
@@ -48,6 +50,9 @@ pub fn prepare<'a>(
             subject.checkpoint.display()
         ));
     }
+    let needed = footprint(&subject.config, data.target_frames)?.of_sampling(held_out.len(), true);
+    let hint = "all goals are drawn for as one batch: choose fewer `evaluation.goals`";
+    must_fit("the evaluation", needed, hint)?;
     if let Some(path) = &request.trajectory {
         must_draw_paths(path)?;
     }
