@@ -73,10 +73,15 @@ impl Waveform {
 /// without audio, damaged, of an odd sample rate, too long, or with samples out of range.
 pub fn decode(path: &Path) -> Result<Waveform, Error> {
     let name = path.display().to_string();
-    let file = File::open(path).map_err(|e| Error::Read {
+    let unreadable = |reason: String| Error::Read {
         file: name.clone(),
-        reason: e.to_string(),
-    })?;
+        reason,
+    };
+    // Opening a pipe would wait for somebody to write into it, and a device may never end.
+    if path.metadata().is_ok_and(|found| !found.is_file()) {
+        return Err(unreadable("it is not a file".into()));
+    }
+    let file = File::open(path).map_err(|e| unreadable(e.to_string()))?;
     let extension = path.extension().and_then(OsStr::to_str);
     decode_reader(file, extension, &name)
 }

@@ -29,6 +29,7 @@ mod dataset;
 mod digest;
 mod error;
 mod features;
+pub mod file;
 mod files;
 pub mod humanml;
 mod inspect;
@@ -53,6 +54,8 @@ mod store;
 mod survey;
 pub mod synthetic;
 
+pub use kinegrad_motion::MAX_FRAMES;
+
 pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StoreConfig,
@@ -72,8 +75,8 @@ pub use layout::{
 };
 pub use loader::{Loader, Samples};
 pub use npy::{
-    Array, MAX_FRAMES, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion,
-    write_motion, write_values,
+    Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
+    write_values,
 };
 pub use npz::{
     features_bytes, parse_arrays, parse_features, read_features, write_features,

@@ -3,21 +3,16 @@
 //! A file is read whole, but never more of it than an array of [`MAX_FRAMES`] could fill, and
 //! nothing is allocated on the word of a header.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
-use kinegrad_motion::{Motion, phrase::CHANNELS};
+use kinegrad_motion::{MAX_FRAMES, Motion, phrase::CHANNELS};
 
+use crate::file::read_file;
 use crate::{Error, FileError, atomic};
 
 mod header;
 
 use header::{Header, MAX_HEADER_BYTES};
-
-/// Most frames a phrase or song may have: two hours at 30 frames per second. A longer array is
-/// refused before it is read.
-pub const MAX_FRAMES: usize = 216_000;
 
 /// The hint for a file that is not whole.
 pub(crate) const CUT_OFF: &str = "the file is damaged or was cut off: copy or export it again";
@@ -36,7 +31,7 @@ pub struct Array {
 /// # Errors
 /// [`FileError`] for a file that cannot be read or is no such array.
 pub fn read_array(path: &Path) -> Result<Array, FileError> {
-    let bytes = read_bounded(path, MAX_ARRAY_BYTES)?;
+    let bytes = read_file(path, MAX_ARRAY_BYTES).map_err(FileError::read(path))?;
     parse(&bytes, &path.display().to_string())
 }
 
@@ -65,17 +60,8 @@ pub(crate) const fn max_bytes(rows: usize) -> u64 {
 /// [`FileError`] for a file that cannot be read, another dtype or shape, a cut-off file. Numbers
 /// that are not finite pass: they are refused where a phrase is read.
 pub fn read_motion(path: &Path) -> Result<Motion, FileError> {
-    let bytes = read_bounded(path, MAX_MOTION_BYTES)?;
+    let bytes = read_file(path, MAX_MOTION_BYTES).map_err(FileError::read(path))?;
     parse_motion(&bytes, &path.display().to_string())
-}
-
-/// The bytes of the file at `path`, at most one more than `limit`.
-pub(crate) fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
-        .map_err(FileError::read(path))?;
-    Ok(bytes)
 }
 
 /// Parses the bytes of a motion's `.npy` file; `file` names it in errors.

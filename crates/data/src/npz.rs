@@ -4,11 +4,13 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use kinegrad_audio::Features;
+use kinegrad_motion::MAX_FRAMES;
 use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use crate::features::{AUDIO_CHANNELS, AudioFeatures, FEATURES};
-use crate::npy::{self, Array, MAX_FRAMES};
+use crate::file::read_file;
+use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};
 
 /// The longest archive of features; more than any that unpacks to [`MAX_FRAMES`] frames.
@@ -29,7 +31,7 @@ const MOST_UNPACKED: usize = 1032;
 /// dtype or shape, members of unequal length. Numbers that are not finite pass: see
 /// [`crate::load_audio`].
 pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
-    let bytes = npy::read_bounded(path, MAX_FEATURES_BYTES)?;
+    let bytes = read_file(path, MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
     parse_features(&bytes, &path.display().to_string())
 }
 

@@ -1,12 +1,12 @@
 //! Which phrases are held out for validation.
 
 use std::fmt;
-use std::fs;
 use std::path::Path;
 
 use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
+use crate::file::read_text;
 use crate::{Error, ValidationSplit};
 
 /// Share held out where neither the config nor the dataset says anything.
@@ -56,7 +56,7 @@ impl Split {
         let mut patterns = config.patterns.clone();
         let listed = !patterns.is_empty() || config.ids_file.is_some();
         if let Some(file) = &config.ids_file {
-            let text = fs::read_to_string(Path::new(file))
+            let text = read_text(Path::new(file))
                 .map_err(|reason| Error::io("read data.validation.ids_file", file, reason))?;
             let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
             patterns.extend(
@@ -121,6 +121,8 @@ pub fn matches(pattern: &str, text: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use proptest::prelude::*;
 

@@ -50,3 +50,6 @@ pub use representation::{
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
+
+/// Most frames that a motion or a song may have: two hours at 30 frames per second.
+pub const MAX_FRAMES: usize = 216_000;

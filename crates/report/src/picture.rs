@@ -100,7 +100,7 @@ impl Panel {
         values: &[f64],
         bins: usize,
     ) -> Self {
-        let values = || values.iter().copied().filter(|value| value.is_finite());
+        let values = || values.iter().copied().filter(|&value| can_be_drawn(value));
         let (low, high) = extremes(values());
         let width = ((high - low) / bins as f64).max(1e-9 * high.abs().max(1.0));
         let mut counts = vec![0; bins];
@@ -262,7 +262,7 @@ where
     let is_map = matches!(panel.kind, Kind::Map(_));
     let points = || {
         let all = panel.series().iter().flat_map(|(_, points)| points);
-        all.filter(|(x, y)| x.is_finite() && y.is_finite())
+        all.filter(|(x, y)| can_be_drawn(*x) && can_be_drawn(*y))
     };
     let (x, y) = match &panel.kind {
         Kind::Lines(_) => (bounds(points().map(|p| p.0)), bounds(points().map(|p| p.1))),
@@ -316,7 +316,7 @@ where
         let finite = points
             .iter()
             .copied()
-            .filter(|(x, y)| x.is_finite() && y.is_finite());
+            .filter(|(x, y)| can_be_drawn(*x) && can_be_drawn(*y));
         chart
             .draw_series(LineSeries::new(finite, style))?
             .label(name)
@@ -348,7 +348,7 @@ where
 /// A heat map's rectangles, cells taken together where there are more than can be seen.
 fn cells(rows: &[Vec<f64>], width: f64) -> impl Iterator<Item = Rectangle<(f64, f64)>> + '_ {
     let columns = rows.first().map_or(0, Vec::len);
-    let values = || rows.iter().flatten().copied().filter(|v| v.is_finite());
+    let values = || rows.iter().flatten().copied().filter(|&v| can_be_drawn(v));
     let (low, high) = extremes(values());
     let scale = 1.0 / (high - low).max(1e-9);
     let (across, up) = (columns.min(HEAT_CELLS.0), rows.len().min(HEAT_CELLS.1));
@@ -375,6 +375,12 @@ fn cells(rows: &[Vec<f64>], width: f64) -> impl Iterator<Item = Rectangle<(f64, 
     (0..up)
         .flat_map(move |j| (0..across).map(move |i| (j, i)))
         .map(cell)
+}
+
+/// Whether a value has a place on an axis, whose ticks are counted in steps of the scale: beyond
+/// this that never ends.
+fn can_be_drawn(value: f64) -> bool {
+    value.abs() <= 1e30
 }
 
 /// The lowest and the highest of the values.

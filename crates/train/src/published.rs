@@ -5,6 +5,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use half::{bf16, f16};
+use kinegrad_data::file::regular;
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use pytorch_reader::{DType, PytorchReader, Tensor};
@@ -16,22 +17,20 @@ use crate::error::Error;
 /// # Errors
 /// [`Error::Foreign`] for any other file.
 pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
-    let read = PytorchReader::new(path).map_err(|error| Error::Foreign {
+    let foreign = |reason: String| Error::Foreign {
         path: path.to_path_buf(),
-        reason: error.to_string(),
-    })?;
+        reason,
+    };
+    let held = regular(path).map_err(|error| foreign(error.to_string()))?;
+    let read = PytorchReader::new(path).map_err(|error| foreign(error.to_string()))?;
     let tensors: BTreeMap<String, Tensor> = read.into_tensors().into_iter().collect();
-    let held = std::fs::metadata(path)
-        .map_err(Error::io("read", path))?
-        .len();
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
     let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
     match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(held)) {
         true => Ok(tensors),
-        false => Err(Error::Foreign {
-            path: path.to_path_buf(),
-            reason: format!("its tensors are larger together than its {held} bytes can hold"),
-        }),
+        false => Err(foreign(format!(
+            "its tensors are larger together than its {held} bytes can hold"
+        ))),
     }
 }
 

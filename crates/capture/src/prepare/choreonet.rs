@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use serde::Deserialize;
 
 use super::plan::{ChoreonetPlan, Plan, SegmentPlan, TakePlan};
@@ -39,7 +40,8 @@ struct Interval {
 /// [`Error::Plan`] for a file that is missing or not of that form.
 pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePlan>, Error> {
     let dances = plan.resolve(&choreonet.choreography);
-    let bytes = std::fs::read(&dances).map_err(|problem| Error::plan(&dances, problem))?;
+    let bytes =
+        read_file(&dances, MAX_TEXT_BYTES).map_err(|problem| Error::plan(&dances, problem))?;
     let dances: Vec<Dance> =
         serde_json::from_slice(&bytes).map_err(|problem| Error::plan(&dances, problem))?;
     let intervals = intervals(&plan.resolve(&choreonet.intervals))?;
@@ -52,7 +54,8 @@ pub(super) fn takes(plan: &Plan, choreonet: &ChoreonetPlan) -> Result<Vec<TakePl
 /// The first interval of each movement.
 fn intervals(path: &Path) -> Result<HashMap<String, Interval>, Error> {
     let wrong = |problem| Error::plan(path, problem);
-    let mut reader = csv::Reader::from_path(path).map_err(wrong)?;
+    let bytes = read_file(path, MAX_TEXT_BYTES).map_err(|problem| Error::plan(path, problem))?;
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
     let mut intervals = HashMap::new();
     for row in reader.deserialize::<Interval>() {
         let row = row.map_err(wrong)?;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use kinegrad_data::file::read_file;
 use kinegrad_data::{FileError, MAX_FRAMES, parse_array, parse_arrays};
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use kinegrad_motion::{CHANNELS, Quaternion};
@@ -47,14 +48,7 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, 
 
 /// The bytes of a file that may be as long as [`MAX_BYTES`].
 pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
-    let named = |problem: String| format!("{}: {problem}", path.display());
-    let length = std::fs::metadata(path)
-        .map_err(|e| named(e.to_string()))?
-        .len();
-    if length > MAX_BYTES {
-        return Err(named(format!("{length} bytes found, {MAX_BYTES} allowed")));
-    }
-    std::fs::read(path).map_err(|e| named(e.to_string()))
+    read_file(path, MAX_BYTES).map_err(|problem| format!("{}: {problem}", path.display()))
 }
 
 fn bvh(bytes: &[u8], file: &str, take: &TakePlan) -> Result<RootTrack, Error> {

@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use kinegrad_data::file::read_text;
 use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
 use serde::{Deserialize, Serialize};
 
@@ -151,7 +152,7 @@ impl Plan {
     /// # Errors
     /// [`Error::Plan`] with the line or key, what was found and what is allowed.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|problem| Error::plan(path, problem))?;
+        let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
         let mut plan: Self = toml::from_str(&text).map_err(|error| {
             let place = error.span().map(|span| {
                 let before = &text.as_bytes()[..span.start.min(text.len())];

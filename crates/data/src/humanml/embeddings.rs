@@ -8,6 +8,7 @@ use kinegrad_motion::humanml::TEXT_CHANNELS;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
+use crate::file::{MAX_TENSOR_BYTES, read_file};
 use crate::{Digest, FileError};
 
 /// The longest file of embeddings.
@@ -78,7 +79,8 @@ pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
         Some((key, row)) => (key, row.parse().map_err(|_| refused("no row number"))?),
         None => (key, 0usize),
     };
-    let bytes = std::fs::read(path).map_err(FileError::read(path.as_ref()))?;
+    let bytes = read_file(path.as_ref(), MAX_TENSOR_BYTES);
+    let bytes = bytes.map_err(FileError::read(path.as_ref()))?;
     let tensors = SafeTensors::deserialize(&bytes)
         .map_err(|error| refused(&format!("no safetensors file ({error})")))?;
     let tensor = tensors

@@ -7,6 +7,7 @@ use safetensors::SafeTensors;
 
 use super::embeddings::numbers;
 use crate::FileError;
+use crate::file::{MAX_TENSOR_BYTES, read_file};
 
 /// The tensor of vectors, `[words, width]`.
 const TENSOR: &str = "vectors";
@@ -23,7 +24,7 @@ const HINT: &str = "docs/dataset.md shows how to make the file of the published 
 /// [`FileError::Unusable`] for what cannot be read or is no such file, for words that come
 /// twice, numbers that are not finite, and without the word `unk`.
 pub fn read_word_vectors(path: &Path) -> Result<WordVectors, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = read_file(path, MAX_TENSOR_BYTES).map_err(FileError::read(path))?;
     parse_word_vectors(&bytes, &path.display().to_string())
 }
 

@@ -1,10 +1,11 @@
 //! A dataset in a folder of this machine.
 
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::{Object, StoreError};
+use crate::file::read_file;
 use crate::layout::check_path;
 use crate::{Error, atomic};
 
@@ -25,29 +26,14 @@ impl Folder {
 
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         let full = self.inside(path)?;
-        let mut bytes = Vec::new();
-        // Opening a pipe would wait for somebody to write into it.
-        let is_file = fs::metadata(&full).is_ok_and(|data| data.is_file());
-        if !is_file {
-            return Err(broken(&full, "read", "it is no file"));
-        }
-        let found = File::open(&full)
-            .and_then(|file| {
-                let length = file.metadata()?.len();
-                // A byte more, so that the end is found without making room again.
-                bytes.reserve_exact(length.min(limit) as usize + 1);
-                file.take(limit + 1).read_to_end(&mut bytes)?;
-                Ok(length)
-            })
-            .map_err(|reason| failed(&full, "read", &reason))?;
-        if bytes.len() as u64 > limit {
-            return Err(StoreError::TooLarge {
+        read_file(&full, limit).map_err(|reason| match reason.kind() {
+            ErrorKind::FileTooLarge => StoreError::TooLarge {
                 object: full.display().to_string(),
-                found,
+                found: fs::metadata(&full).map_or(0, |found| found.len()),
                 limit,
-            });
-        }
-        Ok(bytes)
+            },
+            _ => failed(&full, "read", &reason),
+        })
     }
 
     pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {

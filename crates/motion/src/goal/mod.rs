@@ -47,6 +47,8 @@ pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
 
+use crate::MAX_FRAMES;
+
 /// Rejects a coordinate that is not finite.
 fn check_metres(key: &str, metres: f64) -> Result<(), InvalidSetting> {
     require(metres.is_finite(), key, metres, "a finite number of metres").hint(
@@ -148,7 +150,8 @@ impl Goal {
     /// # Errors
     /// Names the first such value by its place, such as `keyframe[2].frame`; lists count from 0.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
-        in_range("frames", self.frames, 1..).hint("`frames` is the length of the clip")?;
+        in_range("frames", self.frames, 1..=MAX_FRAMES)
+            .hint("`frames` is the length of the clip")?;
         for (key, number) in [
             ("margin", self.margin),
             ("weights.position", self.weights.position),

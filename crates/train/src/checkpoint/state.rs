@@ -133,7 +133,7 @@ impl State {
 /// nothing of what it holds.
 pub(super) fn read_file(path: &Path, file: &str) -> Result<Vec<u8>, Error> {
     let whole = path.join(file);
-    std::fs::read(&whole).map_err(|error| match error.kind() {
+    kinegrad_data::file::read_file(&whole, u64::MAX / 2).map_err(|error| match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory => Error::CheckpointDamaged {
             path: path.to_path_buf(),
             reason: format!("{file}: {error}"),

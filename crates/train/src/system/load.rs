@@ -6,6 +6,8 @@ use toml::de::DeTable;
 use toml::{Table, Value};
 
 use super::Systems;
+use kinegrad_data::file::read_text;
+
 use crate::checkpoint::{State, Weights};
 use crate::config::{
     self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
@@ -168,7 +170,7 @@ impl Systems<'_> {
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+    read_text(path).map_err(|source| ConfigError::Read {
         path: path.to_path_buf(),
         source,
     })

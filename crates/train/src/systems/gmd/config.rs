@@ -7,6 +7,7 @@ use kinegrad_diffusion::{DiffusionConfig, must_suit};
 use kinegrad_models::Backbone;
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::transformer::EncoderConfig;
+use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use serde::{Deserialize, Serialize};
@@ -173,6 +174,8 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     )?;
     let evaluation = &own.evaluation;
     in_range("evaluation.goals", evaluation.goals, 1..)?;
+    in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
+    in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
     let files = evaluation.evaluator.named();
     let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
     if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {

@@ -9,6 +9,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::file::read_text;
 use kinegrad_diffusion::{
     GaussianDiffusion, Guidance, Imputation, Networks, SamplerConfig, Steering, sample,
     steered_sample,
@@ -335,7 +336,7 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
         let message = format!("{}: {reason}", path.display());
         Error::usage(message, "docs/goals.md describes goals")
     };
-    let text = std::fs::read_to_string(path).map_err(|error| refused(&error))?;
+    let text = read_text(path).map_err(|error| refused(&error))?;
     let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
     goal.validate().map_err(|error| refused(&error))?;
     Ok(goal)

@@ -16,8 +16,6 @@ mod sample;
 mod space;
 mod train;
 
-use burn::tensor::Device;
-use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation};
 use toml::Table;

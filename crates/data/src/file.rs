@@ -1,0 +1,81 @@
+//! Reading files that users name, within bounds.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Longest text that is read: configs, goals, plans, lists of ids.
+pub const MAX_TEXT_BYTES: u64 = 64 << 20;
+
+/// Longest file of tensors that is read.
+pub const MAX_TENSOR_BYTES: u64 = 4 << 30;
+
+/// The bytes of the file at `path`, which may have `limit` of them.
+///
+/// # Errors
+/// If it cannot be read, is a folder, a pipe or a device (reading one of the latter may never end),
+/// or is longer.
+pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let found = regular(path)?;
+    let mut bytes = Vec::new();
+    // A byte more, so that the end is found without making room again.
+    bytes.try_reserve_exact(found.min(limit) as usize + 1)?;
+    // What is told of a file's length need not be true.
+    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    match bytes.len() as u64 > limit {
+        true => Err(io::Error::new(
+            io::ErrorKind::FileTooLarge,
+            format!("{found} bytes found, at most {limit} are read"),
+        )),
+        false => Ok(bytes),
+    }
+}
+
+/// The text of the file at `path`.
+///
+/// # Errors
+/// As [`read_file`] with [`MAX_TEXT_BYTES`], and if it is no UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let bytes = read_file(path, MAX_TEXT_BYTES)?;
+    String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
+}
+
+/// The length of the file at `path`.
+///
+/// # Errors
+/// If there is none, or a folder, a pipe or a device.
+pub fn regular(path: &Path) -> io::Result<u64> {
+    let metadata = fs::metadata(path)?;
+    match metadata.is_file() {
+        true => Ok(metadata.len()),
+        false if metadata.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        false => Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "it is a pipe or a device, not a file",
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_within_the_bound_are_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("file");
+        fs::write(&path, "four").expect("written");
+        assert_eq!(read_file(&path, 4).expect("short enough"), b"four");
+        let error = read_file(&path, 3).expect_err("too long").to_string();
+        assert_eq!(error, "4 bytes found, at most 3 are read");
+        let error = read_file(folder.path(), 4).expect_err("a folder");
+        assert_eq!(error.kind(), io::ErrorKind::IsADirectory);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_may_never_end_is_not_opened() {
+        let error = read_text(Path::new("/dev/zero")).expect_err("a device");
+        assert!(error.to_string().contains("a device"), "{error}");
+    }
+}
