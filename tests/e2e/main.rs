@@ -12,4 +12,5 @@ mod own_system;
 mod plans;
 mod preparation;
 mod resume;
+mod sizes;
 mod train;

@@ -19,8 +19,11 @@ use crate::analysis::unusable_sample;
 use crate::guard::guarded;
 use crate::resample::Resampling;
 
-/// Longest recording that is read.
-pub const MAX_HOURS: u64 = 4;
+/// Longest recording that is read: features of a longer one would be longer than any motion.
+pub const MAX_HOURS: u64 = 2;
+
+/// Most samples of one channel that are decoded: a small file at a high rate may claim many.
+pub const MAX_SAMPLES: u64 = 1 << 30;
 
 /// Smallest sample rate that is read, in Hz.
 pub const LOWEST_RATE: u32 = 4000;
@@ -231,7 +234,7 @@ impl<'a> Mono<'a> {
             }
             match decoder.decode(&packet) {
                 Ok(decoded) => self.append(&decoded)?,
-                Err(StreamError::DecodeError(_) | StreamError::IoError(_)) => self.skip(&packet),
+                Err(StreamError::DecodeError(_) | StreamError::IoError(_)) => self.skip(&packet)?,
                 Err(e) => return Err(self.corrupt(e.to_string())),
             }
         }
@@ -261,12 +264,7 @@ impl<'a> Mono<'a> {
             });
         }
         let start = self.received();
-        if start + decoded.frames() as u64 > MAX_HOURS * 3600 * u64::from(rate) {
-            return Err(Error::TooLong {
-                file: self.name.to_owned(),
-                hours: MAX_HOURS,
-            });
-        }
+        self.must_hold(decoded.frames())?;
         decoded.copy_to_vec_interleaved(&mut self.interleaved);
         let share = 1.0 / channels as f32;
         let frames = self.interleaved.chunks_exact(channels);
@@ -285,16 +283,31 @@ impl<'a> Mono<'a> {
         Ok(())
     }
 
+    /// Rejects more samples than are read.
+    fn must_hold(&self, more: usize) -> Result<(), Error> {
+        let most = MAX_SAMPLES.min(MAX_HOURS * 3600 * u64::from(self.rate));
+        match self.received() + more as u64 > most {
+            true => Err(Error::TooLong {
+                file: self.name.to_owned(),
+                hours: MAX_HOURS,
+                samples: MAX_SAMPLES,
+            }),
+            false => Ok(()),
+        }
+    }
+
     /// Keeps the time of what follows a damaged packet. Before the first good packet nothing is
     /// known to keep.
-    fn skip(&mut self, packet: &Packet) {
+    fn skip(&mut self, packet: &Packet) -> Result<(), Error> {
         self.skipped_packets += 1;
+        // The formats that are read count packets in samples. A forged duration adds at most a
+        // second.
+        let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
+        self.must_hold(silence)?;
         if let Some(signal) = &mut self.signal {
-            // The formats that are read count packets in samples. A forged duration adds at most
-            // a second.
-            let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
             signal.push(&vec![0.0; silence]);
         }
+        Ok(())
     }
 
     fn corrupt(&self, reason: String) -> Error {
@@ -362,5 +375,26 @@ impl<R: Read + Seek + Send + Sync> MediaSource for Source<R> {
 
     fn byte_len(&self) -> Option<u64> {
         Some(self.bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_high_rate_makes_no_room_for_more_samples() {
+        let mut song = Mono::new("song.flac");
+        // Two hours would be 4.7 thousand million samples.
+        song.rate = 655_350;
+        song.must_hold(MAX_SAMPLES as usize)
+            .expect("as many as are read");
+        let error = song
+            .must_hold(MAX_SAMPLES as usize + 1)
+            .expect_err("one more");
+        assert!(error.to_string().contains("1073741824 samples"), "{error}");
+        song.rate = 44_100;
+        song.must_hold(2 * 3600 * 44_100).expect("two hours");
+        song.must_hold(2 * 3600 * 44_100 + 1).expect_err("longer");
     }
 }

@@ -109,13 +109,15 @@ pub enum Error {
     },
 
     /// The file is longer than what is read.
-    #[error("{file}: longer than {hours} hours")]
+    #[error("{file}: longer than {hours} hours or {samples} samples")]
     #[diagnostic(help("cut it into pieces: features are normalised over one whole file"))]
     TooLong {
         /// The file.
         file: String,
         /// Largest length allowed, in hours.
         hours: u64,
+        /// Most samples of one channel allowed.
+        samples: u64,
     },
 
     /// A decoded sample is not finite or far beyond full scale.

@@ -92,6 +92,8 @@ impl Resampling {
             }
         }
         self.resampled.resize(length, 0.0);
+        // Growing left room for up to as many samples again.
+        self.resampled.shrink_to_fit();
         self.resampled
     }
 }

@@ -16,17 +16,21 @@ pub const MAX_TENSOR_BYTES: u64 = 4 << 30;
 /// If it cannot be read, is a folder, a pipe or a device (reading one of the latter may never end),
 /// or is longer.
 pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let found = regular(path)?;
+    let too_long = |found: u64| {
+        let message = format!("{found} bytes found, at most {limit} are read");
+        io::Error::new(io::ErrorKind::FileTooLarge, message)
+    };
+    let stated = regular(path)?;
+    if stated > limit {
+        return Err(too_long(stated));
+    }
     let mut bytes = Vec::new();
     // A byte more, so that the end is found without making room again.
-    bytes.try_reserve_exact(found.min(limit) as usize + 1)?;
-    // What is told of a file's length need not be true.
+    bytes.try_reserve_exact(stated as usize + 1)?;
+    // Somebody may be writing to it.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
     match bytes.len() as u64 > limit {
-        true => Err(io::Error::new(
-            io::ErrorKind::FileTooLarge,
-            format!("{found} bytes found, at most {limit} are read"),
-        )),
+        true => Err(too_long(bytes.len() as u64)),
         false => Ok(bytes),
     }
 }

@@ -22,9 +22,9 @@ impl Footprint {
     /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
     /// gradients and activations are there too.
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {
-        // Weights, their average and two moments, and all of them once more while a checkpoint is
-        // written or read.
-        let copies = if on_host { 9 } else { 8 };
+        // Weights, their average, two moments, and what is copied of them for a checkpoint; where
+        // the CPU trains, gradients too.
+        let copies = if on_host { 7 } else { 6 };
         let parameters = self.parameters.saturating_mul(copies * NUMBER);
         let items = match on_host {
             true => config.data.batch_size.max(config.validation.batch_size),

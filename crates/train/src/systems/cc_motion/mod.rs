@@ -18,10 +18,9 @@ mod train;
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_models::decoder::{DecoderInit, Normalization};
-use kinegrad_models::{DecoderConfig, Initializer, parameters};
-use kinegrad_motion::phrase::CHANNELS;
-use kinegrad_motion::{Phrases, Representation, Statistics};
+use burn::tensor::Device;
+use kinegrad_models::parameters;
+use kinegrad_motion::{Phrases, Representation};
 use toml::Table;
 
 pub use config::{
@@ -86,47 +85,16 @@ impl System for CcMotion {
     }
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
-        // Parameters are lazy: no weight of the denoiser is drawn and no memory taken.
-        let device = burn::tensor::Device::flex();
-        let unet = parameters::count(&networks::denoiser(config, &device)?);
-        if !RecipeName::of(config)?.trains_through_sampler() {
-            return Ok(unet);
+        let unet = networks::denoiser(config, &Device::flex())?;
+        let unet = parameters::count(&unet);
+        match RecipeName::of(config)?.trains_through_sampler() {
+            false => Ok(unet),
+            true => Ok(unet + networks::decoder_parameters(config)?),
         }
-        let random = DecoderConfig {
-            init: DecoderInit::Random,
-            ..CcMotionConfig::of(config)?.decoder
-        };
-        let unit = Normalization {
-            mean: vec![0.0; CHANNELS],
-            std: vec![1.0; CHANNELS],
-        };
-        let decoder = random.init(unit, &Initializer::new(0, &device))?;
-        Ok(unet + parameters::count(&decoder))
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        let own = CcMotionConfig::of(config)?;
-        let CcMotionNetwork::Unet1d(unet) = &own.model.network;
-        let frames = config.data.target_frames;
-        let unet = unet.activations(frames);
-        let recipe = RecipeName::of(config)?;
-        let (parameters, activations) = match recipe.trains_through_sampler() {
-            false => (self.parameter_count(config)?, unet),
-            true => {
-                let unit = Statistics {
-                    mean: vec![0.0; CHANNELS],
-                    std: vec![1.0; CHANNELS],
-                    ..Statistics::default()
-                };
-                let model = networks::networks(config, &unit, &burn::tensor::Device::flex())?;
-                let kept = own.rollout.steps_kept() * unet + own.decoder.activations(frames);
-                (parameters::count(&model), kept)
-            }
-        };
-        Ok(Footprint {
-            parameters: parameters as u64,
-            activations,
-        })
+        networks::footprint(config)
     }
 
     fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {

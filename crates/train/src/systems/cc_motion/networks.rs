@@ -5,8 +5,8 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_data::AUDIO_CHANNELS;
-use kinegrad_models::decoder::Normalization;
-use kinegrad_models::{Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
+use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Statistics};
 
@@ -15,6 +15,7 @@ use super::{CcMotionConfig, CcMotionNetwork};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
+use crate::memory::Footprint;
 
 /// Trained networks, adapters merged, and what is known of their training.
 pub struct Trained {
@@ -77,6 +78,51 @@ pub(crate) fn decoder(
     let init = Initializer::new(config.run.seed, device).at("decoder");
     let decoder = CcMotionConfig::of(config)?.decoder;
     Ok(decoder.init(normalization, &init)?)
+}
+
+/// Number of parameters of the decoder of a config.
+///
+/// # Errors
+/// If it cannot be built.
+pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
+    // Parameters that are drawn are lazy: none is, and no memory taken.
+    let random = DecoderConfig {
+        init: DecoderInit::Random,
+        ..CcMotionConfig::of(config)?.decoder
+    };
+    let unit = Normalization {
+        mean: vec![0.0; CHANNELS],
+        std: vec![1.0; CHANNELS],
+    };
+    let decoder = random.init(unit, &Initializer::new(0, &Device::flex()))?;
+    Ok(parameters::count(&decoder))
+}
+
+/// What the networks of a config take in training.
+///
+/// # Errors
+/// If one cannot be built.
+pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
+    let own = CcMotionConfig::of(config)?;
+    let CcMotionNetwork::Unet1d(network) = &own.model.network;
+    let frames = config.data.target_frames;
+    let unet = denoiser(config, &Device::flex())?;
+    let a_pass = network.activations(frames);
+    if !RecipeName::of(config)?.trains_through_sampler() {
+        return Ok(Footprint {
+            parameters: parameters::count(&unet) as u64,
+            activations: a_pass,
+        });
+    }
+    let unet = match &own.lora {
+        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
+        None => unet,
+    };
+    let parameters = parameters::count(&unet) + decoder_parameters(config)?;
+    Ok(Footprint {
+        parameters: parameters as u64,
+        activations: own.rollout.steps_kept() * a_pass + own.decoder.activations(frames),
+    })
 }
 
 /// Denoiser and decoder as the config's recipe trains them, with fresh weights.

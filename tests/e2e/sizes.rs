@@ -1,0 +1,198 @@
+//! Work that takes more memory than there is, and files without an end: refused with exit code 2.
+
+use std::fs;
+use std::process::Command;
+
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.write("walks.toml", SMALLEST_WALKS);
+    sandbox
+}
+
+/// What is said of work that does not fit.
+const ESTIMATE: [&str; 3] = ["needs about", "GiB of memory are free", "hint:"];
+
+#[test]
+fn training_that_does_not_fit_is_refused_with_an_estimate() {
+    let sandbox = sandbox();
+    for settings in [
+        "--set model.model_channels=65536",
+        "--set model.num_res_blocks=1024 --set model.model_channels=4096",
+        "--set data.target_frames=216000 --set data.batch_size=65536",
+        "--set data.synthetic.phrases=1000000 --set data.synthetic.frames=216000",
+        "--set train.recipe=e2e --set decoder.hidden_dim=65536",
+        "--set train.recipe=e2e --set lora.rank=65536 --set model.model_channels=4096",
+        "--set train.recipe=e2e --set decoder.num_layers=1024 --set decoder.hidden_dim=8192",
+    ] {
+        sandbox
+            .run(&format!("train c.toml {settings}"))
+            .failed(2, &ESTIMATE);
+        // As a comment beside the config.
+        let shown = sandbox.run(&format!("config show c.toml {settings}"));
+        let estimate = shown.succeeded().stdout;
+        assert!(estimate.contains("# memory: about "), "{estimate}");
+    }
+    let settings = "--set model.latent_dim=65536 --set model.dim_mults=[1.0,1.0]";
+    sandbox
+        .run(&format!("train walks.toml {settings}"))
+        .failed(2, &ESTIMATE);
+    assert!(!sandbox.path("runs").exists());
+}
+
+#[test]
+fn sizes_beyond_all_machines_are_refused_by_key() {
+    let sandbox = sandbox();
+    for (config, setting, key) in [
+        (
+            "c",
+            "model.num_res_blocks=1000000000000000000",
+            "model.num_res_blocks",
+        ),
+        (
+            "c",
+            "model.channel_mult=[1,9223372036854775807]",
+            "model.channel_mult",
+        ),
+        (
+            "c",
+            "model.model_channels=9223372036854775776",
+            "model.model_channels",
+        ),
+        (
+            "c",
+            "model.time_embed_dim=9223372036854775806",
+            "model.time_embed_dim",
+        ),
+        (
+            "c",
+            "model.context_dim=9223372036854775807",
+            "model.context_dim",
+        ),
+        (
+            "walks",
+            "model.latent_dim=9223372036854775806",
+            "model.latent_dim",
+        ),
+        (
+            "walks",
+            "model.padded_frames=9223372036854775806",
+            "model.padded_frames",
+        ),
+        ("walks", "model.dim_mults=[1e18]", "model.dim_mults"),
+        (
+            "walks",
+            "evaluation.obstacles=9223372036854775807",
+            "evaluation.obstacles",
+        ),
+        (
+            "walks",
+            "evaluation.keyframes=9223372036854775807",
+            "evaluation.keyframes",
+        ),
+    ] {
+        sandbox
+            .run(&format!("config show {config}.toml --set {setting}"))
+            .failed(2, &[key, "allowed"]);
+    }
+    for setting in [
+        "decoder.num_layers=1000000000000000000",
+        "decoder.hidden_dim=9223372036854775807",
+        "lora.rank=9223372036854775807",
+    ] {
+        let key = setting.split('=').next().expect("a key");
+        sandbox
+            .run(&format!(
+                "config show c.toml --set train.recipe=e2e --set {setting}"
+            ))
+            .failed(2, &[key, "allowed"]);
+    }
+}
+
+#[test]
+fn samples_that_do_not_fit_are_refused_with_an_estimate() {
+    let sandbox = sandbox();
+    for config in ["c", "walks"] {
+        sandbox
+            .run(&format!(
+                "train {config}.toml --name {config} --set train.max_steps=1"
+            ))
+            .succeeded();
+    }
+    for command in [
+        "sample runs/walks --count 1000000000 --out d",
+        "sample runs/walks --count 18446744073709551615 --out d",
+        "eval runs/c --set evaluation.seeds=100000000",
+    ] {
+        sandbox.run(command).failed(2, &ESTIMATE);
+    }
+    sandbox.write(
+        "goal.toml",
+        "frames = 1000000000\n[[keyframe]]\nframe = 1\nx = 0\nz = 0\n",
+    );
+    sandbox
+        .run("sample runs/walks --goal goal.toml --out d")
+        .failed(2, &["frames", "216000"]);
+}
+
+#[test]
+fn pipes_devices_and_endless_files_are_not_read() {
+    let sandbox = sandbox();
+    sandbox
+        .run("train c.toml --name r --set train.max_steps=1")
+        .succeeded();
+    sandbox
+        .run("train walks.toml --name w --set train.max_steps=1")
+        .succeeded();
+    let pipe = sandbox.path("pipe");
+    let made = Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+    assert!(made.success());
+    // Of 5 GiB, though it takes no room.
+    let sparse = fs::File::create(sandbox.path("sparse")).expect("a file");
+    sparse.set_len(5 << 30).expect("room");
+    for file in ["pipe", "/dev/zero", "sparse"] {
+        for ending in ["pt", "npz", "npy", "flac", "toml"] {
+            let _ = fs::remove_file(sandbox.path(format!("in.{ending}")));
+            let target = match file {
+                "/dev/zero" => file.into(),
+                _ => sandbox.path(file),
+            };
+            std::os::unix::fs::symlink(target, sandbox.path(format!("in.{ending}")))
+                .expect("a link");
+        }
+        for command in [
+            "config show in.toml",
+            "train in.toml",
+            "data prepare in.toml --out set",
+            "sample runs/w --goal in.toml --out d",
+            "sample runs/w --text-embedding in.pt#key --out d",
+            "sample runs/r --cond in.npz --out d",
+            "check in.npy",
+            "plot in.npy --out p.svg",
+            "train c.toml --name x --set data.validation.ids_file=in.toml",
+            "import in.pt --arch gmd_motion --mean in.npy --std in.npy --out i",
+            "audio features in.flac --out f",
+        ] {
+            let finished = sandbox.run(command);
+            assert!(
+                matches!(finished.code, Some(1 | 2)) && !finished.stderr.contains("panicked"),
+                "{command} of {file}: {finished:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn losses_beyond_all_axes_leave_gaps_in_a_plot() {
+    let sandbox = sandbox();
+    let line = |step: u64, loss: f64| format!("{{\"step\":{step},\"loss\":{loss:e}}}\n");
+    let lines: String = (1..=9)
+        .map(|step| line(step, if step % 3 == 0 { 1e308 } else { -1e308 }))
+        .chain([line(10, 1.0), line(11, 2.0)])
+        .collect();
+    sandbox.write("runs/r/metrics.jsonl", lines);
+    sandbox.run("plot runs/r --out p.svg").succeeded();
+    assert!(sandbox.path("p.svg").exists());
+}
