@@ -215,6 +215,11 @@ def keep(tensors: dict[str, Tensor], key: str) -> Callable[..., None]:
     return lambda _module, _inputs, output: tensors.update({key: output})
 
 
+def expanded(folder: Path) -> None:
+    """Four gibibytes by their shape, from one stored number."""
+    torch.save({"weight": torch.zeros(1).expand(1 << 30)}, folder / "checkpoint_expanded.pt")
+
+
 def main() -> None:
     """Writes all files."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
@@ -222,6 +227,7 @@ def main() -> None:
     torch.set_num_threads(1)
     checkpoint(folder, "checkpoint_tiny", TINY, seed=1, bare=False)
     checkpoint(folder, "checkpoint_bare", PLAIN, seed=2, bare=True)
+    expanded(folder)
     transformer(folder)
     evaluator(folder)
 

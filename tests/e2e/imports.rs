@@ -12,7 +12,11 @@ use super::goals::{GOAL, sandbox, shape};
 /// A sandbox with the weights of `data_fixtures/gmd` and statistics for them.
 fn published() -> Sandbox {
     let sandbox = sandbox();
-    for name in ["checkpoint_tiny.pt", "checkpoint_bare.pt"] {
+    for name in [
+        "checkpoint_tiny.pt",
+        "checkpoint_bare.pt",
+        "checkpoint_expanded.pt",
+    ] {
         let bytes = fs::read(workspace().join("data_fixtures/gmd").join(name)).expect("a fixture");
         sandbox.write(name, bytes);
     }
@@ -63,6 +67,8 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("checkpoint_tiny.pt", "gmd_trajectory", "").failed(2, &["--mean"]);
     import("checkpoint_tiny.pt", "gmd_motion", statistics).failed(2, &["4 channels", "263"]);
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
+    // A tensor of 4 GiB that repeats one number.
+    import("checkpoint_expanded.pt", "gmd_trajectory", statistics).failed(2, &["can hold"]);
     write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
     import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
     write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");

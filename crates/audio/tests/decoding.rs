@@ -51,34 +51,6 @@ fn wav(format: u16, channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8>
     out
 }
 
-/// A FLAC file at 8000 Hz of `blocks` blocks of 65,535 equal samples: 14 bytes each.
-fn long_flac(blocks: u32) -> Vec<u8> {
-    let crc = |bytes: &[u8], width: u32, polynomial: u32| {
-        bytes.iter().fold(0u32, |crc, &byte| {
-            (0..8).fold(crc ^ u32::from(byte) << (width - 8), |crc, _| {
-                let top = crc >> (width - 1) & 1;
-                (crc << 1 ^ top * polynomial) & ((1 << width) - 1)
-            })
-        })
-    };
-    let mut out = b"fLaC\x80\0\0\x22\xff\xff\xff\xff\0\0\0\0\0\0".to_vec();
-    // Rate, one channel, 16 bits, and how many samples there are: not known.
-    out.extend((8000u64 << 44 | 15 << 36).to_be_bytes());
-    out.extend([0; 16]);
-    for block in 0..blocks {
-        let mut frame = vec![0xff, 0xf8, 0x74, 0x08];
-        let number = char::from_u32(block).expect("few blocks");
-        frame.extend(number.encode_utf8(&mut [0; 4]).as_bytes());
-        frame.extend([0xff, 0xfe]);
-        frame.push(crc(&frame, 8, 0x07) as u8);
-        // A constant.
-        frame.extend([0, 0, 100]);
-        frame.extend((crc(&frame, 16, 0x8005) as u16).to_be_bytes());
-        out.extend(frame);
-    }
-    out
-}
-
 fn stereo_wav() -> Vec<u8> {
     let data: Vec<u8> = tones()
         .iter()
@@ -195,18 +167,6 @@ fn errors_name_the_file_and_the_reason() {
         read(wav(3, 1, SAMPLE_RATE, 32, &nan)),
         Err(Error::DecodedSample { .. })
     ));
-}
-
-#[test]
-fn small_files_of_many_hours_are_refused() {
-    let minute = read(long_flac(8)).expect("a minute");
-    assert_eq!(minute.skipped_packets, 0);
-    let samples = (8 * 65_535 * u64::from(SAMPLE_RATE)).div_ceil(8000);
-    assert_eq!(minute.samples.len() as u64, samples);
-    let bytes = long_flac(880);
-    assert!(bytes.len() < 15_000);
-    let error = read(bytes).expect_err("more than two hours");
-    assert!(matches!(error, Error::TooLong { hours: 2, .. }), "{error}");
 }
 
 #[test]

@@ -98,7 +98,7 @@ fn errors_name_the_key_what_was_found_and_what_is_allowed() {
 #[test]
 fn a_goal_without_contents_or_frames_is_refused() {
     assert_eq!(Goal::new(9).validate().unwrap_err().key, "goal");
-    assert!(message(&Goal::new(0)).starts_with("`frames` is 0, allowed: 1 or more"));
+    assert!(message(&Goal::new(0)).starts_with("`frames` is 0, allowed: 1 to 216000"));
     let mut goal = Goal::new(9);
     goal.obstacles = vec![disc(0.0, 0.0, 1.0), disc(0.0, 0.0, 0.0)];
     assert!(message(&goal).starts_with("`obstacle[1].radius` is 0"));

@@ -7,6 +7,8 @@ mod folder;
 mod resolve;
 mod state;
 mod tensors;
+#[cfg(test)]
+mod tests;
 
 pub use folder::Checkpoints;
 pub use resolve::resolve_checkpoint;

@@ -1,0 +1,74 @@
+//! Checkpoints whose checksums are right and whose content is not.
+
+use std::fs;
+
+use super::*;
+use crate::systems::BUILT_IN;
+
+fn state() -> State {
+    let config = BUILT_IN.parse("", "c.toml", &[]).expect("the defaults");
+    State {
+        format: FORMAT,
+        kinegrad: "0.1.0".into(),
+        step: 3,
+        config,
+        statistics: Default::default(),
+        dataset_sha256: None,
+        progress: Progress::default(),
+        checksums: Default::default(),
+    }
+}
+
+fn info(name: &str) -> ParameterInfo {
+    ParameterInfo {
+        name: name.into(),
+        shape: vec![2],
+    }
+}
+
+/// Saves two weights; returns the checkpoint's folder.
+fn saved(run: &Path) -> std::path::PathBuf {
+    let values = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
+    let checkpoint = CheckpointRef {
+        state: &state(),
+        infos: &[info("a"), info("b")],
+        model: &values,
+        ema: &values,
+        moments: &[],
+    };
+    Checkpoints::of(run).save(checkpoint).expect("saved")
+}
+
+/// The reason that the checkpoint in `path` is damaged.
+fn damage(path: &Path) -> String {
+    match Checkpoint::read(path) {
+        Err(Error::CheckpointDamaged { reason, .. }) => reason,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn averages_of_other_weights_are_damage() {
+    let run = tempfile::tempdir().expect("a folder");
+    let path = saved(run.path());
+    Checkpoint::read(&path).expect("a good checkpoint");
+    // As long a file, with a checksum of its own.
+    let mut state = State::read(&path).expect("a state");
+    let file = Weights::Ema.file();
+    let one = [("b".to_string(), &[4][..], &[1.0f32, 2.0, 3.0, 4.0][..])];
+    let checksum = tensors::write(&path.join(file), one).expect("written");
+    state.checksums.insert(file.into(), checksum);
+    fs::write(path.join("state.json"), state.to_text()).expect("written");
+    assert!(damage(&path).contains("other tensors"));
+}
+
+#[test]
+fn numbers_that_no_config_can_hold_are_damage() {
+    let run = tempfile::tempdir().expect("a folder");
+    let path = saved(run.path());
+    let mut state = State::read(&path).expect("a state");
+    state.config.train.max_steps = u64::MAX;
+    fs::write(path.join("state.json"), state.to_text()).expect("written");
+    let reason = damage(&path);
+    assert!(reason.contains("`train.max_steps`"), "{reason}");
+}
