@@ -21,7 +21,9 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
         reason: error.to_string(),
     })?;
     let tensors: BTreeMap<String, Tensor> = read.into_tensors().into_iter().collect();
-    let held = std::fs::metadata(path).map_err(Error::io("read", path))?.len();
+    let held = std::fs::metadata(path)
+        .map_err(Error::io("read", path))?
+        .len();
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
     let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
     match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(held)) {
