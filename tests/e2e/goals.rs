@@ -295,6 +295,18 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         &["goal.toml", "keyframes"],
     );
     refused("frames = 16\n", &["goal.toml"]);
+    refused(
+        "frames = 16\nweights = [1.0, 2.0]\nkeyframe = [{ frame = 1, x = 0.0, z = 0.0 }]\n",
+        &["goal.toml", "`weights`", "a list of 2 values"],
+    );
+    refused(
+        "frames = 16\nkeyframe = [[1, 0.0, 0.0]]\n",
+        &["goal.toml", "`keyframe[0]`", "a list of 3 values"],
+    );
+    refused(
+        "frames = 16\n[[keyframe]]\nframe = 1\nx = nan\nz = 0.0\n",
+        &["`keyframe[0].x`", "NaN is not a finite number"],
+    );
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/gmd_motion --audio song.mp3 --out walk")

@@ -12,4 +12,6 @@ mod own_system;
 mod plans;
 mod preparation;
 mod resume;
+mod run_folders;
+mod stages;
 mod train;

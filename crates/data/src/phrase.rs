@@ -127,9 +127,9 @@ mod tests {
         bad.motion.frame_mut(2)[0] = -1e30;
         let (motion, audio) = files(&bad, 9, 9);
         let message = parse(&motion, &audio).unwrap_err().to_string();
-        let expected = "in frame 2, channel position.x; numbers from -1e9 to 1e9 allowed";
+        let expected = "in frame 2, channel position.x; numbers from -1e6 to 1e6 allowed";
         assert!(message.contains(expected), "{message}");
-        bad.motion.frame_mut(2)[0] = 1e9;
+        bad.motion.frame_mut(2)[0] = 1e6;
         bad.audio.channel_mut(0)[1] = 1e19;
         let (motion, audio) = files(&bad, 9, 9);
         let message = parse(&motion, &audio).unwrap_err().to_string();

@@ -21,6 +21,27 @@ pub(crate) fn has_begun(folder: &Path) -> Result<bool, Error> {
     Ok(folder.join(CONFIG).exists() || !Checkpoints::of(folder).steps()?.is_empty())
 }
 
+/// Rejects a folder that is a file, or would lie below one.
+///
+/// # Errors
+/// Names it.
+pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
+    let is_file = match fs::metadata(folder) {
+        Ok(found) => !found.is_dir(),
+        Err(error) => error.kind() == ErrorKind::NotADirectory,
+    };
+    match is_file {
+        false => Ok(()),
+        true => Err(Error::usage(
+            format!(
+                "{} cannot be a run's folder: a file is there, or in the place of a folder above it",
+                folder.display()
+            ),
+            "choose another `--name` or `--runs-dir`",
+        )),
+    }
+}
+
 /// Rejects the folder of a new run that holds something else than what a start of a run leaves
 /// that ends before its config is written, and folders of these `stages`.
 ///
@@ -29,12 +50,6 @@ pub(crate) fn has_begun(folder: &Path) -> Result<bool, Error> {
 pub(super) fn must_be_free(folder: &Path, stages: &[&str]) -> Result<(), Error> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        Err(error) if error.kind() == ErrorKind::NotADirectory => {
-            return Err(Error::usage(
-                format!("{} cannot be a run's folder: {error}", folder.display()),
-                "choose another `--name` or `--runs-dir`",
-            ));
-        }
         entries => entries.map_err(Error::io("list", folder))?,
     };
     for entry in entries {

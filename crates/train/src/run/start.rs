@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::folder::{exists_already, has_begun, lock, must_be_free};
+use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_be_free};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError};
@@ -102,6 +102,7 @@ pub fn train_config(
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
     let folder = runs_dir.join(&name);
+    must_be_a_folder(&folder)?;
     let mut exists = has_begun(&folder)?;
     for stage in system.stages() {
         exists |= has_begun(&folder.join(stage))?;
