@@ -266,6 +266,21 @@ fn bad_clips_are_refused_before_anything_is_written() {
     );
     refused(
         &|folder| {
+            for (name, value) in [("Mean_abs_3d.npy", 1e30), ("Std_abs_3d.npy", 1.0)] {
+                write_values(&folder.join(name), &[263], &[value; 263]).expect("a file");
+            }
+        },
+        &["Mean_abs_3d.npy", "channel root.", "from -1e6 to 1e6"],
+    );
+    refused(
+        &|folder| {
+            let path = folder.join(format!("new_joint_vecs/{}.npy", first(folder)));
+            write_values(&path, &[48, 263], &[-1e30; 48 * 263]).expect("a file");
+        },
+        &["new_joint_vecs", "channel root.", "from -1e6 to 1e6"],
+    );
+    refused(
+        &|folder| {
             let path = folder.join(format!("texts/{}.txt", first(folder)));
             fs::remove_file(path).expect("a file");
         },

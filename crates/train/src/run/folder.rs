@@ -47,7 +47,7 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
 ///
 /// # Errors
 /// Names what it holds.
-pub(super) fn must_be_free(folder: &Path, stages: &[&str]) -> Result<(), Error> {
+pub(super) fn must_hold_no_other(folder: &Path, stages: &[&str]) -> Result<(), Error> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         entries => entries.map_err(Error::io("list", folder))?,

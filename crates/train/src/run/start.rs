@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_be_free};
+use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError};
@@ -133,7 +133,7 @@ pub fn train_config(
         Some(saved) => config::must_continue(&system.moved(saved, &folder)?, &config)?,
         None => {
             system.must_use(&config)?;
-            must_be_free(&folder, system.stages())?;
+            must_hold_no_other(&folder, system.stages())?;
         }
     }
 
