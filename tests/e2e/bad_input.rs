@@ -119,6 +119,32 @@ fn values_out_of_range_name_key_value_and_range() {
 }
 
 #[test]
+fn lists_in_the_place_of_tables_are_named() {
+    let sandbox = sandbox();
+    for (settings, key) in [
+        ("optim=[0.5]", "`optim`"),
+        ("optim=[]", "`optim`"),
+        ("data.synthetic=[64]", "`data.synthetic`"),
+        ("sampling.sampler=[\"ddim\"]", "`sampling.sampler`"),
+        ("init=[\"runs/x\"]", "`init`"),
+        ("diffusion=[1000]", "`diffusion`"),
+    ] {
+        let texts = [key, "a list of", "allowed: a table"];
+        refused(&sandbox, &format!("--set {settings}"), &texts);
+    }
+    sandbox.write(
+        "c.toml",
+        format!("optim = [0.5]\n{SMALLEST}").replace("[optim]", "[ema]"),
+    );
+    refused(&sandbox, "", &["c.toml"]);
+    sandbox.write(
+        "c.toml",
+        "ema.decay = 0.5\noptim = [0.5]\n[run]\nname = \"x\"\n",
+    );
+    refused(&sandbox, "", &["c.toml:2: `optim`: a list of 1 values"]);
+}
+
+#[test]
 fn options_that_became_keys_name_the_key() {
     let sandbox = sandbox();
     for (command, texts) in [
@@ -203,6 +229,58 @@ fn missing_and_empty_datasets_are_named() {
     fs::create_dir_all(sandbox.path("set/motion")).expect("folders");
     fs::create_dir_all(sandbox.path("set/audio_features")).expect("folders");
     refused(&sandbox, PHRASES, &["no phrase"]);
+}
+
+/// Changes one number of every frame of a phrase's motion, and one of its audio features.
+fn enlarge(sandbox: &Sandbox, id: &str, position: f32, mel: f32) {
+    let path = sandbox.path(format!("set/motion/{id}/trajectory.npy"));
+    let mut motion = kinegrad_data::read_motion(&path).expect("a motion");
+    (0..motion.frames()).for_each(|frame| motion.frame_mut(frame)[0] = position);
+    write_motion(&path, &motion).expect("npy");
+    let path = sandbox.path(format!("set/audio_features/{id}/features.npz"));
+    let audio = kinegrad_data::read_features(&path).expect("features");
+    let mut values = audio.as_slice().to_vec();
+    values[..audio.frames()].fill(mel);
+    let audio = AudioFeatures::new(audio.frames(), values).expect("as many");
+    write_features(&path, &audio).expect("npz");
+}
+
+#[test]
+fn numbers_too_large_to_train_on_are_named_and_smaller_ones_train() {
+    let sandbox = sandbox();
+    let train = format!("{PHRASES} --set train.max_steps=3");
+    let largest = kinegrad_data::LARGEST;
+    for index in 0..6 {
+        phrase(&sandbox, &format!("p{index}"), 30);
+    }
+    enlarge(&sandbox, "p3", 1e30, 0.0);
+    let texts = [
+        "`p3`",
+        "trajectory.npy",
+        "channel position.x",
+        "from -1e6 to 1e6",
+    ];
+    refused(&sandbox, &train, &texts);
+    enlarge(&sandbox, "p3", 0.0, 1e19);
+    let texts = ["`p3`", "features.npz", "channel mel[0]", "from -1e6 to 1e6"];
+    refused(&sandbox, &train, &texts);
+
+    for index in 0..6 {
+        enlarge(&sandbox, &format!("p{index}"), largest, largest);
+    }
+    sandbox
+        .run(&format!("train c.toml {train} --name constant"))
+        .succeeded();
+    for index in 0..3 {
+        enlarge(&sandbox, &format!("p{index}"), -largest, -largest);
+    }
+    let through_sampler = "--set train.recipe=e2e --set init.pretrain.diffusion_steps=2 \
+        --set init.pretrain.decoder_steps=2 --set decoder.hidden_dim=32 --set rollout.steps=2";
+    for settings in ["--name one", through_sampler] {
+        sandbox
+            .run(&format!("train c.toml {train} {settings}"))
+            .succeeded();
+    }
 }
 
 #[test]

@@ -327,6 +327,23 @@ fn a_loss_that_is_no_number_stops_with_step_tensor_and_last_good_checkpoint() {
 }
 
 #[test]
+fn weights_that_are_not_finite_are_never_a_good_checkpoint() {
+    let sandbox = sandbox();
+    let settings = "--set optim.learning_rate=1e39 --set optim.warmup_steps=0 \
+                    --set train.max_grad_norm=0.0 --set validation.every_steps=0 \
+                    --set checkpoint.every_steps=1";
+    let texts = [
+        "step 1: the parameter `",
+        "is not finite; last good checkpoint: none yet",
+    ];
+    sandbox
+        .run(&format!("train c.toml {settings}"))
+        .failed(1, &texts);
+    let written = sandbox.list("runs/smallest/checkpoints");
+    assert!(written.is_empty(), "{written:?}");
+}
+
+#[test]
 fn only_the_newest_and_the_best_checkpoints_are_kept() {
     let sandbox = sandbox();
     let settings = "--set checkpoint.keep_last=2 --set validation.every_steps=4";

@@ -266,6 +266,21 @@ fn bad_clips_are_refused_before_anything_is_written() {
     );
     refused(
         &|folder| {
+            for (name, value) in [("Mean_abs_3d.npy", 1e30), ("Std_abs_3d.npy", 1.0)] {
+                write_values(&folder.join(name), &[263], &[value; 263]).expect("a file");
+            }
+        },
+        &["Mean_abs_3d.npy", "channel root.", "from -1e6 to 1e6"],
+    );
+    refused(
+        &|folder| {
+            let path = folder.join(format!("new_joint_vecs/{}.npy", first(folder)));
+            write_values(&path, &[48, 263], &[-1e30; 48 * 263]).expect("a file");
+        },
+        &["new_joint_vecs", "channel root.", "from -1e6 to 1e6"],
+    );
+    refused(
+        &|folder| {
             let path = folder.join(format!("texts/{}.txt", first(folder)));
             fs::remove_file(path).expect("a file");
         },
@@ -295,6 +310,18 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         &["goal.toml", "keyframes"],
     );
     refused("frames = 16\n", &["goal.toml"]);
+    refused(
+        "frames = 16\nweights = [1.0, 2.0]\nkeyframe = [{ frame = 1, x = 0.0, z = 0.0 }]\n",
+        &["goal.toml", "`weights`", "a list of 2 values"],
+    );
+    refused(
+        "frames = 16\nkeyframe = [[1, 0.0, 0.0]]\n",
+        &["goal.toml", "`keyframe[0]`", "a list of 3 values"],
+    );
+    refused(
+        "frames = 16\n[[keyframe]]\nframe = 1\nx = nan\nz = 0.0\n",
+        &["`keyframe[0].x`", "NaN is not a finite number"],
+    );
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/gmd_motion --audio song.mp3 --out walk")

@@ -12,5 +12,7 @@ mod own_system;
 mod plans;
 mod preparation;
 mod resume;
+mod run_folders;
 mod sizes;
+mod stages;
 mod train;

@@ -67,6 +67,19 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         ),
         ("output = \"o\"", &["nothing to prepare"]),
         (
+            "output = \"o\"\nphrases = [60, 60]",
+            &[
+                "plan.toml",
+                "`phrases`",
+                "a list of 2 values",
+                "allowed: a table",
+            ],
+        ),
+        (
+            "output = \"o\"\njoining.max_step_seconds = inf",
+            &["`joining.max_step_seconds`", "inf is not a finite number"],
+        ),
+        (
             "output = \"o\"\n[[take]]\nmotion = \"captures/no.bvh\"\naudio = \"none\"",
             &["there is no file", "no.bvh"],
         ),
@@ -108,7 +121,7 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         (
             "output = \"o\"\n[[take]]\nmotion = \"captures/one.bvh\"\naudio = \"none\"\n\
              beats = { start_seconds = 0, seconds_per_beat = 0.5, beats_per_bar = 4, beats = nan }",
-            &["beats: `beats` is NaN"],
+            &["`take[0].beats.beats`", "NaN is not a finite number"],
         ),
         (
             "output = \"o\"\n[phrases]\nframes = 900\n[[take]]\nmotion = \"captures/*.bvh\"\naudio = \"none\"",

@@ -56,6 +56,13 @@ impl TrainProgress {
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
+
+    /// Says that nothing is left that a checkpoint would save: Ctrl-C ends the process from now on.
+    /// Whether it has asked for a stop already.
+    pub fn end_training(&self) -> bool {
+        self.trains.store(false, Ordering::SeqCst);
+        self.stop_requested()
+    }
 }
 
 impl Observer for TrainProgress {

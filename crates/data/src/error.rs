@@ -7,6 +7,7 @@ use kinegrad_settings::InvalidSetting;
 use miette::Diagnostic;
 use thiserror::Error;
 
+use crate::magnitude::allowed;
 use crate::{Item, StoreError};
 
 /// Why one array file could not be used. `file` is its path, followed by `:member` inside an
@@ -182,11 +183,12 @@ impl FileError {
         Self::unusable(file, problem, hint)
     }
 
-    /// The error about a value that is NaN or infinite; frames count from 0.
-    pub(crate) fn non_finite(file: &str, frame: usize, channel: String, value: f32) -> Self {
-        let problem =
-            format!("{value} in frame {frame}, channel {channel}; finite numbers allowed");
-        let hint = "repair or leave out the phrase; kinegrad never fills gaps by itself";
+    /// The error about a value that is not [usable]; frames count from 0.
+    ///
+    /// [usable]: crate::magnitude::is_usable
+    pub(crate) fn not_usable(file: &str, frame: usize, channel: String, value: f32) -> Self {
+        let (allowed, hint) = allowed(value);
+        let problem = format!("{value} in frame {frame}, channel {channel}; {allowed} allowed");
         Self::unusable(file, problem, hint)
     }
 }

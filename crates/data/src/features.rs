@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use kinegrad_audio::Features;
 
+use crate::magnitude::{first_unusable, is_usable};
+
 /// The arrays of `features.npz` in the order in which they are stacked, with their rows.
 pub const FEATURES: [(&str, usize); 6] = [
     ("mel", 128),
@@ -113,17 +115,11 @@ impl AudioFeatures {
         }
     }
 
-    /// Frame and channel of the first value, in time, that is NaN or infinite.
-    pub fn first_non_finite(&self) -> Option<(usize, usize)> {
-        // Without branches, which is quick, for all but the bad ones.
-        let values = self.values.iter();
-        if values
-            .clone()
-            .fold(true, |all, value| all & value.is_finite())
-        {
-            return None;
-        }
-        let bad = values.enumerate().filter(|(_, value)| !value.is_finite());
+    /// Frame and channel of the first value, in time, that is NaN, infinite or too large.
+    pub(crate) fn first_unusable(&self) -> Option<(usize, usize)> {
+        first_unusable(&self.values)?;
+        let values = self.values.iter().enumerate();
+        let bad = values.filter(|&(_, &value)| !is_usable(value));
         bad.map(|(place, _)| (place % self.frames, place / self.frames))
             .min()
     }
@@ -171,9 +167,9 @@ mod tests {
     #[test]
     fn the_first_bad_value_in_time_is_found() {
         let mut features = AudioFeatures::zeros(6);
-        assert_eq!(features.first_non_finite(), None);
+        assert_eq!(features.first_unusable(), None);
         features.channel_mut(3)[4] = f32::NAN;
         features.channel_mut(100)[2] = f32::INFINITY;
-        assert_eq!(features.first_non_finite(), Some((2, 100)));
+        assert_eq!(features.first_unusable(), Some((2, 100)));
     }
 }

@@ -40,6 +40,7 @@ mod library;
 mod listing;
 mod loader;
 mod location;
+mod magnitude;
 pub mod manifest;
 mod npy;
 mod npz;
@@ -74,6 +75,7 @@ pub use layout::{
     AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
 };
 pub use loader::{Loader, Samples};
+pub use magnitude::LARGEST;
 pub use npy::{
     Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
     write_values,

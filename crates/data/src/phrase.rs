@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use kinegrad_motion::{FPS, Motion, channel_name};
+use kinegrad_motion::{CHANNELS, FPS, Motion, channel_name};
 
 use crate::features::{AudioFeatures, audio_channel_name};
+use crate::magnitude::first_unusable;
 use crate::{FileError, npy, npz};
 
 /// A phrase: motion `[frames, 25]` and audio features `[163, frames]` over the same frames.
@@ -24,21 +25,22 @@ impl Phrase {
     /// returns a note where they differ by more than a frame.
     ///
     /// # Errors
-    /// [`FileError`] for a file that cannot be used, and for a number that is not finite, wherever
-    /// it stands.
+    /// [`FileError`] for a file that cannot be used, and for a number that is not finite or larger
+    /// than [`LARGEST`](crate::LARGEST), wherever it stands.
     pub(crate) fn parse(
         id: &str,
         (motion, name): (&[u8], &str),
         (audio, audio_name): (&[u8], &str),
     ) -> Result<(Self, Option<String>), FileError> {
         let mut motion = npy::parse_motion(motion, name)?;
-        if let Some((frame, channel)) = motion.first_non_finite() {
+        if let Some(place) = first_unusable(motion.as_slice()) {
+            let (frame, channel) = (place / CHANNELS, place % CHANNELS);
             let value = motion.frame(frame)[channel];
             let channel = channel_name(channel);
-            return Err(FileError::non_finite(name, frame, channel, value));
+            return Err(FileError::not_usable(name, frame, channel, value));
         }
         let mut features = npz::parse_features(audio, audio_name)?;
-        check_finite(&features, audio_name)?;
+        check_usable(&features, audio_name)?;
         let (motion_frames, audio_frames) = (motion.frames(), features.frames());
         let frames = motion_frames.min(audio_frames);
         let note = (motion_frames.abs_diff(audio_frames) > 1).then(|| {
@@ -71,20 +73,21 @@ impl Phrase {
 /// Reads the audio features `[163, frames]` of a `features.npz` outside any dataset.
 ///
 /// # Errors
-/// [`FileError`] for a file that cannot be used or holds a number that is not finite.
+/// [`FileError`] for a file that cannot be used or holds a number that is not finite or larger than
+/// [`LARGEST`](crate::LARGEST).
 pub fn load_audio(path: &Path) -> Result<AudioFeatures, FileError> {
     let audio = npz::read_features(path)?;
-    check_finite(&audio, &path.display().to_string())?;
+    check_usable(&audio, &path.display().to_string())?;
     Ok(audio)
 }
 
-fn check_finite(audio: &AudioFeatures, file: &str) -> Result<(), FileError> {
-    let Some((frame, channel)) = audio.first_non_finite() else {
+fn check_usable(audio: &AudioFeatures, file: &str) -> Result<(), FileError> {
+    let Some((frame, channel)) = audio.first_unusable() else {
         return Ok(());
     };
     let value = audio.channel(channel)[frame];
     let channel = audio_channel_name(channel);
-    Err(FileError::non_finite(file, frame, channel, value))
+    Err(FileError::not_usable(file, frame, channel, value))
 }
 
 #[cfg(test)]
@@ -116,6 +119,25 @@ mod tests {
             assert_eq!(phrase.motion, whole.motion.slice(0..frames));
             assert_eq!(phrase.audio, whole.audio.slice(0..frames));
         }
+    }
+
+    #[test]
+    fn numbers_too_large_to_train_on_are_named_with_what_is_allowed() {
+        let mut bad = synthetic::phrase(0, 9, 1);
+        bad.motion.frame_mut(2)[0] = -1e30;
+        let (motion, audio) = files(&bad, 9, 9);
+        let message = parse(&motion, &audio).unwrap_err().to_string();
+        let expected = "in frame 2, channel position.x; numbers from -1e6 to 1e6 allowed";
+        assert!(message.contains(expected), "{message}");
+        bad.motion.frame_mut(2)[0] = 1e6;
+        bad.audio.channel_mut(0)[1] = 1e19;
+        let (motion, audio) = files(&bad, 9, 9);
+        let message = parse(&motion, &audio).unwrap_err().to_string();
+        assert!(message.contains("features.npz: 1"), "{message}");
+        assert!(
+            message.contains("channel mel[0]; numbers from"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -8,6 +8,10 @@
 //! assert_eq!(refused.to_string(), "`data.batch_size` is 0, allowed: 1 to 64");
 //! ```
 
+mod document;
+
+pub use document::{Unfit, must_be_finite, must_be_tables};
+
 use std::fmt::Display;
 use std::ops::{Bound, RangeBounds};
 

@@ -4,5 +4,6 @@ mod folder;
 mod setup;
 mod start;
 
+pub(crate) use folder::has_begun;
 pub use setup::{Material, Outcome, Setup};
 pub use start::{TrainRequest, load_config, train, train_config};

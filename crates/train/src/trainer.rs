@@ -81,6 +81,7 @@ impl<R: Recipe> Trainer<R> {
         parts: TrainerParts<R>,
         model: R::Model,
         checkpoint: Option<Checkpoint>,
+        observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
         let infos = parameters::infos(&model);
         let optim = &parts.config.optim;
@@ -116,7 +117,7 @@ impl<R: Recipe> Trainer<R> {
             groups: groups.collect(),
             optimizer,
             ema: Ema::new(&parts.config.ema, shadow),
-            metrics: Metrics::open(&parts.folder, step)?,
+            metrics: Metrics::open(&parts.folder, step, &mut |text| observer.warning(text))?,
             loader_log: LoaderLog::open(&parts.folder, parts.loader.report())?,
             infos,
             parts,
@@ -233,7 +234,8 @@ impl<R: Recipe> Trainer<R> {
                 .loss(model, &batch, key, &self.parts.device);
             let value = f64::from(computed.total.clone().into_scalar::<f32>());
             if !value.is_finite() {
-                return Err(self.not_finite(find_not_finite(model, &batch, computed)));
+                let tensor = find_not_finite(model, &batch, computed);
+                return Err(self.not_finite(self.step + 1, tensor));
             }
             loss += value / micro_batches as f64;
             for (index, (name, term)) in computed.terms.iter().enumerate() {
@@ -259,7 +261,7 @@ impl<R: Recipe> Trainer<R> {
                 .iter()
                 .position(|g| g.iter().any(|v| !v.is_finite()));
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
-            return Err(self.not_finite(format!("the gradient of `{name}`")));
+            return Err(self.not_finite(self.step + 1, format!("the gradient of `{name}`")));
         }
         let names = self.parts.groups;
         let rates: Vec<f64> = names
@@ -324,7 +326,8 @@ impl<R: Recipe> Trainer<R> {
             let what = broken.map_or("the validation loss".into(), |(name, _)| {
                 format!("the validation term `{name}`")
             });
-            return Err(self.not_finite(format!("{what} of the averaged weights")));
+            let tensor = format!("{what} of the averaged weights");
+            return Err(self.not_finite(self.step, tensor));
         }
         let mut record = Record::new(self.step).with("val_loss", total);
         for (name, value) in terms {
@@ -366,18 +369,17 @@ impl<R: Recipe> Trainer<R> {
             checksums: Default::default(),
         };
         let weights = parameters::values(self.model.as_ref().expect("held between updates"));
-        for (info, values) in self.infos.iter().zip(&weights) {
-            if !values.iter().all(|value| value.is_finite()) {
-                return Err(self.not_finite(format!("the parameter `{}`", info.name)));
-            }
-        }
-        let path = self.checkpoints.save(CheckpointRef {
+        let checkpoint = CheckpointRef {
             state: &state,
             infos: &self.infos,
             model: &weights,
             ema: self.ema.shadow(),
             moments: self.optimizer.moments(),
-        })?;
+        };
+        if let Some(tensor) = checkpoint.not_finite() {
+            return Err(self.not_finite(self.step, tensor));
+        }
+        let path = self.checkpoints.save(checkpoint)?;
         self.checkpoints.set_best(self.progress.best().as_ref())?;
         self.checkpoints.prune(
             self.step,
@@ -389,13 +391,14 @@ impl<R: Recipe> Trainer<R> {
         Ok(())
     }
 
-    fn not_finite(&self, tensor: String) -> Error {
+    /// The error of `step`, in which `tensor` came to hold an infinity or NaN.
+    fn not_finite(&self, step: u64, tensor: String) -> Error {
         let last_good = match &self.last_saved {
             Some(path) => path.display().to_string(),
             None => "none yet".to_string(),
         };
         Error::NotFinite {
-            step: self.step + 1,
+            step,
             tensor,
             last_good,
         }

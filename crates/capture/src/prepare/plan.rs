@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
+use kinegrad_settings::{must_be_finite, must_be_tables};
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
 use super::units::Units;
 use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
@@ -14,7 +16,7 @@ use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
 const SMALLEST_UNIT: f64 = 1e-9;
 
 /// A plan, as its TOML file writes it. Paths are relative to that file.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     /// Where the dataset goes: a folder, `gs://BUCKET/PREFIX` or `s3://BUCKET/PREFIX`.
@@ -122,7 +124,7 @@ pub struct SegmentPlan {
 }
 
 /// Dances of the ChoreoNet data: units of capture on the beats of songs.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChoreonetPlan {
     /// JSON list of dances: `dance_type`, `dance_id`, `start_pos` and `end_pos` at 25 frames per
@@ -162,6 +164,11 @@ impl Plan {
             let place = place.unwrap_or_default();
             Error::plan(path, format!("{place}{}", error.message()))
         })?;
+        let given: Table = text.parse().expect("text that was just parsed");
+        let read = Table::try_from(&plan).expect("a plan is plain data");
+        must_be_finite(&given)
+            .and_then(|()| must_be_tables(&given, &read))
+            .map_err(|unfit| Error::plan(path, unfit))?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
         plan.check().map_err(|problem| Error::plan(path, problem))?;
         Ok(plan)

@@ -17,11 +17,24 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     let PlotArguments { input, out } = arguments;
     check_ending(&out).map_err(unusable)?;
     let panels = if input.join("metrics.jsonl").exists() {
-        loss_panels(&read_metrics(&input)?)
+        let records = read_metrics(&input, &mut |text| tell!("warning: {text}"))?;
+        if records.is_empty() {
+            let metrics = input.join("metrics.jsonl");
+            return Err(Error::usage(
+                format!("{} has no line that can be plotted", metrics.display()),
+                "a run writes one every `train.log_every_steps` steps",
+            ));
+        }
+        loss_panels(&records)
     } else if input.is_file() {
         let array = read_array(&input)?;
         let representation = systems.representation_of(&input, &array.shape, &array.values)?;
         motion_panels(&*representation, &array.values)
+    } else if input.join("config.toml").exists() || input.join("checkpoints").exists() {
+        return Err(Error::usage(
+            format!("the run {} has no metrics.jsonl to plot", input.display()),
+            "training writes it; runs that were imported or merged have none",
+        ));
     } else {
         let message = format!(
             "there is neither a motion file nor a run at {}",

@@ -1,6 +1,6 @@
 //! `kinegrad sample`
 
-use std::path::{Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_capture::Bvh;
@@ -26,6 +26,7 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
             "ask for at least one sample",
         ));
     }
+    let mut files = Files::new(&arguments.out)?;
     let subject = subject(systems, &arguments.run, &arguments.draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = Request {
@@ -45,7 +46,6 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
         seed: arguments.seed,
     };
     let (system, _) = systems.of(&subject.config)?;
-    let mut files = Files::new(&arguments.out);
     let remark = system.sample(&subject, &request, &mut files)?;
     say_remark(remark);
     Ok(ExitCode::SUCCESS)
@@ -99,14 +99,34 @@ pub struct Files {
 
 impl Files {
     /// Files with the prefix `out`; each is printed.
-    fn new(out: &Path) -> Self {
+    ///
+    /// # Errors
+    /// If `out` names a folder: the files would have no name.
+    fn new(out: &Path) -> Result<Self, Error> {
         let text = out.to_string_lossy();
-        Self {
-            stem: text.strip_suffix(".npy").unwrap_or(&text).to_string(),
+        let stem = text.strip_suffix(".npy").unwrap_or(&text);
+        let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
+        if matches!(name, None | Some("" | "." | "..")) {
+            let folder = match stem {
+                "" => "./",
+                folder => folder,
+            };
+            return Err(Error::usage(
+                format!(
+                    "`--out {text}` names no file: it is the beginning of a path, such as dances/one"
+                ),
+                format!(
+                    "for files in that folder: `--out {}`",
+                    Path::new(folder).join("sample").display()
+                ),
+            ));
+        }
+        Ok(Self {
+            stem: stem.to_string(),
             bar: None,
             says: true,
             written: 0,
-        }
+        })
     }
 
     /// Files in `folder` that are not printed.

@@ -44,8 +44,15 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     if outcome.ending == Some(Ending::Interrupted) {
         return Ok(ExitCode::from(130));
     }
-    let missing = outcome.ending.is_some() || !outcome.folder.join(SAMPLES).exists();
+    let missing = outcome.ending.is_some()
+        || !outcome.folder.join(SAMPLES).exists()
+        || outcome.folder.join(UNFINISHED).exists();
     if missing && outcome.config.sampling.count_at_end > 0 {
+        if progress.end_training() {
+            tell!("stopped before the samples were drawn; `--resume` draws them");
+            return Ok(ExitCode::from(130));
+        }
+        // The outcome holds the run's lock until they are.
         draw_samples(systems, &outcome)?;
     }
     Ok(ExitCode::SUCCESS)
@@ -74,8 +81,11 @@ fn summarise(outcome: &Outcome, started: Instant) {
 /// Folder of the samples drawn at a run's end, in the run's folder.
 const SAMPLES: &str = "samples";
 
+/// Folder that they are drawn into; where it is left, `--resume` draws them again.
+const UNFINISHED: &str = ".writing-samples";
+
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
-/// ends before, none.
+/// ends before they are drawn, none.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = systems.trained(&path, &[], Weights::Ema, None)?;
@@ -89,13 +99,13 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
         seed: outcome.config.run.seed,
     };
     let folder = outcome.folder.join(SAMPLES);
-    let unfinished = outcome.folder.join(".writing-samples");
+    let unfinished = outcome.folder.join(UNFINISHED);
     let (system, _) = systems.of(&subject.config)?;
     remove(&unfinished)?;
+    fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
     let mut files = Files::silent(&unfinished);
     let remark = system.sample(&subject, &request, &mut files)?;
-    remove(&folder)?;
-    fs::rename(&unfinished, &folder).map_err(Error::io("rename", &unfinished))?;
+    move_into(&unfinished, &folder)?;
     say!(
         "\n{} samples of step {} in {}",
         files.written(),
@@ -104,6 +114,19 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     );
     say_remark(remark);
     Ok(())
+}
+
+/// Moves a folder, or what it holds into one that is there, over files of the same names.
+fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
+    if !to.exists() {
+        return fs::rename(from, to).map_err(Error::io("rename", from));
+    }
+    for entry in fs::read_dir(from).map_err(Error::io("list", from))? {
+        let name = entry.map_err(Error::io("list", from))?.file_name();
+        let target = to.join(&name);
+        fs::rename(from.join(name), &target).map_err(Error::io("write", &target))?;
+    }
+    remove(from)
 }
 
 /// Removes a folder that may not be there.

@@ -10,6 +10,7 @@ use kinegrad_motion::metrics::text_motion::Token;
 use crate::files::Files;
 use crate::library::{Origin, Reading, Wanted};
 use crate::listing::Expected;
+use crate::magnitude::first_unusable;
 use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
 
 use super::config::SkeletonName;
@@ -117,10 +118,10 @@ pub fn parse_features(
     let layout = skeleton.layout();
     let array = npy::parse(bytes, file)?;
     let channels = check_width(&array.shape, 2, file, skeleton)?;
-    if let Some(place) = array.values.iter().position(|value| !value.is_finite()) {
+    if let Some(place) = first_unusable(&array.values) {
         let (frame, channel) = (place / channels, place % channels);
         let channel = layout.channel_name(channel);
-        return Err(FileError::non_finite(
+        return Err(FileError::not_usable(
             file,
             frame,
             channel,

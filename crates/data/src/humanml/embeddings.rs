@@ -9,6 +9,7 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
 use crate::file::{MAX_TENSOR_BYTES, read_file};
+use crate::magnitude::{allowed, first_unusable};
 use crate::{Digest, FileError};
 
 /// The longest file of embeddings.
@@ -116,10 +117,10 @@ fn rows(id: &str, tensor: &TensorView, file: &str) -> Result<Vec<Arc<[f32]>>, Fi
             return Err(unexpected(format!("shape {found:?}"), &expected));
         }
     }
-    if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+    if let Some(place) = first_unusable(&values) {
         let (row, channel) = (place / TEXT_CHANNELS, place % TEXT_CHANNELS);
         let found = format!("{} in row {row}, channel {channel}", values[place]);
-        return Err(unexpected(found, "finite numbers"));
+        return Err(unexpected(found, &allowed(values[place]).0));
     }
     let rows = values.chunks_exact(TEXT_CHANNELS);
     Ok(rows.map(Arc::from).collect())

@@ -4,6 +4,7 @@ use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Statistics};
 
 use crate::files::Files;
+use crate::magnitude::{allowed, first_unusable};
 use crate::{Digest, Error, FileError, npy};
 
 use super::clip::check_width;
@@ -65,6 +66,14 @@ fn read(
     let name = files.store.name_of(path);
     let array = npy::parse(&bytes, &name)?;
     check_width(&array.shape, 1, &name, skeleton)?;
+    if let Some(channel) = first_unusable(&array.values) {
+        let value = array.values[channel];
+        let (allowed, _) = allowed(value);
+        let channel = skeleton.layout().channel_name(channel);
+        let hint = "without both files the statistics are taken from the training clips";
+        let found = format!("{value} in channel {channel}");
+        return Err(FileError::unexpected(name, found, allowed, hint).into());
+    }
     let values = array.values.into_iter().map(f64::from).collect();
     Ok(Some((values, digest)))
 }

@@ -193,13 +193,20 @@ pub(crate) fn write_weights(
     model: &[Vec<f32>],
     ema: &[Vec<f32>],
 ) -> Result<PathBuf, Error> {
-    Checkpoints::of(out).save(CheckpointRef {
+    let checkpoint = CheckpointRef {
         state,
         infos,
         model,
         ema,
         moments: &[],
-    })
+    };
+    match checkpoint.not_finite() {
+        None => Checkpoints::of(out).save(checkpoint),
+        Some(tensor) => Err(Error::usage(
+            format!("{tensor} holds a number that is not finite: nothing is written"),
+            "no motion can be drawn with such weights; take those of an earlier step",
+        )),
+    }
 }
 
 fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error> {
@@ -262,4 +269,90 @@ fn remove(path: &Path) -> Result<(), Error> {
 fn flush_folder(path: &Path) -> Result<(), Error> {
     let folder = fs::File::open(path).map_err(Error::io("open", path))?;
     folder.sync_all().map_err(Error::io("flush", path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checkpoint::{FORMAT, Progress};
+    use crate::config::Config;
+    use crate::optim::Moments;
+
+    fn state(step: u64) -> State {
+        State {
+            format: FORMAT,
+            kinegrad: String::new(),
+            step,
+            config: Config::default(),
+            statistics: kinegrad_motion::Statistics::unit(2),
+            dataset_sha256: None,
+            progress: Progress::default(),
+            checksums: BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_named_before_they_are_saved_and_never_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let checkpoints = Checkpoints::of(folder.path());
+        let infos = [ParameterInfo {
+            name: "weight".into(),
+            shape: vec![2],
+        }];
+        let good = [vec![1.0f32, 2.0]];
+        let means = |exp_avg_sq: Vec<f32>| Moments {
+            exp_avg: vec![0.0; 2],
+            exp_avg_sq,
+        };
+        let good_means = [means(vec![0.0; 2])];
+        let (first, later) = (state(1), state(2));
+        let whole = CheckpointRef {
+            state: &first,
+            infos: &infos,
+            model: &good,
+            ema: &good,
+            moments: &good_means,
+        };
+        assert_eq!(whole.not_finite(), None);
+        checkpoints.save(whole).expect("saved");
+        let whole = CheckpointRef {
+            state: &later,
+            ..whole
+        };
+
+        let bad = [vec![1.0f32, f32::NAN]];
+        let bad_means = [means(vec![f32::INFINITY, 0.0])];
+        let cases = [
+            (
+                CheckpointRef {
+                    model: &bad,
+                    ..whole
+                },
+                "the parameter",
+            ),
+            (CheckpointRef { ema: &bad, ..whole }, "the averaged"),
+            (
+                CheckpointRef {
+                    moments: &bad_means,
+                    ..whole
+                },
+                "running mean",
+            ),
+        ];
+        for (broken, what) in cases {
+            let named = broken.not_finite().expect(what);
+            assert!(
+                named.contains(what) && named.contains("`weight`"),
+                "{named}"
+            );
+            // Its checksums are right.
+            let path = checkpoints.save(broken).expect("saved");
+            let mut skipped = Vec::new();
+            let newest = checkpoints.newest_good(|error| skipped.push(error.to_string()));
+            let newest = newest.expect("listed").expect("a good one");
+            assert_eq!(newest.state.step, 1);
+            assert!(skipped[0].contains("not finite"), "{skipped:?}");
+            remove(&path).expect("removed");
+        }
+    }
 }

@@ -63,6 +63,13 @@ impl Checkpoint {
     }
 }
 
+/// Whether all are finite numbers.
+pub(crate) fn are_finite(values: &[f32]) -> bool {
+    // Without branches, which is quick.
+    let values = values.iter();
+    values.fold(true, |all, value| all & value.is_finite())
+}
+
 /// Borrowed form of a [`Checkpoint`], for writing without copying the tensors.
 #[derive(Clone, Copy, Debug)]
 pub struct CheckpointRef<'a> {
@@ -76,4 +83,21 @@ pub struct CheckpointRef<'a> {
     pub ema: &'a [Vec<f32>],
     /// The optimiser's running means; none of weights without an optimiser.
     pub moments: &'a [Moments],
+}
+
+impl CheckpointRef<'_> {
+    /// In words, the first tensor that holds an infinity or NaN: with one a checkpoint would be
+    /// read as damaged.
+    pub(crate) fn not_finite(&self) -> Option<String> {
+        let broken = |tensors: &[Vec<f32>]| tensors.iter().position(|values| !are_finite(values));
+        let of = |what: &str, index: usize| format!("{what} `{}`", self.infos[index].name);
+        let moments = || {
+            let means = |m: &Moments| are_finite(&m.exp_avg) && are_finite(&m.exp_avg_sq);
+            self.moments.iter().position(|moments| !means(moments))
+        };
+        broken(self.model)
+            .map(|index| of("the parameter", index))
+            .or_else(|| broken(self.ema).map(|index| of("the averaged parameter", index)))
+            .or_else(|| moments().map(|index| of("the optimiser's running mean of", index)))
+    }
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use safetensors::{Dtype, SafeTensors, View};
 
+use super::are_finite;
 use super::state::{State, read_file, sha256};
 use crate::Error;
 use crate::optim::Moments;
@@ -78,7 +79,7 @@ pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 /// Reads the weights of the checkpoint in `path`, verified against `state`.
 ///
 /// # Errors
-/// If the file is missing or damaged.
+/// If the file is missing or damaged, or holds a number that is not finite.
 pub fn read_weights(
     path: &Path,
     state: &State,
@@ -127,7 +128,11 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
             if view.dtype() != Dtype::F32 {
                 return Err(damaged(format!("`{name}` is {:?}, not F32", view.dtype())));
             }
-            let values = bytemuck::pod_collect_to_vec(view.data());
+            let values: Vec<f32> = bytemuck::pod_collect_to_vec(view.data());
+            if !are_finite(&values) {
+                let reason = format!("`{name}` holds a number that is not finite");
+                return Err(damaged(reason));
+            }
             let info = ParameterInfo {
                 name: name.to_string(),
                 shape: view.shape().to_vec(),

@@ -1,11 +1,12 @@
 //! Tables of TOML: laid over each other, read into settings, changed key by key, with errors that
 //! name file, line, key, what was found and what is allowed.
 
+use kinegrad_settings::Unfit;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::{COMMON, Config, ConfigError, MODEL_KEYS};
+use super::{COMMON, Config, ConfigError, MODEL_KEYS, PLAIN};
 
 /// Says where a dotted key stands, such as `FILE:LINE`.
 pub type Place<'a> = &'a dyn Fn(&str) -> String;
@@ -56,30 +57,36 @@ pub(crate) fn from_table<T: DeserializeOwned>(
 /// # Errors
 /// Names the first such key.
 pub(crate) fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), ConfigError> {
-    match table.iter().find_map(|(key, value)| not_finite(key, value)) {
-        None => Ok(()),
-        Some((key, number)) => Err(ConfigError::Value {
-            place: place(&key),
-            message: format!("{number} is not a finite number"),
-            key,
-            hint: "write a number, or leave the key out for its default".into(),
-        }),
-    }
+    let hint = "write a number, or leave the key out for its default";
+    kinegrad_settings::must_be_finite(table).map_err(|unfit| unfit_at(place, unfit, hint))
 }
 
-/// The first number in `value`, which stands at `key`, that is not finite, and its key.
-fn not_finite(key: &str, value: &Value) -> Option<(String, f64)> {
-    match value {
-        Value::Float(number) => (!number.is_finite()).then(|| (key.to_string(), *number)),
-        Value::Array(values) => {
-            let mut values = values.iter().enumerate();
-            values.find_map(|(index, value)| not_finite(&format!("{key}[{index}]"), value))
-        }
-        Value::Table(table) => {
-            let mut entries = table.iter();
-            entries.find_map(|(name, value)| not_finite(&format!("{key}.{name}"), value))
-        }
-        _ => None,
+/// Rejects lists where `config`, which `given` was read as, has tables.
+///
+/// # Errors
+/// Names the first such key.
+pub(crate) fn must_be_tables(
+    given: &Table,
+    config: &Config,
+    place: Place<'_>,
+) -> Result<(), ConfigError> {
+    let read = Table::try_from(config).expect(PLAIN);
+    let tables = kinegrad_settings::must_be_tables(given, &read);
+    tables.map_err(|unfit| {
+        unfit_at(
+            place,
+            unfit,
+            "name each value: `[table]`, then `key = value`",
+        )
+    })
+}
+
+fn unfit_at(place: Place<'_>, unfit: Unfit, hint: &str) -> ConfigError {
+    ConfigError::Value {
+        place: place(&unfit.key),
+        key: unfit.key,
+        message: unfit.problem,
+        hint: hint.into(),
     }
 }
 

@@ -1,16 +1,79 @@
 //! The files of a run's folder that are not checkpoints: its config and its lock.
 
 use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
 use std::path::Path;
+use std::sync::Arc;
 
+use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config};
 use crate::error::Error;
 
+const CONFIG: &str = "config.toml";
+const UNFINISHED_CONFIG: &str = ".writing-config.toml";
+const LOCK: &str = "lock";
+
+/// Whether `folder` holds a run: its config or, where that was lost, a checkpoint.
+///
+/// # Errors
+/// If the checkpoints cannot be listed.
+pub(crate) fn has_begun(folder: &Path) -> Result<bool, Error> {
+    Ok(folder.join(CONFIG).exists() || !Checkpoints::of(folder).steps()?.is_empty())
+}
+
+/// Rejects a folder that is a file, or would lie below one.
+///
+/// # Errors
+/// Names it.
+pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
+    let is_file = match fs::metadata(folder) {
+        Ok(found) => !found.is_dir(),
+        Err(error) => error.kind() == ErrorKind::NotADirectory,
+    };
+    match is_file {
+        false => Ok(()),
+        true => Err(Error::usage(
+            format!(
+                "{} cannot be a run's folder: a file is there, or in the place of a folder above it",
+                folder.display()
+            ),
+            "choose another `--name` or `--runs-dir`",
+        )),
+    }
+}
+
+/// Rejects the folder of a new run that holds something else than what a start of a run leaves
+/// that ends before its config is written, and folders of these `stages`.
+///
+/// # Errors
+/// Names what it holds.
+pub(super) fn must_hold_no_other(folder: &Path, stages: &[&str]) -> Result<(), Error> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(Error::io("list", folder))?,
+    };
+    for entry in entries {
+        let name = entry.map_err(Error::io("list", folder))?.file_name();
+        let own = [LOCK, UNFINISHED_CONFIG].iter().chain(stages);
+        if !own.into_iter().any(|own| name == *own) {
+            return Err(Error::usage(
+                format!(
+                    "{} exists and is no run: it holds `{}` and no {CONFIG}",
+                    folder.display(),
+                    name.display()
+                ),
+                "choose another `--name` or `--runs-dir`, or move away what is in that folder",
+            ));
+        }
+    }
+    Ok(())
+}
+
 /// Replaces the run's `config.toml` in one step.
 pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> {
-    let temporary = folder.join(".writing-config.toml");
+    let temporary = folder.join(UNFINISHED_CONFIG);
     fs::write(&temporary, config::to_toml(config)).map_err(Error::io("write", &temporary))?;
-    let target = folder.join("config.toml");
+    let target = folder.join(CONFIG);
     fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
 }
 
@@ -22,9 +85,9 @@ pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
     )
 }
 
-/// Takes the run's lock, which ends with this process however it ends.
-pub(super) fn lock(folder: &Path) -> Result<File, Error> {
-    let path = folder.join("lock");
+/// Takes the run's lock, which ends with what is returned, or with this process however it ends.
+pub(super) fn lock(folder: &Path) -> Result<Arc<File>, Error> {
+    let path = folder.join(LOCK);
     let file = File::options()
         .create(true)
         .truncate(false)
@@ -32,7 +95,7 @@ pub(super) fn lock(folder: &Path) -> Result<File, Error> {
         .open(&path)
         .map_err(Error::io("open", &path))?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => Ok(Arc::new(file)),
         Err(TryLockError::WouldBlock) => Err(Error::usage(
             format!(
                 "another process is using the run folder {}",

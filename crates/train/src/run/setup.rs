@@ -2,13 +2,14 @@
 
 use std::fs::{self, File};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use burn::tensor::Device;
 use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
-use super::folder::{exists_already, write_config};
+use super::folder::{exists_already, has_begun, write_config};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
@@ -31,6 +32,8 @@ pub struct Outcome {
     pub progress: Progress,
     /// The resolved config.
     pub config: Config,
+    /// The run's lock: no other process continues the run or adds to its folder while this is held.
+    pub lock: Option<Arc<File>>,
 }
 
 /// A run whose request has been checked.
@@ -47,7 +50,7 @@ pub struct Setup {
     pub device: Device,
     pub(super) device_name: String,
     /// Taken already where the run existed before.
-    pub(super) lock: Option<File>,
+    pub(super) lock: Option<Arc<File>>,
 }
 
 /// What a run is trained on.
@@ -197,6 +200,7 @@ impl Setup {
                 step,
                 progress,
                 config,
+                lock,
             });
         }
 
@@ -207,7 +211,7 @@ impl Setup {
             None => {
                 let lock = super::folder::lock(&folder)?;
                 // Another process may have begun or ended the run since this one looked.
-                if folder.join("config.toml").exists() || !checkpoints.steps()?.is_empty() {
+                if has_begun(&folder)? {
                     return Err(exists_already(&config.run.name, &folder));
                 }
                 lock
@@ -232,9 +236,8 @@ impl Setup {
             dataset: material.digest,
             folder: folder.clone(),
         };
-        let mut trainer = Trainer::new(parts, model, checkpoint)?;
+        let mut trainer = Trainer::new(parts, model, checkpoint, observer)?;
         let ending = trainer.run(observer)?;
-        drop(lock);
         let (step, progress) = (trainer.step(), trainer.progress().clone());
         Ok(Outcome {
             folder,
@@ -242,6 +245,7 @@ impl Setup {
             step,
             progress,
             config,
+            lock: Some(lock),
         })
     }
 }

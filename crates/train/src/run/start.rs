@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::folder::{exists_already, lock};
+use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError};
@@ -103,9 +103,11 @@ pub fn train_config(
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
     let folder = runs_dir.join(&name);
-    let exists = folder.join("config.toml").exists()
-        || system.has_begun(&folder)
-        || !Checkpoints::of(&folder).steps()?.is_empty();
+    must_be_a_folder(&folder)?;
+    let mut exists = has_begun(&folder)?;
+    for stage in system.stages() {
+        exists |= has_begun(&folder.join(stage))?;
+    }
     match (exists, resume) {
         (true, false) => return Err(exists_already(&name, &folder)),
         (false, true) if !folder.exists() => {
@@ -115,21 +117,26 @@ pub fn train_config(
         _ => {}
     }
     let lock = exists.then(|| lock(&folder)).transpose()?;
-    let checkpoint = if resume {
-        let checkpoint = Checkpoints::of(&folder).newest_good(|damaged| {
-            observer.warning(&format!("{damaged}; falling back to the one before"));
-        })?;
-        let saved = match &checkpoint {
-            Some(checkpoint) => Some(systems.completed(&checkpoint.state.config)?),
-            None => saved_config(systems, &folder)?,
-        };
-        if let Some(saved) = saved {
-            config::must_continue(&saved, &config)?;
+    let (checkpoint, saved) = match resume {
+        false => (None, None),
+        true => {
+            let checkpoint = Checkpoints::of(&folder).newest_good(|damaged| {
+                observer.warning(&format!("{damaged}; falling back to the one before"));
+            })?;
+            let saved = match &checkpoint {
+                Some(checkpoint) => Some(systems.completed(&checkpoint.state.config)?),
+                None => saved_config(systems, &folder)?,
+            };
+            (checkpoint, saved)
         }
-        checkpoint
-    } else {
-        None
     };
+    match saved {
+        Some(saved) => config::must_continue(&system.moved(saved, &folder)?, &config)?,
+        None => {
+            system.must_use(&config)?;
+            must_hold_no_other(&folder, system.stages())?;
+        }
+    }
 
     let (device, device_name) = crate::device::open(&config.run.device)?;
     let on_host = crate::device::is_host(&device_name);

@@ -11,7 +11,7 @@ use kinegrad_data::file::read_text;
 use crate::checkpoint::{State, Weights};
 use crate::config::{
     self, Config, ConfigError, Place, TrainConfig, apply, lay_over, line_of, must_be_finite,
-    not_among, start_of,
+    must_be_tables, not_among, start_of,
 };
 use crate::error::Error;
 use crate::sampling::Subject;
@@ -121,7 +121,9 @@ impl Systems<'_> {
         lay_over(&mut table, given.clone());
         let config: Config = config::from_table(&table, place)?;
         let system = system.complete(&config.system, place)?;
-        Ok(Config { system, ..config })
+        let config = Config { system, ..config };
+        must_be_tables(given, &config, place)?;
+        Ok(config)
     }
 
     /// Rejects values that cannot work and returns warnings.

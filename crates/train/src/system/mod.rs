@@ -57,9 +57,28 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Whether a run in `folder` has started stages that precede its own training.
-    fn has_begun(&self, _folder: &Path) -> bool {
-        false
+    /// Rejects settings that the recipe of a new run would not use. Runs that exist are not asked:
+    /// what older versions saved is resumed and sampled.
+    ///
+    /// # Errors
+    /// Names the first such key.
+    fn must_use(&self, _config: &Config) -> Result<(), Error> {
+        Ok(())
+    }
+
+    /// Names of the runs that a run trains before itself, in folders of these names in its own.
+    fn stages(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// The `saved` config of the run in `folder`, with paths between the [stages](Self::stages) of
+    /// a run as they are now: they are relative to the working directory of the process that wrote
+    /// them.
+    ///
+    /// # Errors
+    /// If the system cannot read its tables.
+    fn moved(&self, saved: Config, _folder: &Path) -> Result<Config, Error> {
+        Ok(saved)
     }
 
     /// Number of parameters of the networks of `config`, without adapters.
@@ -170,11 +189,22 @@ impl<'a> Systems<'a> {
     }
 
     /// The recipe of that name and its system.
+    ///
+    /// # Panics
+    /// Panics if two recipes have that name: a list of systems in which one hides another's recipe
+    /// is a fault of the program.
     pub fn of_recipe(self, name: &str) -> Option<(&'a dyn System, &'static RecipeInfo)> {
-        self.0.iter().find_map(|system| {
-            let recipe = system.recipes().iter().find(|recipe| recipe.name == name);
-            Some((*system, recipe?))
-        })
+        let all = self.0.iter().flat_map(|system| {
+            let recipes = system.recipes().iter();
+            recipes.map(move |recipe| (*system, recipe))
+        });
+        let mut found = all.filter(|(_, recipe)| recipe.name == name);
+        let first = found.next()?;
+        if let Some((other, _)) = found.next() {
+            let (first, other) = (first.0.name(), other.name());
+            panic!("two recipes are called `{name}`: of the systems `{first}` and `{other}`");
+        }
+        Some(first)
     }
 
     /// The system and the recipe of a run.
@@ -203,5 +233,26 @@ impl<'a> Systems<'a> {
             system: system.complete(&config.system, &|_| "the saved config".into())?,
             ..config.clone()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::systems::BUILT_IN;
+    use crate::systems::cc_motion::CcMotion;
+
+    #[test]
+    fn every_recipe_is_of_one_system() {
+        for recipe in BUILT_IN.recipes() {
+            assert!(BUILT_IN.of_recipe(recipe.name).is_some());
+        }
+        assert!(BUILT_IN.of_recipe("nobody's").is_none());
+    }
+
+    #[test]
+    #[should_panic(expected = "two recipes are called `decoder`: of the systems `cc_motion` and")]
+    fn a_list_in_which_one_recipe_hides_another_is_refused() {
+        Systems(&[&CcMotion, &CcMotion]).of_recipe("decoder");
     }
 }

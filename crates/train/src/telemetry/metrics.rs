@@ -9,6 +9,9 @@ use super::EventFile;
 use super::appended::{Appended, now};
 use crate::Error;
 
+/// Name of the file in a run's folder.
+const FILE: &str = "metrics.jsonl";
+
 /// One line of metrics: a step and named scalars, in the order they were added.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
@@ -61,18 +64,25 @@ pub struct Metrics {
 
 impl Metrics {
     /// Opens the metrics of the run in `folder`, cut back to `step`: later lines were written by
-    /// a process that died before its checkpoint.
+    /// a process that died before its checkpoint. Damaged lines before them stay as they are;
+    /// `warn` is told of them.
     ///
     /// # Errors
     /// If a file cannot be read or written.
-    pub fn open(folder: &Path, step: u64) -> Result<Self, Error> {
-        let path = folder.join("metrics.jsonl");
+    pub fn open(folder: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
+        let path = folder.join(FILE);
         // At step 0 a run starts anew, and measures its start again.
         let kept = match step {
             0 => 0,
-            _ => kept_bytes(&path, step)?,
+            _ => {
+                let (kept, damaged) = kept_bytes(&path, step)?;
+                if let Some(damage) = damage(&path, &damaged) {
+                    warn(&format!("{damage}; what was written after it stays too"));
+                }
+                kept
+            }
         };
-        let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step)?;
+        let events = EventFile::open(&folder.join("events.out.tfevents.kinegrad"), step, warn)?;
         Ok(Self {
             file: Appended::open(&path)?.cut_back(kept)?,
             events,
@@ -117,26 +127,54 @@ impl Metrics {
     }
 }
 
-/// Length of the file's beginning whose lines are whole and not beyond `step`.
-fn kept_bytes(path: &Path, step: u64) -> Result<u64, Error> {
+/// Length of the file's beginning whose lines are whole and not beyond `step`, and the numbers of
+/// those that are damaged, from 1.
+fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
     let file = match File::open(path) {
         Ok(file) => file,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(0),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((0, Vec::new())),
         Err(error) => return Err(Error::io("read", path)(error)),
     };
     let mut reader = BufReader::new(file);
-    let mut kept = 0;
+    let (mut kept, mut damaged) = (0, Vec::new());
     let mut line = Vec::new();
-    loop {
+    for number in 1.. {
         line.clear();
         let bytes = reader
             .read_until(b'\n', &mut line)
             .map_err(Error::io("read", path))?;
-        let whole = line.last() == Some(&b'\n');
-        match parse(&line).filter(|record| whole && record.step <= step) {
-            Some(_) => kept += bytes as u64,
-            None => return Ok(kept),
+        // Of a process that died within a line.
+        let torn = line.last() != Some(&b'\n');
+        match parse(&line) {
+            _ if torn => break,
+            Some(record) if record.step > step => break,
+            Some(_) => {}
+            None => damaged.push(number),
         }
+        kept += bytes as u64;
+    }
+    Ok((kept, damaged))
+}
+
+/// Most damaged lines that are named one by one.
+const NAMED: usize = 5;
+
+/// Says which lines of the file at `path` are damaged; nothing where none is.
+fn damage(path: &Path, lines: &[usize]) -> Option<String> {
+    let named: Vec<String> = lines.iter().take(NAMED).map(usize::to_string).collect();
+    let more = match lines.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let (path, named) = (path.display(), named.join(", "));
+    match lines.len() {
+        0 => None,
+        1 => Some(format!(
+            "{path}: line {named} is damaged: it stays as it is and is not plotted"
+        )),
+        _ => Some(format!(
+            "{path}: lines {named}{more} are damaged: they stay as they are and are not plotted"
+        )),
     }
 }
 
@@ -152,17 +190,28 @@ fn parse(line: &[u8]) -> Option<Record> {
     })
 }
 
-/// Reads the metrics of the run in `folder`; broken lines are left out.
+/// Reads the metrics of the run in `folder`; damaged lines are left out, and `warn` is told of
+/// them.
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn read_metrics(folder: &Path) -> Result<Vec<Record>, Error> {
-    let path = folder.join("metrics.jsonl");
+pub fn read_metrics(folder: &Path, warn: &mut dyn FnMut(&str)) -> Result<Vec<Record>, Error> {
+    let path = folder.join(FILE);
     let text = std::fs::read(&path).map_err(Error::io("read", &path))?;
-    Ok(text
-        .split(|&byte| byte == b'\n')
-        .filter_map(parse)
-        .collect())
+    let lines = text.split_inclusive(|&byte| byte == b'\n');
+    let (mut records, mut damaged) = (Vec::new(), Vec::new());
+    for (number, line) in (1..).zip(lines) {
+        match parse(line) {
+            Some(record) => records.push(record),
+            None if line.ends_with(b"\n") => damaged.push(number),
+            // The last, which is being written.
+            None => {}
+        }
+    }
+    if let Some(damage) = damage(&path, &damaged) {
+        warn(&damage);
+    }
+    Ok(records)
 }
 
 #[cfg(test)]
@@ -175,7 +224,8 @@ mod tests {
     #[test]
     fn reopening_cuts_back_lines_beyond_the_step_and_a_torn_one() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut metrics = Metrics::open(folder.path(), 0).expect("metrics");
+        let mut warned = |text: &str| panic!("{text}");
+        let mut metrics = Metrics::open(folder.path(), 0, &mut warned).expect("metrics");
         for step in 1..=5 {
             metrics
                 .write(&Record::new(step).with("loss", step as f64 / 3.0))
@@ -187,14 +237,40 @@ mod tests {
         file.write_all(b"{\"step\":2,\"lo").expect("a torn line");
         drop(file);
 
-        let mut metrics = Metrics::open(folder.path(), 3).expect("metrics");
+        let mut metrics = Metrics::open(folder.path(), 3, &mut warned).expect("metrics");
         metrics
             .write(&Record::new(4).with("loss", 9.0))
             .expect("a line");
-        let records = read_metrics(folder.path()).expect("records");
+        let records = read_metrics(folder.path(), &mut warned).expect("records");
         let steps: Vec<u64> = records.iter().map(|r| r.step).collect();
         assert_eq!(steps, [1, 2, 3, 4]);
         assert_eq!(records[0].get("loss"), Some(1.0 / 3.0));
         assert_eq!(records[3].get("loss"), Some(9.0));
+    }
+
+    #[test]
+    fn a_damaged_line_stays_is_named_and_takes_none_with_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(FILE);
+        let lines = [
+            "{\"step\":1}",
+            "{\"st",
+            "{\"step\":2}",
+            "\u{0}",
+            "{\"step\":9}",
+        ];
+        std::fs::write(&path, lines.join("\n") + "\n").expect("written");
+        let mut warnings = Vec::new();
+        let mut warn = |text: &str| warnings.push(text.to_string());
+        Metrics::open(folder.path(), 5, &mut warn).expect("metrics");
+        let text = std::fs::read_to_string(&path).expect("text");
+        assert_eq!(text, lines[..4].join("\n") + "\n");
+        let records = read_metrics(folder.path(), &mut warn).expect("records");
+        let steps: Vec<u64> = records.iter().map(|r| r.step).collect();
+        assert_eq!(steps, [1, 2]);
+        assert_eq!(warnings.len(), 2);
+        for warning in warnings {
+            assert!(warning.contains("lines 2, 4 are damaged"), "{warning}");
+        }
     }
 }

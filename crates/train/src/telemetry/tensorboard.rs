@@ -18,11 +18,12 @@ pub struct EventFile {
 
 impl EventFile {
     /// Opens the file at `path` for appending, cut back to events not beyond `step`; a new file
-    /// gets its first record.
+    /// gets its first record. Nothing behind a damaged event can be read: `warn` is told that it is
+    /// cut off.
     ///
     /// # Errors
     /// If the file cannot be read or written.
-    pub fn open(path: &Path, step: u64) -> Result<Self, Error> {
+    pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
         let mut bytes = Vec::new();
         if let Ok(mut file) = File::open(path) {
             file.read_to_end(&mut bytes)
@@ -32,6 +33,12 @@ impl EventFile {
             0 => 0,
             _ => kept_bytes(&bytes, step),
         };
+        if step > 0 && is_damaged(&bytes[kept..]) {
+            warn(&format!(
+                "{}: damaged after {kept} bytes: what follows is cut off, and is in metrics.jsonl",
+                path.display()
+            ));
+        }
         let mut file = Appended::open(path)?.cut_back(kept as u64)?;
         if kept == 0 {
             let mut event = Vec::new();
@@ -112,6 +119,23 @@ fn kept_bytes(bytes: &[u8], step: u64) -> usize {
     kept
 }
 
+/// Whether `bytes` begin with a record that is not as it was written. One that its end is missing
+/// from is of a process that died.
+fn is_damaged(bytes: &[u8]) -> bool {
+    let Some((length, rest)) = bytes.split_first_chunk::<8>() else {
+        return false;
+    };
+    let Some((crc, rest)) = rest.split_first_chunk::<4>() else {
+        return false;
+    };
+    if u32::from_le_bytes(*crc) != masked_crc(length) {
+        return true;
+    }
+    let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    let whole = length.saturating_add(4) <= rest.len();
+    whole && split_record(bytes).is_none()
+}
+
 fn split_record(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     let (_, rest) = rest.split_first_chunk::<4>()?;
@@ -156,7 +180,7 @@ mod tests {
     fn reopening_cuts_back_events_beyond_the_step_and_a_torn_record() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("events");
-        let mut events = EventFile::open(&path, 0).expect("events");
+        let mut events = EventFile::open(&path, 0, &mut |text| panic!("{text}")).expect("events");
         for step in [1, 200, 70_000] {
             events
                 .write(step, 1.0e9, &[("loss".into(), 0.5)])
@@ -167,10 +191,21 @@ mod tests {
         let mut torn = std::fs::read(&path).expect("bytes");
         torn.truncate(torn.len() - 3);
         std::fs::write(&path, torn).expect("torn");
-        EventFile::open(&path, 200)
+        EventFile::open(&path, 200, &mut |text| panic!("{text}"))
             .expect("events")
             .write(201, 1.0e9, &[])
             .expect("an event");
         assert_eq!(steps(&path), [0, 1, 200, 201]);
+
+        // Of the event of step 1, whose record follows the first of 16 and 14 bytes.
+        let mut flipped = std::fs::read(&path).expect("bytes");
+        flipped[45] ^= 1;
+        std::fs::write(&path, flipped).expect("written");
+        let mut warned = String::new();
+        EventFile::open(&path, 201, &mut |text| warned = text.into()).expect("events");
+        assert!(
+            warned.contains("events: damaged after 31 bytes"),
+            "{warned}"
+        );
     }
 }

@@ -80,8 +80,16 @@ impl System for CcMotion {
         }
     }
 
-    fn has_begun(&self, folder: &Path) -> bool {
-        pretrain::has_begun(folder)
+    fn must_use(&self, config: &Config) -> Result<(), Error> {
+        start::must_use(config)
+    }
+
+    fn stages(&self) -> &'static [&'static str] {
+        &pretrain::STAGES
+    }
+
+    fn moved(&self, saved: Config, folder: &Path) -> Result<Config, Error> {
+        pretrain::moved(saved, folder)
     }
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {

@@ -7,7 +7,7 @@ use super::{CcMotion, CcMotionConfig, InitConfig};
 use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::run::{Outcome, train_config};
+use crate::run::{Outcome, has_begun, train_config};
 use crate::system::Systems;
 use crate::trainer::Ending;
 
@@ -15,12 +15,47 @@ use crate::trainer::Ending;
 const BASE: &str = "base";
 const DECODER: &str = "decoder";
 
+/// Both, in their order.
+pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
+
 /// Validations of each of the two.
 const VALIDATIONS: u64 = 4;
 
-/// Whether a run in `folder` has begun to train what it starts from.
-pub(super) fn has_begun(folder: &Path) -> bool {
-    folder.join(BASE).join("config.toml").exists()
+/// The `saved` config of the run in `folder`: where that is a decoder that was begun on the base
+/// model beside it, it names the base model where it is now.
+pub(super) fn moved(saved: Config, folder: &Path) -> Result<Config, Error> {
+    let mut own = CcMotionConfig::of(&saved)?;
+    let whole = folder.parent().unwrap_or(folder);
+    let beside = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
+    if !folder.ends_with(DECODER) || !own.init.diffusion.ends_with(beside) {
+        return Ok(saved);
+    }
+    own.init.diffusion = whole.join(BASE);
+    Ok(Config {
+        system: own.to_table(),
+        ..saved
+    })
+}
+
+/// Rejects to train a base model again beneath a decoder that was begun on another.
+fn must_have_base(folder: &Path) -> Result<(), Error> {
+    let [base, decoder] = STAGES.map(|stage| folder.join(stage));
+    match has_begun(&decoder)? && !has_begun(&base)? {
+        false => Ok(()),
+        true => Err(Error::usage(
+            format!(
+                "{} is missing, and so are the checkpoints beside it: the decoder in {} was begun \
+                 on that base model",
+                base.join("config.toml").display(),
+                decoder.display()
+            ),
+            format!(
+                "put the folder {} back, or remove {} to train both again",
+                base.display(),
+                decoder.display()
+            ),
+        )),
+    }
 }
 
 /// Trains, continues or finds both runs, and says how to start from them. The inner error is the
@@ -38,6 +73,9 @@ pub(super) fn run(
         pretrain.decoder_steps,
         folder.display()
     ));
+    if pretrain.diffusion_steps > 0 {
+        must_have_base(folder)?;
+    }
     let base = (pretrain.diffusion_steps, pretrain.diffusion_learning_rate);
     let decoder = (pretrain.decoder_steps, pretrain.decoder_learning_rate);
     let mut init = InitConfig::default();
@@ -50,7 +88,7 @@ pub(super) fn run(
         }
         let stage = stage(config, name, recipe, &init, steps, rate)?;
         let run = folder.join(name);
-        let begun = run.join("config.toml").exists();
+        let begun = has_begun(&run)?;
         let outcome = train_config(Systems(&[&CcMotion]), stage, folder, begun, observer)?;
         if outcome.ending == Some(Ending::Interrupted) {
             return Ok(Err(Box::new(outcome)));

@@ -3,11 +3,13 @@
 use burn::tensor::Device;
 use kinegrad_models::{MotionModel, parameters};
 use kinegrad_motion::{Phrases, Statistics};
+use kinegrad_settings::{InvalidSetting, Refused, require};
 use toml::Table;
 
 use super::networks::{Trained, decoder, denoiser, trainable};
-use super::{CcMotionConfig, InitConfig};
-use crate::config::Config;
+use super::recipe_name::RecipeName;
+use super::{CcMotionConfig, InitConfig, PretrainConfig};
+use crate::config::{Config, SystemTables, difference};
 use crate::error::Error;
 use crate::start::{Start, must_agree, tables_of};
 
@@ -85,6 +87,39 @@ impl Starts {
             decoder = parameters::replace(decoder, parameters::values(&trained));
         }
         trainable(MotionModel { unet, decoder }, config, device)
+    }
+}
+
+/// Rejects keys of `init` that the recipe of a new run would not use.
+///
+/// # Errors
+/// Names the first.
+pub(super) fn must_use(config: &Config) -> Result<(), Error> {
+    let (recipe, init) = (RecipeName::of(config)?, CcMotionConfig::of(config)?.init);
+    let name = recipe.name();
+    for (key, path) in [
+        ("init.diffusion", &init.diffusion),
+        ("init.decoder", &init.decoder),
+    ] {
+        let used = recipe.trains_through_sampler() || path.as_os_str().is_empty();
+        let found = format!("\"{}\"", path.display());
+        let allowed = format!("a run to start from for recipes `decoder` and `e2e`, not `{name}`");
+        require(used, key, found, allowed).hint(format!(
+            "leave the key out: recipe `{name}` starts from new weights"
+        ))?;
+    }
+    let pretrains = recipe == RecipeName::E2e && init.diffusion.as_os_str().is_empty();
+    let mut set = difference(&PretrainConfig::default(), &init.pretrain).into_iter();
+    match set.next().filter(|_| !pretrains) {
+        None => Ok(()),
+        Some(set) => {
+            let key = format!("init.pretrain.{}", set.key);
+            let allowed = "a setting for recipe `e2e` without `init.diffusion` alone";
+            let refused = InvalidSetting::new(key, set.right, allowed);
+            Err(refused
+                .hint("leave the key out: nothing is trained before this run")
+                .into())
+        }
     }
 }
 

@@ -18,14 +18,15 @@ use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_settings::{Refused, in_range, require};
+use kinegrad_settings::{Refused, in_range, must_be_finite, must_be_tables, require};
+use toml::Table;
 
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of};
 use super::recipe_name::RecipeName;
 use super::space::{FeatureSpace, GroundObjective};
 use crate::checkpoint::{State, Weights};
-use crate::config::{Config, SamplingConfig, SystemTables};
+use crate::config::{Config, PLAIN, SamplingConfig, SystemTables};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -338,6 +339,11 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
     };
     let text = read_text(path).map_err(|error| refused(&error))?;
     let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
+    let given: Table = text.parse().expect("text that was just parsed");
+    let read = Table::try_from(&goal).expect(PLAIN);
+    must_be_finite(&given)
+        .and_then(|()| must_be_tables(&given, &read))
+        .map_err(|unfit| refused(&unfit))?;
     goal.validate().map_err(|error| refused(&error))?;
     Ok(goal)
 }
