@@ -64,6 +64,27 @@ fn a_run_stopped_in_its_decoder_resumes_from_anywhere() {
 }
 
 #[test]
+fn a_decoder_that_is_no_stage_keeps_the_path_it_was_given() {
+    let sandbox = sandbox();
+    let train = "train c.toml --set train.max_steps=2";
+    sandbox.run(&format!("{train} --name base")).succeeded();
+    let decoder = format!(
+        "{train} --name decoder --set train.recipe=decoder --set init.diffusion=runs/base \
+         --set decoder.hidden_dim=32 --set rollout.steps=2"
+    );
+    sandbox.run(&decoder).succeeded();
+    for runs in ["runs", "./runs"] {
+        let resume = format!("{decoder} --resume --runs-dir {runs}");
+        sandbox.run(&resume).succeeded();
+    }
+    let other = decoder.replace("runs/base", "runs/decoder");
+    sandbox.run(&format!("{other} --resume")).failed(
+        2,
+        &["`init.diffusion` is \"runs/decoder\"", "\"runs/base\""],
+    );
+}
+
+#[test]
 fn a_lost_config_of_a_base_model_is_no_lost_run() {
     let sandbox = sandbox();
     let train = format!("train c.toml {SETTINGS}");

@@ -131,7 +131,7 @@ pub fn train_config(
         }
     };
     match saved {
-        Some(saved) => config::must_continue(&system.moved(saved, &folder)?, &config)?,
+        Some(saved) => config::must_continue(&system.moved(saved, &config, &folder)?, &config)?,
         None => {
             system.must_use(&config)?;
             must_hold_no_other(&folder, system.stages())?;

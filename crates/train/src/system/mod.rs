@@ -72,12 +72,12 @@ pub trait System: Sync {
     }
 
     /// The `saved` config of the run in `folder`, with paths between the [stages](Self::stages) of
-    /// a run as they are now: they are relative to the working directory of the process that wrote
-    /// them.
+    /// a run as the `given` config has them: they are relative to the working directory of the
+    /// process that wrote them.
     ///
     /// # Errors
     /// If the system cannot read its tables.
-    fn moved(&self, saved: Config, _folder: &Path) -> Result<Config, Error> {
+    fn moved(&self, saved: Config, _given: &Config, _folder: &Path) -> Result<Config, Error> {
         Ok(saved)
     }
 

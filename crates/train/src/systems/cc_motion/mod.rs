@@ -88,8 +88,8 @@ impl System for CcMotion {
         &pretrain::STAGES
     }
 
-    fn moved(&self, saved: Config, folder: &Path) -> Result<Config, Error> {
-        pretrain::moved(saved, folder)
+    fn moved(&self, saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
+        pretrain::moved(saved, given, folder)
     }
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {

@@ -21,16 +21,17 @@ pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
 /// Validations of each of the two.
 const VALIDATIONS: u64 = 4;
 
-/// The `saved` config of the run in `folder`: where that is a decoder that was begun on the base
-/// model beside it, it names the base model where it is now.
-pub(super) fn moved(saved: Config, folder: &Path) -> Result<Config, Error> {
+/// The `saved` config of the run in `folder`: where that is a decoder on the base model beside it
+/// and was begun on one of the same place in its run, it names the base model as `given` does.
+pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
     let mut own = CcMotionConfig::of(&saved)?;
+    let base = CcMotionConfig::of(given)?.init.diffusion;
     let whole = folder.parent().unwrap_or(folder);
-    let beside = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
-    if !folder.ends_with(DECODER) || !own.init.diffusion.ends_with(beside) {
+    let place = Path::new(whole.file_name().unwrap_or_default()).join(BASE);
+    if base != whole.join(BASE) || !own.init.diffusion.ends_with(place) {
         return Ok(saved);
     }
-    own.init.diffusion = whole.join(BASE);
+    own.init.diffusion = base;
     Ok(Config {
         system: own.to_table(),
         ..saved
