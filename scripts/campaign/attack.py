@@ -15,6 +15,8 @@ class Attack:
     name: str
     weight: float
     """Share of the time."""
+    on_disk = False
+    """Whether it matters that its folders are on a disk."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -33,6 +35,8 @@ TRAINING = Limits(cpu=60, wall=60)
 
 class RunAttack(Attack):
     """An attack on runs, which in the end must be those of their recipe's reference."""
+
+    on_disk = True
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

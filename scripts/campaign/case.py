@@ -58,6 +58,8 @@ class Setting:
     findings: Findings
     say: Callable[[str], None]
     recipes: list[Recipe] = field(default_factory=list)
+    memory: Path = Path()
+    """Folders of cases under way that need no disk: in memory, if there is a place."""
     address_space: int = 2 << 30
     """Bytes that the largest valid command takes."""
     resident: int = 256 << 20
@@ -102,13 +104,13 @@ class Case:
     variables = VARIABLES
     over = threading.Event()
 
-    def __init__(self, setting: Setting, attack: str, number: int) -> None:
+    def __init__(self, setting: Setting, attack: str, number: int, on_disk: bool = True) -> None:
         self.setting, self.attack, self.number = setting, attack, number
         self.seed = setting.seed
         self.random = random.Random(f"{setting.seed}/{attack}/{number}")
         self.label = attack
         """What it is about, for the name of a finding."""
-        self.folder = setting.work / f"{attack}-{number}"
+        self.folder = (setting.work if on_disk else setting.memory) / f"{attack}-{number}"
         self.history: list[str] = []
         self.counts: Counter[str] = Counter()
         self.found: list[str] = []
@@ -119,7 +121,7 @@ class Case:
     def __enter__(self) -> "Case":
         self.remove()
         self.folder.mkdir(parents=True)
-        (self.folder / "shared").symlink_to("../../shared")
+        (self.folder / "shared").symlink_to(self.setting.shared)
         return self
 
     def __exit__(self, *_: object) -> None:

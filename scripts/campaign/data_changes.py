@@ -20,7 +20,7 @@ class DataChanges(RunAttack):
     """Files of the dataset are changed, cut, removed, added or written again."""
 
     name = "data"
-    weight = 4
+    weight = 3
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

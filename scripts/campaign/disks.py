@@ -17,7 +17,7 @@ class Disks(RunAttack):
     """A limit on the size of files, and a small file system in memory."""
 
     name = "disks"
-    weight = 5
+    weight = 4
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

@@ -15,7 +15,7 @@ class Flips(RunAttack):
     """One bit, a cut or a removal in one file of a finished or a half run."""
 
     name = "flips"
-    weight = 6
+    weight = 4
 
     def attack(self, case: Case) -> None:
         """Damages a file, resumes, and compares the weights."""

@@ -98,10 +98,10 @@ class Formats:
     def takes(self, form: Format, command: list[str]) -> bool:
         """Whether the program takes one of the valid files."""
         for content in form.seeds:
-            folder = self.setting.work / "valid"
+            folder = self.setting.memory / "valid"
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
-            (folder / "shared").symlink_to("../../shared")
+            (folder / "shared").symlink_to(self.setting.shared)
             form.stage(folder)
             form.put(folder, content)
             program = Program(self.setting.binary, folder, self.setting.environment())

@@ -4,11 +4,12 @@ import re
 import signal
 from dataclasses import dataclass
 
-from process import Ended
+from process import WORKING, Ended
 
 SUCCESS, FAILED, INVALID, INTERRUPTED = 0, 1, 2, 130
 DOCUMENTED = (SUCCESS, FAILED, INVALID, INTERRUPTED)
 PANIC = re.compile(r"panicked at ([^\n]*?):?\n?(?:\n|$)")
+ALLOCATION = re.compile(r"memory allocation of|capacity overflow")
 LOCATION = re.compile(r"panicked at (\S+?\.rs:\d+)")
 
 
@@ -31,11 +32,16 @@ def judged(
     given."""
     faults = []
     name = f"{ended.arguments[0]}, {label}"
-    if place := LOCATION.search(ended.stderr) or PANIC.search(ended.stderr):
-        faults.append(Fault("panic", place[1], f"a panic at {place[1]}", "no panic"))
-    if "memory allocation of" in ended.stderr or "capacity overflow" in ended.stderr:
-        faults.append(Fault("allocation", name, last_line(ended.stderr), "memory within bounds"))
-    if ended.hang:
+    lines = [line for line in ended.stderr.splitlines() if ALLOCATION.search(line)]
+    if lines:
+        faults.append(Fault("allocation", name, lines[0], "memory within bounds"))
+    elif place := LOCATION.search(ended.stderr) or PANIC.search(ended.stderr):
+        # A place in the standard library says little about the fault.
+        where = f"{place[1]}, {label}" if "/rustc/" in place[1] else place[1]
+        faults.append(Fault("panic", where, f"a panic at {place[1]}", "no panic"))
+    if ended.hang and ended.limits.much and ended.hang.startswith(WORKING):
+        pass
+    elif ended.hang:
         faults.append(Fault("hang", name, ended.hang, "an end"))
     elif not ended.killed and not faults:
         faults += faults_of_code(ended, allowed)

@@ -9,7 +9,7 @@ from formats import WRITES, Format, Formats
 from process import Limits
 
 SPECIAL = ["empty", "folder", "pipe", "zeros without end", "noise without end", "5 GiB", "dangling"]
-EVERY = 25
+EVERY = 60
 """Of so many cases one is special, until all have been."""
 SPARSE_BYTES = 5 << 30
 SHARES = {"checkpoint": 0.4, "ids": 0.2, "capture": 1.6, "c3d": 1.5, "metrics.jsonl": 0.6}
@@ -20,7 +20,7 @@ class Mutations(Attack):
     """Each format in turn, a valid file of it with some damage."""
 
     name = "mutations"
-    weight = 30
+    weight = 32
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

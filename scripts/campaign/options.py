@@ -8,6 +8,7 @@ from attack import Attack
 from case import Case, Setting
 from process import Limits
 from program import Program
+from sweep import asks_much
 from values import LONG, WORDS
 
 OPTION = re.compile(r"^ +(?:-\w, )?(--[\w-]+)(?: <([^>]*)>)?", re.MULTILINE)
@@ -21,7 +22,7 @@ class Options(Attack):
     """The command line, as `--help` describes it."""
 
     name = "options"
-    weight = 6
+    weight = 8
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
@@ -65,8 +66,9 @@ class Options(Attack):
         unit = self.units[case.number]
         commands = [word for word in unit[:2] if not word.startswith("-") and "/" not in word]
         case.label = " ".join(commands)
-        limits = Limits(memory=self.setting.bounded.memory)
-        enough = lambda cpu: cpu > LONG_ENOUGH and many_files(case.folder)
+        much = any(asks_much(word) for word in unit)
+        limits = Limits(memory=self.setting.bounded.memory, much=much)
+        enough = lambda cpu: cpu > LONG_ENOUGH and (much or many_files(case.folder))
         ended = case.run(*unit, limits=limits, enough=enough)
         case.counts["long"] += ended.killed
 

@@ -18,6 +18,7 @@ ASLEEP = 6.0
 """Seconds without any work after which a process past its time counts as waiting for ever."""
 STARVED = 10.0
 """A process that gets no turn on a busy machine has this many times its time."""
+WORKING = "still working"
 MOST_OUTPUT = 1 << 20
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -34,6 +35,8 @@ class Limits:
     """Seconds of work after which it hangs."""
     wall: float = 20.0
     """Seconds after which one that does no work hangs."""
+    much: bool = False
+    """Whether it was asked for so much that work for as long as it may is no fault."""
     memory: int | None = None
     """Bytes of address space."""
     file_size: int | None = None
@@ -121,9 +124,10 @@ class Process:
     def ended(self) -> bool:
         """Whether it has ended by now."""
         if self._status is None:
-            pid, status, usage = os.wait4(self.pid, os.WNOHANG)
-            if pid:
-                self._finish(status, usage)
+            # Looks first: until it is waited for, its number is no other group's.
+            if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                self.end()
+                self._finish(*os.wait4(self.pid, 0)[1:])
         return self._status is not None
 
     def wait(
@@ -157,7 +161,6 @@ class Process:
                 self.end()
         if handle is not None:
             os.close(handle)
-        self.end()
         for number in self.output:
             self._drain(number)
         out, err = (bytes(text).decode(errors="replace") for text in self.output.values())
@@ -188,7 +191,7 @@ class Process:
     def _hangs(self, now: float, cpu: float, idle: float) -> str | None:
         seconds = now - self.started
         if cpu > self.limits.cpu:
-            return f"still working after {cpu:.0f} s of work"
+            return f"{WORKING} after {cpu:.0f} s of work"
         if seconds > self.limits.wall and idle > ASLEEP:
             return f"waiting for {idle:.0f} s, after {seconds:.0f} s"
         if seconds > STARVED * self.limits.wall:

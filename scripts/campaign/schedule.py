@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from attack import Attack
 from case import Case, Setting, Stopped
+from process import end_all
 
 AFTER = 5.0
 """Seconds that the cases under way have at the end."""
@@ -62,6 +63,12 @@ class Schedule:
         workers = [threading.Thread(target=self._work, daemon=True) for _ in range(self.jobs)]
         for worker in workers:
             worker.start()
+        try:
+            self._watch(workers)
+        finally:
+            self.stop(workers)
+
+    def _watch(self, workers: list[threading.Thread]) -> None:
         told = time.monotonic()
         while any(worker.is_alive() for worker in workers):
             for worker in workers:
@@ -71,21 +78,31 @@ class Schedule:
                 told = now
                 self.say(self.line())
             if now > self.end + AFTER:
-                Case.over.set()
+                self.stop(workers)
+
+    def stop(self, workers: list[threading.Thread]) -> None:
+        """Ends what is under way."""
+        Case.over.set()
+        end_all()
+        for worker in workers:
+            worker.join(AFTER)
 
     def _work(self) -> None:
         while not Case.over.is_set() and (taken := self._next()):
             progress, number = taken
             started = time.monotonic()
-            case = Case(self.setting, progress.attack.name, number)
+            attack = progress.attack
+            case = Case(self.setting, attack.name, number, attack.on_disk)
             finished = False
             try:
                 with case:
-                    progress.attack.attack(case)
+                    attack.attack(case)
                 finished = True
             except Stopped:
                 pass
             except Exception:
+                if Case.over.is_set():
+                    continue
                 with self.lock:
                     self.broken.append(f"{case.attack}/{number}:\n{traceback.format_exc()}")
                 self.say(f"BROKEN {case.attack}/{number}: {traceback.format_exc()}")

@@ -8,31 +8,42 @@ from attack import Attack
 from case import ROOM, Case, Setting
 from judge import FAILED, INVALID, SUCCESS
 from process import Ended, Limits
-from program import Program, set_options
+from program import Program, leaves, set_options
 from recipes import Recipe
 from runs import steps_logged
-from values import LONG, VALUES
+from values import LONG, VALUES, WORDS_OF_SETTINGS
 
-LONG_ENOUGH = 3.0
+LONG_ENOUGH = 2.0
 """Seconds of work after which a run that makes progress is let be."""
+MUCH = 4000
+"""A number above this may ask for more work than there is time for."""
+MUCH_ENOUGH = 6.0
+"""Seconds of work that such a run has, to show that it does not break at once."""
 
 
 class Sweep(Attack):
     """Each setting alone, once."""
 
     name = "settings"
-    weight = 22
+    weight = 26
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
         self.units: list[tuple[Recipe, list[str]]] = []
+        self.plausible: dict[str, list[str]] = {}
+        """By recipe, settings of the right type."""
         self.shown = {}
         program = Program(setting.binary, setting.out, setting.environment())
         for recipe in setting.recipes:
             self.shown[recipe.name] = program.show(recipe.shortest).stdout
+            values = dict(leaves(recipe.shown))
+            plausible = self.plausible.setdefault(recipe.name, [])
             for key in program.keys(recipe.shortest, recipe.shown):
                 words = [f'"{word}"' for word in program.choices(recipe.shortest, key)]
-                for value in [*VALUES, f'"{LONG}"', *words]:
+                plausible += [f"{key}={value}" for value in words or of_type(values.get(key))]
+                if isinstance(values.get(key, ""), (str, list)):
+                    words += [*WORDS_OF_SETTINGS, f'"{LONG}"']
+                for value in [*VALUES, *words]:
                     self.units.append((recipe, [f"{key}={value}"]))
         self.keys = len({(recipe.name, unit[0].partition("=")[0]) for recipe, unit in self.units})
         random.Random(f"{setting.seed}/{self.name}").shuffle(self.units)
@@ -62,13 +73,16 @@ class Sweep(Attack):
             case.counts["as before"] += 1
             return
         case.counts["trained"] += 1
-        known = self.hangs.get(key, 0) >= 3
-        limits = Limits(cpu=LONG_ENOUGH if known else 20, memory=limits.memory)
+        known = self.hangs.get(key, 0) >= 2
+        much = any(asks_much(setting) for setting in settings)
+        cpu = LONG_ENOUGH if known else MUCH_ENOUGH if much else 20
+        limits = Limits(cpu=cpu, memory=limits.memory, much=much)
         enough = lambda cpu: cpu > LONG_ENOUGH and self.works(case.folder)
         train = ["train", config, *options, "--runs-dir", "runs"]
         ended = case.run(*train, limits=limits, enough=enough)
         if ended.hang:
             self.hangs[key] = self.hangs.get(key, 0) + 1
+            case.counts["long without progress"] += 1
         if ended.killed:
             case.counts["long"] += 1
         if ended.code == FAILED:
@@ -106,7 +120,7 @@ class Sweep(Attack):
 
 
 class Combinations(Sweep):
-    """Two to four settings at once, drawn from those of the sweep."""
+    """Two to five settings at once, of the right type."""
 
     name = "combinations"
     weight = 4
@@ -117,7 +131,29 @@ class Combinations(Sweep):
 
     def attack(self, case: Case) -> None:
         """Tries some settings together."""
-        recipe, first = self.units[case.random.randrange(len(self.units))]
-        mine = [unit for name, unit in self.units if name is recipe]
-        more = [case.random.choice(mine)[0] for _ in range(case.random.randint(1, 3))]
-        self.attempt(case, recipe, [first[0], *more])
+        recipe = case.random.choice(self.setting.recipes)
+        settings = self.plausible[recipe.name]
+        count = case.random.randint(2, 5)
+        self.attempt(case, recipe, [case.random.choice(settings) for _ in range(count)])
+
+
+
+def asks_much(setting: str) -> bool:
+    """Whether a setting is a large number."""
+    try:
+        return float(setting.partition("=")[2]) > MUCH
+    except ValueError:
+        return False
+
+
+def of_type(value: object) -> list[str]:
+    """Values like another."""
+    if isinstance(value, bool):
+        return ["true", "false"]
+    if isinstance(value, int):
+        return ["0", "1", "2", "3", "5", "8", "17", "100"]
+    if isinstance(value, float):
+        return ["0", "0.5", "1", "1e-300", "1e-9", "3.5", "100", "1e9", "1e300"]
+    if isinstance(value, list) and value:
+        return [str(value[:1]), str([*value, value[-1]]), str([value[0]] * len(value))]
+    return ["1", "0.5", "true", "[1]", '"a"']
