@@ -1,5 +1,7 @@
 """One case of an attack, and what all cases share."""
 
+import array
+import math
 import os
 import random
 import shlex
@@ -186,8 +188,26 @@ class Case:
             self.found.append(name)
             self.setting.say(f"FOUND {name} in {self.attack}/{self.number}: {fault.found}")
 
+    def must_be_finite(self, ended: Ended, pattern: str) -> None:
+        """Arrays that were written must hold finite numbers."""
+        for path in sorted(self.folder.glob(pattern)) if ended.code == SUCCESS else []:
+            if not finite(path.read_bytes()):
+                found = f"exit code 0, and a number in {path.name} is not finite"
+                self.wrong("not finite", ended.arguments[0], found, "finite numbers", ended)
+                return
+
     def wrong(
         self, kind: str, signature: str, found: str, expected: str, ended: Ended | None = None
     ) -> None:
         """Records a finding of an attack's own kind."""
         self.finding(Fault(kind, f"{self.label}: {signature}", found, expected), ended)
+
+
+def finite(content: bytes) -> bool:
+    """Whether all numbers of an npy file of float32 are finite."""
+    start = 10 + int.from_bytes(content[8:10], "little")
+    if b"<f4" not in content[:start]:
+        return True
+    numbers = array.array("f")
+    numbers.frombytes(content[start:start + (len(content) - start) // 4 * 4])
+    return all(map(math.isfinite, numbers))

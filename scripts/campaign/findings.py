@@ -74,6 +74,9 @@ class Findings:
         ]
         lines += [f"# before: {line}" for line in case.history[:-1]]
         if ended:
+            made = "runs" if ended.arguments[0] == "train" else "out"
+            if "--resume" not in ended.arguments:
+                lines.append(f"rm -rf {made}  # what an earlier call has made")
             if ended.limits.memory is not None:
                 lines.append(f"ulimit -v {ended.limits.memory >> 10}")
             if ended.limits.file_size is not None:

@@ -54,6 +54,8 @@ class Mutations(Attack):
         ended = case.run(*command, limits=limits)
         case.counts["taken"] += ended.code == 0
         case.counts["refused"] += ended.code != 0
+        if command[0] == "sample" and not form.name.startswith(("checkpoint", "state")):
+            case.must_be_finite(ended, "out*.npy")
         wanted = WRITES.get(command[0])
         if ended.code == 0 and wanted and not any(case.folder.glob(wanted)):
             case.wrong("nothing written", command[0], "exit code 0, no file", wanted, ended)

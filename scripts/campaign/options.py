@@ -27,7 +27,8 @@ class Options(Attack):
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
         program = Program(setting.binary, setting.out, setting.environment())
-        self.units: list[list[str]] = []
+        self.units: list[tuple[str, list[str]]] = []
+        """What is tried, and the command line."""
         for command, help_text in program.commands():
             usage = USAGE.search(help_text)
             if not usage:
@@ -35,16 +36,16 @@ class Options(Attack):
             for recipe in setting.recipes:
                 base = [*command, *self.required(usage[1], recipe.name)]
                 takes_run = any("recipes/" in word for word in base)
+                name_of = " ".join(command)
                 for option, name in OPTION.findall(help_text):
-                    values = [[f"{option}={word}"] for word in [*WORDS, LONG]]
-                    self.units += [base + value for value in values if name]
-                    self.units.append([*base, option])
+                    values = [f"{option}={word}" for word in [*WORDS, LONG]] if name else [option]
+                    self.units += [(f"{name_of} {option}", [*base, value]) for value in values]
                 for place in range(len(command), len(base)):
                     for word in WORDS:
-                        self.units.append([*base[:place], word, *base[place + 1:]])
+                        line = [*base[:place], word, *base[place + 1:]]
+                        self.units.append((f"{name_of} argument {place}", line))
                 if not takes_run:
                     break
-        self.units = [list(unit) for unit in dict.fromkeys(map(tuple, self.units))]
         random.Random(f"{setting.seed}/{self.name}").shuffle(self.units)
 
     def required(self, usage: str, recipe: str) -> list[str]:
@@ -63,9 +64,7 @@ class Options(Attack):
 
     def attack(self, case: Case) -> None:
         """Runs one command line."""
-        unit = self.units[case.number]
-        commands = [word for word in unit[:2] if not word.startswith("-") and "/" not in word]
-        case.label = " ".join(commands)
+        case.label, unit = self.units[case.number]
         much = any(asks_much(word) for word in unit)
         limits = Limits(memory=self.setting.bounded.memory, much=much)
         enough = lambda cpu: cpu > LONG_ENOUGH and (much or many_files(case.folder))

@@ -104,7 +104,9 @@ class Sweep(Attack):
         self.must(case, key, "resume", resumed)
         run = runs[0].relative_to(case.folder)
         sample = ["sample", run, "--steps", 1, "--out", "sample"]
-        self.must(case, key, "sample", case.run(*sample, limits=limits, enough=enough))
+        sampled = case.run(*sample, limits=limits, enough=enough)
+        self.must(case, key, "sample", sampled)
+        case.must_be_finite(sampled, "sample*.npy")
 
     def must(self, case: Case, key: str, what: str, ended: Ended) -> None:
         """Records what ended with another exit code than 0."""
