@@ -143,6 +143,16 @@ class Formats:
         bvh = self.staged("plan", {"motion.bvh": seeds.bvh(40)})
         yield Format("plan", "plan.toml", [seeds.PLAN.encode()], mutated_text, prepare, bvh)
 
+        dances = {
+            "plan.toml": seeds.DANCES_PLAN, "dances.json": seeds.DANCES,
+            "intervals.csv": seeds.INTERVALS,
+        }
+        files = {name: text.encode() for name, text in dances.items()}
+        beside = {"motion.c3d": markers[0], "song.wav": seeds.wav(22050, 1, 2, 2.0)}
+        staged = self.staged("dances", {**files, **beside})
+        for name, content in files.items():
+            yield Format(f"dances {name}", name, [content], mutated_text, prepare, staged)
+
     def songs(self) -> Iterator[Format]:
         """What `audio features` reads."""
         tones = self.fixtures / "audio"

@@ -183,3 +183,34 @@ first_frame = 0
 points = [[0.0, 0.0], [0.0, 0.05], [0.01, 0.1]]
 """,
 ]
+
+DANCES_PLAN = """\
+output = "set"
+[phrases]
+frames = 10
+hop = 10
+[[choreonet]]
+choreography = "dances.json"
+intervals = "intervals.csv"
+captures = "."
+music = "song.wav"
+"""
+
+DANCES = """\
+[
+  {
+    "dance_type": "C",
+    "dance_id": 1,
+    "start_pos": 0,
+    "end_pos": 40,
+    "movements": ["START", "turn", "step"],
+    "durations": [1, 1, 1]
+  }
+]
+"""
+
+INTERVALS = """\
+c3d_file,movement_tag,start_frame,end_frame
+motion,turn,0,40
+motion,step,20,70
+"""

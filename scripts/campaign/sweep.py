@@ -39,13 +39,15 @@ class Sweep(Attack):
             values = dict(leaves(recipe.shown))
             plausible = self.plausible.setdefault(recipe.name, [])
             for key in program.keys(recipe.shortest, recipe.shown):
-                words = [f'"{word}"' for word in program.choices(recipe.shortest, key)]
+                words = []
+                of_words = isinstance(values.get(key, ""), (str, list))
+                if of_words:
+                    words = [f'"{word}"' for word in program.choices(recipe.shortest, key)]
                 plausible += [f"{key}={value}" for value in words or of_type(values.get(key))]
-                if isinstance(values.get(key, ""), (str, list)):
+                if of_words:
                     words += [*WORDS_OF_SETTINGS, f'"{LONG}"']
                 for value in [*VALUES, *words]:
                     self.units.append((recipe, [f"{key}={value}"]))
-        self.keys = len({(recipe.name, unit[0].partition("=")[0]) for recipe, unit in self.units})
         random.Random(f"{setting.seed}/{self.name}").shuffle(self.units)
         self.hangs: dict[str, int] = {}
 
