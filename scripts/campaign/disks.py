@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -53,7 +54,7 @@ class Disks(RunAttack):
 
     def fill(self, case: Case, recipe: Recipe, resize: Callable[[int], None]) -> None:
         """Trains on a disk with too little room."""
-        used = sum(path.stat().st_size for path in (case.folder / "runs").rglob("*") if path.is_file())
+        used = shutil.disk_usage(case.folder / "runs").used
         room = int(3 * sum(self.sizes[recipe.name]) * case.random.random() ** 2)
         resize(used + room + 8192)
         case.label += " full disk"
