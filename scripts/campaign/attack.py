@@ -1,0 +1,105 @@
+"""What every attack is, and what those on runs share."""
+
+from time import sleep
+
+from case import Case, Setting
+from judge import INVALID, SUCCESS
+from process import Ended, Limits
+from recipes import Recipe
+from runs import checkpoints, contents, damaged_checkpoints, differences, last_differs, leftovers
+
+
+class Attack:
+    """A kind of attack. Case N of it depends on the seed and N alone."""
+
+    name: str
+    weight: float
+    """Share of the time."""
+    on_disk = False
+    """Whether it matters that its folders are on a disk."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+
+    def total(self) -> int | None:
+        """How many cases there are, if not as many as there is time for."""
+        return None
+
+    def attack(self, case: Case) -> None:
+        """Carries out a case."""
+        raise NotImplementedError
+
+
+TRAINING = Limits(cpu=60, wall=60)
+
+
+class RunAttack(Attack):
+    """An attack on runs, which in the end must be those of their recipe's reference."""
+
+    on_disk = True
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        self.references = {recipe.name: contents(recipe.reference) for recipe in setting.recipes}
+
+    def recipe(self, case: Case) -> Recipe:
+        """The recipe of a case: each in turn."""
+        recipe = self.setting.recipes[case.number % len(self.setting.recipes)]
+        case.label = recipe.name
+        return recipe
+
+    def training(self, case: Case, recipe: Recipe) -> list[str]:
+        """The command that trains, or resumes if there is a run."""
+        resume = ["--resume"] if (case.folder / "runs/small").exists() else []
+        return ["train", f"shared/recipes/{recipe.name}/config.toml", "--runs-dir", "runs", *resume]
+
+    def complete(self, case: Case, recipe: Recipe, exact: bool = True) -> bool:
+        """Lets the run end, and compares it with the reference: every file, or if not `exact` the
+        last checkpoint."""
+        resumed = case.run(*self.training(case, recipe), limits=TRAINING, allowed=(0, 1, 2))
+        if resumed.code != SUCCESS:
+            self.lost(case, resumed)
+            return False
+        self.compare(case, recipe, resumed, exact)
+        return True
+
+    def lost(self, case: Case, resumed: Ended) -> None:
+        """A run that does not resume."""
+        if not resumed.killed and resumed.code in (1, INVALID):
+            found = f"exit code {resumed.code}: {resumed.stderr.strip()[:300]}"
+            case.wrong("lost run", "resume", found, "the run resumes and ends", resumed)
+
+    def compare(self, case: Case, recipe: Recipe, ended: Ended, exact: bool = True) -> None:
+        """Compares a finished run with the reference."""
+        run = case.folder / "runs/small"
+        if exact:
+            wrong = differences(run, self.references[recipe.name])
+        else:
+            wrong = last_differs(run, recipe.reference)
+        if wrong:
+            first = wrong[0].rpartition("/")[2]
+            expected = "the bytes of a run that never stopped"
+            case.wrong("wrong bytes", first, "; ".join(wrong[:6]), expected, ended)
+        if left := leftovers(case.folder / "runs"):
+            case.wrong("leftovers", left[0].rpartition("/")[2], ", ".join(left), "none", ended)
+
+    def sound(self, case: Case, ended: Ended) -> None:
+        """No checkpoint under its final name may be damaged, at any moment."""
+        if faults := damaged_checkpoints(case.folder / "runs"):
+            found = "; ".join(faults)
+            case.wrong("damaged checkpoint", "after an end", found, "whole checkpoints", ended)
+
+    def half_run(self, case: Case, recipe: Recipe) -> bool:
+        """Leaves a run that was killed after some checkpoint; whether there is one."""
+        wanted = case.random.randint(1, 3)
+        folder = case.folder / "runs/small"
+        with self.setting.turns.taken():
+            process = case.start(self.training(case, recipe), TRAINING)
+            while not process.ended() and len(checkpoints(folder)) < wanted:
+                sleep(0.001)
+            process.send(9)
+            ended = process.wait()
+        case.judge(ended)
+        if ended.killed:
+            case.counts["kills"] += 1
+        return bool(checkpoints(folder)) and ended.killed

@@ -1,0 +1,232 @@
+"""One child process: started in a group of its own, watched, limited, and always ended."""
+
+import contextlib
+import os
+import resource
+import select
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+TICK = 0.25
+"""Seconds between two looks at a process that runs."""
+ASLEEP = 6.0
+"""Seconds without any work after which a process past its time counts as waiting for ever."""
+STARVED = 10.0
+"""A process that gets no turn on a busy machine has this many times its time."""
+WORKING = "still working"
+MOST_OUTPUT = 1 << 20
+CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
+
+alive: set[int] = set()
+"""Groups of all processes that run, for the end of the campaign."""
+_alive_lock = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a process may use."""
+
+    cpu: float = 20.0
+    """Seconds of work after which it hangs."""
+    wall: float = 20.0
+    """Seconds after which one that does no work hangs."""
+    much: bool = False
+    """Whether it was asked for so much that work for as long as it may is no fault."""
+    memory: int | None = None
+    """Bytes of address space."""
+    file_size: int | None = None
+    """Bytes of the largest file it may write."""
+    file_size_signal: bool = False
+    """Whether a write beyond that kills it; otherwise the write fails."""
+
+
+@dataclass
+class Ended:
+    """How a process ended."""
+
+    arguments: list[str]
+    code: int
+    """Exit code, negative for a signal."""
+    stdout: str
+    stderr: str
+    seconds: float
+    cpu: float
+    peak: int
+    """Bytes of the largest resident set."""
+    hang: str | None
+    """Why it was ended for hanging."""
+    killed: bool
+    """Whether the campaign sent it a signal."""
+    limits: Limits = field(default_factory=Limits)
+    peak_address_space: int = 0
+
+
+class Process:
+    """A process that runs. `wait` must be called."""
+
+    def __init__(
+        self,
+        binary: Path,
+        arguments: list[str],
+        folder: Path,
+        environment: dict[str, str],
+        limits: Limits,
+    ) -> None:
+        self.arguments, self.limits = arguments, limits
+        self.killed, self.hang = False, None
+        self.output = {}
+        self.peak_address_space = 0
+        self._status = None
+        self.started = time.monotonic()
+        # Python ignores SIGXFSZ; so does the child if signals are not restored.
+        child = subprocess.Popen(
+            [str(binary), *arguments],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            restore_signals=limits.file_size_signal,
+        )
+        self.pid = child.pid
+        self._child = child
+        with _alive_lock:
+            alive.add(self.pid)
+        with contextlib.suppress(ProcessLookupError):
+            if limits.memory is not None:
+                resource.prlimit(self.pid, resource.RLIMIT_AS, (limits.memory, limits.memory))
+            if limits.file_size is not None:
+                size = (limits.file_size, limits.file_size)
+                resource.prlimit(self.pid, resource.RLIMIT_FSIZE, size)
+            resource.prlimit(self.pid, resource.RLIMIT_CORE, (0, 0))
+        for pipe in (child.stdout, child.stderr):
+            os.set_blocking(pipe.fileno(), False)
+            self.output[pipe.fileno()] = bytearray()
+
+    def send(self, number: int) -> None:
+        """Sends a signal to the process alone."""
+        if not self.ended():
+            self.killed = True
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, number)
+
+    def end(self) -> None:
+        """Ends the whole group."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def ended(self) -> bool:
+        """Whether it has ended by now."""
+        if self._status is None:
+            # Looks first: until it is waited for, its number is no other group's.
+            if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                self.end()
+                self._finish(*os.wait4(self.pid, 0)[1:])
+        return self._status is not None
+
+    def wait(
+        self, watch_memory: bool = False, enough: Callable[[float], bool] | None = None
+    ) -> Ended:
+        """Waits until it ends or hangs, or `enough`, asked with its seconds of work, says so."""
+        poll = select.poll()
+        handle = os.pidfd_open(self.pid) if self._status is None else None
+        if handle is not None:
+            poll.register(handle, select.POLLIN)
+        open_pipes = set(self.output)
+        for number in open_pipes:
+            poll.register(number, select.POLLIN)
+        last_work, last_cpu = time.monotonic(), -1.0
+        tick = 0.004 if watch_memory else TICK
+        while not self.ended():
+            for number, events in poll.poll(1000 * tick):
+                if number in open_pipes and not self._drain(number) and events & select.POLLHUP:
+                    poll.unregister(number)
+                    open_pipes.discard(number)
+            if watch_memory:
+                self._look_at_memory()
+            now, cpu = time.monotonic(), self._cpu()
+            if cpu > last_cpu + 0.02:
+                last_work, last_cpu = now, cpu
+            if self.hang is None and (why := self._hangs(now, cpu, now - last_work)):
+                self.hang = why
+                self.end()
+            if enough and not self.killed and enough(cpu):
+                self.killed = True
+                self.end()
+        if handle is not None:
+            os.close(handle)
+        for number in self.output:
+            self._drain(number)
+        out, err = (bytes(text).decode(errors="replace") for text in self.output.values())
+        self._child.stdout.close()
+        self._child.stderr.close()
+        status, usage = self._status
+        return Ended(
+            arguments=self.arguments,
+            code=os.waitstatus_to_exitcode(status),
+            stdout=out,
+            stderr=err,
+            seconds=self.stopped - self.started,
+            cpu=usage.ru_utime + usage.ru_stime,
+            peak=1024 * usage.ru_maxrss,
+            hang=self.hang,
+            killed=self.killed,
+            limits=self.limits,
+            peak_address_space=self.peak_address_space,
+        )
+
+    def _finish(self, status: int, usage: resource.struct_rusage) -> None:
+        self._status = (status, usage)
+        self._child.returncode = os.waitstatus_to_exitcode(status)
+        self.stopped = time.monotonic()
+        with _alive_lock:
+            alive.discard(self.pid)
+
+    def _hangs(self, now: float, cpu: float, idle: float) -> str | None:
+        seconds = now - self.started
+        if cpu > self.limits.cpu:
+            return f"{WORKING} after {cpu:.0f} s of work"
+        if seconds > self.limits.wall and idle > ASLEEP:
+            return f"waiting for {idle:.0f} s, after {seconds:.0f} s"
+        if seconds > STARVED * self.limits.wall:
+            return f"not ended after {seconds:.0f} s"
+        return None
+
+    def _cpu(self) -> float:
+        try:
+            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+            return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS
+        except (OSError, IndexError):
+            return 0.0
+
+    def _look_at_memory(self) -> None:
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{self.pid}/status").read_text().splitlines():
+                if line.startswith("VmPeak:"):
+                    self.peak_address_space = 1024 * int(line.split()[1])
+
+    def _drain(self, number: int) -> bool:
+        """Reads what is in a pipe; whether there was anything."""
+        some = False
+        try:
+            while part := os.read(number, 65536):
+                some = True
+                room = MOST_OUTPUT - len(self.output[number])
+                self.output[number] += part[:max(room, 0)]
+        except (BlockingIOError, OSError):
+            pass
+        return some
+
+
+def end_all() -> None:
+    """Ends every process that still runs."""
+    with _alive_lock:
+        for group in list(alive):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(group, signal.SIGKILL)

@@ -1,0 +1,163 @@
+"""The whole sweep: every key of every recipe with every value, shown, trained, resumed, sampled."""
+
+import random
+import re
+from pathlib import Path
+
+from attack import Attack
+from case import ROOM, Case, Setting
+from judge import FAILED, INVALID, SUCCESS
+from process import Ended, Limits
+from program import Program, leaves, set_options
+from recipes import Recipe
+from runs import steps_logged
+from values import LONG, VALUES, WORDS_OF_SETTINGS
+
+LONG_ENOUGH = 2.0
+"""Seconds of work after which a run that makes progress is let be."""
+MUCH = 4000
+"""A number above this may ask for more work than there is time for."""
+MUCH_ENOUGH = 6.0
+"""Seconds of work that such a run has, to show that it does not break at once."""
+
+
+class Sweep(Attack):
+    """Each setting alone, once."""
+
+    name = "settings"
+    weight = 26
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        self.units: list[tuple[Recipe, list[str]]] = []
+        self.plausible: dict[str, list[str]] = {}
+        """By recipe, settings of the right type."""
+        self.shown = {}
+        program = Program(setting.binary, setting.out, setting.environment())
+        for recipe in setting.recipes:
+            self.shown[recipe.name] = program.show(recipe.shortest).stdout
+            values = dict(leaves(recipe.shown))
+            plausible = self.plausible.setdefault(recipe.name, [])
+            for key in program.keys(recipe.shortest, recipe.shown):
+                words = []
+                of_words = isinstance(values.get(key, ""), (str, list))
+                if of_words:
+                    words = [f'"{word}"' for word in program.choices(recipe.shortest, key)]
+                plausible += [f"{key}={value}" for value in words or of_type(values.get(key))]
+                if of_words:
+                    words += [*WORDS_OF_SETTINGS, f'"{LONG}"']
+                for value in [*VALUES, *words]:
+                    self.units.append((recipe, [f"{key}={value}"]))
+        random.Random(f"{setting.seed}/{self.name}").shuffle(self.units)
+        self.hangs: dict[str, int] = {}
+
+    def total(self) -> int | None:
+        """The size of the sweep."""
+        return len(self.units)
+
+    def attack(self, case: Case) -> None:
+        """Tries one setting."""
+        recipe, settings = self.units[case.number]
+        self.attempt(case, recipe, settings)
+
+    def attempt(self, case: Case, recipe: Recipe, settings: list[str]) -> None:
+        """Shows a config with settings, trains with it if it is accepted, resumes, samples."""
+        key = settings[0].partition("=")[0]
+        case.label = key if len(settings) == 1 else "settings"
+        config = f"shared/recipes/{recipe.name}/shortest.toml"
+        options = set_options(settings)
+        limits = Limits(memory=self.setting.address_space + ROOM)
+        shown = case.run("config", "show", config, *options, limits=limits, allowed=(0, 2))
+        if shown.code != SUCCESS:
+            case.counts["refused"] += 1
+            return
+        if shown.stdout == self.shown[recipe.name]:
+            case.counts["as before"] += 1
+            return
+        case.counts["trained"] += 1
+        known = self.hangs.get(key, 0) >= 2
+        much = any(asks_much(setting) for setting in settings)
+        cpu = LONG_ENOUGH if known else MUCH_ENOUGH if much else 20
+        limits = Limits(cpu=cpu, memory=limits.memory, much=much)
+        enough = lambda cpu: cpu > LONG_ENOUGH and self.works(case.folder)
+        train = ["train", config, *options, "--runs-dir", "runs"]
+        ended = case.run(*train, limits=limits, enough=enough)
+        if ended.hang:
+            self.hangs[key] = self.hangs.get(key, 0) + 1
+            case.counts["long without progress"] += 1
+        if ended.killed:
+            case.counts["long"] += 1
+        if ended.code == FAILED:
+            case.counts["failed with a sentence"] += 1
+        if ended.code in (FAILED, INVALID) and "error:" not in ended.stderr:
+            case.wrong("no reason", "train", ended.stderr[:300], "a reason on stderr", ended)
+        if ended.code == SUCCESS:
+            self.after(case, key, train, limits)
+
+    def after(self, case: Case, key: str, train: list[str], limits: Limits) -> None:
+        """What a run that ended well must allow."""
+        runs = [path for path in (case.folder / "runs").glob("*") if path.is_dir()]
+        if not runs:
+            found = "exit code 0, and no run in the folder of runs"
+            case.wrong("nothing written", key, found, "a run", None)
+            return
+        enough = lambda cpu: cpu > LONG_ENOUGH
+        resumed = case.run(*train, "--resume", limits=limits, enough=enough)
+        self.must(case, key, "resume", resumed)
+        run = runs[0].relative_to(case.folder)
+        sample = ["sample", run, "--steps", 1, "--out", "sample"]
+        sampled = case.run(*sample, limits=limits, enough=enough)
+        self.must(case, key, "sample", sampled)
+        case.must_be_finite(sampled, "sample*.npy")
+
+    def must(self, case: Case, key: str, what: str, ended: Ended) -> None:
+        """Records what ended with another exit code than 0."""
+        if ended.code in (FAILED, INVALID) and not ended.killed:
+            found = f"{what} of a finished run: exit code {ended.code}: {ended.stderr[:200]}"
+            sentence = re.sub(r"\d[\w.]*", "N", ended.stderr.strip().partition("\n")[0])[:100]
+            case.wrong(f"no {what}", sentence, found, "exit code 0", ended)
+
+    @staticmethod
+    def works(folder: Path) -> bool:
+        """Whether a run makes progress that can be seen."""
+        return any(steps_logged(path.parent) for path in folder.rglob("metrics.jsonl"))
+
+
+class Combinations(Sweep):
+    """Two to five settings at once, of the right type."""
+
+    name = "combinations"
+    weight = 4
+
+    def total(self) -> int | None:
+        """As many as there is time for."""
+        return None
+
+    def attack(self, case: Case) -> None:
+        """Tries some settings together."""
+        recipe = case.random.choice(self.setting.recipes)
+        settings = self.plausible[recipe.name]
+        count = case.random.randint(2, 5)
+        self.attempt(case, recipe, [case.random.choice(settings) for _ in range(count)])
+
+
+
+def asks_much(setting: str) -> bool:
+    """Whether a setting is a large number."""
+    try:
+        return float(setting.partition("=")[2]) > MUCH
+    except ValueError:
+        return False
+
+
+def of_type(value: object) -> list[str]:
+    """Values like another."""
+    if isinstance(value, bool):
+        return ["true", "false"]
+    if isinstance(value, int):
+        return ["0", "1", "2", "3", "5", "8", "17", "100"]
+    if isinstance(value, float):
+        return ["0", "0.5", "1", "1e-300", "1e-9", "3.5", "100", "1e9", "1e300"]
+    if isinstance(value, list) and value:
+        return [str(value[:1]), str([*value, value[-1]]), str([value[0]] * len(value))]
+    return ["1", "0.5", "true", "[1]", '"a"']
