@@ -44,6 +44,21 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
+/// The file at `path` to be locked, made where there is none.
+///
+/// # Errors
+/// If it cannot be made, or is a folder, a pipe or a device.
+pub fn lock_file(path: &Path) -> io::Result<File> {
+    match regular(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(path),
+    }
+}
+
 /// The length of the file at `path`.
 ///
 /// # Errors

@@ -141,6 +141,16 @@ pub enum Error {
         /// Path of the last good checkpoint, or a note that there is none.
         last_good: String,
     },
+    /// A generated sample has numbers that are not finite.
+    #[error("the sample {} is not finite: it is not written", path.display())]
+    #[diagnostic(help(
+        "the sampler overflowed: lower the guidance (`sampling.sampler.guidance_scale`, the goal's \
+         weights), clip (`sampling.clip`), or check the model's validation loss"
+    ))]
+    SampleNotFinite {
+        /// The file it would have been.
+        path: PathBuf,
+    },
     /// A request that does not fit the model, or contradictory options.
     #[error("{message}")]
     #[diagnostic(help("{hint}"))]
@@ -204,7 +214,7 @@ impl Error {
     /// it was given is wrong.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::NotFinite { .. } | Self::Io { .. } => 1,
+            Self::NotFinite { .. } | Self::SampleNotFinite { .. } | Self::Io { .. } => 1,
             Self::Data(error) if error.is_failure() => 1,
             _ => 2,
         }

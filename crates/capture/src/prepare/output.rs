@@ -5,6 +5,7 @@ use std::fs::{self, File, TryLockError};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
+use kinegrad_data::file::lock_file;
 use kinegrad_data::manifest::{self, ManifestRow};
 use kinegrad_data::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
 use kinegrad_data::{Digest, Store, StoreError, features_path, motion_path};
@@ -171,7 +172,7 @@ fn lock(store: &Store) -> Result<Option<File>, Error> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(|reason| io("create", folder, reason))?;
     }
-    let file = File::create(&path).map_err(|reason| io("create", &path, reason))?;
+    let file = lock_file(&path).map_err(|reason| io("create", &path, reason))?;
     match file.try_lock() {
         Ok(()) => Ok(Some(file)),
         Err(TryLockError::WouldBlock) => Err(busy(store)),

@@ -156,8 +156,16 @@ impl Receiver for Files {
             bar.finish();
         }
         let stem = format!("{}{}", self.stem, drawn.name);
+        let path = |ending: &str| PathBuf::from(format!("{stem}{ending}"));
         for (ending, contents) in &drawn.files {
-            let path = PathBuf::from(format!("{stem}{ending}"));
+            if let Contents::Array { values, .. } = contents
+                && !values.iter().all(|value| value.is_finite())
+            {
+                return Err(Error::SampleNotFinite { path: path(ending) });
+            }
+        }
+        for (ending, contents) in &drawn.files {
+            let path = path(ending);
             match contents {
                 Contents::Array { shape, values } => write_values(&path, shape, values)?,
                 Contents::Figure { joints, skeleton } => {

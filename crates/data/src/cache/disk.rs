@@ -12,6 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use crate::digest::Digest;
+use crate::file::lock_file;
 use crate::{Error, atomic};
 
 /// After a clean-up, so much of the bound is in use: room for the next files.
@@ -99,7 +100,7 @@ impl DiskCache {
     /// Removes the files unused for longest until the bound holds. If another process is doing
     /// so, leaves it to that one.
     fn make_room(&self) {
-        let Ok(lock) = File::create(self.folder.join("lock")) else {
+        let Ok(lock) = lock_file(&self.folder.join("lock")) else {
             return;
         };
         // Where files cannot be locked, each process makes room by itself.

@@ -49,11 +49,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::MAX_FRAMES;
 
-/// Rejects a coordinate that is not finite.
+/// Furthest position from the origin along each axis, metres.
+const MAX_METRES: f64 = 1e5;
+
+/// Largest factor of a part of the guidance.
+const MAX_WEIGHT: f64 = 1e9;
+
+/// Rejects a coordinate that nobody reaches, or that is none.
 fn check_metres(key: &str, metres: f64) -> Result<(), InvalidSetting> {
-    require(metres.is_finite(), key, metres, "a finite number of metres").hint(
-        "positions lie on the ground, x to the left of the first frame's body and z ahead of it",
-    )
+    in_range(key, metres, -MAX_METRES..=MAX_METRES)
+        .hint("metres on the ground, x to the left of the first frame's body and z ahead of it")
 }
 
 /// [`check_metres`] of both coordinates of the position at `key`.
@@ -152,12 +157,12 @@ impl Goal {
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("frames", self.frames, 1..=MAX_FRAMES)
             .hint("`frames` is the length of the clip")?;
-        for (key, number) in [
-            ("margin", self.margin),
-            ("weights.position", self.weights.position),
-            ("weights.obstacle", self.weights.obstacle),
+        for (key, number, most) in [
+            ("margin", self.margin, MAX_METRES),
+            ("weights.position", self.weights.position, MAX_WEIGHT),
+            ("weights.obstacle", self.weights.obstacle, MAX_WEIGHT),
         ] {
-            in_range(key, number, 0.0..).hint("leave out the key for its default")?;
+            in_range(key, number, 0.0..=most).hint("leave out the key for its default")?;
         }
         self.check_keyframes()?;
         if let Some(trajectory) = &self.trajectory {

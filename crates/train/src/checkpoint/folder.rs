@@ -3,6 +3,7 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use kinegrad_models::parameters::ParameterInfo;
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
@@ -93,7 +94,7 @@ impl Checkpoints {
 
     /// The best step, if one is recorded.
     pub fn best(&self) -> Option<Best> {
-        serde_json::from_slice(&fs::read(self.path.join("best.json")).ok()?).ok()
+        serde_json::from_slice(&read_file(&self.path.join("best.json"), MAX_TEXT_BYTES).ok()?).ok()
     }
 
     /// Writes a checkpoint; when this returns it survives a crash.

@@ -261,14 +261,18 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         ..
     } = config;
     let accumulation = train.gradient_accumulation_steps;
-    in_range("train.gradient_accumulation_steps", accumulation, 1..)?;
+    in_range(
+        "train.gradient_accumulation_steps",
+        accumulation,
+        1..=65_536,
+    )?;
     in_range("train.max_steps", train.max_steps, 1..)?;
     in_range("train.log_every_steps", train.log_every_steps, 1..)?;
     in_range("train.max_grad_norm", train.max_grad_norm, 0.0..)?;
     in_range("checkpoint.every_steps", checkpoint.every_steps, 1..)?;
     in_range("checkpoint.keep_last", checkpoint.keep_last, 1..)?;
-    in_range("validation.draws", validation.draws, 1..)?;
-    in_range("validation.batch_size", validation.batch_size, 1..)?;
+    in_range("validation.draws", validation.draws, 1..=1_000)?;
+    in_range("validation.batch_size", validation.batch_size, 1..=65_536)?;
     in_range("ema.update_every", ema.update_every, 1..)?;
     in_range("ema.decay", ema.decay, 0.0..=1.0)?;
     in_range("ema.inv_gamma", ema.inv_gamma, 0.0..)?;

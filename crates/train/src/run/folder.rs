@@ -5,6 +5,8 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
+use kinegrad_data::file::lock_file;
+
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config};
 use crate::error::Error;
@@ -88,12 +90,7 @@ pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
 /// Takes the run's lock, which ends with what is returned, or with this process however it ends.
 pub(super) fn lock(folder: &Path) -> Result<Arc<File>, Error> {
     let path = folder.join(LOCK);
-    let file = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(&path)
-        .map_err(Error::io("open", &path))?;
+    let file = lock_file(&path).map_err(Error::io("open", &path))?;
     match file.try_lock() {
         Ok(()) => Ok(Arc::new(file)),
         Err(TryLockError::WouldBlock) => Err(Error::usage(

@@ -3,9 +3,11 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::time::Instant;
 
+use kinegrad_data::file::{read_file, regular};
 use serde_json::{Map, Value};
 
 use super::EventFile;
+use super::MAX_BYTES;
 use super::appended::{Appended, now};
 use crate::Error;
 
@@ -130,7 +132,7 @@ impl Metrics {
 /// Length of the file's beginning whose lines are whole and not beyond `step`, and the numbers of
 /// those that are damaged, from 1.
 fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
-    let file = match File::open(path) {
+    let file = match regular(path).and_then(|_| File::open(path)) {
         Ok(file) => file,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((0, Vec::new())),
         Err(error) => return Err(Error::io("read", path)(error)),
@@ -197,7 +199,7 @@ fn parse(line: &[u8]) -> Option<Record> {
 /// If the file cannot be read.
 pub fn read_metrics(folder: &Path, warn: &mut dyn FnMut(&str)) -> Result<Vec<Record>, Error> {
     let path = folder.join(FILE);
-    let text = std::fs::read(&path).map_err(Error::io("read", &path))?;
+    let text = read_file(&path, MAX_BYTES).map_err(Error::io("read", &path))?;
     let lines = text.split_inclusive(|&byte| byte == b'\n');
     let (mut records, mut damaged) = (Vec::new(), Vec::new());
     for (number, line) in (1..).zip(lines) {

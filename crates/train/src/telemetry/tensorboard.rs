@@ -1,7 +1,9 @@
-use std::fs::File;
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::Path;
 
+use kinegrad_data::file::read_file;
+
+use super::MAX_BYTES;
 use super::appended::Appended;
 use crate::Error;
 
@@ -24,11 +26,12 @@ impl EventFile {
     /// # Errors
     /// If the file cannot be read or written.
     pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
-        let mut bytes = Vec::new();
-        if let Ok(mut file) = File::open(path) {
-            file.read_to_end(&mut bytes)
-                .map_err(Error::io("read", path))?;
-        }
+        let bytes = match read_file(path, MAX_BYTES) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(Error::io("read", path)(error));
+            }
+            found => found.unwrap_or_default(),
+        };
         let kept = match step {
             0 => 0,
             _ => kept_bytes(&bytes, step),
