@@ -322,6 +322,10 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
         "frames = 16\n[[keyframe]]\nframe = 1\nx = nan\nz = 0.0\n",
         &["`keyframe[0].x`", "NaN is not a finite number"],
     );
+    for x in ["9223372036854775808", "1e308"] {
+        let points = format!("[trajectory]\nfirst_frame = 0\npoints = [[{x}, 0.0], [0.0, 1.0]]\n");
+        refused(&format!("frames = 16\n{points}"), &["goal.toml", "points"]);
+    }
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/gmd_motion --audio song.mp3 --out walk")

@@ -67,6 +67,10 @@ fn wrong_plans_say_what_is_wrong_and_write_nothing() {
         ),
         ("output = \"o\"", &["nothing to prepare"]),
         (
+            "output = \"o\"\nphrases.hop = 9223372036854775808",
+            &["plan.toml", "line 2", "too large"],
+        ),
+        (
             "output = \"o\"\nphrases = [60, 60]",
             &[
                 "plan.toml",

@@ -135,13 +135,6 @@ fn a_start_that_a_recipe_does_not_use_is_refused_in_new_runs_alone() {
                 "`decoder` and `e2e`, not `diffusion`",
             ],
         ),
-        (
-            "init.pretrain.decoder_steps=5",
-            [
-                "`init.pretrain.decoder_steps` is 5",
-                "recipe `e2e` without `init.diffusion`",
-            ],
-        ),
     ] {
         sandbox
             .run(&format!("train c.toml --set {setting}"))

@@ -96,7 +96,7 @@ pub struct TrainArguments {
 /// features to PATH.features.npy and a BVH file in centimetres to PATH.bvh; with
 /// `--trajectory-run`, also the generated ground path to PATH.path.npy. Runs of recipe
 /// `gmd_trajectory` write the ground path `[T, 2]` to PATH.npy.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad sample runs/quickstart --out dance
@@ -160,7 +160,7 @@ pub struct SampleArguments {
 }
 
 /// Sampling options shared by `sample` and `eval`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct DrawArguments {
     /// Override a key of the run's `sampling` or `evaluation` table, for example
     /// sampling.sampler.kind=dpmpp_2m
@@ -271,7 +271,7 @@ pub struct CheckArguments {
 /// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on position control: goals are
 /// taken from held-out clips, and the distance to them is measured. The reports are
 /// eval-goals.json and eval-goals.csv.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad eval runs/phrases

@@ -14,9 +14,15 @@ const NUMBER: u64 = 4;
 pub struct Footprint {
     /// Numbers of all parameters, adapters included.
     pub parameters: u64,
-    /// Numbers that the backward pass keeps of one item of a batch, roughly.
+    /// Numbers that the backward pass keeps of one item of a batch inside of the networks, roughly.
     pub activations: u64,
+    /// Numbers of one item: motion and conditions.
+    pub item: u64,
 }
+
+/// What is made of an item's numbers around the networks: noise, noisy motion, the windows of the
+/// first convolution, predictions, losses, in the end the motion's joints.
+const COPIES_OF_ITEM: u64 = 16;
 
 impl Footprint {
     /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
@@ -30,8 +36,7 @@ impl Footprint {
             true => config.data.batch_size.max(config.validation.batch_size),
             false => 0,
         };
-        // Half as much again for what comes and goes.
-        let an_item = self.activations.saturating_mul(NUMBER) / 2 * 3;
+        let an_item = self.kept(true);
         parameters
             .saturating_add(an_item.saturating_mul(items as u64))
             .saturating_add(config.data.memory())
@@ -40,12 +45,18 @@ impl Footprint {
     /// Bytes of main memory that it takes to draw `items` clips at a time, roughly; `guided`
     /// towards goals, which differentiates the network.
     pub fn of_sampling(self, items: usize, guided: bool) -> u64 {
-        let an_item = match guided {
-            true => self.activations.saturating_mul(NUMBER) / 2 * 3,
-            false => self.activations.saturating_mul(NUMBER) / 2,
-        };
         let parameters = self.parameters.saturating_mul(3 * NUMBER);
-        parameters.saturating_add(an_item.saturating_mul(items as u64))
+        parameters.saturating_add(self.kept(guided).saturating_mul(items as u64))
+    }
+
+    /// Bytes of one item, with the activations of a backward pass or of as many layers as are in
+    /// use at a time.
+    fn kept(self, with_gradients: bool) -> u64 {
+        // Half as much again for what comes and goes.
+        let halves = if with_gradients { 3 } else { 1 };
+        let inside = self.activations.saturating_mul(halves * NUMBER) / 2;
+        let around = self.item.saturating_mul(COPIES_OF_ITEM * NUMBER);
+        inside.saturating_add(around)
     }
 }
 

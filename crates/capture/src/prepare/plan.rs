@@ -155,7 +155,7 @@ impl Plan {
     /// [`Error::Plan`] with the line or key, what was found and what is allowed.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
-        let mut plan: Self = toml::from_str(&text).map_err(|error| {
+        let wrong = |error: toml::de::Error| {
             let place = error.span().map(|span| {
                 let before = &text.as_bytes()[..span.start.min(text.len())];
                 let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
@@ -163,8 +163,9 @@ impl Plan {
             });
             let place = place.unwrap_or_default();
             Error::plan(path, format!("{place}{}", error.message()))
-        })?;
-        let given: Table = text.parse().expect("text that was just parsed");
+        };
+        let given: Table = text.parse().map_err(wrong)?;
+        let mut plan: Self = toml::from_str(&text).map_err(wrong)?;
         let read = Table::try_from(&plan).expect("a plan is plain data");
         must_be_finite(&given)
             .and_then(|()| must_be_tables(&given, &read))

@@ -10,12 +10,16 @@ use kinegrad_train::sampling::Subject;
 use kinegrad_train::systems::Systems;
 use serde_json::json;
 
-use super::sample::{checkpoint, subject};
+use super::sample::{checkpoint, subject, while_it_is_trained};
 use crate::args::EvalArguments;
 use crate::progress::Denoising;
 
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
+    while_it_is_trained(|| evaluate(systems, arguments.clone()))
+}
+
+fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
     let runs = &arguments.runs;
     let subjects: Vec<Subject> = runs
         .iter()

@@ -20,6 +20,24 @@ const CENTIMETRES: f64 = 100.0;
 
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
+    while_it_is_trained(|| draw(systems, arguments.clone()))
+}
+
+/// How often another checkpoint is looked for.
+const ATTEMPTS: usize = 5;
+
+/// Does what reads a run's checkpoint, again if a training that goes on removed it meanwhile.
+pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Result<T, Error> {
+    for _ in 1..ATTEMPTS {
+        match read() {
+            Err(Error::CheckpointDamaged { path, .. }) if !path.exists() => {}
+            done => return done,
+        }
+    }
+    read()
+}
+
+fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
     if arguments.count == 0 {
         return Err(Error::usage(
             "`--count` is 0",
@@ -179,5 +197,35 @@ impl Receiver for Files {
             say!("{stem}{ending}");
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_that_a_training_removed_is_looked_for_again() {
+        let damaged = |path: &Path| Error::CheckpointDamaged {
+            path: path.to_path_buf(),
+            reason: "state.json: not found".into(),
+        };
+        let mut reads = 0;
+        let read = while_it_is_trained(|| {
+            reads += 1;
+            match reads {
+                1 | 2 => Err(damaged(Path::new("runs/none/checkpoints/step-00000004"))),
+                _ => Ok(reads),
+            }
+        });
+        assert_eq!(read.expect("the third"), 3);
+        // One that is there is damaged.
+        let mut reads = 0;
+        let read = while_it_is_trained(|| -> Result<(), Error> {
+            reads += 1;
+            Err(damaged(Path::new("/")))
+        });
+        assert!(read.is_err());
+        assert_eq!(reads, 1);
     }
 }

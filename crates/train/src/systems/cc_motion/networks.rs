@@ -108,10 +108,12 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let frames = config.data.target_frames;
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
+    let item = ((CHANNELS + AUDIO_CHANNELS) * frames) as u64;
     if !RecipeName::of(config)?.trains_through_sampler() {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,
             activations: a_pass,
+            item,
         });
     }
     let unet = match &own.lora {
@@ -122,6 +124,7 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     Ok(Footprint {
         parameters: parameters as u64,
         activations: own.rollout.steps_kept() * a_pass + own.decoder.activations(frames),
+        item,
     })
 }
 

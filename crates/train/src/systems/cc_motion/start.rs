@@ -3,13 +3,13 @@
 use burn::tensor::Device;
 use kinegrad_models::{MotionModel, parameters};
 use kinegrad_motion::{Phrases, Statistics};
-use kinegrad_settings::{InvalidSetting, Refused, require};
+use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::networks::{Trained, decoder, denoiser, trainable};
 use super::recipe_name::RecipeName;
-use super::{CcMotionConfig, InitConfig, PretrainConfig};
-use crate::config::{Config, SystemTables, difference};
+use super::{CcMotionConfig, InitConfig};
+use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::start::{Start, must_agree, tables_of};
 
@@ -108,19 +108,7 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
             "leave the key out: recipe `{name}` starts from new weights"
         ))?;
     }
-    let pretrains = recipe == RecipeName::E2e && init.diffusion.as_os_str().is_empty();
-    let mut set = difference(&PretrainConfig::default(), &init.pretrain).into_iter();
-    match set.next().filter(|_| !pretrains) {
-        None => Ok(()),
-        Some(set) => {
-            let key = format!("init.pretrain.{}", set.key);
-            let allowed = "a setting for recipe `e2e` without `init.diffusion` alone";
-            let refused = InvalidSetting::new(key, set.right, allowed);
-            Err(refused
-                .hint("leave the key out: nothing is trained before this run")
-                .into())
-        }
-    }
+    Ok(())
 }
 
 /// What the config of a resumed run says of networks and process.

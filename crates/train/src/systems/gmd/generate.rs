@@ -338,8 +338,8 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
         Error::usage(message, "docs/goals.md describes goals")
     };
     let text = read_text(path).map_err(|error| refused(&error))?;
+    let given: Table = text.parse().map_err(|error| refused(&error))?;
     let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
-    let given: Table = text.parse().expect("text that was just parsed");
     let read = Table::try_from(&goal).expect(PLAIN);
     must_be_finite(&given)
         .and_then(|()| must_be_tables(&given, &read))

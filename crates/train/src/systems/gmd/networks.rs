@@ -6,6 +6,7 @@ use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 
 use super::GmdConfig;
@@ -63,6 +64,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     Ok(Footprint {
         parameters: parameter_count(config)? as u64,
         activations: network.activations(frames),
+        item: (channels_of(config)? * frames + TEXT_CHANNELS) as u64,
     })
 }
 
