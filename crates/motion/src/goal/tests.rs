@@ -76,7 +76,9 @@ fn errors_name_the_key_what_was_found_and_what_is_allowed() {
          frame"
     );
     goal.keyframes[2] = keyframe(2, 0.0, f64::NAN);
-    assert!(message(&goal).starts_with("`keyframe[2].z` is NaN, allowed: a finite number"));
+    assert!(message(&goal).starts_with("`keyframe[2].z` is NaN, allowed: -100000 to 100000"));
+    goal.keyframes[2] = keyframe(2, 1e308, 0.0);
+    assert!(message(&goal).starts_with("`keyframe[2].x` is 1"));
     goal.keyframes.pop();
     goal.validate().unwrap();
     goal.trajectory = Some(Trajectory {
@@ -105,7 +107,7 @@ fn a_goal_without_contents_or_frames_is_refused() {
     goal.obstacles.pop();
     goal.validate().unwrap();
     goal.margin = -0.1;
-    assert!(message(&goal).starts_with("`margin` is -0.1, allowed: 0 or more"));
+    assert!(message(&goal).starts_with("`margin` is -0.1, allowed: 0 to 100000"));
     goal.margin = 0.1;
     goal.weights.position = f64::INFINITY;
     assert!(message(&goal).starts_with("`weights.position` is inf"));

@@ -1,9 +1,8 @@
-use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Instant;
 
-use kinegrad_data::file::{read_file, regular};
+use kinegrad_data::file::read_file;
 use serde_json::{Map, Value};
 
 use super::EventFile;
@@ -132,28 +131,21 @@ impl Metrics {
 /// Length of the file's beginning whose lines are whole and not beyond `step`, and the numbers of
 /// those that are damaged, from 1.
 fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
-    let file = match regular(path).and_then(|_| File::open(path)) {
-        Ok(file) => file,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((0, Vec::new())),
-        Err(error) => return Err(Error::io("read", path)(error)),
+    let text = match read_file(path, MAX_BYTES) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok((0, Vec::new())),
+        text => text.map_err(Error::io("read", path))?,
     };
-    let mut reader = BufReader::new(file);
     let (mut kept, mut damaged) = (0, Vec::new());
-    let mut line = Vec::new();
-    for number in 1.. {
-        line.clear();
-        let bytes = reader
-            .read_until(b'\n', &mut line)
-            .map_err(Error::io("read", path))?;
+    for (number, line) in (1..).zip(text.split_inclusive(|&byte| byte == b'\n')) {
         // Of a process that died within a line.
         let torn = line.last() != Some(&b'\n');
-        match parse(&line) {
+        match parse(line) {
             _ if torn => break,
             Some(record) if record.step > step => break,
             Some(_) => {}
             None => damaged.push(number),
         }
-        kept += bytes as u64;
+        kept += line.len() as u64;
     }
     Ok((kept, damaged))
 }
