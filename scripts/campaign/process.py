@@ -19,6 +19,8 @@ ASLEEP = 6.0
 STARVED = 10.0
 """A process that gets no turn on a busy machine has this many times its time."""
 WORKING = "still working"
+READS = 16
+"""Of a pipe at a time."""
 MOST_OUTPUT = 1 << 20
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -215,7 +217,11 @@ class Process:
         """Reads what is in a pipe; whether there was anything."""
         some = False
         try:
-            while part := os.read(number, 65536):
+            # A program that writes without an end must not keep its watcher.
+            for _ in range(READS):
+                part = os.read(number, 65536)
+                if not part:
+                    break
                 some = True
                 room = MOST_OUTPUT - len(self.output[number])
                 self.output[number] += part[:max(room, 0)]
