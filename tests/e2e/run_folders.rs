@@ -2,11 +2,11 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Child, Command};
+use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -181,4 +181,28 @@ fn samples_need_a_name() {
         .run("sample runs/smallest --steps 2 --out made/one.npy")
         .succeeded();
     assert_eq!(sandbox.list("made"), ["one.npy", "one.raw.npy"]);
+}
+
+#[test]
+fn a_slow_start_does_not_overwrite_a_run_that_was_begun_meanwhile() {
+    let sandbox = sandbox();
+    // A dataset that takes seconds to make, before the run's folder is.
+    let slow = sandbox
+        .command(
+            "train c.toml --set data.synthetic.phrases=30000 --set data.validation.fraction=0.001"
+                .split(' '),
+        )
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary starts");
+    sandbox
+        .run("train c.toml --set train.max_steps=4")
+        .succeeded();
+    let before = contents(&sandbox.path("runs"));
+    let slow = slow.wait_with_output().expect("an end");
+    let said = String::from_utf8_lossy(&slow.stderr);
+    assert_eq!(slow.status.code(), Some(2), "{said}");
+    assert!(said.contains("exists already"), "{said}");
+    assert_eq!(contents(&sandbox.path("runs")), before);
 }
