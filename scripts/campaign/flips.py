@@ -9,6 +9,8 @@ from judge import INVALID, SUCCESS
 from runs import last_differs
 
 KINDS = ["bit", "bit", "bit", "cut", "zeros", "removed", "empty", "longer"]
+NOT_NEEDED = ["metrics.jsonl", "loader.jsonl", "events.out.tfevents.kinegrad", "best.json", "lock"]
+"""Files of a run without which it goes on."""
 
 
 class Flips(RunAttack):
@@ -43,6 +45,9 @@ class Flips(RunAttack):
                 found = "; ".join(wrong[:4])
                 expected = "the bytes of a run without damage, or exit code 2"
                 case.wrong("wrong bytes", name, found, expected, resumed)
+        elif path.name in NOT_NEEDED:
+            found = f"exit code {resumed.code}: {resumed.stderr.strip()[:300]}"
+            case.wrong("lost run", path.name, found, "the run goes on without the file", resumed)
         elif of_checkpoint and path.name not in resumed.stderr and "step-" not in resumed.stderr:
             case.wrong("no reason", path.name, resumed.stderr[:300], "the damage by name", resumed)
         elif of_checkpoint and resumed.code != INVALID:

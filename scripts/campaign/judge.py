@@ -64,7 +64,8 @@ def faults_of_code(ended: Ended, allowed: tuple[int, ...]) -> list[Fault]:
     if ended.code not in allowed:
         kind = "exit code" if ended.code in DOCUMENTED else "undocumented exit code"
         return [Fault(kind, f"{ended.code} {signed}", f"exit code {ended.code}", expected)]
-    silent = not ended.stderr.strip() and (ended.code == INVALID or not ended.stdout.strip())
+    # `check` tells what failed on standard output.
+    silent = "error: " not in ended.stderr and (ended.code == INVALID or not ended.stdout.strip())
     if ended.code in (FAILED, INVALID) and silent:
         found = f"exit code {ended.code} without a sentence"
         return [Fault("no sentence", f"{ended.code} {signed}", found, "a reason on stderr")]

@@ -40,6 +40,9 @@ class Rivals(RunAttack):
             if "damaged" in ended.stderr:
                 found = ended.stderr.strip()[:300]
                 case.wrong("damaged checkpoint", "beside another", found, "none", ended)
+        if all(ended.arguments[0] == "train" and ended.code != SUCCESS for ended in ends):
+            found = "; ".join(ended.stderr.strip()[:200] for ended in ends)
+            case.wrong("no winner", " and ".join(pair), found, "one trains", ends[1])
         self.sound(case, ends[0])
         codes = [ended.code for ended in ends]
         if pair == ("train", "train") and codes == [SUCCESS, SUCCESS]:

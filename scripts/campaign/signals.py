@@ -49,5 +49,7 @@ class Signals(RunAttack):
             if alone and not checkpoints(case.folder / "runs/small"):
                 case.wrong("no checkpoint", number.name, "no checkpoint", "a checkpoint", ended)
             if ended.code == SUCCESS:
-                break
+                # It says that it had ended.
+                self.compare(case, recipe, ended, exact=False)
+                return
         self.complete(case, recipe, exact=False)

@@ -206,3 +206,43 @@ fn a_slow_start_does_not_overwrite_a_run_that_was_begun_meanwhile() {
     assert!(said.contains("exists already"), "{said}");
     assert_eq!(contents(&sandbox.path("runs")), before);
 }
+
+#[test]
+fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
+    let sandbox = sandbox();
+    let train =
+        "train c.toml --set sampling.count_at_end=1 --set sampling.sampler.num_inference_steps=2";
+    sandbox
+        .run(&format!("{train} --set train.max_steps=4"))
+        .succeeded();
+    let samples = sandbox.path("runs/smallest/samples");
+    let first = contents(&samples);
+    assert!(!first.is_empty());
+    let mut child = sandbox.start(&format!("{train} --set train.max_steps=100000 --resume"));
+    let started = Instant::now();
+    while !sandbox
+        .path("runs/smallest/checkpoints/step-00000008")
+        .exists()
+        && started.elapsed() < Duration::from_secs(60)
+    {
+        sleep(Duration::from_millis(5));
+    }
+    child.kill().expect("a kill");
+    child.wait().expect("an end");
+    // As long as it has come: it ends at once.
+    sandbox
+        .run(&format!("{train} --set train.max_steps=5 --resume"))
+        .succeeded();
+    let second = contents(&samples);
+    assert_eq!(second.len(), first.len());
+    assert_ne!(second, first);
+    assert!(!sandbox.path("runs/smallest/.writing-samples").exists());
+    // A file in the folder's place is named, and nothing is lost.
+    fs::remove_dir_all(&samples).expect("removed");
+    fs::write(&samples, "mine").expect("written");
+    fs::create_dir(sandbox.path("runs/smallest/.writing-samples")).expect("a folder");
+    sandbox
+        .run(&format!("{train} --set train.max_steps=5 --resume"))
+        .failed(2, &["samples is a file", "move it away"]);
+    assert_eq!(fs::read(&samples).expect("a file"), b"mine");
+}

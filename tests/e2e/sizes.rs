@@ -196,3 +196,16 @@ fn losses_beyond_all_axes_leave_gaps_in_a_plot() {
     sandbox.run("plot runs/r --out p.svg").succeeded();
     assert!(sandbox.path("p.svg").exists());
 }
+
+#[test]
+fn a_config_may_come_from_another_program() {
+    let sandbox = sandbox();
+    let kinegrad = env!("CARGO_BIN_EXE_kinegrad");
+    let shown = Command::new("bash")
+        .args(["-c", &format!("'{kinegrad}' config show <(cat c.toml)")])
+        .current_dir(sandbox.path("."))
+        .output()
+        .expect("bash");
+    let said = String::from_utf8_lossy(&shown.stderr);
+    assert!(shown.status.success(), "{said}");
+}

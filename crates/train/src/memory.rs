@@ -14,8 +14,11 @@ const NUMBER: u64 = 4;
 pub struct Footprint {
     /// Numbers of all parameters, adapters included.
     pub parameters: u64,
-    /// Numbers that the backward pass keeps of one item of a batch inside of the networks, roughly.
+    /// Numbers that the backward pass keeps of one item of a batch for one pass through the
+    /// networks, roughly.
     pub activations: u64,
+    /// Passes that the backward pass keeps at a time.
+    pub passes: u64,
     /// Numbers of one item: motion and conditions.
     pub item: u64,
 }
@@ -32,13 +35,14 @@ impl Footprint {
         // the CPU trains, gradients too.
         let copies = if on_host { 7 } else { 6 };
         let parameters = self.parameters.saturating_mul(copies * NUMBER);
+        let of_items = |items: usize, kept: u64| kept.saturating_mul(items as u64);
         let items = match on_host {
-            true => config.data.batch_size.max(config.validation.batch_size),
+            true => of_items(config.data.batch_size, self.kept(true))
+                .max(of_items(config.validation.batch_size, self.kept(false))),
             false => 0,
         };
-        let an_item = self.kept(true);
         parameters
-            .saturating_add(an_item.saturating_mul(items as u64))
+            .saturating_add(items)
             .saturating_add(config.data.memory())
     }
 
@@ -53,20 +57,22 @@ impl Footprint {
     /// use at a time.
     fn kept(self, with_gradients: bool) -> u64 {
         // Half as much again for what comes and goes.
-        let halves = if with_gradients { 3 } else { 1 };
+        let halves = if with_gradients { 3 * self.passes } else { 1 };
         let inside = self.activations.saturating_mul(halves * NUMBER) / 2;
         let around = self.item.saturating_mul(COPIES_OF_ITEM * NUMBER);
         inside.saturating_add(around)
     }
 }
 
-/// Bytes of main memory that are free: of the machine, of the process's control group and below
-/// the limit of its addresses, whichever is least; nothing where that cannot be told.
+/// Bytes of main memory that there are for this process: what is free on the machine, what its
+/// control group may have, what is left of its addresses, whichever is least; nothing where that
+/// cannot be told.
 pub fn available() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let mut machine = System::new_with_specifics(memory);
     let free = Some(machine.available_memory()).filter(|free| *free > 0);
-    let group = machine.cgroup_limits().map(|limits| limits.free_memory);
+    // Of the group's own use a part is cached files, which make room.
+    let group = machine.cgroup_limits().map(|limits| limits.total_memory);
     let addresses = getrlimit(Resource::As).current.map(|limit| {
         let process = sysinfo::get_current_pid().ok().and_then(|own| {
             let refresh = ProcessRefreshKind::nothing().with_memory();
@@ -78,17 +84,20 @@ pub fn available() -> Option<u64> {
     free.into_iter().chain(group).chain(addresses).min()
 }
 
+/// Work that is estimated to take no more than this is tried: an estimate is not that exact.
+const SMALL: u64 = 256 << 20;
+
 /// Rejects `work` that needs more memory than is free.
 ///
 /// # Errors
 /// [`Error::Usage`] with both figures.
 pub fn must_fit(work: &str, needed: u64, hint: &str) -> Result<(), Error> {
     match available() {
-        Some(free) if needed > free => Err(Error::usage(
+        Some(free) if needed > free.max(SMALL) => Err(Error::usage(
             format!(
                 "{work} needs about {}, {} of memory are free",
-                gibibytes(needed),
-                gibibytes(free)
+                size(needed),
+                size(free)
             ),
             hint,
         )),
@@ -96,7 +105,63 @@ pub fn must_fit(work: &str, needed: u64, hint: &str) -> Result<(), Error> {
     }
 }
 
-/// A number of bytes for people: `3.5 GiB`.
-pub fn gibibytes(bytes: u64) -> String {
-    format!("{:.1} GiB", bytes as f64 / (1 << 30) as f64)
+/// A number of bytes for people: `120 MiB`, `3.5 GiB`.
+pub fn size(bytes: u64) -> String {
+    let mebibytes = bytes as f64 / f64::from(1 << 20);
+    match mebibytes < 1000.0 {
+        true => format!("{mebibytes:.0} MiB"),
+        false => format!("{:.1} GiB", mebibytes / 1024.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::systems::BUILT_IN;
+
+    #[test]
+    fn sizes_are_for_people() {
+        assert_eq!(size(3 << 20), "3 MiB");
+        assert_eq!(size(7 << 29), "3.5 GiB");
+    }
+
+    #[test]
+    fn what_is_small_is_tried_and_what_no_machine_has_is_not() {
+        must_fit("this", SMALL, "").expect("little");
+        let error = must_fit("this", 1 << 60, "").expect_err("too much");
+        assert!(
+            error
+                .to_string()
+                .starts_with("this needs about 1073741824.0 GiB")
+        );
+    }
+
+    #[test]
+    fn validation_keeps_no_gradients_and_each_batch_counts() {
+        let parse = |text: &str| BUILT_IN.parse(text, "c.toml", &[]).expect("a config");
+        let [little, batch, validation] = [
+            "",
+            "[data]\nbatch_size = 64",
+            "[validation]\nbatch_size = 64",
+        ]
+        .map(|text| {
+            let mut config = parse(text);
+            config.data.num_workers = 0;
+            if !text.starts_with("[data]") {
+                config.data.batch_size = 1;
+            }
+            if !text.starts_with("[validation]") {
+                config.validation.batch_size = 1;
+            }
+            let footprint = Footprint {
+                parameters: 1000,
+                activations: 1_000_000,
+                passes: 10,
+                item: 0,
+            };
+            footprint.of_training(&config, true)
+        });
+        assert!(batch > 60 * (little / 2), "{batch}, {little}");
+        assert!(validation < batch / 20, "{validation}, {batch}");
+    }
 }

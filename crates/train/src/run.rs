@@ -5,5 +5,6 @@ mod setup;
 mod start;
 
 pub(crate) use folder::has_begun;
+pub use folder::{SAMPLES, UNFINISHED_SAMPLES, remove};
 pub use setup::{Material, Outcome, Setup};
 pub use start::{TrainRequest, load_config, train, train_config};

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use kinegrad_report::grouped;
-use kinegrad_train::memory::gibibytes;
+use kinegrad_train::memory;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, config, run};
 
@@ -28,7 +28,7 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     let needed = system.footprint(&config)?.of_training(&config, true);
     say!(
         "# memory: about {} to train it on the CPU",
-        gibibytes(needed)
+        memory::size(needed)
     );
     say!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)

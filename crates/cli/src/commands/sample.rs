@@ -71,7 +71,13 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
 
 /// The checkpoint that a path means.
 pub fn checkpoint(path: &Path) -> Result<PathBuf, Error> {
-    resolve_checkpoint(path, |damaged| tell!("warning: {damaged}"))
+    resolve_checkpoint(path, |damaged| {
+        // A training beside this process may have removed it.
+        let gone = matches!(damaged, Error::CheckpointDamaged { path, .. } if !path.exists());
+        if !gone {
+            tell!("warning: {damaged}");
+        }
+    })
 }
 
 /// The model of a run or checkpoint, with the settings of the command line.

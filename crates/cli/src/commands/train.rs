@@ -1,14 +1,13 @@
 //! `kinegrad train`
 
 use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
 use kinegrad_report::facts;
 use kinegrad_train::checkpoint::{State, Weights};
-use kinegrad_train::run::{self, Outcome, TrainRequest};
+use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{Conditions, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
@@ -44,10 +43,10 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     if outcome.ending == Some(Ending::Interrupted) {
         return Ok(ExitCode::from(130));
     }
-    let missing = outcome.ending.is_some()
-        || !outcome.folder.join(SAMPLES).exists()
-        || outcome.folder.join(UNFINISHED).exists();
-    if missing && outcome.config.sampling.count_at_end > 0 {
+    // A process that ended before has left them to this one, or a user has removed them.
+    let owed =
+        outcome.folder.join(UNFINISHED_SAMPLES).exists() || !outcome.folder.join(SAMPLES).exists();
+    if owed && outcome.config.sampling.count_at_end > 0 {
         if progress.end_training() {
             tell!("stopped before the samples were drawn; `--resume` draws them");
             return Ok(ExitCode::from(130));
@@ -78,12 +77,6 @@ fn summarise(outcome: &Outcome, started: Instant) {
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// Folder of the samples drawn at a run's end, in the run's folder.
-const SAMPLES: &str = "samples";
-
-/// Folder that they are drawn into; where it is left, `--resume` draws them again.
-const UNFINISHED: &str = ".writing-samples";
-
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
 /// ends before they are drawn, none.
 fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
@@ -99,7 +92,7 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
         seed: outcome.config.run.seed,
     };
     let folder = outcome.folder.join(SAMPLES);
-    let unfinished = outcome.folder.join(UNFINISHED);
+    let unfinished = outcome.folder.join(UNFINISHED_SAMPLES);
     let (system, _) = systems.of(&subject.config)?;
     remove(&unfinished)?;
     fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
@@ -118,6 +111,12 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
 
 /// Moves a folder, or what it holds into one that is there, over files of the same names.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
+    if to.exists() && !to.is_dir() {
+        return Err(Error::usage(
+            format!("the samples cannot be written: {} is a file", to.display()),
+            "move it away, and `--resume` the run",
+        ));
+    }
     if !to.exists() {
         return fs::rename(from, to).map_err(Error::io("rename", from));
     }
@@ -127,14 +126,4 @@ fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
         fs::rename(from.join(name), &target).map_err(Error::io("write", &target))?;
     }
     remove(from)
-}
-
-/// Removes a folder that may not be there.
-fn remove(folder: &Path) -> Result<(), Error> {
-    match fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(Error::io("remove", folder)(error))
-        }
-        _ => Ok(()),
-    }
 }

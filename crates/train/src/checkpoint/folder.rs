@@ -8,7 +8,7 @@ use kinegrad_models::parameters::ParameterInfo;
 
 use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
 use super::{Best, Checkpoint, CheckpointRef, State};
-use crate::Error;
+use crate::{Error, run};
 
 /// Names of what is being written or removed begin with this.
 const UNFINISHED: &str = ".writing-";
@@ -251,20 +251,14 @@ fn write_files(folder: &Path, checkpoint: CheckpointRef<'_>) -> Result<(), Error
 /// a crash midway leaves none with files missing.
 fn remove(path: &Path) -> Result<(), Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let result = match (path.is_dir(), name.starts_with(UNFINISHED)) {
-        (false, _) => fs::remove_file(path),
-        (true, true) => fs::remove_dir_all(path),
-        (true, false) => {
-            let doomed = path.with_file_name(format!("{UNFINISHED}removed-{name}"));
-            // A kill may have left one of this name.
-            remove(&doomed)?;
-            fs::rename(path, &doomed).and_then(|()| fs::remove_dir_all(&doomed))
-        }
-    };
-    match result {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io("remove", path)(error)),
-        _ => Ok(()),
+    if !path.is_dir() || name.starts_with(UNFINISHED) {
+        return run::remove(path);
     }
+    let doomed = path.with_file_name(format!("{UNFINISHED}removed-{name}"));
+    // A kill may have left one of this name.
+    run::remove(&doomed)?;
+    fs::rename(path, &doomed).map_err(Error::io("remove", path))?;
+    run::remove(&doomed)
 }
 
 fn flush_folder(path: &Path) -> Result<(), Error> {

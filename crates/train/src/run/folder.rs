@@ -15,6 +15,12 @@ const CONFIG: &str = "config.toml";
 const UNFINISHED_CONFIG: &str = ".writing-config.toml";
 const LOCK: &str = "lock";
 
+/// Folder of the samples that are drawn at a run's end.
+pub const SAMPLES: &str = "samples";
+
+/// Folder that they are drawn into. It is there from when a run goes on until they are drawn.
+pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
+
 /// Whether `folder` holds a run: its config or, where that was lost, a checkpoint.
 ///
 /// # Errors
@@ -44,20 +50,30 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
     }
 }
 
-/// Rejects the folder of a new run that holds something else than what a start of a run leaves
-/// that ends before its config is written, and folders of these `stages`.
+/// What a run writes into its folder beside its config, its lock and the folders of its stages.
+const WRITTEN: [&str; 7] = [
+    "checkpoints",
+    "metrics.jsonl",
+    "loader.jsonl",
+    "events.out.tfevents.kinegrad",
+    "reports",
+    SAMPLES,
+    UNFINISHED_SAMPLES,
+];
+
+/// Rejects the folder of a new run that holds what the run would overwrite. Other files, such as
+/// logs, may be there.
 ///
 /// # Errors
 /// Names what it holds.
-pub(super) fn must_hold_no_other(folder: &Path, stages: &[&str]) -> Result<(), Error> {
+pub(super) fn must_hold_no_other(folder: &Path) -> Result<(), Error> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         entries => entries.map_err(Error::io("list", folder))?,
     };
     for entry in entries {
         let name = entry.map_err(Error::io("list", folder))?.file_name();
-        let own = [LOCK, UNFINISHED_CONFIG].iter().chain(stages);
-        if !own.into_iter().any(|own| name == *own) {
+        if WRITTEN.iter().any(|written| name == *written) {
             return Err(Error::usage(
                 format!(
                     "{} exists and is no run: it holds `{}` and no {CONFIG}",
@@ -77,6 +93,21 @@ pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> 
     fs::write(&temporary, config::to_toml(config)).map_err(Error::io("write", &temporary))?;
     let target = folder.join(CONFIG);
     fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
+}
+
+/// Removes a file, or a folder with all it holds; one that is not there is fine.
+///
+/// # Errors
+/// If it cannot be removed.
+pub fn remove(path: &Path) -> Result<(), Error> {
+    let removed = match path.is_dir() && !path.is_symlink() {
+        true => fs::remove_dir_all(path),
+        false => fs::remove_file(path),
+    };
+    match removed {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io("remove", path)(error)),
+        _ => Ok(()),
+    }
 }
 
 /// The error of a run that would be overwritten.

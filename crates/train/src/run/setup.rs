@@ -9,7 +9,7 @@ use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
-use super::folder::{exists_already, has_begun, write_config};
+use super::folder::{UNFINISHED_SAMPLES, exists_already, has_begun, remove, write_config};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
@@ -218,6 +218,12 @@ impl Setup {
             }
         };
         write_config(&folder, &config)?;
+        if config.sampling.count_at_end > 0 {
+            // From now on samples are owed, those of an earlier end being of other weights.
+            let owed = folder.join(UNFINISHED_SAMPLES);
+            remove(&owed)?;
+            fs::create_dir(&owed).map_err(Error::io("create", &owed))?;
+        }
         observer.started(&summary);
 
         if config.validation.every_steps > 0 && material.validation == 0 {

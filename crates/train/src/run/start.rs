@@ -134,7 +134,7 @@ pub fn train_config(
         Some(saved) => config::must_continue(&system.moved(saved, &config, &folder)?, &config)?,
         None => {
             system.must_use(&config)?;
-            must_hold_no_other(&folder, system.stages())?;
+            must_hold_no_other(&folder)?;
         }
     }
 
@@ -144,8 +144,9 @@ pub fn train_config(
     memory::must_fit(
         "training",
         needed,
-        "choose a smaller model (`model.*`), fewer `data.batch_size`, `data.target_frames` or, with \
-         synthetic data, `data.synthetic.phrases`; `kinegrad config show` prints the estimate",
+        "choose a smaller model (`model.*`), fewer `data.batch_size`, `validation.batch_size`, \
+         `data.target_frames` or, with synthetic data, `data.synthetic.phrases`; `kinegrad config \
+         show` prints the estimate",
     )?;
     let setup = Setup {
         recipe,

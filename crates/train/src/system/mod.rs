@@ -96,6 +96,7 @@ pub trait System: Sync {
         Ok(Footprint {
             parameters: self.parameter_count(config)? as u64,
             activations: 0,
+            passes: 1,
             item: 0,
         })
     }

@@ -1,12 +1,12 @@
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 use std::time::Instant;
 
-use kinegrad_data::file::read_file;
+use kinegrad_data::file::regular;
 use serde_json::{Map, Value};
 
 use super::EventFile;
-use super::MAX_BYTES;
 use super::appended::{Appended, now};
 use crate::Error;
 
@@ -128,24 +128,47 @@ impl Metrics {
     }
 }
 
+/// Longest line that is read.
+const MAX_LINE: u64 = 1 << 20;
+
+/// Passes the whole lines of the file at `path` on, each with its number from 1, until `take` wants
+/// no more. What follows the last of them is of a process that died within a line, or is still
+/// writing.
+fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Result<()> {
+    regular(path)?;
+    let mut reader = BufReader::new(File::open(path)?);
+    let mut line = Vec::new();
+    for number in 1.. {
+        line.clear();
+        reader
+            .by_ref()
+            .take(MAX_LINE)
+            .read_until(b'\n', &mut line)?;
+        if line.last() != Some(&b'\n') || !take(&line, number) {
+            break;
+        }
+    }
+    Ok(())
+}
+
 /// Length of the file's beginning whose lines are whole and not beyond `step`, and the numbers of
 /// those that are damaged, from 1.
 fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
-    let text = match read_file(path, MAX_BYTES) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok((0, Vec::new())),
-        text => text.map_err(Error::io("read", path))?,
-    };
     let (mut kept, mut damaged) = (0, Vec::new());
-    for (number, line) in (1..).zip(text.split_inclusive(|&byte| byte == b'\n')) {
-        // Of a process that died within a line.
-        let torn = line.last() != Some(&b'\n');
-        match parse(line) {
-            _ if torn => break,
-            Some(record) if record.step > step => break,
+    let told = |bytes: &[u8], number: usize| {
+        match parse(bytes) {
+            Some(record) if record.step > step => return false,
             Some(_) => {}
             None => damaged.push(number),
         }
-        kept += line.len() as u64;
+        kept += bytes.len() as u64;
+        true
+    };
+    match each_line(path, told) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            return Err(Error::io("read", path)(error));
+        }
+        _ => {}
     }
     Ok((kept, damaged))
 }
@@ -191,17 +214,15 @@ fn parse(line: &[u8]) -> Option<Record> {
 /// If the file cannot be read.
 pub fn read_metrics(folder: &Path, warn: &mut dyn FnMut(&str)) -> Result<Vec<Record>, Error> {
     let path = folder.join(FILE);
-    let text = read_file(&path, MAX_BYTES).map_err(Error::io("read", &path))?;
-    let lines = text.split_inclusive(|&byte| byte == b'\n');
     let (mut records, mut damaged) = (Vec::new(), Vec::new());
-    for (number, line) in (1..).zip(lines) {
+    let read = each_line(&path, |line, number| {
         match parse(line) {
             Some(record) => records.push(record),
-            None if line.ends_with(b"\n") => damaged.push(number),
-            // The last, which is being written.
-            None => {}
+            None => damaged.push(number),
         }
-    }
+        true
+    });
+    read.map_err(Error::io("read", &path))?;
     if let Some(damage) = damage(&path, &damaged) {
         warn(&damage);
     }

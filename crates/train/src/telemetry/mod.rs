@@ -5,9 +5,6 @@ mod loader_log;
 mod metrics;
 mod tensorboard;
 
-/// Longest file of a run's metrics that is read.
-const MAX_BYTES: u64 = 1 << 30;
-
 pub use loader_log::LoaderLog;
 pub use metrics::{Metrics, Record, read_metrics};
 pub use tensorboard::EventFile;

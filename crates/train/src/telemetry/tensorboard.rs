@@ -1,9 +1,8 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
-use kinegrad_data::file::read_file;
+use kinegrad_data::file::{MAX_TENSOR_BYTES, read_file};
 
-use super::MAX_BYTES;
 use super::appended::Appended;
 use crate::Error;
 
@@ -26,7 +25,7 @@ impl EventFile {
     /// # Errors
     /// If the file cannot be read or written.
     pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
-        let bytes = match read_file(path, MAX_BYTES) {
+        let bytes = match read_file(path, MAX_TENSOR_BYTES) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(Error::io("read", path)(error));
             }

@@ -113,6 +113,7 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,
             activations: a_pass,
+            passes: 1,
             item,
         });
     }
@@ -123,7 +124,8 @@ pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let parameters = parameters::count(&unet) + decoder_parameters(config)?;
     Ok(Footprint {
         parameters: parameters as u64,
-        activations: own.rollout.steps_kept() * a_pass + own.decoder.activations(frames),
+        activations: a_pass + own.decoder.activations(frames),
+        passes: own.rollout.steps_kept(),
         item,
     })
 }

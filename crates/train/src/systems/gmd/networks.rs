@@ -64,6 +64,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     Ok(Footprint {
         parameters: parameter_count(config)? as u64,
         activations: network.activations(frames),
+        passes: 1,
         item: (channels_of(config)? * frames + TEXT_CHANNELS) as u64,
     })
 }
