@@ -189,7 +189,7 @@ fn a_slow_start_does_not_overwrite_a_run_that_was_begun_meanwhile() {
     // A dataset that takes seconds to make, before the run's folder is.
     let slow = sandbox
         .command(
-            "train c.toml --set data.synthetic.phrases=30000 --set data.validation.fraction=0.001"
+            "train c.toml --set data.synthetic.phrases=12000 --set data.validation.fraction=0.001"
                 .split(' '),
         )
         .stdout(Stdio::piped())
@@ -204,14 +204,13 @@ fn a_slow_start_does_not_overwrite_a_run_that_was_begun_meanwhile() {
     let said = String::from_utf8_lossy(&slow.stderr);
     assert_eq!(slow.status.code(), Some(2), "{said}");
     assert!(said.contains("exists already"), "{said}");
-    assert_eq!(contents(&sandbox.path("runs")), before);
+    assert!(contents(&sandbox.path("runs")) == before);
 }
 
 #[test]
 fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
     let sandbox = sandbox();
-    let train =
-        "train c.toml --set sampling.count_at_end=1 --set sampling.sampler.num_inference_steps=2";
+    let train = "train c.toml --set sampling.count_at_end=1 --set validation.every_steps=0";
     sandbox
         .run(&format!("{train} --set train.max_steps=4"))
         .succeeded();
@@ -235,7 +234,7 @@ fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
         .succeeded();
     let second = contents(&samples);
     assert_eq!(second.len(), first.len());
-    assert_ne!(second, first);
+    assert!(second != first, "samples of other weights");
     assert!(!sandbox.path("runs/smallest/.writing-samples").exists());
     // A file in the folder's place is named, and nothing is lost.
     fs::remove_dir_all(&samples).expect("removed");
