@@ -20,7 +20,7 @@ class DataChanges(RunAttack):
     """Files of the dataset are changed, cut, removed, added or written again."""
 
     name = "data"
-    weight = 3
+    weight = 2
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

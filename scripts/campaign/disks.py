@@ -18,7 +18,7 @@ class Disks(RunAttack):
     """A limit on the size of files, and a small file system in memory."""
 
     name = "disks"
-    weight = 4
+    weight = 2
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

@@ -17,7 +17,7 @@ class Flips(RunAttack):
     """One bit, a cut or a removal in one file of a finished or a half run."""
 
     name = "flips"
-    weight = 4
+    weight = 2
 
     def attack(self, case: Case) -> None:
         """Damages a file, resumes, and compares the weights."""

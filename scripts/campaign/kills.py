@@ -20,7 +20,7 @@ class Kills(RunAttack):
     """SIGKILL at random times, and while a checkpoint is written."""
 
     name = "kills"
-    weight = 8
+    weight = 6
 
     def attack(self, case: Case) -> None:
         """Kills a run until it is complete or was killed often enough."""

@@ -20,7 +20,7 @@ class Mutations(Attack):
     """Each format in turn, a valid file of it with some damage."""
 
     name = "mutations"
-    weight = 32
+    weight = 14
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

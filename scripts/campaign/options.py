@@ -22,7 +22,7 @@ class Options(Attack):
     """The command line, as `--help` describes it."""
 
     name = "options"
-    weight = 8
+    weight = 23
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)

@@ -17,7 +17,7 @@ class Rivals(RunAttack):
     """Pairs of commands that start within moments of each other."""
 
     name = "rivals"
-    weight = 3
+    weight = 2
 
     def attack(self, case: Case) -> None:
         """Starts a pair, on a new run or on one that was killed."""

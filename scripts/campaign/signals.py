@@ -15,7 +15,7 @@ class Signals(RunAttack):
     """SIGINT, SIGTERM and SIGHUP, once or twice, at random times."""
 
     name = "signals"
-    weight = 3
+    weight = 2
 
     def attack(self, case: Case) -> None:
         """Interrupts a run a few times, then lets it end."""

@@ -25,7 +25,7 @@ class Sweep(Attack):
     """Each setting alone, once."""
 
     name = "settings"
-    weight = 26
+    weight = 44
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
@@ -127,7 +127,7 @@ class Combinations(Sweep):
     """Two to five settings at once, of the right type."""
 
     name = "combinations"
-    weight = 4
+    weight = 3
 
     def total(self) -> int | None:
         """As many as there is time for."""
