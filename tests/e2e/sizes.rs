@@ -2,6 +2,8 @@
 
 use std::fs;
 use std::process::Command;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 
@@ -135,6 +137,24 @@ fn samples_that_do_not_fit_are_refused_with_an_estimate() {
     sandbox
         .run("sample runs/walks --goal goal.toml --out d")
         .failed(2, &["frames", "216000"]);
+}
+
+#[test]
+fn any_number_of_phrases_is_drawn_a_batch_at_a_time() {
+    let sandbox = sandbox();
+    sandbox
+        .run("train c.toml --name c --set train.max_steps=1")
+        .succeeded();
+    let mut drawing = sandbox.start("sample runs/c --steps 1 --count 1000000000 --out d");
+    let started = Instant::now();
+    // Of the second batch.
+    while !sandbox.path("d-040.npy").exists() && started.elapsed() < Duration::from_secs(60) {
+        assert!(drawing.try_wait().expect("a status").is_none());
+        sleep(Duration::from_millis(10));
+    }
+    drawing.kill().expect("a kill");
+    drawing.wait().expect("an end");
+    assert!(sandbox.path("d-040.npy").exists());
 }
 
 #[test]
