@@ -130,6 +130,11 @@ fn samples_that_do_not_fit_are_refused_with_an_estimate() {
     ] {
         sandbox.run(command).failed(2, &ESTIMATE);
     }
+    for frames in ["0", "9223372036854775807"] {
+        sandbox
+            .run(&format!("sample runs/walks --frames {frames} --out d"))
+            .failed(2, &["`--frames` is", "1 to 216000"]);
+    }
     sandbox.write(
         "goal.toml",
         "frames = 1000000000\n[[keyframe]]\nframe = 1\nx = 0\nz = 0\n",

@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, read_embedding};
+use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
+use kinegrad_settings::{Refused, in_range};
 
 use super::evaluate::embedding;
 use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal};
@@ -37,11 +39,8 @@ pub(super) fn sample(
     if let Some(count) = conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver);
     }
-    if request.frames == Some(0) {
-        return Err(Error::usage(
-            "`--frames` is 0",
-            "ask for at least one frame",
-        ));
+    if let Some(frames) = request.frames {
+        in_range("--frames", frames, 1..=MAX_FRAMES).hint("20 frames are one second")?;
     }
     let goals: Vec<Goal> = conditions
         .goals
