@@ -4,9 +4,9 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish, wait_for};
 
 const TRAIN: &str = "train c.toml --set train.max_steps=12";
 
@@ -286,10 +286,7 @@ fn a_second_process_on_the_same_run_is_refused() {
     let long = "train c.toml --set train.max_steps=100000";
     let mut child = sandbox.start(long);
     let metrics = sandbox.path("runs/smallest/metrics.jsonl");
-    let started = Instant::now();
-    while !metrics.exists() && started.elapsed() < Duration::from_secs(60) {
-        sleep(Duration::from_millis(20));
-    }
+    wait_for(&mut child, "metrics", || metrics.exists());
     sandbox
         .run(&format!("{long} --resume"))
         .failed(2, &["another process is using"]);

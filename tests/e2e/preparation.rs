@@ -5,7 +5,7 @@ use std::fs;
 
 use kinegrad_tests::captures::{self, PLAN, bvh, wav};
 use kinegrad_tests::golden::workspace;
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, finish};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, finish, wait_for};
 use kinegrad_tests::servers;
 
 fn sandbox() -> Sandbox {
@@ -222,11 +222,9 @@ fn a_phrase_that_changes_during_a_run_stops_it_after_a_checkpoint() {
         command.stdout(std::process::Stdio::null());
         command.spawn().expect("the binary starts")
     };
-    let deadline = std::time::Instant::now() + std::time::Duration::from_secs(120);
-    while sandbox.list("runs/smallest/checkpoints").is_empty() {
-        assert!(std::time::Instant::now() < deadline, "no checkpoint comes");
-        std::thread::sleep(std::time::Duration::from_millis(20));
-    }
+    wait_for(&mut child, "a checkpoint", || {
+        !sandbox.list("runs/smallest/checkpoints").is_empty()
+    });
     for id in sandbox.list("set/motion") {
         let path = sandbox.path(format!("set/motion/{id}/trajectory.npy"));
         let mut bytes = fs::read(&path).expect("a file");

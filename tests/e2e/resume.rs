@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, wait_for};
 use serde_json::{Map, Value};
 
 const KILLS: usize = 5;
@@ -261,10 +261,7 @@ fn interrupt_writes_a_checkpoint_and_exits_with_130() {
             .lines()
             .count()
     };
-    let started = Instant::now();
-    while steps() < 3 && started.elapsed() < Duration::from_secs(60) {
-        sleep(Duration::from_millis(20));
-    }
+    wait_for(&mut child, "three steps", || steps() >= 3);
     let id = child.id().to_string();
     let sent = std::process::Command::new("kill")
         .args(["-INT", &id])

@@ -3,10 +3,8 @@
 use std::fs;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
 
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, wait_for};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -101,11 +99,7 @@ const DRAWN: &str = "train c.toml --set train.max_steps=2 --set validation.every
 fn drawing(sandbox: &Sandbox, arguments: &str) -> Child {
     let mut child = sandbox.start(arguments);
     let begun = sandbox.path("runs/smallest/.writing-samples");
-    let started = Instant::now();
-    while !begun.exists() && started.elapsed() < Duration::from_secs(60) {
-        assert_eq!(child.try_wait().expect("a status"), None, "it ended before");
-        sleep(Duration::from_millis(2));
-    }
+    wait_for(&mut child, "samples", || begun.exists());
     child
 }
 
@@ -218,14 +212,8 @@ fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
     let first = contents(&samples);
     assert!(!first.is_empty());
     let mut child = sandbox.start(&format!("{train} --set train.max_steps=100000 --resume"));
-    let started = Instant::now();
-    while !sandbox
-        .path("runs/smallest/checkpoints/step-00000008")
-        .exists()
-        && started.elapsed() < Duration::from_secs(60)
-    {
-        sleep(Duration::from_millis(5));
-    }
+    let later = sandbox.path("runs/smallest/checkpoints/step-00000008");
+    wait_for(&mut child, "a later checkpoint", || later.exists());
     child.kill().expect("a kill");
     child.wait().expect("an end");
     // As long as it has come: it ends at once.
@@ -242,6 +230,12 @@ fn samples_of_an_earlier_end_are_drawn_again_after_a_kill() {
     fs::create_dir(sandbox.path("runs/smallest/.writing-samples")).expect("a folder");
     sandbox
         .run(&format!("{train} --set train.max_steps=5 --resume"))
-        .failed(2, &["samples is a file", "move it away"]);
+        .failed(2, &["samples is not a folder", "move it away"]);
     assert_eq!(fs::read(&samples).expect("a file"), b"mine");
+    // A link to a folder that is gone is named as well.
+    fs::remove_file(&samples).expect("removed");
+    std::os::unix::fs::symlink(sandbox.path("gone"), &samples).expect("a link");
+    sandbox
+        .run(&format!("{train} --set train.max_steps=5 --resume"))
+        .failed(2, &["samples is not a folder", "move it away"]);
 }

@@ -2,10 +2,8 @@
 
 use std::fs;
 use std::process::Command;
-use std::thread::sleep;
-use std::time::{Duration, Instant};
 
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, wait_for};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -151,15 +149,10 @@ fn any_number_of_phrases_is_drawn_a_batch_at_a_time() {
         .run("train c.toml --name c --set train.max_steps=1")
         .succeeded();
     let mut drawing = sandbox.start("sample runs/c --steps 1 --count 1000000000 --out d");
-    let started = Instant::now();
-    // Of the second batch.
-    while !sandbox.path("d-040.npy").exists() && started.elapsed() < Duration::from_secs(60) {
-        assert!(drawing.try_wait().expect("a status").is_none());
-        sleep(Duration::from_millis(10));
-    }
+    let second_batch = sandbox.path("d-040.npy");
+    wait_for(&mut drawing, "the second batch", || second_batch.exists());
     drawing.kill().expect("a kill");
     drawing.wait().expect("an end");
-    assert!(sandbox.path("d-040.npy").exists());
 }
 
 #[test]

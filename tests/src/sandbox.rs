@@ -3,6 +3,8 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
@@ -177,6 +179,25 @@ pub fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     }
     found.sort();
     found
+}
+
+/// Waits until something has come that `process` brings.
+///
+/// # Panics
+///
+/// When the process ends before, or after two minutes without.
+#[track_caller]
+pub fn wait_for(process: &mut Child, what: &str, mut come: impl FnMut() -> bool) {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while !come() {
+        // It may have come just before the end.
+        if let Some(status) = process.try_wait().expect("a status") {
+            assert!(come(), "{status} before {what}");
+            return;
+        }
+        assert!(Instant::now() < deadline, "two minutes without {what}");
+        sleep(Duration::from_millis(2));
+    }
 }
 
 /// Runs a command to its end.

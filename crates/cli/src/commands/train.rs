@@ -111,9 +111,12 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
 
 /// Moves a folder, or what it holds into one that is there, over files of the same names.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
-    if to.exists() && !to.is_dir() {
+    if (to.exists() || to.is_symlink()) && !to.is_dir() {
         return Err(Error::usage(
-            format!("the samples cannot be written: {} is a file", to.display()),
+            format!(
+                "the samples cannot be written: {} is not a folder",
+                to.display()
+            ),
             "move it away, and `--resume` the run",
         ));
     }

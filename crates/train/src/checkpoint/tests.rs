@@ -72,3 +72,66 @@ fn numbers_that_no_config_can_hold_are_damage() {
     let reason = damage(&path);
     assert!(reason.contains("`train.max_steps`"), "{reason}");
 }
+
+#[test]
+fn numbers_that_are_not_finite_are_named_before_they_are_saved_and_never_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let checkpoints = Checkpoints::of(folder.path());
+    let infos = [info("weight")];
+    let good = [vec![1.0f32, 2.0]];
+    let means = |exp_avg_sq: Vec<f32>| Moments {
+        exp_avg: vec![0.0; 2],
+        exp_avg_sq,
+    };
+    let good_means = [means(vec![0.0; 2])];
+    let first = State { step: 1, ..state() };
+    let later = State { step: 2, ..state() };
+    let whole = CheckpointRef {
+        state: &first,
+        infos: &infos,
+        model: &good,
+        ema: &good,
+        moments: &good_means,
+    };
+    assert_eq!(whole.not_finite(), None);
+    checkpoints.save(whole).expect("saved");
+    let whole = CheckpointRef {
+        state: &later,
+        ..whole
+    };
+
+    let bad = [vec![1.0f32, f32::NAN]];
+    let bad_means = [means(vec![f32::INFINITY, 0.0])];
+    let cases = [
+        (
+            CheckpointRef {
+                model: &bad,
+                ..whole
+            },
+            "the parameter",
+        ),
+        (CheckpointRef { ema: &bad, ..whole }, "the averaged"),
+        (
+            CheckpointRef {
+                moments: &bad_means,
+                ..whole
+            },
+            "running mean",
+        ),
+    ];
+    for (broken, what) in cases {
+        let named = broken.not_finite().expect(what);
+        assert!(
+            named.contains(what) && named.contains("`weight`"),
+            "{named}"
+        );
+        // Its checksums are right.
+        let path = checkpoints.save(broken).expect("saved");
+        let mut skipped = Vec::new();
+        let newest = checkpoints.newest_good(|error| skipped.push(error.to_string()));
+        let newest = newest.expect("listed").expect("a good one");
+        assert_eq!(newest.state.step, 1);
+        assert!(skipped[0].contains("not finite"), "{skipped:?}");
+        fs::remove_dir_all(&path).expect("removed");
+    }
+}
