@@ -173,7 +173,8 @@ class Case:
         self.peak = max(self.peak, ended.peak)
         if not ended.killed:
             self.slowest = max(self.slowest, (ended.cpu, shlex.join(ended.arguments)))
-        most = None if ended.limits.memory is None else self.setting.resident + RESIDENT_ROOM
+        judged_memory = ended.limits.bounded or ended.limits.memory is not None
+        most = self.setting.resident + RESIDENT_ROOM if judged_memory else None
         for fault in judged(ended, self.label, allowed, most):
             self.finding(fault, ended)
         if writes and ended.code == 0 and not (self.folder / writes).exists():

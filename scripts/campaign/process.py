@@ -45,6 +45,14 @@ class Limits:
     """Bytes of the largest file it may write."""
     file_size_signal: bool = False
     """Whether a write beyond that kills it; otherwise the write fails."""
+    bounded: bool = False
+    """Whether the memory that it takes is judged although it may take any."""
+
+    def command(self) -> list[str]:
+        """What starts a program under these limits: they hold from its first instruction on."""
+        given = {"as": self.memory, "fsize": self.file_size, "core": 0}
+        options = [f"--{name}={size}" for name, size in given.items() if size is not None]
+        return ["prlimit", *options, "--"]
 
 
 @dataclass
@@ -87,7 +95,7 @@ class Process:
         self.started = time.monotonic()
         # Python ignores SIGXFSZ; so does the child if signals are not restored.
         child = subprocess.Popen(
-            [str(binary), *arguments],
+            [*limits.command(), str(binary), *arguments],
             cwd=folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -100,13 +108,6 @@ class Process:
         self._child = child
         with _alive_lock:
             alive.add(self.pid)
-        with contextlib.suppress(ProcessLookupError):
-            if limits.memory is not None:
-                resource.prlimit(self.pid, resource.RLIMIT_AS, (limits.memory, limits.memory))
-            if limits.file_size is not None:
-                size = (limits.file_size, limits.file_size)
-                resource.prlimit(self.pid, resource.RLIMIT_FSIZE, size)
-            resource.prlimit(self.pid, resource.RLIMIT_CORE, (0, 0))
         for pipe in (child.stdout, child.stderr):
             os.set_blocking(pipe.fileno(), False)
             self.output[pipe.fileno()] = bytearray()
@@ -143,7 +144,7 @@ class Process:
         open_pipes = set(self.output)
         for number in open_pipes:
             poll.register(number, select.POLLIN)
-        last_work, last_cpu = time.monotonic(), -1.0
+        looked, idle, last_cpu = time.monotonic(), 0.0, -1.0
         tick = 0.004 if watch_memory else TICK
         while not self.ended():
             for number, events in poll.poll(1000 * tick):
@@ -152,10 +153,14 @@ class Process:
                     open_pipes.discard(number)
             if watch_memory:
                 self._look_at_memory()
-            now, cpu = time.monotonic(), self._cpu()
-            if cpu > last_cpu + 0.02:
-                last_work, last_cpu = now, cpu
-            if self.hang is None and (why := self._hangs(now, cpu, now - last_work)):
+            now, (state, cpu) = time.monotonic(), self._state_and_cpu()
+            # Only what this loop has seen counts: on a machine that stands still, so does it.
+            idle += min(now - looked, 2 * tick)
+            looked = now
+            # A disk that others keep busy is no fault of the program's.
+            if cpu > last_cpu + 0.02 or state == "D":
+                idle, last_cpu = 0.0, cpu
+            if self.hang is None and (why := self._hangs(now, cpu, idle)):
                 self.hang = why
                 self.end()
             if enough and not self.killed and enough(cpu):
@@ -200,12 +205,12 @@ class Process:
             return f"not ended after {seconds:.0f} s"
         return None
 
-    def _cpu(self) -> float:
+    def _state_and_cpu(self) -> tuple[str, float]:
         try:
             fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-            return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS
+            return fields[0], (int(fields[11]) + int(fields[12])) / CLOCK_TICKS
         except (OSError, IndexError):
-            return 0.0
+            return "?", 0.0
 
     def _look_at_memory(self) -> None:
         with contextlib.suppress(OSError):

@@ -359,3 +359,23 @@ fn only_the_newest_and_the_best_checkpoints_are_kept() {
     expected.dedup();
     assert_eq!(names, expected);
 }
+
+#[test]
+fn damaged_weights_of_any_length_are_found_without_reading_them_into_memory() {
+    let sandbox = sandbox();
+    sandbox.run(TRAIN).succeeded();
+    let weights = checkpoint(&sandbox, 12).join("ema.safetensors");
+    let file = fs::File::options().write(true).open(weights);
+    file.and_then(|file| file.set_len(2 << 30)).expect("longer");
+    let binary = env!("CARGO_BIN_EXE_kinegrad");
+    let mut command = Command::new("bash");
+    let script = format!(
+        "ulimit -v {}; exec {binary} sample runs/smallest/checkpoints/step-00000012 --out d",
+        2 << 20
+    );
+    command
+        .args(["-c", &script])
+        .env("RAYON_NUM_THREADS", "1")
+        .current_dir(sandbox.path(""));
+    finish(command).failed(2, &["ema.safetensors: the checksum does not match"]);
+}

@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file, regular};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -9,6 +11,9 @@ use kinegrad_motion::{Representation, Statistics};
 
 use crate::Error;
 use crate::config::{self, Config};
+
+/// Bytes of a file that are held while its checksum is computed.
+const BLOCK: usize = 1 << 20;
 
 /// Version of the checkpoint's layout.
 pub const FORMAT: u32 = 1;
@@ -105,7 +110,8 @@ impl State {
             path: path.to_path_buf(),
             reason,
         };
-        let text = String::from_utf8(read_file(path, "state.json")?)
+        let bytes = file_of(path, "state.json", |whole| read_file(whole, MAX_TEXT_BYTES))?;
+        let text = String::from_utf8(bytes)
             .map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
         let sealed =
@@ -126,25 +132,49 @@ impl State {
     }
 }
 
-/// Reads one file of the checkpoint in `path`.
+/// What `read` makes of one file of the checkpoint in `path`.
 ///
 /// # Errors
-/// [`Error::CheckpointDamaged`] if it is not there; [`Error::Io`] if it cannot be read, which says
-/// nothing of what it holds.
-pub(super) fn read_file(path: &Path, file: &str) -> Result<Vec<u8>, Error> {
+/// [`Error::CheckpointDamaged`] if it is not there, or longer than it may be; [`Error::Io`] if it
+/// cannot be read, which says nothing of what it holds.
+pub(super) fn file_of<T>(
+    path: &Path,
+    file: &str,
+    read: impl FnOnce(&Path) -> io::Result<T>,
+) -> Result<T, Error> {
     let whole = path.join(file);
-    kinegrad_data::file::read_file(&whole, u64::MAX / 2).map_err(|error| match error.kind() {
-        ErrorKind::NotFound | ErrorKind::NotADirectory => Error::CheckpointDamaged {
-            path: path.to_path_buf(),
-            reason: format!("{file}: {error}"),
-        },
+    read(&whole).map_err(|error| match error.kind() {
+        ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::FileTooLarge => {
+            Error::CheckpointDamaged {
+                path: path.to_path_buf(),
+                reason: format!("{file}: {error}"),
+            }
+        }
         _ => Error::io("read", &whole)(error),
     })
 }
 
 /// SHA-256 in hexadecimal.
 pub(super) fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
+    hexadecimal(Sha256::new_with_prefix(bytes))
+}
+
+/// [`sha256`] of a file, of which a block is held at a time.
+pub(super) fn sha256_of_file(path: &Path) -> io::Result<String> {
+    regular(path)?;
+    let mut file = File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut block = vec![0; BLOCK];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(hexadecimal(hash)),
+            read => hash.update(&block[..read]),
+        }
+    }
+}
+
+fn hexadecimal(hash: Sha256) -> String {
+    hash.finalize()
         .iter()
         .map(|byte| format!("{byte:02x}"))
         .collect()

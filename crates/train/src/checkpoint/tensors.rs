@@ -8,7 +8,7 @@ use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use safetensors::{Dtype, SafeTensors, View};
 
 use super::are_finite;
-use super::state::{State, read_file, sha256};
+use super::state::{State, file_of, sha256, sha256_of_file};
 use crate::Error;
 use crate::optim::Moments;
 
@@ -117,10 +117,12 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
         path: path.to_path_buf(),
         reason: format!("{file}: {reason}"),
     };
-    let bytes = read_file(path, file)?;
-    if state.checksums.get(file) != Some(&sha256(&bytes)) {
+    // A damaged file may have any length: only one that is whole is read into memory.
+    let found = file_of(path, file, sha256_of_file)?;
+    if state.checksums.get(file) != Some(&found) {
         return Err(damaged("the checksum does not match".into()));
     }
+    let bytes = file_of(path, file, |whole| std::fs::read(whole))?;
     let parsed = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
     let mut parameters = parsed
         .iter()
