@@ -44,7 +44,7 @@ class Mutations(Attack):
             case.label = f"{form.name} {kind}"
             if kind == "5 GiB":
                 # Under a limit a program that reads all of it ends with an error as well.
-                limits = Limits(cpu=20, wall=6, bounded=True)
+                limits = Limits(cpu=60, wall=6, bounded=True)
             case.run(*command, limits=limits)
             return
         form = case.random.choices(self.formats, self.shares)[0]

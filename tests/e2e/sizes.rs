@@ -203,6 +203,21 @@ fn pipes_devices_and_endless_files_are_not_read() {
 }
 
 #[test]
+fn a_file_of_embeddings_that_is_too_long_is_not_read() {
+    let sandbox = sandbox();
+    sandbox
+        .run("data synth --walks --out set --phrases 2 --frames 40")
+        .succeeded();
+    let path = sandbox.path("set/text_embeddings.safetensors");
+    let file = fs::File::options().write(true).open(path);
+    file.and_then(|file| file.set_len(5 << 30)).expect("room");
+    sandbox.run("data inspect set --humanml3d").failed(
+        2,
+        &["text_embeddings.safetensors", "5368709120", "2147483648"],
+    );
+}
+
+#[test]
 fn losses_beyond_all_axes_leave_gaps_in_a_plot() {
     let sandbox = sandbox();
     let line = |step: u64, loss: f64| format!("{{\"step\":{step},\"loss\":{loss:e}}}\n");

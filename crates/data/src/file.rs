@@ -7,8 +7,8 @@ use std::path::Path;
 /// Longest text that is read: configs, goals, plans, lists of ids.
 pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 
-/// Longest file of tensors that is read.
-pub const MAX_TENSOR_BYTES: u64 = 4 << 30;
+/// Longest file of tensors that is read: it is in memory before it is known whether it is whole.
+pub const MAX_TENSOR_BYTES: u64 = 2 << 30;
 
 /// The bytes of the file at `path`, which may have `limit` of them.
 ///

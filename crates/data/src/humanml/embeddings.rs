@@ -12,9 +12,6 @@ use crate::file::{MAX_TENSOR_BYTES, read_file};
 use crate::magnitude::{allowed, first_unusable};
 use crate::{Digest, FileError};
 
-/// The longest file of embeddings.
-pub(super) const MAX_BYTES: u64 = 1 << 33;
-
 const HINT: &str = "docs/dataset.md shows how to make the file; data.humanml3d.text_embeddings = \
                     \"\" does without";
 

@@ -1,5 +1,6 @@
 //! Which clips a dataset holds, and what comes with them.
 
+use crate::file::MAX_TENSOR_BYTES;
 use crate::files::Files;
 use crate::listing::{Listed, ids};
 use crate::split::Split;
@@ -8,7 +9,7 @@ use crate::survey::{Listable, Survey};
 use crate::{DataConfig, DataKind, Error};
 
 use super::clip::ClipFiles;
-use super::embeddings::{self, Embeddings};
+use super::embeddings::Embeddings;
 use super::lists::read_lists;
 use super::synthetic::Walks;
 use super::{CaptionRule, Clip, statistics, synthetic_id};
@@ -89,7 +90,7 @@ fn read_embeddings(
         return Ok(None);
     }
     let name = files.store.name_of(path);
-    match files.find(path, embeddings::MAX_BYTES)? {
+    match files.find(path, MAX_TENSOR_BYTES)? {
         Some((bytes, digest)) => Ok(Some(Embeddings::parse(&bytes, &name, digest)?)),
         None => {
             warnings.push(format!(

@@ -111,8 +111,8 @@ impl State {
             reason,
         };
         let bytes = file_of(path, "state.json", |whole| read_file(whole, MAX_TEXT_BYTES))?;
-        let text = String::from_utf8(bytes)
-            .map_err(|error| damaged(format!("state.json: {error}")))?;
+        let text =
+            String::from_utf8(bytes).map_err(|error| damaged(format!("state.json: {error}")))?;
         let body = text.rfind(SEAL).map(|end| &text[..end]);
         let sealed =
             |body: &str| format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes())) == text;
