@@ -1,7 +1,5 @@
 """What every attack is, and what those on runs share."""
 
-from time import sleep
-
 from case import Case, Setting
 from judge import INVALID, SUCCESS
 from process import Ended, Limits
@@ -30,7 +28,7 @@ class Attack:
         raise NotImplementedError
 
 
-TRAINING = Limits(cpu=60, wall=60)
+TRAINING = Limits(cpu=60)
 
 
 class RunAttack(Attack):
@@ -95,11 +93,9 @@ class RunAttack(Attack):
         folder = case.folder / "runs/small"
         with self.setting.turns.taken():
             process = case.start(self.training(case, recipe), TRAINING)
-            while not process.ended() and len(checkpoints(folder)) < wanted:
-                sleep(0.001)
-            process.send(9)
-            ended = process.wait()
-        case.judge(ended)
+            enough = lambda cpu: len(checkpoints(folder)) >= wanted
+            ended = process.wait(tick=0.001, enough=enough)
+        case.judge(ended, allowed=(SUCCESS,))
         if ended.killed:
             case.counts["kills"] += 1
         return bool(checkpoints(folder)) and ended.killed

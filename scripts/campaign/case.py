@@ -173,8 +173,7 @@ class Case:
         self.peak = max(self.peak, ended.peak)
         if not ended.killed:
             self.slowest = max(self.slowest, (ended.cpu, shlex.join(ended.arguments)))
-        judged_memory = ended.limits.bounded or ended.limits.memory is not None
-        most = self.setting.resident + RESIDENT_ROOM if judged_memory else None
+        most = self.setting.resident + RESIDENT_ROOM
         for fault in judged(ended, self.label, allowed, most):
             self.finding(fault, ended)
         if writes and ended.code == 0 and not (self.folder / writes).exists():

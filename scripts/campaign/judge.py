@@ -26,7 +26,7 @@ class Fault:
 
 
 def judged(
-    ended: Ended, label: str, allowed: tuple[int, ...], most_memory: int | None
+    ended: Ended, label: str, allowed: tuple[int, ...], most_memory: int
 ) -> list[Fault]:
     """The faults of a process that may exit with the `allowed` codes; `label` says what it was
     given."""
@@ -45,7 +45,7 @@ def judged(
         faults.append(Fault("hang", name, ended.hang, "an end"))
     elif not ended.killed and not faults:
         faults += faults_of_code(ended, allowed)
-    if most_memory is not None and ended.peak > most_memory:
+    if ended.peak > most_memory:
         found = f"a resident set of {ended.peak >> 20} MiB"
         faults.append(Fault("memory", name, found, f"at most {most_memory >> 20} MiB"))
     return faults

@@ -24,7 +24,10 @@ class Mutations(Attack):
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
-        self.formats = Formats(setting).all()
+        formats = Formats(setting)
+        self.formats = formats.all()
+        self.left_out = formats.missing
+        """Formats of which no command takes a valid file."""
         self.shares = [SHARES.get(form.name.split()[0], 1.0) for form in self.formats]
         self.special = [
             (form, kind, command) for form in self.formats for kind in SPECIAL
@@ -44,7 +47,7 @@ class Mutations(Attack):
             case.label = f"{form.name} {kind}"
             if kind == "5 GiB":
                 # Under a limit a program that reads all of it ends with an error as well.
-                limits = Limits(cpu=60, wall=6, bounded=True)
+                limits = Limits(cpu=60, wall=6)
             case.run(*command, limits=limits)
             return
         form = case.random.choices(self.formats, self.shares)[0]

@@ -14,8 +14,6 @@ from pathlib import Path
 
 TICK = 0.25
 """Seconds between two looks at a process that runs."""
-ASLEEP = 6.0
-"""Seconds without any work after which a process past its time counts as waiting for ever."""
 STARVED = 10.0
 """A process that gets no turn on a busy machine has this many times its time."""
 WORKING = "still working"
@@ -36,7 +34,7 @@ class Limits:
     cpu: float = 20.0
     """Seconds of work after which it hangs."""
     wall: float = 20.0
-    """Seconds after which one that does no work hangs."""
+    """Seconds that it may sleep, all threads together, after which it hangs."""
     much: bool = False
     """Whether it was asked for so much that work for as long as it may is no fault."""
     memory: int | None = None
@@ -45,9 +43,6 @@ class Limits:
     """Bytes of the largest file it may write."""
     file_size_signal: bool = False
     """Whether a write beyond that kills it; otherwise the write fails."""
-    bounded: bool = False
-    """Whether the memory that it takes is judged although it may take any."""
-
     def command(self) -> list[str]:
         """What starts a program under these limits: they hold from its first instruction on."""
         given = {"as": self.memory, "fsize": self.file_size, "core": 0}
@@ -134,9 +129,13 @@ class Process:
         return self._status is not None
 
     def wait(
-        self, watch_memory: bool = False, enough: Callable[[float], bool] | None = None
+        self,
+        watch_memory: bool = False,
+        enough: Callable[[float], bool] | None = None,
+        tick: float = TICK,
     ) -> Ended:
-        """Waits until it ends or hangs, or `enough`, asked with its seconds of work, says so."""
+        """Waits until it ends or hangs, or `enough`, asked every `tick` with its seconds of work,
+        says so."""
         poll = select.poll()
         handle = os.pidfd_open(self.pid) if self._status is None else None
         if handle is not None:
@@ -144,8 +143,8 @@ class Process:
         open_pipes = set(self.output)
         for number in open_pipes:
             poll.register(number, select.POLLIN)
-        looked, idle, last_cpu = time.monotonic(), 0.0, -1.0
-        tick = 0.004 if watch_memory else TICK
+        looked, asleep, last_cpu = time.monotonic(), 0.0, -1.0
+        tick = 0.004 if watch_memory else tick
         while not self.ended():
             for number, events in poll.poll(1000 * tick):
                 if number in open_pipes and not self._drain(number) and events & select.POLLHUP:
@@ -153,14 +152,13 @@ class Process:
                     open_pipes.discard(number)
             if watch_memory:
                 self._look_at_memory()
-            now, (state, cpu) = time.monotonic(), self._state_and_cpu()
-            # Only what this loop has seen counts: on a machine that stands still, so does it.
-            idle += min(now - looked, 2 * tick)
-            looked = now
-            # A disk that others keep busy is no fault of the program's.
-            if cpu > last_cpu + 0.02 or state == "D":
-                idle, last_cpu = 0.0, cpu
-            if self.hang is None and (why := self._hangs(now, cpu, idle)):
+            now, (states, cpu) = time.monotonic(), self._states_and_cpu()
+            # Only what this loop has seen counts: on a machine that stands still, so does it. A
+            # thread that waits for a turn or for the disk is not asleep.
+            if cpu == last_cpu and not states & {"R", "D"}:
+                asleep += min(now - looked, 2 * tick)
+            looked, last_cpu = now, cpu
+            if self.hang is None and (why := self._hangs(now, cpu, asleep)):
                 self.hang = why
                 self.end()
             if enough and not self.killed and enough(cpu):
@@ -195,22 +193,30 @@ class Process:
         with _alive_lock:
             alive.discard(self.pid)
 
-    def _hangs(self, now: float, cpu: float, idle: float) -> str | None:
+    def _hangs(self, now: float, cpu: float, asleep: float) -> str | None:
         seconds = now - self.started
         if cpu > self.limits.cpu:
             return f"{WORKING} after {cpu:.0f} s of work"
-        if seconds > self.limits.wall and idle > ASLEEP:
-            return f"waiting for {idle:.0f} s, after {seconds:.0f} s"
+        if asleep > self.limits.wall:
+            return f"asleep for {asleep:.0f} of {seconds:.0f} s"
         if seconds > STARVED * self.limits.wall:
             return f"not ended after {seconds:.0f} s"
         return None
 
-    def _state_and_cpu(self) -> tuple[str, float]:
+    def _states_and_cpu(self) -> tuple[set[str], float]:
+        """The states of its threads, and the seconds that all of them worked."""
+        process = Path(f"/proc/{self.pid}")
         try:
-            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-            return fields[0], (int(fields[11]) + int(fields[12])) / CLOCK_TICKS
+            fields = [
+                (thread / "stat").read_text().rpartition(")")[2].split()
+                for thread in (process / "task").iterdir()
+            ]
+            own = (process / "stat").read_text().rpartition(")")[2].split()
+            cpu = (int(own[11]) + int(own[12])) / CLOCK_TICKS
+            return {thread[0] for thread in fields}, cpu
         except (OSError, IndexError):
-            return "?", 0.0
+            # It, or one of its threads, is about to end.
+            return {"R"}, 0.0
 
     def _look_at_memory(self) -> None:
         with contextlib.suppress(OSError):

@@ -42,6 +42,9 @@ def text(record: dict[str, object]) -> str:
     if record["without_config"]:
         names = ", ".join(record["without_config"])
         lines += [f"NOT ATTACKED, because no small config trains: {names}.", ""]
+    if record["formats_left_out"]:
+        names = ", ".join(record["formats_left_out"])
+        lines += [f"NOT ATTACKED, because no command takes a valid file: {names}.", ""]
     lines += [
         "| attack | cases | of | faults | minutes | counts | peak MiB | slowest, CPU s |",
         "|---|---|---|---|---|---|---|---|",

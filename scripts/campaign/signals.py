@@ -41,8 +41,9 @@ class Signals(RunAttack):
             case.judge(ended)
             case.counts["signals"] += 1
             self.sound(case, ended)
-            # Before it does anything, it has no answer to signals.
-            unready = before == earlier and ended.code in [-number for number in NUMBERS]
+            # Before it does and says anything, it has no answer to signals.
+            silent = not ended.stderr.strip() and not ended.stdout.strip()
+            unready = silent and ended.code in [-number for number in NUMBERS]
             if ended.killed and ended.code not in (INTERRUPTED, SUCCESS) and not unready:
                 found = f"exit code {ended.code} after {number.name}"
                 case.wrong("exit code", number.name, found, "130, or 0 if it had ended", ended)

@@ -79,9 +79,8 @@ class Sweep(Attack):
         much = any(asks_much(setting) for setting in settings)
         cpu = LONG_ENOUGH if known else MUCH_ENOUGH if much else 20
         limits = Limits(cpu=cpu, memory=limits.memory, much=much)
-        enough = lambda cpu: cpu > LONG_ENOUGH and self.works(case.folder)
         train = ["train", config, *options, "--runs-dir", "runs"]
-        ended = case.run(*train, limits=limits, enough=enough)
+        ended = case.run(*train, limits=limits, enough=Progress(case.folder, cpu).is_enough)
         if ended.hang:
             self.hangs[key] = self.hangs.get(key, 0) + 1
             case.counts["long without progress"] += 1
@@ -101,12 +100,11 @@ class Sweep(Attack):
             found = "exit code 0, and no run in the folder of runs"
             case.wrong("nothing written", key, found, "a run", None)
             return
-        enough = lambda cpu: cpu > LONG_ENOUGH
-        resumed = case.run(*train, "--resume", limits=limits, enough=enough)
+        resumed = case.run(*train, "--resume", limits=limits)
         self.must(case, key, "resume", resumed)
         run = runs[0].relative_to(case.folder)
         sample = ["sample", run, "--steps", 1, "--out", "sample"]
-        sampled = case.run(*sample, limits=limits, enough=enough)
+        sampled = case.run(*sample, limits=limits)
         self.must(case, key, "sample", sampled)
         case.must_be_finite(sampled, "sample*.npy")
 
@@ -117,10 +115,24 @@ class Sweep(Attack):
             sentence = re.sub(r"\d[\w.]*", "N", ended.stderr.strip().partition("\n")[0])[:100]
             case.wrong(f"no {what}", sentence, found, "exit code 0", ended)
 
-    @staticmethod
-    def works(folder: Path) -> bool:
-        """Whether a run makes progress that can be seen."""
-        return any(steps_logged(path.parent) for path in folder.rglob("metrics.jsonl"))
+
+class Progress:
+    """Whether a training goes on."""
+
+    def __init__(self, folder: Path, most: float) -> None:
+        self.folder, self.most = folder, most
+        self.first: float | None = None
+        """Seconds of work when the first step was seen."""
+
+    def is_enough(self, cpu: float) -> bool:
+        """Whether it has worked for long enough and goes on: it made a second step, or its steps
+        are so long that none would fit into its time."""
+        runs = [path.parent for path in self.folder.rglob("metrics.jsonl")]
+        steps = sum(steps_logged(run) for run in runs)
+        if steps and self.first is None:
+            self.first = cpu
+        is_slow = self.first is not None and self.first > self.most / 4
+        return cpu > LONG_ENOUGH and (steps > 1 or is_slow)
 
 
 class Combinations(Sweep):

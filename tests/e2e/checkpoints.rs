@@ -377,5 +377,31 @@ fn damaged_weights_of_any_length_are_found_without_reading_them_into_memory() {
         .args(["-c", &script])
         .env("RAYON_NUM_THREADS", "1")
         .current_dir(sandbox.path(""));
-    finish(command).failed(2, &["ema.safetensors: the checksum does not match"]);
+    finish(command).failed(
+        2,
+        &["ema.safetensors: 2147483648 bytes found, its header speaks of"],
+    );
+}
+
+#[test]
+fn weights_larger_than_the_memory_are_not_read() {
+    let sandbox = sandbox();
+    sandbox.run(TRAIN).succeeded();
+    let folder = checkpoint(&sandbox, 12);
+    // A file of 10 TB, and a header that says so.
+    let header =
+        r#"{"x":{"dtype":"F32","shape":[2500000000000],"data_offsets":[0,10000000000000]}}"#;
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend(header.as_bytes());
+    let weights = folder.join("ema.safetensors");
+    fs::write(&weights, &bytes).expect("written");
+    let file = fs::File::options().write(true).open(&weights);
+    let length = bytes.len() as u64 + 10_000_000_000_000;
+    file.and_then(|file| file.set_len(length)).expect("longer");
+    sandbox
+        .run("sample runs/smallest/checkpoints/step-00000012 --out d")
+        .failed(
+            2,
+            &["ema.safetensors: it has 9313.2 GiB", "of memory are free"],
+        );
 }

@@ -69,6 +69,16 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
     // A tensor of 4 GiB that repeats one number.
     import("checkpoint_expanded.pt", "gmd_trajectory", statistics).failed(2, &["can hold"]);
+    // A pickle that says that the rest of the file, 20 GiB, is one value.
+    let mut claim = vec![0x80, 4, 0x8e];
+    claim.extend((20_u64 << 30).to_le_bytes());
+    fs::write(sandbox.path("claim.pt"), &claim).expect("written");
+    let file = fs::File::options()
+        .write(true)
+        .open(sandbox.path("claim.pt"));
+    file.and_then(|file| file.set_len(21 << 30))
+        .expect("longer");
+    import("claim.pt", "gmd_trajectory", statistics).failed(2, &["at most 2147483648 are read"]);
     write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
     import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
     write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");

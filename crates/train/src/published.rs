@@ -5,7 +5,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use half::{bf16, f16};
-use kinegrad_data::file::regular;
+use kinegrad_data::file::{MAX_TENSOR_BYTES, regular};
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use pytorch_reader::{DType, PytorchReader, Tensor};
@@ -22,6 +22,11 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
         reason,
     };
     let held = regular(path).map_err(|error| foreign(error.to_string()))?;
+    // A pickle may claim that any part of the file is one value, which is then read.
+    if held > MAX_TENSOR_BYTES {
+        let reason = format!("{held} bytes found, at most {MAX_TENSOR_BYTES} are read");
+        return Err(foreign(reason));
+    }
     let read = PytorchReader::new(path).map_err(|error| foreign(error.to_string()))?;
     let tensors: BTreeMap<String, Tensor> = read.into_tensors().into_iter().collect();
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
@@ -64,8 +69,12 @@ pub fn load<M: Module>(
     let infos = parameters::infos(&module);
     let mut differences = parameters::differences(&infos, &found);
     let mut weights = Vec::with_capacity(infos.len());
-    for name in infos.into_iter().map(|info| info.name) {
-        match tensors.get(&name).map(values_of) {
+    for ParameterInfo { name, shape } in infos {
+        // Those of other shapes are among the differences, and may have any size.
+        let fitting = tensors
+            .get(&name)
+            .filter(|tensor| *tensor.shape() == *shape);
+        match fitting.map(values_of) {
             Some(Ok(values)) if values.iter().all(|value| value.is_finite()) => {
                 weights.push(values);
             }

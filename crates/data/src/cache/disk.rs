@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use crate::digest::Digest;
-use crate::file::lock_file;
+use crate::file::{lock_file, read_file, read_text};
 use crate::{Error, atomic};
 
 /// After a clean-up, so much of the bound is in use: room for the next files.
@@ -50,7 +50,7 @@ impl DiskCache {
     /// The bytes with this checksum, if they are here and whole. A damaged file is removed.
     pub fn get(&self, digest: &Digest) -> Option<Vec<u8>> {
         let path = self.object(digest);
-        let bytes = fs::read(&path).ok()?;
+        let bytes = read_file(&path, self.limit).ok()?;
         if Digest::of(&bytes) != *digest {
             let _ = fs::remove_file(&path);
             return None;
@@ -80,7 +80,7 @@ impl DiskCache {
 
     /// The checksum kept under `key`.
     pub fn name(&self, key: &Digest) -> Option<Digest> {
-        let text = fs::read_to_string(self.folder.join("names").join(key.to_string())).ok()?;
+        let text = read_text(&self.folder.join("names").join(key.to_string())).ok()?;
         Digest::parse(text.trim())
     }
 

@@ -1,13 +1,11 @@
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
-use kinegrad_data::file::{MAX_TEXT_BYTES, read_file, regular};
+use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
+use kinegrad_motion::{Representation, Statistics};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-
-use kinegrad_motion::{Representation, Statistics};
 
 use crate::Error;
 use crate::config::{self, Config};
@@ -159,14 +157,12 @@ pub(super) fn sha256(bytes: &[u8]) -> String {
     hexadecimal(Sha256::new_with_prefix(bytes))
 }
 
-/// [`sha256`] of a file, of which a block is held at a time.
-pub(super) fn sha256_of_file(path: &Path) -> io::Result<String> {
-    regular(path)?;
-    let mut file = File::open(path)?;
+/// [`sha256`] of what can be read, of which a block is held at a time.
+pub(super) fn sha256_of(source: &mut impl Read) -> io::Result<String> {
     let mut hash = Sha256::new();
     let mut block = vec![0; BLOCK];
     loop {
-        match file.read(&mut block)? {
+        match source.read(&mut block)? {
             0 => return Ok(hexadecimal(hash)),
             read => hash.update(&block[..read]),
         }

@@ -1,15 +1,18 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::Write;
+use std::io::{self, Read, Seek, Write};
 use std::path::Path;
 
+use kinegrad_data::file::regular;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
+use safetensors::tensor::Metadata;
 use safetensors::{Dtype, SafeTensors, View};
 
 use super::are_finite;
-use super::state::{State, file_of, sha256, sha256_of_file};
+use super::state::{State, file_of, sha256, sha256_of};
 use crate::Error;
+use crate::memory;
 use crate::optim::Moments;
 
 /// Which weights of a checkpoint.
@@ -117,12 +120,9 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
         path: path.to_path_buf(),
         reason: format!("{file}: {reason}"),
     };
-    // A damaged file may have any length: only one that is whole is read into memory.
-    let found = file_of(path, file, sha256_of_file)?;
-    if state.checksums.get(file) != Some(&found) {
-        return Err(damaged("the checksum does not match".into()));
-    }
-    let bytes = file_of(path, file, |whole| std::fs::read(whole))?;
+    let checksum = state.checksums.get(file).map(String::as_str);
+    let whole = file_of(path, file, |whole| read_whole(whole, checksum))?;
+    let bytes = whole.map_err(damaged)?;
     let parsed = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
     let mut parameters = parsed
         .iter()
@@ -145,4 +145,59 @@ fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostParameter>, Er
     // The library hands them out in any order.
     parameters.sort_by(|a, b| a.info.name.cmp(&b.info.name));
     Ok(parameters)
+}
+
+/// The bytes of the file of tensors at `path`, if it is whole; otherwise what is wrong with it.
+///
+/// A damaged file may have any length: it is read into memory only if its header speaks of all of
+/// it, there is room, and its checksum is right.
+fn read_whole(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>, String>> {
+    let length = regular(path)?;
+    let mut file = File::open(path)?;
+    match stated_length(&mut file)? {
+        Some(stated) if stated == length => {}
+        Some(stated) => {
+            let reason = format!("{length} bytes found, its header speaks of {stated}");
+            return Ok(Err(reason));
+        }
+        None => return Ok(Err("its header cannot be read".into())),
+    }
+    if let Some(free) = memory::available()
+        && length > free
+    {
+        let [length, free] = [length, free].map(memory::size);
+        return Ok(Err(format!("it has {length}, {free} of memory are free")));
+    }
+    file.rewind()?;
+    if checksum != Some(&*sha256_of(&mut file)?) {
+        return Ok(Err("the checksum does not match".into()));
+    }
+    file.rewind()?;
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(length as usize)?;
+    file.take(length).read_to_end(&mut bytes)?;
+    Ok(Ok(bytes))
+}
+
+/// Longest header that is read, as in the library.
+const MAX_HEADER_BYTES: u64 = 100_000_000;
+
+/// How long a file of tensors is by its header; none if it has no header.
+fn stated_length(file: &mut File) -> io::Result<Option<u64>> {
+    let mut start = Vec::new();
+    (&*file).take(8).read_to_end(&mut start)?;
+    let Ok(length) = start.try_into().map(u64::from_le_bytes) else {
+        return Ok(None);
+    };
+    if length > MAX_HEADER_BYTES {
+        return Ok(None);
+    }
+    let mut header = Vec::new();
+    file.take(length).read_to_end(&mut header)?;
+    let Ok(metadata) = serde_json::from_slice::<Metadata>(&header) else {
+        return Ok(None);
+    };
+    let ends = metadata.tensors().into_values();
+    let end = ends.map(|tensor| tensor.data_offsets.1 as u64).max();
+    Ok((8 + length).checked_add(end.unwrap_or(0)))
 }

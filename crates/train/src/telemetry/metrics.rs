@@ -77,7 +77,7 @@ impl Metrics {
             0 => 0,
             _ => {
                 let (kept, damaged) = kept_bytes(&path, step)?;
-                if let Some(damage) = damage(&path, &damaged) {
+                if let Some(damage) = damaged.describe(&path) {
                     warn(&format!("{damage}; what was written after it stays too"));
                 }
                 kept
@@ -151,15 +151,15 @@ fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Res
     Ok(())
 }
 
-/// Length of the file's beginning whose lines are whole and not beyond `step`, and the numbers of
-/// those that are damaged, from 1.
-fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
-    let (mut kept, mut damaged) = (0, Vec::new());
+/// Length of the file's beginning whose lines are whole and not beyond `step`, and those of them
+/// that are damaged.
+fn kept_bytes(path: &Path, step: u64) -> Result<(u64, DamagedLines), Error> {
+    let (mut kept, mut damaged) = (0, DamagedLines::default());
     let told = |bytes: &[u8], number: usize| {
         match parse(bytes) {
             Some(record) if record.step > step => return false,
             Some(_) => {}
-            None => damaged.push(number),
+            None => damaged.add(number),
         }
         kept += bytes.len() as u64;
         true
@@ -176,22 +176,38 @@ fn kept_bytes(path: &Path, step: u64) -> Result<(u64, Vec<usize>), Error> {
 /// Most damaged lines that are named one by one.
 const NAMED: usize = 5;
 
-/// Says which lines of the file at `path` are damaged; nothing where none is.
-fn damage(path: &Path, lines: &[usize]) -> Option<String> {
-    let named: Vec<String> = lines.iter().take(NAMED).map(usize::to_string).collect();
-    let more = match lines.len().saturating_sub(NAMED) {
-        0 => String::new(),
-        more => format!(" and {more} more"),
-    };
-    let (path, named) = (path.display(), named.join(", "));
-    match lines.len() {
-        0 => None,
-        1 => Some(format!(
-            "{path}: line {named} is damaged: it stays as it is and is not plotted"
-        )),
-        _ => Some(format!(
-            "{path}: lines {named}{more} are damaged: they stay as they are and are not plotted"
-        )),
+/// The damaged lines of a file, of which there may be any number.
+#[derive(Default)]
+struct DamagedLines {
+    /// Numbers of the first ones, from 1.
+    named: Vec<String>,
+    count: usize,
+}
+
+impl DamagedLines {
+    fn add(&mut self, number: usize) {
+        self.count += 1;
+        if self.named.len() < NAMED {
+            self.named.push(number.to_string());
+        }
+    }
+
+    /// Says which lines of the file at `path` they are; nothing where there are none.
+    fn describe(&self, path: &Path) -> Option<String> {
+        let more = match self.count - self.named.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let (path, named) = (path.display(), self.named.join(", "));
+        match self.count {
+            0 => None,
+            1 => Some(format!(
+                "{path}: line {named} is damaged: it stays as it is and is not plotted"
+            )),
+            _ => Some(format!(
+                "{path}: lines {named}{more} are damaged: they stay as they are and are not plotted"
+            )),
+        }
     }
 }
 
@@ -214,16 +230,16 @@ fn parse(line: &[u8]) -> Option<Record> {
 /// If the file cannot be read.
 pub fn read_metrics(folder: &Path, warn: &mut dyn FnMut(&str)) -> Result<Vec<Record>, Error> {
     let path = folder.join(FILE);
-    let (mut records, mut damaged) = (Vec::new(), Vec::new());
+    let (mut records, mut damaged) = (Vec::new(), DamagedLines::default());
     let read = each_line(&path, |line, number| {
         match parse(line) {
             Some(record) => records.push(record),
-            None => damaged.push(number),
+            None => damaged.add(number),
         }
         true
     });
     read.map_err(Error::io("read", &path))?;
-    if let Some(damage) = damage(&path, &damaged) {
+    if let Some(damage) = damaged.describe(&path) {
         warn(&damage);
     }
     Ok(records)

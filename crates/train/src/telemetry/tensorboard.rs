@@ -1,7 +1,8 @@
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{self, BufReader, ErrorKind, Read};
 use std::path::Path;
 
-use kinegrad_data::file::{MAX_TENSOR_BYTES, read_file};
+use kinegrad_data::file::regular;
 
 use super::appended::Appended;
 use crate::Error;
@@ -25,23 +26,23 @@ impl EventFile {
     /// # Errors
     /// If the file cannot be read or written.
     pub fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
-        let bytes = match read_file(path, MAX_TENSOR_BYTES) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(Error::io("read", path)(error));
-            }
-            found => found.unwrap_or_default(),
+        let read = || match step {
+            0 => Ok(Kept::default()),
+            _ => Kept::of(BufReader::new(File::open(path)?), step),
         };
-        let kept = match step {
-            0 => 0,
-            _ => kept_bytes(&bytes, step),
+        let found = match regular(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(Kept::default()),
+            found => found.and_then(|_| read()),
         };
-        if step > 0 && is_damaged(&bytes[kept..]) {
+        let found = found.map_err(Error::io("read", path))?;
+        let kept = found.bytes;
+        if found.damaged {
             warn(&format!(
                 "{}: damaged after {kept} bytes: what follows is cut off, and is in metrics.jsonl",
                 path.display()
             ));
         }
-        let mut file = Appended::open(path)?.cut_back(kept as u64)?;
+        let mut file = Appended::open(path)?.cut_back(kept)?;
         if kept == 0 {
             let mut event = Vec::new();
             field_bytes(&mut event, 3, b"brain.Event:2");
@@ -109,44 +110,67 @@ fn record(event: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Length of the beginning that holds whole records not beyond `step`.
-fn kept_bytes(bytes: &[u8], step: u64) -> usize {
-    let mut kept = 0;
-    while let Some((event, rest)) = split_record(&bytes[kept..]) {
-        if event_step(event) > step {
-            break;
+/// Longest event that is read: one has a value for each metric.
+const MAX_EVENT_BYTES: u64 = 16 << 20;
+
+/// The beginning of a file that a resumed run keeps.
+#[derive(Debug, Default, PartialEq)]
+struct Kept {
+    /// Its length: whole records not beyond a step.
+    bytes: u64,
+    /// Whether it ends at a record that is not as it was written. One that its end is missing from
+    /// is of a process that died.
+    damaged: bool,
+}
+
+impl Kept {
+    fn of(mut file: impl Read, step: u64) -> io::Result<Self> {
+        let mut kept = Self::default();
+        loop {
+            match read_record(&mut file)? {
+                Record::Whole(event) if event_step(&event) <= step => {
+                    kept.bytes += event.len() as u64 + 16;
+                }
+                Record::Whole(_) | Record::CutOff => return Ok(kept),
+                Record::Damaged => {
+                    kept.damaged = true;
+                    return Ok(kept);
+                }
+            }
         }
-        kept = bytes.len() - rest.len();
     }
-    kept
 }
 
-/// Whether `bytes` begin with a record that is not as it was written. One that its end is missing
-/// from is of a process that died.
-fn is_damaged(bytes: &[u8]) -> bool {
-    let Some((length, rest)) = bytes.split_first_chunk::<8>() else {
-        return false;
+/// What stands at a place of a file.
+enum Record {
+    Whole(Vec<u8>),
+    /// Nothing, or the beginning of a record.
+    CutOff,
+    Damaged,
+}
+
+fn read_record(file: &mut impl Read) -> io::Result<Record> {
+    let mut start = Vec::new();
+    file.by_ref().take(12).read_to_end(&mut start)?;
+    let Some((length, crc)) = start.split_first_chunk::<8>().filter(|_| start.len() == 12) else {
+        return Ok(Record::CutOff);
     };
-    let Some((crc, rest)) = rest.split_first_chunk::<4>() else {
-        return false;
-    };
-    if u32::from_le_bytes(*crc) != masked_crc(length) {
-        return true;
+    let right = crc == masked_crc(length).to_le_bytes();
+    let length = u64::from_le_bytes(*length);
+    if !right || length > MAX_EVENT_BYTES {
+        return Ok(Record::Damaged);
     }
-    let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-    let whole = length.saturating_add(4) <= rest.len();
-    whole && split_record(bytes).is_none()
+    let mut event = Vec::new();
+    file.take(length + 4).read_to_end(&mut event)?;
+    if event.len() as u64 != length + 4 {
+        return Ok(Record::CutOff);
+    }
+    let crc = event.split_off(length as usize);
+    match crc == masked_crc(&event).to_le_bytes() {
+        true => Ok(Record::Whole(event)),
+        false => Ok(Record::Damaged),
+    }
 }
-
-fn split_record(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
-    let (length, rest) = bytes.split_first_chunk::<8>()?;
-    let (_, rest) = rest.split_first_chunk::<4>()?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-    let (event, rest) = rest.split_at_checked(length)?;
-    let (crc, rest) = rest.split_first_chunk::<4>()?;
-    (u32::from_le_bytes(*crc) == masked_crc(event)).then_some((event, rest))
-}
-
 /// The step of an event as [`EventFile::write`] lays it out; 0 for the first record.
 fn event_step(event: &[u8]) -> u64 {
     let Some(bytes) = event.get(10..).filter(|_| event[0] == 1 << 3 | 1) else {
@@ -170,11 +194,12 @@ mod tests {
         let bytes = std::fs::read(path).expect("an event file");
         let mut rest = bytes.as_slice();
         let mut steps = Vec::new();
-        while let Some((event, after)) = split_record(rest) {
-            steps.push(event_step(event));
-            rest = after;
+        while !rest.is_empty() {
+            match read_record(&mut rest).expect("in memory") {
+                Record::Whole(event) => steps.push(event_step(&event)),
+                _ => panic!("whole records only"),
+            }
         }
-        assert!(rest.is_empty(), "whole records only");
         steps
     }
 
