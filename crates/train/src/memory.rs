@@ -137,6 +137,22 @@ mod tests {
     }
 
     #[test]
+    fn the_coherent_fit_of_long_phrases_counts() {
+        let activations = |frames: usize| {
+            let text = format!(
+                "[train]\nrecipe = \"e2e\"\n[decoder]\ncoherence = \"projection\"\n[data]\n\
+                 target_frames = {frames}"
+            );
+            let config = BUILT_IN.parse(&text, "c.toml", &[]).expect("a config");
+            let (system, _) = BUILT_IN.of(&config).expect("built in");
+            let footprint = system.footprint(&config).expect("networks");
+            footprint.activations as f64
+        };
+        let ratio = activations(60_000) / activations(30_000);
+        assert!((3.0..4.0).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
     fn validation_keeps_no_gradients_and_each_batch_counts() {
         let parse = |text: &str| BUILT_IN.parse(text, "c.toml", &[]).expect("a config");
         let [little, batch, validation] = [

@@ -1,9 +1,11 @@
 //! Scaled dot-product attention over short sequences, without keeping the score matrix.
 //!
 //! Scores live in a buffer of one head at a time; the backward pass computes them anew from queries
-//! and keys. A sequence of motion is some hundred frames, so that one head's scores fit in cache.
+//! and keys. A sequence of motion is some hundred frames, so that one head's scores fit in cache; of a
+//! longer one the queries are taken in parts, so that memory grows with its length alone.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use gemm::{Parallelism, gemm};
 
@@ -39,9 +41,26 @@ pub(crate) struct Columns<'a> {
     pub first: usize,
 }
 
+/// Most scores that are in memory at a time, of each thread: those of a thousand frames. Tests are of
+/// few, and take their queries in parts too.
+const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
+
+/// What a thread holds of the head that it works on.
+#[derive(Default)]
+struct Buffers {
+    /// Attention `[part, keys]`.
+    weights: Vec<f32>,
+    /// The gradient of the scores, `[part, keys]`.
+    scores: Vec<f32>,
+    /// Results for a part of the queries.
+    sums: Vec<f32>,
+    /// Gradients, `[keys, head channels]`.
+    of_keys: Vec<f32>,
+    of_values: Vec<f32>,
+}
+
 thread_local! {
-    /// Scores and their gradient of the head that this thread works on.
-    static SCORES: RefCell<[Vec<f32>; 3]> = const { RefCell::new([Vec::new(), Vec::new(), Vec::new()]) };
+    static SCORES: RefCell<Buffers> = RefCell::default();
 }
 
 /// A matrix in memory: element `(i, j)` is `data[i row + j column]`.
@@ -53,6 +72,14 @@ struct Matrix<'a> {
 }
 
 impl Matrix<'_> {
+    /// Its rows from one on.
+    fn from(self, row: usize) -> Self {
+        Self {
+            data: &self.data[row * self.row..],
+            ..self
+        }
+    }
+
     fn transposed(self) -> Self {
         Self {
             row: self.column,
@@ -62,8 +89,15 @@ impl Matrix<'_> {
     }
 }
 
-/// `output = scale lhs rhs`, dense.
-fn product(output: &mut [f32], scale: f32, lhs: Matrix<'_>, rhs: Matrix<'_>, size: [usize; 3]) {
+/// `output = scale lhs rhs`, dense; with `add` that is added to what the output holds.
+fn product(
+    output: &mut [f32],
+    add: bool,
+    scale: f32,
+    lhs: Matrix<'_>,
+    rhs: Matrix<'_>,
+    size: [usize; 3],
+) {
     let [rows, depth, columns] = size;
     assert_eq!(output.len(), rows * columns, "product");
     let reach = |matrix: Matrix<'_>, [i, j]: [usize; 2]| {
@@ -85,14 +119,14 @@ fn product(output: &mut [f32], scale: f32, lhs: Matrix<'_>, rhs: Matrix<'_>, siz
             output.as_mut_ptr(),
             1,
             columns as isize,
-            false,
+            add,
             lhs.data.as_ptr(),
             lhs.column as isize,
             lhs.row as isize,
             rhs.data.as_ptr(),
             rhs.column as isize,
             rhs.row as isize,
-            0.0,
+            if add { 1.0 } else { 0.0 },
             scale,
             false,
             false,
@@ -128,14 +162,21 @@ impl<'a> Heads<'a> {
         });
     }
 
-    /// Writes the attention `[time, keys]` of one head to `weights`.
-    fn weights(&self, sample: usize, head: usize, weights: &mut Vec<f32>) {
-        let (time, keys) = (self.queries.time, self.keys.time);
-        weights.resize(time * keys, 0.0);
-        let queries = self.matrix(self.queries, sample, head);
+    /// The queries, in parts whose scores fit into a buffer.
+    fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let (time, length) = (self.queries.time, (MOST_SCORES / self.keys.time).max(1));
+        let starts = (0..time).step_by(length);
+        starts.map(move |start| start..time.min(start + length))
+    }
+
+    /// Writes the attention `[part, keys]` of one head to `weights`.
+    fn weights(&self, sample: usize, head: usize, part: Range<usize>, weights: &mut Vec<f32>) {
+        let keys = self.keys.time;
+        weights.resize(part.len() * keys, 0.0);
+        let queries = self.matrix(self.queries, sample, head).from(part.start);
         let keys_matrix = self.matrix(self.keys, sample, head).transposed();
-        let size = [time, self.head_channels(), keys];
-        product(weights, self.scale(), queries, keys_matrix, size);
+        let size = [part.len(), self.head_channels(), keys];
+        product(weights, false, self.scale(), queries, keys_matrix, size);
         vectorized(
             #[inline(always)]
             || weights.chunks_exact_mut(keys).for_each(softmax),
@@ -150,14 +191,18 @@ impl<'a> Heads<'a> {
         let mut output = vec![0.0; shape.iter().product()];
         let rows = SharedRows::dense(&mut output, shape);
         self.for_each(|sample, head| {
-            SCORES.with_borrow_mut(|[weights, sums, _]| {
-                self.weights(sample, head, weights);
-                sums.resize(time * head_channels, 0.0);
-                let weights = dense(weights, keys);
-                let values = self.matrix(self.values, sample, head);
-                product(sums, 1.0, weights, values, [time, keys, head_channels]);
-                let columns = Columns { rows, first: 0 };
-                columns.write(sample, head * head_channels, sums, head_channels);
+            SCORES.with_borrow_mut(|Buffers { weights, sums, .. }| {
+                for part in self.parts() {
+                    self.weights(sample, head, part.clone(), weights);
+                    sums.resize(part.len() * head_channels, 0.0);
+                    let weights = dense(weights, keys);
+                    let values = self.matrix(self.values, sample, head);
+                    let size = [part.len(), keys, head_channels];
+                    product(sums, false, 1.0, weights, values, size);
+                    let columns = Columns { rows, first: 0 };
+                    let place = [sample, part.start, head * head_channels];
+                    columns.write(place, sums, head_channels);
+                }
             });
         });
         output
@@ -165,57 +210,69 @@ impl<'a> Heads<'a> {
 
     /// Writes the gradients of queries, keys and values from that of the output.
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
-        let (time, keys) = (self.queries.time, self.keys.time);
+        let keys = self.keys.time;
         let channels = self.head_channels();
+        let scale = self.scale();
         self.for_each(|sample, head| {
-            SCORES.with_borrow_mut(|[weights, scores, sums]| {
-                self.weights(sample, head, weights);
-                let gradient = self.matrix(gradient, sample, head);
-                let first = head * channels;
-
-                sums.resize(keys * channels, 0.0);
-                let transposed = dense(weights, keys).transposed();
-                product(sums, 1.0, transposed, gradient, [keys, time, channels]);
-                into.values.write(sample, first, sums, channels);
-
-                scores.resize(time * keys, 0.0);
-                let values = self.matrix(self.values, sample, head).transposed();
-                product(scores, 1.0, gradient, values, [time, channels, keys]);
-                vectorized(
-                    #[inline(always)]
-                    || {
-                        let rows = scores
-                            .chunks_exact_mut(keys)
-                            .zip(weights.chunks_exact(keys));
-                        rows.for_each(|(scores, weights)| softmax_backward(scores, weights));
-                    },
-                );
-
-                let queries = self.matrix(self.queries, sample, head);
-                let scale = self.scale();
-                let transposed = dense(scores, keys).transposed();
-                product(sums, scale, transposed, queries, [keys, time, channels]);
-                into.keys.write(sample, first, sums, channels);
-
-                sums.resize(time * channels, 0.0);
-                let keys_matrix = self.matrix(self.keys, sample, head);
-                product(
+            SCORES.with_borrow_mut(|buffers| {
+                let Buffers {
+                    weights,
+                    scores,
                     sums,
-                    scale,
-                    dense(scores, keys),
-                    keys_matrix,
-                    [time, keys, channels],
-                );
-                into.queries.write(sample, first, sums, channels);
+                    of_keys,
+                    of_values,
+                } = buffers;
+                let first = head * channels;
+                of_keys.resize(keys * channels, 0.0);
+                of_values.resize(keys * channels, 0.0);
+                for part in self.parts() {
+                    let is_later = part.start > 0;
+                    let length = part.len();
+                    self.weights(sample, head, part.clone(), weights);
+                    let gradient = self.matrix(gradient, sample, head).from(part.start);
+
+                    let transposed = dense(weights, keys).transposed();
+                    let size = [keys, length, channels];
+                    product(of_values, is_later, 1.0, transposed, gradient, size);
+
+                    scores.resize(length * keys, 0.0);
+                    let values = self.matrix(self.values, sample, head).transposed();
+                    let size = [length, channels, keys];
+                    product(scores, false, 1.0, gradient, values, size);
+                    vectorized(
+                        #[inline(always)]
+                        || {
+                            let rows = scores
+                                .chunks_exact_mut(keys)
+                                .zip(weights.chunks_exact(keys));
+                            rows.for_each(|(scores, weights)| softmax_backward(scores, weights));
+                        },
+                    );
+
+                    let queries = self.matrix(self.queries, sample, head).from(part.start);
+                    let transposed = dense(scores, keys).transposed();
+                    let size = [keys, length, channels];
+                    product(of_keys, is_later, scale, transposed, queries, size);
+
+                    sums.resize(length * channels, 0.0);
+                    let keys_matrix = self.matrix(self.keys, sample, head);
+                    let size = [length, keys, channels];
+                    product(sums, false, scale, dense(scores, keys), keys_matrix, size);
+                    let place = [sample, part.start, first];
+                    into.queries.write(place, sums, channels);
+                }
+                into.keys.write([sample, 0, first], of_keys, channels);
+                into.values.write([sample, 0, first], of_values, channels);
             });
         });
     }
 }
 
 impl Columns<'_> {
-    /// Writes one head's rows.
-    fn write(&self, sample: usize, first: usize, rows: &[f32], channels: usize) {
-        for (time, row) in rows.chunks_exact(channels).enumerate() {
+    /// Writes rows of one head; the place is the sample, the first row and the first column.
+    fn write(&self, place: [usize; 3], rows: &[f32], channels: usize) {
+        let [sample, start, first] = place;
+        for (time, row) in (start..).zip(rows.chunks_exact(channels)) {
             // SAFETY: a task owns its head's columns of its sample, and queries, keys and values
             // have columns or buffers of their own; this is the only slice of them.
             #[allow(unsafe_code)]

@@ -13,10 +13,12 @@ use kinegrad_motion::postprocess::{PostProcessConfig, process};
 use kinegrad_motion::{Motion, Phrases, Statistics};
 use kinegrad_random::{Key, Purpose};
 
+use super::networks::footprint;
 use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
+use crate::memory::must_fit;
 
 /// Maximum batch size.
 const BATCH: usize = 32;
@@ -98,6 +100,14 @@ impl Generator {
         Ok(samples)
     }
 
+    /// Rejects samples that take more memory than is free.
+    fn must_fit(&self, count: usize, frames: usize) -> Result<(), Error> {
+        // With guidance each is computed twice.
+        let needed = footprint(self.config(), frames)?.of_sampling(2 * count, false);
+        let work = format!("drawing {count} phrases of {frames} frames");
+        must_fit(&work, needed, "draw shorter ones: `--frames`")
+    }
+
     /// [`sample`](Self::sample) of any number of conditions, of which one batch is in memory at a
     /// time; `take` gets the samples in order.
     ///
@@ -116,6 +126,7 @@ impl Generator {
         for done in 0..all {
             let conditions: Vec<AudioFeatures> = conditions.by_ref().take(BATCH).collect();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
+            self.must_fit(conditions.len(), frames)?;
             let first = done * BATCH;
             let numbers = (first..first + conditions.len()).map(|number| number as u64);
             let keys: Vec<Key> = numbers.map(|number| key.at(number)).collect();

@@ -102,7 +102,7 @@ impl System for CcMotion {
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
-        networks::footprint(config)
+        networks::footprint(config, config.data.target_frames)
     }
 
     fn merge(&self, path: &Path, out: &Path) -> Result<PathBuf, Error> {

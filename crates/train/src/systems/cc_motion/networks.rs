@@ -102,10 +102,9 @@ pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
 ///
 /// # Errors
 /// If one cannot be built.
-pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
+pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
     let own = CcMotionConfig::of(config)?;
     let CcMotionNetwork::Unet1d(network) = &own.model.network;
-    let frames = config.data.target_frames;
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
     let item = ((CHANNELS + AUDIO_CHANNELS) * frames) as u64;
