@@ -87,6 +87,7 @@ class Process:
         self.output = {}
         self.peak_address_space = 0
         self._status = None
+        self._cpu = 0.0
         self.started = time.monotonic()
         # Python ignores SIGXFSZ; so does the child if signals are not restored.
         child = subprocess.Popen(
@@ -161,7 +162,7 @@ class Process:
             if self.hang is None and (why := self._hangs(now, cpu, asleep)):
                 self.hang = why
                 self.end()
-            if enough and not self.killed and enough(cpu):
+            if enough and not self.killed and enough(cpu) and not self.ended():
                 self.killed = True
                 self.end()
         if handle is not None:
@@ -213,10 +214,11 @@ class Process:
             ]
             own = (process / "stat").read_text().rpartition(")")[2].split()
             cpu = (int(own[11]) + int(own[12])) / CLOCK_TICKS
+            self._cpu = cpu
             return {thread[0] for thread in fields}, cpu
         except (OSError, IndexError):
             # It, or one of its threads, is about to end.
-            return {"R"}, 0.0
+            return {"R"}, self._cpu
 
     def _look_at_memory(self) -> None:
         with contextlib.suppress(OSError):

@@ -15,6 +15,8 @@ from values import LONG, VALUES, WORDS_OF_SETTINGS
 
 LONG_ENOUGH = 2.0
 """Seconds of work after which a run that makes progress is let be."""
+KNOWN_ENOUGH = 4.0
+"""Seconds of work of a setting that hung twice."""
 MUCH = 4000
 """A number above this may ask for more work than there is time for."""
 MUCH_ENOUGH = 6.0
@@ -77,11 +79,11 @@ class Sweep(Attack):
         case.counts["trained"] += 1
         known = self.hangs.get(key, 0) >= 2
         much = any(asks_much(setting) for setting in settings)
-        cpu = LONG_ENOUGH if known else MUCH_ENOUGH if much else 20
+        cpu = KNOWN_ENOUGH if known else MUCH_ENOUGH if much else 20
         limits = Limits(cpu=cpu, memory=limits.memory, much=much)
         train = ["train", config, *options, "--runs-dir", "runs"]
         ended = case.run(*train, limits=limits, enough=Progress(case.folder, cpu).is_enough)
-        if ended.hang:
+        if ended.hang and not much:
             self.hangs[key] = self.hangs.get(key, 0) + 1
             case.counts["long without progress"] += 1
         if ended.killed:
@@ -128,7 +130,8 @@ class Progress:
         """Whether it has worked for long enough and goes on: it made a second step, or its steps
         are so long that none would fit into its time."""
         runs = [path.parent for path in self.folder.rglob("metrics.jsonl")]
-        steps = sum(steps_logged(run) for run in runs)
+        # Of a run or of the longest of its stages.
+        steps = max((steps_logged(run) for run in runs), default=0)
         if steps and self.first is None:
             self.first = cpu
         is_slow = self.first is not None and self.first > self.most / 4

@@ -21,11 +21,20 @@ pub struct Footprint {
     pub passes: u64,
     /// Numbers of one item: motion and conditions.
     pub item: u64,
+    /// Numbers that all items of a batch share, beside the parameters.
+    pub shared: u64,
 }
 
 /// What is made of an item's numbers around the networks: noise, noisy motion, the windows of the
 /// first convolution, predictions, losses, in the end the motion's joints.
 const COPIES_OF_ITEM: u64 = 16;
+
+/// The same without losses and gradients, measured on the UNet of phrases.
+const COPIES_WITHOUT_LOSS: u64 = 4;
+
+/// Of what a backward pass keeps, one part in so many is in use at a time without one, measured
+/// there too.
+const PARTS_OF_ACTIVATIONS: u64 = 8;
 
 impl Footprint {
     /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
@@ -43,6 +52,7 @@ impl Footprint {
         };
         parameters
             .saturating_add(items)
+            .saturating_add(if on_host { self.of_shared() } else { 0 })
             .saturating_add(config.data.memory())
     }
 
@@ -51,6 +61,21 @@ impl Footprint {
     pub fn of_sampling(self, items: usize, guided: bool) -> u64 {
         let parameters = self.parameters.saturating_mul(3 * NUMBER);
         parameters.saturating_add(self.kept(guided).saturating_mul(items as u64))
+    }
+
+    /// Bytes of main memory that it takes to generate `items` at a time with loaded networks and
+    /// without gradients, roughly: a part of the activations is in use at a time.
+    pub fn of_generating(self, items: usize) -> u64 {
+        let inside = self.activations.saturating_mul(NUMBER) / PARTS_OF_ACTIVATIONS;
+        let around = self.item.saturating_mul(COPIES_WITHOUT_LOSS * NUMBER);
+        let of_item = inside.saturating_add(around);
+        of_item
+            .saturating_mul(items as u64)
+            .saturating_add(self.of_shared())
+    }
+
+    fn of_shared(self) -> u64 {
+        self.shared.saturating_mul(NUMBER)
     }
 
     /// Bytes of one item, with the activations of a backward pass or of as many layers as are in
@@ -138,18 +163,23 @@ mod tests {
 
     #[test]
     fn the_coherent_fit_of_long_phrases_counts() {
-        let activations = |frames: usize| {
+        let footprint = |frames: usize| {
             let text = format!(
                 "[train]\nrecipe = \"e2e\"\n[decoder]\ncoherence = \"projection\"\n[data]\n\
                  target_frames = {frames}"
             );
             let config = BUILT_IN.parse(&text, "c.toml", &[]).expect("a config");
             let (system, _) = BUILT_IN.of(&config).expect("built in");
-            let footprint = system.footprint(&config).expect("networks");
-            footprint.activations as f64
+            system.footprint(&config).expect("networks")
         };
-        let ratio = activations(60_000) / activations(30_000);
-        assert!((3.0..4.0).contains(&ratio), "{ratio}");
+        let [long, longer] = [30_000, 60_000].map(footprint);
+        assert_eq!(
+            (longer.activations, longer.shared),
+            (2 * long.activations, 4 * long.shared)
+        );
+        // The fit of a batch is one, and 43 GB.
+        let [one, two] = [1, 2].map(|items| long.of_generating(items));
+        assert!(one > 40 << 30 && two - one < 2 << 30, "{one}, {two}");
     }
 
     #[test]
@@ -174,6 +204,7 @@ mod tests {
                 activations: 1_000_000,
                 passes: 10,
                 item: 0,
+                shared: 0,
             };
             footprint.of_training(&config, true)
         });

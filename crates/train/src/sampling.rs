@@ -19,6 +19,8 @@ pub struct Subject {
     pub weights: Weights,
     /// The device to run on, without gradients.
     pub device: Device,
+    /// Whether that is the CPU, which computes in main memory.
+    pub on_host: bool,
 }
 
 /// A request for samples. Systems reject conditions that their models do not support.

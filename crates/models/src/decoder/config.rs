@@ -175,12 +175,16 @@ impl DecoderConfig {
     pub fn activations(&self, frames: usize) -> u64 {
         // Inside, a block is four times as wide.
         let a_frame = (16 * self.num_layers as u64 + 2) * self.hidden_dim as u64;
-        let frames = frames as u64;
-        // The coherent fit is a dense matrix `[frames + 2, 3 frames]`, here and on the device.
-        let fit = match self.coherence {
+        frames as u64 * (a_frame + 8 * CHANNELS as u64)
+    }
+
+    /// Numbers that are computed once for motion of `frames` frames, however many items there are:
+    /// the coherent fit, a dense matrix `[frames + 2, 3 frames]` for each of three axes, and one on
+    /// its way there.
+    pub fn shared(&self, frames: usize) -> u64 {
+        match self.coherence {
             Coherence::None => 0,
-            Coherence::Projection => 6 * frames.saturating_mul(frames),
-        };
-        (frames * (a_frame + 8 * CHANNELS as u64)).saturating_add(fit)
+            Coherence::Projection => 12 * (frames as u64).saturating_mul(frames as u64),
+        }
     }
 }

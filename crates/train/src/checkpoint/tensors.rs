@@ -1,7 +1,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{self, Read, Seek, Write};
+use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::path::Path;
 
 use kinegrad_data::file::regular;
@@ -162,11 +162,15 @@ fn read_whole(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>,
         }
         None => return Ok(Err("its header cannot be read".into())),
     }
+    // Its numbers are copied out of it. That memory is short is no damage: no older checkpoint may
+    // take its place.
+    let needed = length.saturating_mul(2);
     if let Some(free) = memory::available()
-        && length > free
+        && needed > free
     {
-        let [length, free] = [length, free].map(memory::size);
-        return Ok(Err(format!("it has {length}, {free} of memory are free")));
+        let [needed, free] = [needed, free].map(memory::size);
+        let message = format!("reading it needs {needed}, {free} of memory are free");
+        return Err(io::Error::new(ErrorKind::OutOfMemory, message));
     }
     file.rewind()?;
     if checksum != Some(&*sha256_of(&mut file)?) {

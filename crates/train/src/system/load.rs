@@ -161,12 +161,13 @@ impl Systems<'_> {
         let config = self.override_trained(&saved, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
-        let (device, _) = crate::device::open(device.unwrap_or(&config.run.device))?;
+        let (device, name) = crate::device::open(device.unwrap_or(&config.run.device))?;
         Ok(Subject {
             checkpoint: path.to_path_buf(),
             config,
             weights,
             device,
+            on_host: crate::device::is_host(&name),
         })
     }
 }

@@ -98,6 +98,7 @@ pub trait System: Sync {
             activations: 0,
             passes: 1,
             item: 0,
+            shared: 0,
         })
     }
 

@@ -18,7 +18,8 @@ use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
-use crate::memory::must_fit;
+use crate::memory;
+use crate::sampling::Subject;
 
 /// Maximum batch size.
 const BATCH: usize = 32;
@@ -39,6 +40,20 @@ pub struct Generator {
     diffusion: GaussianDiffusion,
     state: State,
     device: Device,
+}
+
+/// Rejects `count` samples of `frames` frames if a batch of them takes more memory than is free.
+///
+/// # Errors
+/// [`Error::Usage`] with both figures.
+pub(super) fn must_fit(subject: &Subject, count: usize, frames: usize) -> Result<(), Error> {
+    if !subject.on_host {
+        return Ok(());
+    }
+    let batch = count.min(BATCH);
+    let needed = footprint(&subject.config, frames)?.of_generating(batch);
+    let work = format!("drawing {batch} phrases of {frames} frames");
+    memory::must_fit(&work, needed, "draw shorter ones (`--frames`), or fewer")
 }
 
 impl Generator {
@@ -100,14 +115,6 @@ impl Generator {
         Ok(samples)
     }
 
-    /// Rejects samples that take more memory than is free.
-    fn must_fit(&self, count: usize, frames: usize) -> Result<(), Error> {
-        // With guidance each is computed twice.
-        let needed = footprint(self.config(), frames)?.of_sampling(2 * count, false);
-        let work = format!("drawing {count} phrases of {frames} frames");
-        must_fit(&work, needed, "draw shorter ones: `--frames`")
-    }
-
     /// [`sample`](Self::sample) of any number of conditions, of which one batch is in memory at a
     /// time; `take` gets the samples in order.
     ///
@@ -126,7 +133,6 @@ impl Generator {
         for done in 0..all {
             let conditions: Vec<AudioFeatures> = conditions.by_ref().take(BATCH).collect();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
-            self.must_fit(conditions.len(), frames)?;
             let first = done * BATCH;
             let numbers = (first..first + conditions.len()).map(|number| number as u64);
             let keys: Vec<Key> = numbers.map(|number| key.at(number)).collect();

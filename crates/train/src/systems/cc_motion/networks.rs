@@ -114,6 +114,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
             activations: a_pass,
             passes: 1,
             item,
+            shared: 0,
         });
     }
     let unet = match &own.lora {
@@ -126,6 +127,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
         activations: a_pass + own.decoder.activations(frames),
         passes: own.rollout.steps_kept(),
         item,
+        shared: own.decoder.shared(frames),
     })
 }
 

@@ -8,7 +8,7 @@ use kinegrad_data::{AudioFeatures, DataKind, Dataset, Phrase, load_audio};
 use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
 
 use super::evaluate::phrase_seed;
-use super::generate::{Generator, Sample};
+use super::generate::{Generator, Sample, must_fit};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
@@ -31,6 +31,9 @@ pub(super) fn sample(
         return for_held_out(subject, count, request.seed, receiver).map(Some);
     }
     let conditions = conditions(request, &subject.config)?;
+    for (_, condition) in &conditions {
+        must_fit(subject, request.count, condition.frames())?;
+    }
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
@@ -66,10 +69,11 @@ fn for_held_out(
     seed: u64,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
     let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
+    must_fit(subject, chosen.len(), frames)?;
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;
     let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {

@@ -66,6 +66,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
         activations: network.activations(frames),
         passes: 1,
         item: (channels_of(config)? * frames + TEXT_CHANNELS) as u64,
+        shared: 0,
     })
 }
 

@@ -10,7 +10,7 @@ use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::cc_motion::CcMotionConfig;
-use crate::systems::cc_motion::generate::Generator;
+use crate::systems::cc_motion::generate::{self, Generator};
 
 /// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
 /// the differences that are measured of each.
@@ -59,6 +59,8 @@ pub fn prepare<'a>(
         "all samples are compared with each other: choose fewer `evaluation.seeds` or \
          `evaluation.phrases`",
     )?;
+    let longest = held_out.iter().map(|phrase| phrase.frames()).max();
+    generate::must_fit(subject, held_out.len(), longest.unwrap_or_default())?;
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,
