@@ -129,9 +129,10 @@ class Progress:
     def is_enough(self, cpu: float) -> bool:
         """Whether it has worked for long enough and goes on: it made a second step, or its steps
         are so long that none would fit into its time."""
-        runs = [path.parent for path in self.folder.rglob("metrics.jsonl")]
-        # Of a run or of the longest of its stages.
-        steps = max((steps_logged(run) for run in runs), default=0)
+        # Of a run or of the longest of its stages. Checkpoints come and go: nothing looks into them.
+        runs = self.folder / "runs"
+        logs = [*runs.glob("*/metrics.jsonl"), *runs.glob("*/*/metrics.jsonl")]
+        steps = max((steps_logged(log.parent) for log in logs), default=0)
         if steps and self.first is None:
             self.first = cpu
         is_slow = self.first is not None and self.first > self.most / 4
