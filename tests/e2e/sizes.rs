@@ -3,7 +3,8 @@
 use std::fs;
 use std::process::Command;
 
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, wait_for};
+use kinegrad_tests::captures::wav;
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, finish, wait_for};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -200,6 +201,42 @@ fn pipes_devices_and_endless_files_are_not_read() {
             );
         }
     }
+}
+
+#[test]
+fn a_song_that_does_not_fit_is_refused() {
+    let sandbox = sandbox();
+    // An hour of silence, which takes no room on disk.
+    let length = 3600 * 44_100 * 2u32;
+    let mut song = wav(0);
+    song[4..8].copy_from_slice(&(36 + length).to_le_bytes());
+    song[40..44].copy_from_slice(&length.to_le_bytes());
+    sandbox.write("song.wav", &song);
+    let file = fs::File::options()
+        .write(true)
+        .open(sandbox.path("song.wav"));
+    let whole = song.len() as u64 + u64::from(length);
+    file.and_then(|file| file.set_len(whole)).expect("longer");
+    let binary = env!("CARGO_BIN_EXE_kinegrad");
+    for (limit, expected) in [
+        (
+            600 << 10,
+            ["song.wav: memory is full after second", "hint:"],
+        ),
+        (
+            1200 << 10,
+            ["song.wav: the analysis of 60 minutes", "hint:"],
+        ),
+    ] {
+        let script = format!("ulimit -v {limit}; exec {binary} audio features song.wav --out o");
+        let mut command = Command::new("bash");
+        command
+            .args(["-c", &script])
+            .env("RAYON_NUM_THREADS", "1")
+            .current_dir(sandbox.path(""));
+        finish(command).failed(2, &expected);
+    }
+    assert!(!sandbox.path("o").exists());
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use crate::onset::{self, OnsetStrength};
 use crate::{
-    Beats, Error, Features, FrameMatrix, beats, chroma, cqt, mel, mfcc, rms, spectral, tuning,
+    Beats, Error, Features, FrameMatrix, beats, chroma, cqt, mel, mfcc, num_frames, rms, spectral,
+    tuning,
 };
 
 /// Samples beyond this magnitude are refused: their power would leave single precision. Full scale
@@ -55,7 +56,7 @@ impl Analysis {
 
     fn of_checked(signal: &[f32], tuning: f64) -> Self {
         let spectral = spectral::analyse(signal);
-        let mel_full_db = mel::decibels(&spectral.mel_full_power, 1.0);
+        let mel_full_db = mel::decibels(spectral.mel_full_power, 1.0);
         let cqt = cqt::magnitudes(signal, tuning);
         let onset = onset::strength(&mel_full_db);
         Self {
@@ -73,8 +74,18 @@ impl Analysis {
     }
 
     /// Normalises and stacks the features.
-    pub fn features(&self) -> Features {
+    pub fn features(self) -> Features {
         Features::new(self)
+    }
+
+    /// Bytes of memory that it takes to compute the features of `samples` samples, beside the
+    /// samples themselves, roughly.
+    pub fn memory(samples: usize) -> u64 {
+        // All tensors of an analysis are alive at a time, and half of them again for what they are
+        // computed from; the samples of two minutes, band-limited, do not grow with the song.
+        let per_frame = 2 * mel::BANDS + mfcc::COEFFICIENTS + cqt::BINS + chroma::CLASSES + 4;
+        let growing = num_frames(samples) as u64 * per_frame as u64 * 6;
+        growing + (128 << 20)
     }
 }
 

@@ -23,15 +23,14 @@ pub fn fold(cqt: &FrameMatrix) -> FrameMatrix {
 }
 
 /// Divides each frame by its maximum; a frame without one stays zero. `[T, 12]`.
-pub fn normalise(chroma: &FrameMatrix) -> FrameMatrix {
-    let mut out = chroma.clone();
-    for row in out.as_mut_slice().chunks_exact_mut(CLASSES) {
+pub fn normalise(mut chroma: FrameMatrix) -> FrameMatrix {
+    for row in chroma.as_mut_slice().chunks_exact_mut(CLASSES) {
         let maximum = row.iter().copied().fold(0.0, f32::max);
         if maximum >= f32::MIN_POSITIVE {
             row.iter_mut().for_each(|value| *value /= maximum);
         }
     }
-    out
+    chroma
 }
 
 #[cfg(test)]
@@ -46,7 +45,7 @@ mod tests {
         }
         let chroma = fold(&cqt);
         assert_eq!(chroma.frame(0)[..3], [27.0, 4.0, 0.0]);
-        let scaled = normalise(&chroma);
+        let scaled = normalise(chroma);
         assert_eq!(scaled.frame(0)[0], 1.0);
         assert_eq!(scaled.frame(1), [0.0; CLASSES]);
     }

@@ -15,7 +15,7 @@
 use rayon::prelude::*;
 use realfft::RealFftPlanner;
 
-use crate::octaves::Octaves;
+use crate::octaves::{self, Octaves};
 use crate::wavelets::{self, FRAME};
 use crate::{FrameMatrix, HOP, num_frames};
 
@@ -33,43 +33,58 @@ pub fn bin_frequency(k: usize, tuning: f64) -> f64 {
     440.0 * 2f64.powf(-45.0 / 12.0 + (k as f64 + tuning) / BINS_PER_OCTAVE as f64)
 }
 
+/// Two minutes: the octaves of a whole song would take more memory than the song.
+const FRAMES_AT_A_TIME: usize = 4096;
+
 /// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for the deviation from concert
 /// pitch that [`tuning::estimate`](crate::tuning::estimate) gives.
 pub fn magnitudes(signal: &[f32], tuning: f64) -> FrameMatrix {
+    in_pieces(signal, tuning, FRAMES_AT_A_TIME)
+}
+
+/// [`magnitudes`] of `frames` frames at a time, the same to the bit for any number of them.
+fn in_pieces(signal: &[f32], tuning: f64, frames: usize) -> FrameMatrix {
     let filters = wavelets::all(tuning);
     let transform = RealFftPlanner::<f32>::new().plan_fft_forward(FRAME);
     let mut out = FrameMatrix::zeros(num_frames(signal.len()), BINS);
-    let mut octaves = Octaves::new(signal);
-    for octave in 0..OCTAVES {
-        if octave > 0 {
-            octaves.descend();
+    let pieces = out.as_mut_slice().chunks_mut(frames * BINS);
+    for (piece, rows) in pieces.enumerate() {
+        let centre = piece * frames * HOP;
+        // An even sample: the octaves hold every second one.
+        let begin = centre.saturating_sub(octaves::CONTEXT) / 2 * 2;
+        let end = centre + rows.len() / BINS * HOP + octaves::CONTEXT;
+        let mut octaves = Octaves::new(&signal[begin..end.min(signal.len())]);
+        for octave in 0..OCTAVES {
+            if octave > 0 {
+                octaves.descend();
+            }
+            let first = (OCTAVES - 1 - octave) * BINS_PER_OCTAVE;
+            let bins = first..first + BINS_PER_OCTAVE;
+            rows.par_chunks_exact_mut(BINS)
+                .enumerate()
+                .with_min_len(32)
+                .for_each_init(
+                    || {
+                        (
+                            transform.make_input_vec(),
+                            transform.make_output_vec(),
+                            transform.make_scratch_vec(),
+                        )
+                    },
+                    |(frame, spectrum, scratch), (t, row)| {
+                        let centre = (centre + t * HOP - begin) / 2;
+                        octaves.gather(centre, wavelets::stride(octave), frame);
+                        transform
+                            .process_with_scratch(frame, spectrum, scratch)
+                            .expect("the buffers were made for this transform");
+                        for (magnitude, filter) in
+                            row[bins.clone()].iter_mut().zip(&filters[bins.clone()])
+                        {
+                            *magnitude = filter.response(spectrum);
+                        }
+                    },
+                );
         }
-        let first = (OCTAVES - 1 - octave) * BINS_PER_OCTAVE;
-        let bins = first..first + BINS_PER_OCTAVE;
-        out.as_mut_slice()
-            .par_chunks_exact_mut(BINS)
-            .enumerate()
-            .with_min_len(32)
-            .for_each_init(
-                || {
-                    (
-                        transform.make_input_vec(),
-                        transform.make_output_vec(),
-                        transform.make_scratch_vec(),
-                    )
-                },
-                |(frame, spectrum, scratch), (t, row)| {
-                    octaves.gather(t * HOP / 2, wavelets::stride(octave), frame);
-                    transform
-                        .process_with_scratch(frame, spectrum, scratch)
-                        .expect("the buffers were made for this transform");
-                    for (magnitude, filter) in
-                        row[bins.clone()].iter_mut().zip(&filters[bins.clone()])
-                    {
-                        *magnitude = filter.response(spectrum);
-                    }
-                },
-            );
     }
     out
 }
@@ -79,6 +94,17 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
+
+    #[test]
+    fn pieces_have_the_bits_of_the_whole() {
+        for len in [0, 1, 3 * HOP, 100_001, 220_500] {
+            let signal: Vec<f32> = (0..len).map(|n| (n as f32).powf(1.7).sin()).collect();
+            let whole = in_pieces(&signal, 0.13, usize::MAX / BINS);
+            for frames in [1, 7, 40] {
+                assert!(in_pieces(&signal, 0.13, frames) == whole, "{len} {frames}");
+            }
+        }
+    }
 
     #[test]
     fn a_sine_on_a_bin_gives_half_the_root_of_the_wavelet_length() {

@@ -279,6 +279,9 @@ impl<'a> Mono<'a> {
             });
         }
         let signal = self.signal.get_or_insert_with(|| Resampling::new(rate));
+        if signal.reserve(self.mono.len()).is_err() {
+            return Err(self.no_room());
+        }
         signal.push(&self.mono);
         Ok(())
     }
@@ -305,9 +308,19 @@ impl<'a> Mono<'a> {
         let silence = packet.dur.get().min(u64::from(self.rate)) as usize;
         self.must_hold(silence)?;
         if let Some(signal) = &mut self.signal {
+            if signal.reserve(silence).is_err() {
+                return Err(self.no_room());
+            }
             signal.push(&vec![0.0; silence]);
         }
         Ok(())
+    }
+
+    fn no_room(&self) -> Error {
+        Error::Memory {
+            file: self.name.to_owned(),
+            second: self.seconds(),
+        }
     }
 
     fn corrupt(&self, reason: String) -> Error {

@@ -120,6 +120,18 @@ pub enum Error {
         samples: u64,
     },
 
+    /// There is no memory for the samples.
+    #[error("{file}: memory is full after second {second:.0}")]
+    #[diagnostic(help(
+        "a minute takes 10 MiB, and its features 7: cut the file into pieces, or free memory"
+    ))]
+    Memory {
+        /// The file.
+        file: String,
+        /// Seconds decoded so far.
+        second: f64,
+    },
+
     /// A decoded sample is not finite or far beyond full scale.
     #[error("{file}: the sample {found} found at second {second:.2}, -1 to 1 is full scale")]
     #[diagnostic(help("export the file again as 16-bit PCM or as float between -1 and 1"))]

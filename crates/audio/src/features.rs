@@ -42,23 +42,24 @@ pub struct Features {
 
 impl Features {
     /// Normalises and stacks what `analysis` found.
-    pub(crate) fn new(analysis: &Analysis) -> Self {
+    pub(crate) fn new(analysis: Analysis) -> Self {
         let frames = analysis.rms.len();
+        drop(analysis.cqt);
         let mut stacked = Vec::with_capacity(CHANNELS * frames);
         let loudest = mel::maximum(&analysis.mel_power);
-        let mel_db = mel::decibels(&analysis.mel_power, loudest);
+        let mel_db = mel::decibels(analysis.mel_power, loudest);
         stacked.extend(min_max(mel_db.channel_major()));
-        stacked.extend(chroma::normalise(&analysis.chroma).channel_major());
+        stacked.extend(chroma::normalise(analysis.chroma).channel_major());
         for c in 0..mfcc::COEFFICIENTS {
             stacked.extend(standardise(analysis.mfcc.channel(c).collect()));
         }
-        stacked.extend(by_maximum(analysis.rms.clone()));
-        stacked.extend(min_max(analysis.centroid.clone()));
-        stacked.extend(by_maximum(analysis.onset.mean.clone()));
+        stacked.extend(by_maximum(analysis.rms));
+        stacked.extend(min_max(analysis.centroid));
+        stacked.extend(by_maximum(analysis.onset.mean));
         Self {
             frames,
             stacked,
-            beats: analysis.beats.clone(),
+            beats: analysis.beats,
         }
     }
 

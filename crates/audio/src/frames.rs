@@ -55,6 +55,8 @@ impl FrameMatrix {
 
     /// The values as channel-major `[width, frames]`.
     pub fn channel_major(&self) -> Vec<f32> {
-        (0..self.width).flat_map(|c| self.channel(c)).collect()
+        let mut out = Vec::with_capacity(self.values.len());
+        (0..self.width).for_each(|c| out.extend(self.channel(c)));
+        out
     }
 }

@@ -104,15 +104,14 @@ fn mel_to_hz(mel: f64) -> f64 {
 
 /// A power spectrogram in decibels relative to `reference`, cut off [`DYNAMIC_RANGE_DB`] below
 /// its own maximum.
-pub fn decibels(power: &FrameMatrix, reference: f32) -> FrameMatrix {
+pub fn decibels(mut power: FrameMatrix, reference: f32) -> FrameMatrix {
     let level = |p: f32| 10.0 * f64::from(p).max(QUIETEST_POWER).log10();
     let zero = level(reference);
-    let quietest = level(maximum(power)) - zero - DYNAMIC_RANGE_DB;
-    let mut out = power.clone();
-    for value in out.as_mut_slice() {
+    let quietest = level(maximum(&power)) - zero - DYNAMIC_RANGE_DB;
+    for value in power.as_mut_slice() {
         *value = (level(*value) - zero).max(quietest) as f32;
     }
-    out
+    power
 }
 
 /// The largest value of a power spectrogram.
@@ -145,9 +144,9 @@ mod tests {
     fn decibels_stop_eighty_below_the_loudest() {
         let mut power = FrameMatrix::zeros(1, 3);
         power.as_mut_slice().copy_from_slice(&[1e-3, 1.0, 0.0]);
-        let db = decibels(&power, 1.0);
+        let db = decibels(power, 1.0);
         assert_eq!(db.as_slice(), &[-30.0, 0.0, -80.0]);
-        let silence = decibels(&FrameMatrix::zeros(2, 3), 0.0);
+        let silence = decibels(FrameMatrix::zeros(2, 3), 0.0);
         assert!(silence.as_slice().iter().all(|&v| v == 0.0));
     }
 }

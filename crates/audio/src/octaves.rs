@@ -9,6 +9,8 @@ use std::f64::consts::PI;
 
 use rayon::prelude::*;
 
+use crate::wavelets::FRAME;
+
 /// Taps of the band filter on one side of its centre; a half-band filter has only odd ones. With
 /// the window below it stops 90 dB, from 0.4 of the rate on what it passes up to 0.1.
 const BAND_TAPS: usize = 6;
@@ -20,6 +22,8 @@ const WIDEST_SPREAD: usize = 32;
 /// Silence on both sides of the signal, where the filters ring out: all their reaches together
 /// and the last one's once more, for reading.
 const PAD: usize = reach(BAND_TAPS) * 3 * WIDEST_SPREAD + reach(BAND_TAPS);
+/// Samples at the full rate on each side of a frame's centre that a frame depends on, at most.
+pub(crate) const CONTEXT: usize = 2 * (PAD + FRAME / 2 * 2 * WIDEST_SPREAD + RATE_TAPS);
 /// Samples a thread filters at a time.
 const CHUNK: usize = 4096;
 

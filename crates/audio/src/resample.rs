@@ -1,5 +1,7 @@
 //! Conversion to [`SAMPLE_RATE`].
 
+use std::collections::TryReserveError;
+
 use rubato::audioadapter_buffers::direct::InterleavedSlice;
 use rubato::{Fft, FixedSync, Resampler, WindowFunction};
 
@@ -43,6 +45,26 @@ impl Resampling {
     /// Samples received so far.
     pub fn received(&self) -> u64 {
         self.received
+    }
+
+    /// Makes room for what becomes of `more` samples, in larger steps than that.
+    ///
+    /// # Errors
+    /// If there is no memory for it.
+    pub fn reserve(&mut self, more: usize) -> Result<(), TryReserveError> {
+        let block = self
+            .resampler
+            .as_ref()
+            .map_or(0, Resampler::output_frames_next);
+        let received = self.received + more as u64;
+        let needed = received * u64::from(SAMPLE_RATE) / u64::from(self.rate) + block as u64;
+        let missing = (needed as usize).saturating_sub(self.resampled.len());
+        if missing <= self.resampled.capacity() - self.resampled.len() {
+            return Ok(());
+        }
+        // A quarter more than there is: twice as much would be most of what a song takes.
+        let step = missing.max(self.resampled.len() / 4);
+        self.resampled.try_reserve_exact(step)
     }
 
     /// Takes the next piece.
@@ -92,7 +114,7 @@ impl Resampling {
             }
         }
         self.resampled.resize(length, 0.0);
-        // Growing left room for up to as many samples again.
+        // Growing left room.
         self.resampled.shrink_to_fit();
         self.resampled
     }

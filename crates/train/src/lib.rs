@@ -42,6 +42,7 @@ pub mod published;
 mod recipe;
 pub mod run;
 pub mod sampling;
+pub mod song;
 pub mod start;
 pub mod system;
 pub mod systems;

@@ -188,7 +188,7 @@ fn check_stages(clip: &Clip, signal: &[f32], analysis: &Analysis) {
         clip.compare_relative("stft_mag_frames", &found, 1e-5);
     }
     let loudest = mel::maximum(&analysis.mel_power);
-    let mel_db = mel::decibels(&analysis.mel_power, loudest);
+    let mel_db = mel::decibels(analysis.mel_power.clone(), loudest);
     clip.compare_relative("mel_power", &major(&analysis.mel_power), 1e-5);
     clip.compare("mel_db", &major(&mel_db), 2e-3);
     clip.compare("mel_full_db", &major(&analysis.mel_full_db), 2e-3);
@@ -245,7 +245,7 @@ fn check_links(clip: &Clip, search: &beats::Search) {
 }
 
 fn check_stacked(clip: &Clip, analysis: &Analysis) {
-    let features = analysis.features();
+    let features = analysis.clone().features();
     let frames = features.frames();
     let reference = clip.get("stacked");
     assert_eq!(reference.len(), CHANNELS * frames);
@@ -275,7 +275,7 @@ fn check_stacked(clip: &Clip, analysis: &Analysis) {
 /// Frames with next to no energy hold magnified leakage and are only checked for their range.
 fn check_chroma(clip: &Clip, unnormalised: &FrameMatrix, features: &Features, reference: &[f64]) {
     assert_eq!(
-        chroma::normalise(unnormalised).channel_major(),
+        chroma::normalise(unnormalised.clone()).channel_major(),
         features.rows(CHROMA)
     );
     let frames = features.frames();
@@ -325,7 +325,7 @@ fn check_resampled(clip: Clip, allowed: &Resampled) {
     clip.golden
         .compare_exactly("n_samples", &[signal.len() as f64]);
     let analysis = Analysis::new(&signal).expect("finite samples");
-    let features = analysis.features();
+    let features = analysis.clone().features();
     let frames = features.frames();
     assert_eq!(frames, num_frames(signal.len()));
     let reference = clip.get("stacked");

@@ -4,10 +4,11 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_audio::{Features, decode, extract};
+use kinegrad_audio::Features;
 use kinegrad_data::{check_id, write_song_features};
 use kinegrad_report::{Panel, table};
 use kinegrad_train::Error;
+use kinegrad_train::song::song_features;
 use rayon::prelude::*;
 
 use crate::args::FeaturesArguments;
@@ -71,14 +72,10 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
 }
 
 fn one(song: &Song, plot: bool) -> Result<[String; 6], Error> {
-    let waveform = decode(&song.path)?;
+    let (waveform, features) = song_features(&song.path)?;
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
-    let features = extract(&waveform.samples).map_err(|error| {
-        let message = format!("{}: {error}", song.path.display());
-        Error::usage(message, "write the song again from its source")
-    })?;
     let target = song.folder.join("features.npz");
     let beats = features.beats();
     write_song_features(&target, &features)?;

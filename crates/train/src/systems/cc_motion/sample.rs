@@ -12,6 +12,7 @@ use super::generate::{Generator, Sample, must_fit};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
+use crate::song::song_features;
 
 /// Generates the requested phrases, each post-processed and as raw model output.
 ///
@@ -31,9 +32,8 @@ pub(super) fn sample(
         return for_held_out(subject, count, request.seed, receiver).map(Some);
     }
     let conditions = conditions(request, &subject.config)?;
-    for (_, condition) in &conditions {
-        must_fit(subject, request.count, condition.frames())?;
-    }
+    let lengths = conditions.iter().map(|(_, condition)| condition.frames());
+    must_fit(subject, request.count, lengths.max().unwrap_or_default())?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
@@ -154,12 +154,7 @@ fn of_song(
     request: &Request,
     config: &Config,
 ) -> Result<(String, AudioFeatures), Error> {
-    let waveform = kinegrad_audio::decode(song)?;
-    let features = kinegrad_audio::extract(&waveform.samples).map_err(|error| {
-        let message = format!("{}: {error}", song.display());
-        Error::usage(message, "write the song again from its source")
-    })?;
-    let audio = AudioFeatures::from(&features);
+    let audio = AudioFeatures::from(&song_features(song)?.1);
     let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
     let left = audio.frames() as f64 - start;
