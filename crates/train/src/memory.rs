@@ -57,10 +57,11 @@ impl Footprint {
     }
 
     /// Bytes of main memory that it takes to draw `items` clips at a time, roughly; `guided`
-    /// towards goals, which differentiates the network.
-    pub fn of_sampling(self, items: usize, guided: bool) -> u64 {
+    /// towards goals, which differentiates the network; `on_host` where the CPU draws.
+    pub fn of_sampling(self, items: usize, guided: bool, on_host: bool) -> u64 {
         let parameters = self.parameters.saturating_mul(3 * NUMBER);
-        parameters.saturating_add(self.kept(guided).saturating_mul(items as u64))
+        let items = if on_host { items as u64 } else { 0 };
+        parameters.saturating_add(self.kept(guided).saturating_mul(items))
     }
 
     /// Bytes of main memory that it takes to generate `items` at a time with loaded networks and

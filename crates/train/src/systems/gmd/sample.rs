@@ -65,7 +65,8 @@ pub(super) fn sample(
         None => request.frames.unwrap_or(subject.config.data.target_frames),
     };
     let clips = request.count.saturating_mul(goals.len().max(1));
-    let needed = footprint(&subject.config, frames)?.of_sampling(clips, !goals.is_empty());
+    let guided = !goals.is_empty();
+    let needed = footprint(&subject.config, frames)?.of_sampling(clips, guided, subject.on_host);
     let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
     must_fit(
         &format!("drawing {clips} clips of {frames} frames"),

@@ -50,7 +50,8 @@ pub fn prepare<'a>(
             subject.checkpoint.display()
         ));
     }
-    let needed = footprint(&subject.config, data.target_frames)?.of_sampling(held_out.len(), true);
+    let networks = footprint(&subject.config, data.target_frames)?;
+    let needed = networks.of_sampling(held_out.len(), true, subject.on_host);
     let hint = "all goals are drawn for as one batch: choose fewer `evaluation.goals`";
     must_fit("the evaluation", needed, hint)?;
     if let Some(path) = &request.trajectory {
