@@ -4,7 +4,7 @@ use std::fs;
 use std::process::Command;
 
 use kinegrad_tests::captures::wav;
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, finish, wait_for};
+use kinegrad_tests::sandbox::{Finished, SMALLEST, SMALLEST_WALKS, Sandbox, finish, wait_for};
 
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
@@ -203,38 +203,58 @@ fn pipes_devices_and_endless_files_are_not_read() {
     }
 }
 
+/// Runs the binary with so many mebibytes of addresses.
+fn run_with(sandbox: &Sandbox, mebibytes: u64, arguments: &str) -> Finished {
+    let (limit, binary) = (mebibytes << 10, env!("CARGO_BIN_EXE_kinegrad"));
+    let mut command = Command::new("bash");
+    command
+        .args([
+            "-c",
+            &format!("ulimit -v {limit}; exec {binary} {arguments}"),
+        ])
+        .env("RAYON_NUM_THREADS", "1")
+        .current_dir(sandbox.path(""));
+    finish(command)
+}
+
+#[test]
+fn an_evaluation_is_measured_by_the_samples_of_a_phrase() {
+    let sandbox = sandbox();
+    let settings = "--set train.max_steps=1 --set validation.every_steps=0 \
+                    --set data.synthetic.phrases=4 --set data.synthetic.frames=3000";
+    sandbox
+        .run(&format!("train c.toml --name c {settings}"))
+        .succeeded();
+    let eval = "eval runs/c --steps 1 --set evaluation.phrases=1 --set evaluation.seeds=32";
+    run_with(&sandbox, 450, eval).failed(
+        2,
+        &["drawing 32 phrases of 3000 frames", "`evaluation.seeds`"],
+    );
+}
+
 #[test]
 fn a_song_that_does_not_fit_is_refused() {
     let sandbox = sandbox();
-    // An hour of silence, which takes no room on disk.
-    let length = 3600 * 44_100 * 2u32;
-    let mut song = wav(0);
-    song[4..8].copy_from_slice(&(36 + length).to_le_bytes());
-    song[40..44].copy_from_slice(&length.to_le_bytes());
-    sandbox.write("song.wav", &song);
-    let file = fs::File::options()
-        .write(true)
-        .open(sandbox.path("song.wav"));
-    let whole = song.len() as u64 + u64::from(length);
-    file.and_then(|file| file.set_len(whole)).expect("longer");
-    let binary = env!("CARGO_BIN_EXE_kinegrad");
-    for (limit, expected) in [
-        (
-            600 << 10,
-            ["song.wav: memory is full after second", "hint:"],
-        ),
-        (
-            1200 << 10,
-            ["song.wav: the analysis of 60 minutes", "hint:"],
-        ),
+    // Silence, which takes no room on disk.
+    let silence = |name: &str, seconds: u32| {
+        let length = seconds * 44_100 * 2;
+        let mut song = wav(0);
+        song[4..8].copy_from_slice(&(36 + length).to_le_bytes());
+        song[40..44].copy_from_slice(&length.to_le_bytes());
+        sandbox.write(name, &song);
+        let file = fs::File::options().write(true).open(sandbox.path(name));
+        let whole = song.len() as u64 + u64::from(length);
+        file.and_then(|file| file.set_len(whole)).expect("longer");
+    };
+    silence("hour.wav", 3600);
+    silence("song.wav", 600);
+    for (song, mebibytes, expected) in [
+        ("hour", 600, "hour.wav: memory is full after second"),
+        ("hour", 1100, "hour.wav: the analysis of 60 minutes"),
+        ("song", 380, "song.wav: the features of 10 minutes need"),
     ] {
-        let script = format!("ulimit -v {limit}; exec {binary} audio features song.wav --out o");
-        let mut command = Command::new("bash");
-        command
-            .args(["-c", &script])
-            .env("RAYON_NUM_THREADS", "1")
-            .current_dir(sandbox.path(""));
-        finish(command).failed(2, &expected);
+        let command = format!("audio features {song}.wav --out o");
+        run_with(&sandbox, mebibytes, &command).failed(2, &[expected, "hint:"]);
     }
     assert!(!sandbox.path("o").exists());
 }

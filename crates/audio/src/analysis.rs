@@ -39,7 +39,8 @@ impl Analysis {
     /// Analyses mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
     ///
     /// # Errors
-    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`].
+    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`];
+    /// [`Error::AnalysisMemory`] where there is too little of it.
     pub fn new(signal: &[f32]) -> Result<Self, Error> {
         check(signal)?;
         Ok(Self::of_checked(signal, tuning::estimate(signal)))
@@ -81,29 +82,39 @@ impl Analysis {
     /// Bytes of memory that it takes to compute the features of `samples` samples, beside the
     /// samples themselves, roughly.
     pub fn memory(samples: usize) -> u64 {
-        // All tensors of an analysis are alive at a time, and half of them again for what they are
-        // computed from; the samples of two minutes, band-limited, do not grow with the song.
+        // All tensors of an analysis are alive at a time, and as much again of what they are
+        // computed from; of the band-limited samples there is a piece at a time.
         let per_frame = 2 * mel::BANDS + mfcc::COEFFICIENTS + cqt::BINS + chroma::CLASSES + 4;
-        let growing = num_frames(samples) as u64 * per_frame as u64 * 6;
-        growing + (128 << 20)
+        let growing = num_frames(samples) as u64 * per_frame as u64 * 8;
+        let piece = samples.min(cqt::SAMPLES_AT_A_TIME) as u64 * 8;
+        growing + piece + (16 << 20)
     }
 }
 
 /// The features of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE), any number of them.
 ///
 /// # Errors
-/// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`].
+/// As [`Analysis::new`].
 pub fn extract(signal: &[f32]) -> Result<Features, Error> {
     Ok(Analysis::new(signal)?.features())
 }
 
 fn check(signal: &[f32]) -> Result<(), Error> {
-    match unusable_sample(signal) {
-        Some(index) => Err(Error::Sample {
+    if let Some(index) = unusable_sample(signal) {
+        return Err(Error::Sample {
             index,
             found: signal[index],
+        });
+    }
+    // What allocates later cannot fail in words.
+    let needed = Analysis::memory(signal.len());
+    let room = usize::try_from(needed).map(|needed| Vec::<u8>::new().try_reserve_exact(needed));
+    match room {
+        Ok(Ok(())) => Ok(()),
+        _ => Err(Error::AnalysisMemory {
+            minutes: signal.len() as f64 / f64::from(crate::SAMPLE_RATE) / 60.0,
+            mebibytes: needed >> 20,
         }),
-        None => Ok(()),
     }
 }
 

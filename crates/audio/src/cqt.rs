@@ -36,6 +36,9 @@ pub fn bin_frequency(k: usize, tuning: f64) -> f64 {
 /// Two minutes: the octaves of a whole song would take more memory than the song.
 const FRAMES_AT_A_TIME: usize = 4096;
 
+/// Samples that are band-limited at a time, at most.
+pub(crate) const SAMPLES_AT_A_TIME: usize = FRAMES_AT_A_TIME * HOP + 2 * octaves::CONTEXT;
+
 /// Magnitudes of the constant-Q transform of `signal`, `[T, 252]`, for the deviation from concert
 /// pitch that [`tuning::estimate`](crate::tuning::estimate) gives.
 pub fn magnitudes(signal: &[f32], tuning: f64) -> FrameMatrix {

@@ -138,9 +138,16 @@ fn open_format<'s>(
             FormatOptions::default(),
             MetadataOptions::default(),
         )
-        .map_err(|e| Error::UnknownFormat {
-            file: name.to_owned(),
-            reason: e.to_string(),
+        .map_err(|e| match e {
+            // A tag that fills it.
+            StreamError::IoError(e) if e.kind() == io::ErrorKind::OutOfMemory => Error::Memory {
+                file: name.to_owned(),
+                second: 0.0,
+            },
+            e => Error::UnknownFormat {
+                file: name.to_owned(),
+                reason: e.to_string(),
+            },
         })
 }
 

@@ -123,13 +123,25 @@ pub enum Error {
     /// There is no memory for the samples.
     #[error("{file}: memory is full after second {second:.0}")]
     #[diagnostic(help(
-        "a minute takes 10 MiB, and its features 7: cut the file into pieces, or free memory"
+        "a minute takes 10 MiB, and its features 8: cut the file into pieces, or free memory"
     ))]
     Memory {
         /// The file.
         file: String,
         /// Seconds decoded so far.
         second: f64,
+    },
+
+    /// There is no memory for the features.
+    #[error(
+        "the features of {minutes:.0} minutes need {mebibytes} MiB of memory, and there is less"
+    )]
+    #[diagnostic(help("cut the song into pieces, or free memory"))]
+    AnalysisMemory {
+        /// Length of the signal.
+        minutes: f64,
+        /// What it takes, beside the samples.
+        mebibytes: u64,
     },
 
     /// A decoded sample is not finite or far beyond full scale.

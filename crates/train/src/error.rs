@@ -183,6 +183,7 @@ fn io_hint(source: &std::io::Error) -> &'static str {
         ErrorKind::StorageFull | ErrorKind::FileTooLarge | ErrorKind::QuotaExceeded => {
             "free some space; the last good checkpoint is untouched, `--resume` continues from it"
         }
+        ErrorKind::OutOfMemory => "free memory, or give this process more of it",
         ErrorKind::PermissionDenied => "check the folder's owner and rights",
         _ => "check that the path exists and can be written",
     }

@@ -32,9 +32,9 @@ const COPIES_OF_ITEM: u64 = 16;
 /// The same without losses and gradients, measured on the UNet of phrases.
 const COPIES_WITHOUT_LOSS: u64 = 4;
 
-/// Of what a backward pass keeps, one part in so many is in use at a time without one, measured
-/// there too.
-const PARTS_OF_ACTIVATIONS: u64 = 8;
+/// Of what a backward pass keeps, one part in so many is in use at a time without one, at most:
+/// measured on a UNet of one level. Of deep ones it is half of that.
+const PARTS_OF_ACTIVATIONS: u64 = 4;
 
 impl Footprint {
     /// Bytes of main memory that training takes, roughly; `on_host` where the CPU trains, so that
@@ -56,22 +56,25 @@ impl Footprint {
             .saturating_add(config.data.memory())
     }
 
-    /// Bytes of main memory that it takes to draw `items` clips at a time, roughly; `guided`
-    /// towards goals, which differentiates the network; `on_host` where the CPU draws.
+    /// Bytes of main memory that it takes to draw `items` at a time, roughly; `guided` towards
+    /// goals, which differentiates the network; `on_host` where the CPU draws.
     pub fn of_sampling(self, items: usize, guided: bool, on_host: bool) -> u64 {
         let parameters = self.parameters.saturating_mul(3 * NUMBER);
-        let items = if on_host { items as u64 } else { 0 };
-        parameters.saturating_add(self.kept(guided).saturating_mul(items))
-    }
-
-    /// Bytes of main memory that it takes to generate `items` at a time with loaded networks and
-    /// without gradients, roughly: a part of the activations is in use at a time.
-    pub fn of_generating(self, items: usize) -> u64 {
-        let inside = self.activations.saturating_mul(NUMBER) / PARTS_OF_ACTIVATIONS;
-        let around = self.item.saturating_mul(COPIES_WITHOUT_LOSS * NUMBER);
-        let of_item = inside.saturating_add(around);
-        of_item
+        let inside = match (on_host, guided) {
+            (false, _) => 0,
+            (true, true) => self.of_gradients(),
+            (true, false) => self.activations.saturating_mul(NUMBER) / PARTS_OF_ACTIVATIONS,
+        };
+        let copies = if guided {
+            COPIES_OF_ITEM
+        } else {
+            COPIES_WITHOUT_LOSS
+        };
+        let around = self.item.saturating_mul(copies * NUMBER);
+        inside
+            .saturating_add(around)
             .saturating_mul(items as u64)
+            .saturating_add(parameters)
             .saturating_add(self.of_shared())
     }
 
@@ -82,11 +85,18 @@ impl Footprint {
     /// Bytes of one item, with the activations of a backward pass or of as many layers as are in
     /// use at a time.
     fn kept(self, with_gradients: bool) -> u64 {
-        // Half as much again for what comes and goes.
-        let halves = if with_gradients { 3 * self.passes } else { 1 };
-        let inside = self.activations.saturating_mul(halves * NUMBER) / 2;
+        let inside = match with_gradients {
+            true => self.of_gradients(),
+            false => self.activations.saturating_mul(NUMBER) / 2,
+        };
         let around = self.item.saturating_mul(COPIES_OF_ITEM * NUMBER);
         inside.saturating_add(around)
+    }
+
+    /// Bytes that the backward pass keeps of one item.
+    fn of_gradients(self) -> u64 {
+        // Half as much again for what comes and goes.
+        self.activations.saturating_mul(3 * self.passes * NUMBER) / 2
     }
 }
 
@@ -179,7 +189,7 @@ mod tests {
             (2 * long.activations, 4 * long.shared)
         );
         // The fit of a batch is one, and 43 GB.
-        let [one, two] = [1, 2].map(|items| long.of_generating(items));
+        let [one, two] = [1, 2].map(|items| long.of_sampling(items, false, true));
         assert!(one > 40 << 30 && two - one < 2 << 30, "{one}, {two}");
     }
 

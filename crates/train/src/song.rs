@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use kinegrad_audio::{Analysis, Features, SAMPLE_RATE, Waveform, decode, extract};
+use miette::Diagnostic;
 
 use crate::error::Error;
 use crate::memory::must_fit;
@@ -21,8 +22,9 @@ pub fn song_features(path: &Path) -> Result<(Waveform, Features), Error> {
         "cut the song into pieces, or free memory",
     )?;
     let features = extract(&waveform.samples).map_err(|error| {
+        let hint = error.help().map(|hint| hint.to_string());
         let message = format!("{}: {error}", path.display());
-        Error::usage(message, "write the song again from its source")
+        Error::usage(message, hint.unwrap_or_default())
     })?;
     Ok((waveform, features))
 }

@@ -46,14 +46,17 @@ pub struct Generator {
 ///
 /// # Errors
 /// [`Error::Usage`] with both figures.
-pub(super) fn must_fit(subject: &Subject, count: usize, frames: usize) -> Result<(), Error> {
-    if !subject.on_host {
-        return Ok(());
-    }
+pub(super) fn must_fit(
+    subject: &Subject,
+    count: usize,
+    frames: usize,
+    hint: &str,
+) -> Result<(), Error> {
     let batch = count.min(BATCH);
-    let needed = footprint(&subject.config, frames)?.of_generating(batch);
+    let networks = footprint(&subject.config, frames)?;
+    let needed = networks.of_sampling(batch, false, subject.on_host);
     let work = format!("drawing {batch} phrases of {frames} frames");
-    memory::must_fit(&work, needed, "draw shorter ones (`--frames`), or fewer")
+    memory::must_fit(&work, needed, hint)
 }
 
 impl Generator {

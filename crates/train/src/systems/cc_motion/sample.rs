@@ -14,6 +14,9 @@ use crate::error::Error;
 use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
 use crate::song::song_features;
 
+/// What to do where samples do not fit into memory.
+const HINT: &str = "draw shorter ones (`--frames`), or fewer";
+
 /// Generates the requested phrases, each post-processed and as raw model output.
 ///
 /// # Errors
@@ -33,7 +36,12 @@ pub(super) fn sample(
     }
     let conditions = conditions(request, &subject.config)?;
     let lengths = conditions.iter().map(|(_, condition)| condition.frames());
-    must_fit(subject, request.count, lengths.max().unwrap_or_default())?;
+    must_fit(
+        subject,
+        request.count,
+        lengths.max().unwrap_or_default(),
+        HINT,
+    )?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
     for (id, condition) in conditions {
@@ -72,7 +80,7 @@ fn for_held_out(
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
     let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
-    must_fit(subject, chosen.len(), frames)?;
+    must_fit(subject, chosen.len(), frames, HINT)?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;

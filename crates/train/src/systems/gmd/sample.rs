@@ -65,14 +65,7 @@ pub(super) fn sample(
         None => request.frames.unwrap_or(subject.config.data.target_frames),
     };
     let clips = request.count.saturating_mul(goals.len().max(1));
-    let guided = !goals.is_empty();
-    let needed = footprint(&subject.config, frames)?.of_sampling(clips, guided, subject.on_host);
-    let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
-    must_fit(
-        &format!("drawing {clips} clips of {frames} frames"),
-        needed,
-        hint,
-    )?;
+    must_fit_as_batch(subject, clips, frames, !goals.is_empty())?;
     let requests = requests(request.count, &goals, text.as_deref());
     let load =
         |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
@@ -119,8 +112,9 @@ fn for_held_out(
         text: embedding(clip),
     };
     let requests: Vec<ClipRequest> = chosen.iter().map(request).collect();
-    let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let (frames, sampling) = (config.data.target_frames, &config.sampling);
+    must_fit_as_batch(subject, requests.len(), frames, false)?;
+    let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let mut told = |stage, done, all| receiver.stepped(stage, done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
     for (clip, sample) in chosen.iter().zip(&samples) {
@@ -128,6 +122,21 @@ fn for_held_out(
         receiver.drawn(drawn(clip.id.clone(), sample, frames, skeleton))?;
     }
     Ok(None)
+}
+
+/// Rejects clips that take more memory than is free as one batch.
+fn must_fit_as_batch(
+    subject: &Subject,
+    clips: usize,
+    frames: usize,
+    guided: bool,
+) -> Result<(), Error> {
+    let networks = footprint(&subject.config, frames)?;
+    must_fit(
+        &format!("drawing {clips} clips of {frames} frames"),
+        networks.of_sampling(clips, guided, subject.on_host),
+        "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter",
+    )
 }
 
 /// Rejects a checkpoint that is not of a trajectory model.

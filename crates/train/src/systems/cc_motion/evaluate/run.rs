@@ -60,7 +60,8 @@ pub fn prepare<'a>(
          `evaluation.phrases`",
     )?;
     let longest = held_out.iter().map(|phrase| phrase.frames()).max();
-    generate::must_fit(subject, held_out.len(), longest.unwrap_or_default())?;
+    let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
+    generate::must_fit(subject, wanted.seeds, longest.unwrap_or_default(), hint)?;
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,
