@@ -6,7 +6,7 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::Duration;
 
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox, finish, wait_for};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, finish, wait_for};
 
 const TRAIN: &str = "train c.toml --set train.max_steps=12";
 
@@ -321,6 +321,23 @@ fn a_loss_that_is_no_number_stops_with_step_tensor_and_last_good_checkpoint() {
         text.contains("runs/smallest/checkpoints/step-0000000"),
         "{text}"
     );
+}
+
+#[test]
+fn samples_that_are_not_finite_are_failures_of_the_sampler() {
+    let sandbox = sandbox();
+    sandbox.write("walks.toml", SMALLEST_WALKS);
+    // A schedule that adds no noise, which DDIM divides by.
+    sandbox
+        .run(
+            "train walks.toml --set train.recipe=gmd_motion --set train.max_steps=1 \
+             --set diffusion.beta_max=1e-300",
+        )
+        .succeeded();
+    sandbox
+        .run("sample runs/smallest --steps 1 --set sampling.sampler.kind=ddim --out d --count 2")
+        .failed(1, &["the sample 1 of 2 is not finite", "hint:"]);
+    assert!(!sandbox.path("d-000.npy").exists());
 }
 
 #[test]

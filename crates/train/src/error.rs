@@ -142,14 +142,14 @@ pub enum Error {
         last_good: String,
     },
     /// A generated sample has numbers that are not finite.
-    #[error("the sample {} is not finite: it is not written", path.display())]
+    #[error("the sample {sample} is not finite: it is not written")]
     #[diagnostic(help(
         "the sampler overflowed: lower the guidance (`sampling.sampler.guidance_scale`, the goal's \
          weights), clip (`sampling.clip`), or check the model's validation loss"
     ))]
     SampleNotFinite {
-        /// The file it would have been.
-        path: PathBuf,
+        /// The file it would have been, or its place among the samples.
+        sample: String,
     },
     /// A request that does not fit the model, or contradictory options.
     #[error("{message}")]

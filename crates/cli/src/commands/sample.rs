@@ -185,7 +185,8 @@ impl Receiver for Files {
             if let Contents::Array { values, .. } = contents
                 && !values.iter().all(|value| value.is_finite())
             {
-                return Err(Error::SampleNotFinite { path: path(ending) });
+                let sample = path(ending).display().to_string();
+                return Err(Error::SampleNotFinite { sample });
             }
         }
         for (ending, contents) in &drawn.files {

@@ -322,9 +322,15 @@ impl ClipGenerator {
         let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
         let humanml3d = &self.config().data.humanml3d;
         let (layout, root) = (humanml3d.skeleton.skeleton().layout(), humanml3d.root);
-        let clips = values.chunks(channels * frames);
-        let features = clips.map(|clip| Features::new(clip.to_vec(), layout, root));
-        Ok(features.collect::<Result<_, _>>()?)
+        let clips = values.chunks(channels * frames).enumerate();
+        let features = clips.map(|(index, clip)| {
+            if !clip.iter().all(|value| value.is_finite()) {
+                let sample = format!("{} of {}", index + 1, values.len() / clip.len());
+                return Err(Error::SampleNotFinite { sample });
+            }
+            Ok(Features::new(clip.to_vec(), layout, root)?)
+        });
+        features.collect()
     }
 }
 
