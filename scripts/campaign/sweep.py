@@ -23,7 +23,8 @@ MUCH_ENOUGH = 6.0
 """Seconds of work that such a run has, to show that it does not break at once."""
 
 
-# What absurd settings may make of the weights: documented as a failure of the sampler.
+# Settings such as a learning rate of 1e9 make weights whose samples overflow. That is documented to
+# fail, and counted, so that a report shows where more settings come to it.
 OVERFLOWED = "is not finite: it is not written"
 
 
@@ -116,7 +117,8 @@ class Sweep(Attack):
 
     def must(self, case: Case, key: str, what: str, ended: Ended) -> None:
         """Records what ended with another exit code than 0."""
-        if ended.code == FAILED and OVERFLOWED in ended.stderr:
+        if what == "sample" and ended.code == FAILED and OVERFLOWED in ended.stderr:
+            case.counts["samples overflowed"] += 1
             return
         if ended.code in (FAILED, INVALID) and not ended.killed:
             found = f"{what} of a finished run: exit code {ended.code}: {ended.stderr[:200]}"

@@ -139,7 +139,7 @@ fn open_format<'s>(
             MetadataOptions::default(),
         )
         .map_err(|e| match e {
-            // A tag that fills it.
+            // The readers take tags into memory whole, of any length.
             StreamError::IoError(e) if e.kind() == io::ErrorKind::OutOfMemory => Error::Memory {
                 file: name.to_owned(),
                 second: 0.0,
