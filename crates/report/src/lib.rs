@@ -1,7 +1,8 @@
-//! Reports: tables, side-by-side columns, CSV and plots of named values.
+//! Reports: tables, side-by-side columns, CSV, plots of named values, and motion to look at.
 
 mod columns;
 mod picture;
+pub mod scene;
 mod table;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
