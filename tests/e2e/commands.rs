@@ -14,6 +14,8 @@ fn help() {
         "check",
         "eval",
         "plot",
+        "report",
+        "runs",
         "data",
         "data synth",
         "data prepare",

@@ -11,6 +11,8 @@ mod imports;
 mod own_system;
 mod plans;
 mod preparation;
+mod previews;
+mod reports;
 mod resume;
 mod run_folders;
 mod sizes;

@@ -1,6 +1,7 @@
 //! Command-line arguments, parsed with clap. The commands themselves are in `commands`.
 
 mod data;
+mod reports;
 
 use std::path::PathBuf;
 
@@ -15,6 +16,8 @@ pub use data::{
     AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
     SynthArguments,
 };
+
+pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -46,6 +49,10 @@ pub enum Command {
     Eval(EvalArguments),
     /// Plot a motion file, or the loss curves of a run
     Plot(PlotArguments),
+    /// Gather everything about a run in one page
+    Report(ReportArguments),
+    /// List runs
+    Runs(RunsArguments),
     /// Create and inspect datasets
     #[command(subcommand)]
     Data(DataCommand),
@@ -299,24 +306,6 @@ pub struct EvalArguments {
     /// Output folder [default: RUN/reports of each run]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-}
-
-/// Motion files are plotted as the root path from above and curves over time: all channels,
-/// quaternion norm and jerk of phrases `[T, 25]`; root, feet and jerk of joint features `[T, 263]`
-/// or `[T, 251]` and of joint positions `[T, J, 3]`. Runs are plotted as loss curves.
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  kinegrad plot dance.npy --out dance.svg
-  kinegrad plot runs/quickstart --out losses.svg")]
-pub struct PlotArguments {
-    /// Motion file (.npy): phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
-    /// positions `[T, J, 3]`; or the folder of a run
-    #[arg(value_name = "MOTION.npy|RUN")]
-    pub input: PathBuf,
-    /// Image to write
-    #[arg(long, value_name = "FILE.svg|FILE.png")]
-    pub out: PathBuf,
 }
 
 #[derive(Debug, Subcommand)]

@@ -21,7 +21,10 @@ mod output;
 
 mod args;
 mod commands;
+mod figure;
+mod preview;
 mod progress;
+mod runs;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -61,6 +64,8 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Check(arguments) => commands::check::run(systems, arguments),
         Command::Eval(arguments) => commands::eval::run(systems, arguments),
         Command::Plot(arguments) => commands::plot::run(systems, arguments),
+        Command::Report(arguments) => commands::report::run(systems, arguments),
+        Command::Runs(arguments) => commands::runs::run(systems, arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
         Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),

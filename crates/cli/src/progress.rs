@@ -7,7 +7,10 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kinegrad_report::grouped;
-use kinegrad_train::{Observer, RunSummary, StepReport};
+use kinegrad_train::systems::Systems;
+use kinegrad_train::{Error, Observer, Preview, RunSummary, StepReport};
+
+use crate::preview;
 
 /// Share of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
@@ -19,7 +22,9 @@ const LINES: u64 = 20;
 const LINE_INTERVAL: Duration = Duration::from_secs(20);
 
 /// Shows a training on standard error.
-pub struct TrainProgress {
+pub struct TrainProgress<'a> {
+    /// What previews are drawn with.
+    systems: Systems<'a>,
     /// Hidden where standard error is no terminal.
     bar: ProgressBar,
     smoothed: Option<f64>,
@@ -30,14 +35,15 @@ pub struct TrainProgress {
     trains: Arc<AtomicBool>,
 }
 
-impl TrainProgress {
+impl<'a> TrainProgress<'a> {
     /// Shows nothing yet. Ctrl-C ends the process, once the training has begun it asks for a stop,
     /// and a second one ends the process.
-    pub fn new() -> Self {
+    pub fn new(systems: Systems<'a>) -> Self {
         let trains = Arc::new(AtomicBool::new(false));
         let message = "stopping after this step and writing a checkpoint";
         let stop = stop_on_ctrl_c(message, trains.clone());
         Self {
+            systems,
             trains,
             bar: ProgressBar::hidden(),
             smoothed: None,
@@ -65,7 +71,7 @@ impl TrainProgress {
     }
 }
 
-impl Observer for TrainProgress {
+impl Observer for TrainProgress<'_> {
     fn started(&mut self, summary: &RunSummary) {
         self.trains.store(true, Ordering::SeqCst);
         tell!(
@@ -126,6 +132,12 @@ impl Observer for TrainProgress {
 
     fn saved(&mut self, path: &Path) {
         self.line(&format!("saved {}", path.display()));
+    }
+
+    fn preview(&mut self, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
+        let previews = preview::draw(self.systems, checkpoint, step)?;
+        self.line(&format!("drew {} previews", previews.len()));
+        Ok(previews)
     }
 
     fn note(&mut self, text: &str) {

@@ -1,10 +1,14 @@
 //! Reports: tables, side-by-side columns, CSV, plots of named values, and motion to look at.
 
 mod columns;
+pub mod page;
 mod picture;
 pub mod scene;
 mod table;
+pub mod viewer;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
-pub use picture::{Panel, PictureError, Series, check_ending, draw};
+pub use picture::{
+    Panel, PictureError, Png, Pose, Series, body_panels, check_ending, draw, draw_png,
+};
 pub use table::{facts, grouped, rows, table};

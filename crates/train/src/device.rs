@@ -124,22 +124,15 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     Ok((device, name.to_string()))
 }
 
-/// Whether the device is a graphics driver that computes on the CPU, far slower than Flex does.
+/// What a graphics device calls itself.
 #[cfg(any(
     feature = "wgpu",
     feature = "vulkan",
     feature = "metal",
     feature = "cuda"
 ))]
-fn is_software(device: &Device) -> bool {
-    let name = device
-        .identity()
-        .map(|identity| identity.name.to_lowercase());
-    name.is_some_and(|name| {
-        ["llvmpipe", "swiftshader", "software"]
-            .iter()
-            .any(|s| name.contains(s))
-    })
+pub fn hardware(device: &Device) -> Option<String> {
+    device.identity().map(|identity| identity.name)
 }
 
 /// Without a graphics backend there is no such device.
@@ -149,8 +142,18 @@ fn is_software(device: &Device) -> bool {
     feature = "metal",
     feature = "cuda"
 )))]
-fn is_software(_: &Device) -> bool {
-    false
+pub fn hardware(_: &Device) -> Option<String> {
+    None
+}
+
+/// Whether the device is a graphics driver that computes on the CPU, far slower than Flex does.
+fn is_software(device: &Device) -> bool {
+    hardware(device).is_some_and(|name| {
+        let name = name.to_lowercase();
+        ["llvmpipe", "swiftshader", "software"]
+            .iter()
+            .any(|software| name.contains(software))
+    })
 }
 
 /// Opens a device and adds two numbers on it; drivers that are missing panic inside the backend.

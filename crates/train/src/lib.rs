@@ -52,6 +52,6 @@ mod trainer;
 
 pub use config::Config;
 pub use error::Error;
-pub use observer::{Observer, RunSummary, StepReport};
+pub use observer::{Observer, Preview, RunSummary, StepReport};
 pub use recipe::{Loss, Measured, Recipe, StepKey};
 pub use trainer::{Ending, Trainer, TrainerParts};

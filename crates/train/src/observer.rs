@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::error::Error;
+
 /// Callbacks of a training run.
 pub trait Observer {
     /// The run has been set up and starts training (or was already finished).
@@ -12,6 +14,14 @@ pub trait Observer {
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
+    /// Draws previews of the checkpoint at `checkpoint`, that of `step`, and returns pictures of them
+    /// for TensorBoard. By default there are none.
+    ///
+    /// # Errors
+    /// If they cannot be drawn; training warns and goes on.
+    fn preview(&mut self, _checkpoint: &Path, _step: u64) -> Result<Vec<Preview>, Error> {
+        Ok(Vec::new())
+    }
     /// An informational message.
     fn note(&mut self, text: &str);
     /// A warning that does not stop the run.
@@ -23,6 +33,19 @@ pub trait Observer {
     }
     /// Whether the run should stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;
+}
+
+/// A picture of a sample that was drawn while training.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Preview {
+    /// Name of the sample.
+    pub name: String,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// The picture as a PNG file.
+    pub png: Vec<u8>,
 }
 
 /// One optimiser step.

@@ -4,7 +4,7 @@ mod folder;
 mod setup;
 mod start;
 
-pub(crate) use folder::has_begun;
-pub use folder::{SAMPLES, UNFINISHED_SAMPLES, remove};
+pub use folder::has_begun;
+pub use folder::{PREVIEWS, SAMPLES, UNFINISHED_SAMPLES, is_in_use, preview_page, remove};
 pub use setup::{Material, Outcome, Setup};
 pub use start::{TrainRequest, load_config, train, train_config};

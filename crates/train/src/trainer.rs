@@ -1,6 +1,7 @@
 //! The training loop.
 
 mod not_finite;
+mod previews;
 pub(crate) mod restore;
 
 use std::path::PathBuf;
@@ -149,6 +150,7 @@ impl<R: Recipe> Trainer<R> {
             let val_loss = self.measure()?;
             observer.validated(0, val_loss, false);
         }
+        self.preview_if_missing(observer)?;
         let ending = loop {
             if self.step >= max_steps {
                 break Ending::Finished;
@@ -181,8 +183,12 @@ impl<R: Recipe> Trainer<R> {
             }
             let best =
                 self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
-            if best || self.is_due(self.parts.config.checkpoint.every_steps) {
+            let previews = self.previews_are_due();
+            if best || previews || self.is_due(self.parts.config.checkpoint.every_steps) {
                 self.save(observer)?;
+            }
+            if previews {
+                self.preview(observer)?;
             }
         };
         self.save_unless_saved(observer)?;

@@ -109,7 +109,7 @@ fn picture(features: &Features, out: &Path) -> Result<(), Error> {
     };
     let panels = [
         heat("mel", MEL),
-        heat("chroma (C at the bottom)", CHROMA).with_marks(&beats),
+        heat("chroma (C at the bottom), with beats", CHROMA).with_marks(&beats),
         heat("mfcc", MFCC),
         curves(
             "rms and spectral centroid",

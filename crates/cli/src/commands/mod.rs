@@ -10,5 +10,7 @@ pub mod import;
 pub mod merge;
 pub mod plot;
 pub mod prepare;
+pub mod report;
+pub mod runs;
 pub mod sample;
 pub mod train;

@@ -35,7 +35,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         resume: arguments.resume,
     };
     let started = Instant::now();
-    let mut progress = TrainProgress::new();
+    let mut progress = TrainProgress::new(systems);
     let outcome = run::train(systems, &request, &mut progress);
     progress.finish();
     let outcome = outcome?;

@@ -237,6 +237,15 @@ impl Representation for GroundPath {
             .map(|place| [place[0].into(), 0.0, place[1].into()]);
         Joints::new(places.collect(), 1).ok()
     }
+
+    /// The place, and speed and jerk as of a body; the ground has no height.
+    fn curves(&self, rows: &[f32]) -> Vec<Curves> {
+        let place = Curves::channels("position (m)", rows, 2, 0..2, &["x", "z"]);
+        let joints = self.joints(rows);
+        let moving = joints.map(|joints| curves(&joints, None, self.fps));
+        let moving = moving.unwrap_or_default().into_iter().skip(1);
+        [place].into_iter().chain(moving).collect()
+    }
 }
 
 /// Curves of a body: heights and speeds of root and feet, and jerk.

@@ -8,12 +8,13 @@ use super::{Config, difference};
 
 /// Keys that may differ, or the tables whose every key may. Where motion lies and how it is fetched
 /// and kept changes no batch: that it is the same is checked by itself.
-const FREE: [&str; 9] = [
+const FREE: [&str; 10] = [
     "train.max_steps",
     "run.device",
     "checkpoint.*",
     "validation.*",
     "evaluation.*",
+    "sampling.preview_every_steps",
     "data.source",
     "data.num_workers",
     "data.cache.*",

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File, TryLockError};
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use kinegrad_data::file::lock_file;
@@ -10,6 +10,7 @@ use kinegrad_data::file::lock_file;
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config};
 use crate::error::Error;
+use crate::telemetry;
 
 const CONFIG: &str = "config.toml";
 const UNFINISHED_CONFIG: &str = ".writing-config.toml";
@@ -21,11 +22,19 @@ pub const SAMPLES: &str = "samples";
 /// Folder that they are drawn into. It is there from when a run goes on until they are drawn.
 pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
 
+/// Folder of the previews that are drawn while training.
+pub const PREVIEWS: &str = "previews";
+
+/// Page of the previews of `step` of the run in `folder`.
+pub fn preview_page(folder: &Path, step: u64) -> PathBuf {
+    folder.join(PREVIEWS).join(format!("step-{step:08}.html"))
+}
+
 /// Whether `folder` holds a run: its config or, where that was lost, a checkpoint.
 ///
 /// # Errors
 /// If the checkpoints cannot be listed.
-pub(crate) fn has_begun(folder: &Path) -> Result<bool, Error> {
+pub fn has_begun(folder: &Path) -> Result<bool, Error> {
     Ok(folder.join(CONFIG).exists() || !Checkpoints::of(folder).steps()?.is_empty())
 }
 
@@ -51,12 +60,14 @@ pub(super) fn must_be_a_folder(folder: &Path) -> Result<(), Error> {
 }
 
 /// What a run writes into its folder beside its config, its lock and the folders of its stages.
-const WRITTEN: [&str; 7] = [
+const WRITTEN: [&str; 9] = [
     "checkpoints",
     "metrics.jsonl",
     "loader.jsonl",
     "events.out.tfevents.kinegrad",
+    telemetry::ENVIRONMENT,
     "reports",
+    PREVIEWS,
     SAMPLES,
     UNFINISHED_SAMPLES,
 ];
@@ -116,6 +127,15 @@ pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
         format!("the run `{name}` exists already: {}", folder.display()),
         "add `--resume` to continue it, or choose another `--name`",
     )
+}
+
+/// Whether a process has the run's lock, and so trains it or draws its samples.
+pub fn is_in_use(folder: &Path) -> bool {
+    let Ok(file) = File::open(folder.join(LOCK)) else {
+        return false;
+    };
+    // A shared lock lets others look at the same time.
+    matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
 /// Takes the run's lock, which ends with what is returned, or with this process however it ends.

@@ -16,6 +16,7 @@ use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
 use crate::recipe::{Recipe, RecipeInfo};
+use crate::telemetry::Environment;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Ending, Trainer, TrainerParts};
 
@@ -81,8 +82,8 @@ impl Material {
         config: &Config,
         samples: impl Fn(ItemSet<T>, &Config) -> S + 'static,
     ) -> Result<(Self, HeldOut), Error> {
-        if config.sampling.count_at_end > 0 {
-            // What the samples at the end need is known now.
+        if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
+            // What the samples need is known now.
             config
                 .sampling
                 .clip
@@ -224,6 +225,15 @@ impl Setup {
             remove(&owed)?;
             fs::create_dir(&owed).map_err(Error::io("create", &owed))?;
         }
+        let environment = Environment {
+            step,
+            parameters: summary.parameters,
+            train_items: summary.train_phrases,
+            validation_items: summary.validation_phrases,
+            skipped_items: summary.skipped.len(),
+            ..Environment::here(&device, &summary.device)
+        };
+        environment.record(&folder)?;
         observer.started(&summary);
 
         if config.validation.every_steps > 0 && material.validation == 0 {

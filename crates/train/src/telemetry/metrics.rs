@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 
 use super::EventFile;
 use super::appended::{Appended, now};
-use crate::Error;
+use crate::{Error, Preview};
 
 /// Name of the file in a run's folder.
 const FILE: &str = "metrics.jsonl";
@@ -116,6 +116,16 @@ impl Metrics {
         line.push_str("}\n");
         self.file.write(line.as_bytes())?;
         self.events.write(record.step, time, &record.scalars)
+    }
+
+    /// Appends pictures of samples to the event file.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn write_previews(&mut self, step: u64, previews: &[Preview]) -> Result<(), Error> {
+        let time = now();
+        let mut each = previews.iter();
+        each.try_for_each(|preview| self.events.write_image(step, time, preview))
     }
 
     /// Makes sure that what was written survives a crash.

@@ -1,10 +1,14 @@
-//! Telemetry of a run: metrics as JSON lines and TensorBoard events, and loading statistics.
+//! Telemetry of a run: metrics as JSON lines and TensorBoard events, loading statistics,
+//! and what it ran on.
 
 mod appended;
+mod environment;
 mod loader_log;
 mod metrics;
 mod tensorboard;
 
+pub(crate) use environment::FILE as ENVIRONMENT;
+pub use environment::{BURN, Environment, read_environments};
 pub use loader_log::LoaderLog;
 pub use metrics::{Metrics, Record, read_metrics};
 pub use tensorboard::EventFile;

@@ -5,14 +5,15 @@ use std::path::Path;
 use kinegrad_data::file::regular;
 
 use super::appended::Appended;
-use crate::Error;
+use crate::{Error, Preview};
 
-/// A TensorBoard event file with scalars.
+/// A TensorBoard event file with scalars and images.
 ///
 /// The file is a sequence of records: length (u64), masked CRC-32C of the length, the bytes,
 /// masked CRC-32C of the bytes; all little-endian. The bytes are a protocol-buffer `Event` with
 /// `wall_time` (field 1, double), `step` (2, varint), `file_version` (3, in the first record
-/// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float).
+/// only) and `summary` (5), whose `value` entries (1) hold `tag` (1) and `simple_value` (2, float) or
+/// `image` (4): `height` (1), `width` (2), `colorspace` (3) and `encoded_image_string` (4).
 #[derive(Debug)]
 pub struct EventFile {
     file: Appended,
@@ -64,11 +65,41 @@ impl EventFile {
             entry.extend((*value as f32).to_le_bytes());
             field_bytes(&mut summary, 1, &entry);
         }
+        self.append(step, time, &summary)
+    }
+
+    /// Appends a picture of one step; `time` in seconds since 1970. One that is larger than what is
+    /// read again is left out.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write_image(&mut self, step: u64, time: f64, preview: &Preview) -> Result<(), Error> {
+        if preview.png.len() as u64 + (1 << 16) > MAX_EVENT_BYTES {
+            return Ok(());
+        }
+        let mut image = Vec::new();
+        for (field, number) in [(1, preview.height), (2, preview.width), (3, RGB)] {
+            image.push(field << 3);
+            varint(&mut image, number.into());
+        }
+        field_bytes(&mut image, 4, &preview.png);
+        let (mut entry, mut summary) = (Vec::new(), Vec::new());
+        field_bytes(
+            &mut entry,
+            1,
+            format!("previews/{}", preview.name).as_bytes(),
+        );
+        field_bytes(&mut entry, 4, &image);
+        field_bytes(&mut summary, 1, &entry);
+        self.append(step, time, &summary)
+    }
+
+    fn append(&mut self, step: u64, time: f64, summary: &[u8]) -> Result<(), Error> {
         let mut event = vec![1 << 3 | 1];
         event.extend(time.to_le_bytes());
         event.push(2 << 3);
         varint(&mut event, step);
-        field_bytes(&mut event, 5, &summary);
+        field_bytes(&mut event, 5, summary);
         self.file.write(&record(&event))
     }
 
@@ -80,6 +111,9 @@ impl EventFile {
         self.file.sync()
     }
 }
+
+/// `colorspace` of a picture with red, green and blue.
+const RGB: u32 = 3;
 
 fn varint(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
@@ -201,6 +235,32 @@ mod tests {
             }
         }
         steps
+    }
+
+    #[test]
+    fn a_picture_is_one_event_of_its_step() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("events");
+        let preview = |bytes: usize| Preview {
+            name: "a".into(),
+            width: 300,
+            height: 2,
+            png: vec![7; bytes],
+        };
+        let mut events = EventFile::open(&path, 0, &mut |text| panic!("{text}")).expect("events");
+        events.write_image(9, 1.0, &preview(5)).expect("an event");
+        events
+            .write_image(9, 1.0, &preview(MAX_EVENT_BYTES as usize))
+            .expect("left out");
+        assert_eq!(steps(&path), [0, 9]);
+        let bytes = std::fs::read(&path).expect("bytes");
+        // Field 1 of the summary: tag (field 1), then the image (field 4).
+        let image = [8, 2, 16, 0xac, 2, 24, 3, 34, 5, 7, 7, 7, 7, 7];
+        let mut entry = vec![10, 10];
+        entry.extend(b"previews/a");
+        entry.extend([34, image.len() as u8]);
+        entry.extend(image);
+        assert!(bytes.windows(entry.len()).any(|window| window == entry));
     }
 
     #[test]

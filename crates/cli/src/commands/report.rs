@@ -1,0 +1,230 @@
+//! `kinegrad report`
+
+mod curves;
+mod facts;
+mod samples;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use kinegrad_data::file::read_text;
+use kinegrad_report::page::{Block, Cell, Page, Section, Tone, csv_table, html};
+use kinegrad_train::systems::Systems;
+use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
+use kinegrad_train::{Error, config};
+
+use crate::args::ReportArguments;
+use crate::runs::{Run, Standing, is_run};
+
+/// Gathers everything about a run in one page.
+pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode, Error> {
+    let ReportArguments { run: folder, out } = arguments;
+    let run = Run::read(systems, &folder);
+    let stages = stages(systems, &run);
+    if !is_run(&folder) && stages.is_empty() {
+        return Err(Error::usage(
+            format!("there is no run at {}", folder.display()),
+            "give a run's folder, such as runs/quickstart; `kinegrad runs` lists them",
+        ));
+    }
+    let out = out.unwrap_or_else(|| folder.join("report.html"));
+    let page = page(systems, &run, &stages);
+    write(&out, &html(&page))?;
+    say!("{}", out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the page under another name first, so that one that is there is whole.
+fn write(out: &Path, text: &str) -> Result<(), Error> {
+    if out.is_dir() {
+        let message = format!("`--out {}` is a folder", out.display());
+        let hint = format!(
+            "for a file in it: `--out {}`",
+            out.join("report.html").display()
+        );
+        return Err(Error::usage(message, hint));
+    }
+    let temporary = out.with_extension("partial");
+    let written = fs::write(&temporary, text).and_then(|()| fs::rename(&temporary, out));
+    written.map_err(|error| {
+        let _ = fs::remove_file(&temporary);
+        let message = format!("cannot write {}: {error}", out.display());
+        Error::usage(
+            message,
+            "give a file in a folder that can be written with `--out`",
+        )
+    })
+}
+
+/// The runs that were trained before this one, in its folder.
+fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
+    // A run that has not come to its own config is known by its stages alone.
+    let all = systems.0.iter().flat_map(|system| system.stages());
+    let names: Vec<&str> = match run.stages.is_empty() && run.config.is_none() {
+        true => all.copied().collect(),
+        false => run.stages.to_vec(),
+    };
+    let folders = names.iter().map(|name| run.folder.join(name));
+    let begun = folders.filter(|folder| is_run(folder));
+    begun.map(|folder| Run::read(systems, &folder)).collect()
+}
+
+fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
+    let records = records(run);
+    let environments = read_environments(&run.folder);
+    let last = environments.last();
+    let mut sections = Vec::new();
+
+    let mut overview = Section::new("Training");
+    if let Some(problem) = &run.problem {
+        overview.add(Block::Warning(problem.clone()));
+    }
+    if records.is_empty() {
+        overview.add(Block::Text(
+            "There are no metrics: nothing was trained here.".into(),
+        ));
+    }
+    overview.add(Block::Charts(curves::charts(&records)));
+    sections.push(overview);
+    sections.push(samples::section(systems, run));
+    sections.push(evaluation(&run.folder));
+    for stage in stages {
+        sections.push(stage_section(stage));
+    }
+    let mut machine = Section::new("Hardware and versions");
+    machine.add(Block::Facts(facts::machine(run, last)));
+    if environments.len() > 1 {
+        machine.add(Block::Heading("Each time it was started".into()));
+        machine.add(Block::Table(facts::starts(&environments)));
+    }
+    sections.push(machine);
+    let mut data = Section::new("Data");
+    data.add(Block::Facts(facts::data(run, last)));
+    sections.push(data);
+    let mut files = Section::new("Checkpoints and files");
+    files.add(Block::Table(facts::checkpoints(run)));
+    files.add(Block::Facts(facts::files(run)));
+    sections.push(files);
+    sections.push(configuration(run));
+    Page {
+        title: title(run),
+        subtitle: subtitle(run),
+        status: status(run, stages),
+        highlights: facts::highlights(run, &records, last),
+        sections,
+    }
+}
+
+fn records(run: &Run) -> Vec<Record> {
+    let warn = &mut |text: &str| tell!("warning: {text}");
+    read_metrics(&run.folder, warn).unwrap_or_default()
+}
+
+fn title(run: &Run) -> String {
+    let named = run.config.as_ref().map(|config| config.run.name.clone());
+    let folder = run.folder.canonicalize();
+    let folder = folder.unwrap_or_else(|_| run.folder.clone());
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    // What was imported has no name of its own.
+    named
+        .filter(|name| !name.is_empty())
+        .unwrap_or_else(|| name.into_owned())
+}
+
+fn subtitle(run: &Run) -> String {
+    let recipe = match (run.system, run.recipe()) {
+        (Some(system), Some(recipe)) => format!("Recipe {recipe} of {system}, in "),
+        _ => String::new(),
+    };
+    format!("{recipe}{}", run.folder.display())
+}
+
+fn status(run: &Run, stages: &[Run]) -> Cell {
+    let standing = match stages
+        .iter()
+        .find(|stage| stage.standing == Standing::Training)
+    {
+        Some(stage) if run.standing != Standing::Training => stage.standing,
+        _ => run.standing,
+    };
+    let tone = match standing {
+        Standing::Finished | Standing::StoppedEarly | Standing::Weights => Tone::Good,
+        Standing::Damaged => Tone::Bad,
+        Standing::Training => Tone::Busy,
+        Standing::Stopped | Standing::NeverBegun => Tone::Plain,
+    };
+    Cell::new(standing.name(), tone)
+}
+
+/// A run that was trained before this one.
+fn stage_section(stage: &Run) -> Section {
+    let name = stage.folder.file_name().unwrap_or_default();
+    let mut section = Section::new(format!("Stage {}", name.to_string_lossy()));
+    if let Some(problem) = &stage.problem {
+        section.add(Block::Warning(problem.clone()));
+    }
+    let records = records(stage);
+    let environments = read_environments(&stage.folder);
+    let mut facts = vec![("state".to_string(), stage.standing.name().to_string())];
+    facts.extend(facts::highlights(stage, &records, environments.last()));
+    section.add(Block::Facts(facts));
+    section.add(Block::Charts(curves::charts(&records)));
+    section
+}
+
+/// The reports of `kinegrad eval`: tables, or what there is.
+fn evaluation(run: &Path) -> Section {
+    let mut section = Section::new("Evaluation");
+    for path in files_in(&run.join("reports"), &["csv", "json"]) {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let is_csv = path.extension().is_some_and(|ending| ending == "csv");
+        let text = match read_text(&path) {
+            Ok(text) => text,
+            Err(error) => {
+                section.add(Block::Warning(format!("{}: {error}", path.display())));
+                continue;
+            }
+        };
+        match csv_table(&text).filter(|table| is_csv && !table.rows.is_empty()) {
+            Some(table) => {
+                section.add(Block::Heading(name.into_owned()));
+                section.add(Block::Table(table));
+            }
+            None if is_csv => {
+                section.add(Block::Warning(format!("{} is no table", path.display())));
+            }
+            None => section.add(Block::Source {
+                title: format!("{name}.json"),
+                text,
+            }),
+        }
+    }
+    section
+}
+
+/// The resolved config.
+fn configuration(run: &Run) -> Section {
+    let mut section = Section::new("Config");
+    let saved = read_text(&run.folder.join("config.toml")).ok();
+    let text = saved.or_else(|| run.config.as_ref().map(config::to_toml));
+    section.add(Block::Source {
+        title: "every key, resolved".into(),
+        text: text.unwrap_or_default(),
+    });
+    section
+}
+
+/// The files of a folder with one of these endings, by name; none where there is no folder.
+fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    let mut paths: Vec<PathBuf> = paths
+        .filter(|path| {
+            let ending = path.extension().unwrap_or_default();
+            path.is_file() && endings.iter().any(|known| ending == *known)
+        })
+        .collect();
+    paths.sort();
+    paths
+}

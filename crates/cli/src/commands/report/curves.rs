@@ -1,0 +1,127 @@
+//! The curves of a training.
+
+use kinegrad_report::page::{Chart, Line};
+use kinegrad_train::telemetry::Record;
+
+/// Numbers of the clock.
+const CLOCK: [&str; 2] = ["time", "elapsed_seconds"];
+
+/// Everything that was measured over steps, what belongs together in one chart. Terms are shown
+/// where there are several: one alone is the loss.
+pub fn charts(records: &[Record]) -> Vec<Chart> {
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in records.iter().flat_map(|record| record.scalars()) {
+        if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let line = |name: &str, shown: &str| Line {
+        name: shown.to_string(),
+        points: records
+            .iter()
+            .filter_map(|record| Some((record.step as f64, record.get(name)?)))
+            .collect(),
+    };
+    let chart = |title: &str, lines: Vec<Line>| Chart {
+        title: title.to_string(),
+        x_label: "step".to_string(),
+        lines,
+    };
+    let mut taken = Vec::new();
+    let mut charts = Vec::new();
+    let loss: Vec<&str> = names
+        .iter()
+        .copied()
+        .filter(|name| ["loss", "val_loss"].contains(name))
+        .collect();
+    charts.push(chart(
+        "loss",
+        loss.iter().map(|name| line(name, name)).collect(),
+    ));
+    taken.extend(loss);
+    for (title, prefix) in [
+        ("terms of the loss", "loss_"),
+        ("terms of the validation loss", "val_loss_"),
+        ("learning rates", "lr_"),
+    ] {
+        let terms: Vec<&str> = names
+            .iter()
+            .copied()
+            .filter(|name| name.starts_with(prefix))
+            .collect();
+        if terms.len() > 1 {
+            let lines = terms.iter().map(|name| line(name, &name[prefix.len()..]));
+            charts.push(chart(title, lines.collect()));
+        }
+        taken.extend(terms);
+    }
+    let titles = [
+        ("lr", "learning rate"),
+        ("grad_norm", "gradient norm"),
+        ("steps_per_second", "steps per second"),
+    ];
+    for name in names.iter().filter(|name| !taken.contains(name)) {
+        let title = titles.iter().find(|(known, _)| known == name);
+        let title = title.map_or(*name, |(_, title)| title);
+        charts.push(chart(title, vec![line(name, name)]));
+    }
+    charts.retain(|chart| !chart.is_empty());
+    charts
+}
+
+/// Seconds of training: each process counts its own from the step on that it went on from.
+pub fn training_seconds(records: &[Record]) -> f64 {
+    let mut total = 0.0;
+    let mut before: f64 = 0.0;
+    for elapsed in records.iter().filter_map(|r| r.get("elapsed_seconds")) {
+        if elapsed < before {
+            total += before;
+        }
+        before = elapsed;
+    }
+    total + before
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_belongs_together_is_one_chart() {
+        let record = Record::new(1)
+            .with("loss", 2.0)
+            .with("lr", 0.1)
+            .with("lr_unet", 0.1)
+            .with("lr_decoder", 0.2)
+            .with("loss_position", 1.0)
+            .with("loss_velocity", 1.0)
+            .with("mine", 3.0)
+            .with("time", 9.0);
+        let validation = Record::new(1)
+            .with("val_loss", 2.5)
+            .with("val_loss_position", 2.5);
+        let charts = charts(&[record, validation]);
+        let shown: Vec<_> = charts
+            .iter()
+            .map(|chart| {
+                let names = chart.lines.iter().map(|line| line.name.as_str());
+                (chart.title.as_str(), names.collect::<Vec<_>>())
+            })
+            .collect();
+        let expected = [
+            ("loss", vec!["loss", "val_loss"]),
+            ("terms of the loss", vec!["position", "velocity"]),
+            ("learning rates", vec!["unet", "decoder"]),
+            ("learning rate", vec!["lr"]),
+            ("mine", vec!["mine"]),
+        ];
+        assert_eq!(shown, expected);
+    }
+
+    #[test]
+    fn the_time_of_all_processes_counts() {
+        let records = [1.0, 5.0, 0.5, 2.0, 1.0].map(|t| Record::new(1).with("elapsed_seconds", t));
+        assert_eq!(training_seconds(&records), 8.0);
+        assert_eq!(training_seconds(&[]), 0.0);
+    }
+}

@@ -1,0 +1,140 @@
+//! The samples of a run: as moving thumbnails, and what the checks say of them.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_data::read_array;
+use kinegrad_motion::{Profile, Report, Representation, Statistics};
+use kinegrad_report::page::{Block, Cell, Section, Table, Tone};
+use kinegrad_report::scene::Scene;
+use kinegrad_train::Error;
+use kinegrad_train::run::SAMPLES;
+use kinegrad_train::systems::Systems;
+
+use super::files_in;
+use crate::figure;
+use crate::runs::Run;
+
+/// Most samples that are checked, and that move.
+const CHECKED: usize = 200;
+const MOVING: usize = 12;
+
+/// Endings of files that lie beside a sample and are no sample of their own.
+const BESIDE: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
+
+/// A sample that was read.
+struct Sample {
+    name: String,
+    seconds: f64,
+    scene: Scene,
+    document: Option<Report>,
+    strict: Option<Report>,
+}
+
+/// The samples in the run's folder.
+pub fn section(systems: Systems<'_>, run: &Run) -> Section {
+    let mut section = Section::new("Samples");
+    let files: Vec<PathBuf> = files_in(&run.folder.join(SAMPLES), &["npy"])
+        .into_iter()
+        .filter(|path| {
+            let name = path.to_string_lossy();
+            !BESIDE.iter().any(|ending| name.ends_with(ending))
+        })
+        .collect();
+    let mut samples = Vec::new();
+    for path in files.iter().take(CHECKED) {
+        match read(systems, run, path) {
+            Ok(sample) => samples.push(sample),
+            Err(error) => section.add(Block::Warning(error.to_string())),
+        }
+    }
+    let moving = samples.iter().take(MOVING);
+    section.add(Block::Scenes(
+        moving.map(|sample| sample.scene.clone()).collect(),
+    ));
+    section.add(Block::Table(table(&samples)));
+    if files.len() > MOVING {
+        let checked = files.len().min(CHECKED);
+        section.add(Block::Text(format!(
+            "{MOVING} of {} samples move here, {checked} were checked.",
+            files.len()
+        )));
+    }
+    section
+}
+
+fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
+    let array = read_array(path)?;
+    let representation = systems.representation_of(path, &array.shape, &array.values)?;
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let figure = figure::of(&name, &*representation, &array.values).ok_or_else(|| {
+        let sample = path.display().to_string();
+        Error::SampleNotFinite { sample }
+    })?;
+    let statistics = statistics(run, &*representation);
+    let check = |profile| {
+        let report = representation.check(&array.values, profile, statistics);
+        // Statistics that came with a dataset say too little for the strict profile.
+        report.ok()
+    };
+    Ok(Sample {
+        seconds: figure.seconds(),
+        document: check(Profile::Document),
+        strict: statistics.and_then(|_| check(Profile::Strict)),
+        scene: Scene {
+            title: name.to_string(),
+            figures: vec![figure],
+            ..Scene::default()
+        },
+        name: name.into_owned(),
+    })
+}
+
+/// The statistics of the motion that the run was trained on.
+fn statistics<'a>(run: &'a Run, representation: &dyn Representation) -> Option<&'a Statistics> {
+    let (_, state) = run.newest.as_ref()?;
+    state.statistics_of(representation).ok()
+}
+
+/// Both verdicts on each sample, with the checks that fail.
+fn table(samples: &[Sample]) -> Table {
+    let header = ["sample", "length", "document", "strict", "fails"];
+    let verdict = |report: &Option<Report>| match report {
+        None => Cell::from("-"),
+        Some(report) if report.passed => Cell::new("ok", Tone::Good),
+        Some(_) => Cell::new("fail", Tone::Bad),
+    };
+    let row = |sample: &Sample| {
+        vec![
+            Cell::from(sample.name.as_str()),
+            Cell::from(format!("{:.1} s", sample.seconds)),
+            verdict(&sample.document),
+            verdict(&sample.strict),
+            Cell::from(failing([&sample.document, &sample.strict])),
+        ]
+    };
+    Table {
+        header: header.map(String::from).to_vec(),
+        rows: samples.iter().map(row).collect(),
+    }
+}
+
+/// Names of the checks that fail, each once, with the value of the last profile that has it.
+fn failing(reports: [&Option<Report>; 2]) -> String {
+    let checks = reports
+        .into_iter()
+        .flatten()
+        .flat_map(|report| &report.checks);
+    let mut failing: Vec<(&str, String)> = Vec::new();
+    for check in checks.filter(|check| !check.passed) {
+        let said = format!(
+            "{} {} (allowed {})",
+            check.name, check.value, check.threshold
+        );
+        match failing.iter_mut().find(|(name, _)| *name == check.name) {
+            Some((_, known)) => *known = said,
+            None => failing.push((check.name, said)),
+        }
+    }
+    let said: Vec<String> = failing.into_iter().map(|(_, said)| said).collect();
+    said.join(", ")
+}

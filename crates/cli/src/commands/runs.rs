@@ -1,0 +1,122 @@
+//! `kinegrad runs`
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use kinegrad_report::table;
+use kinegrad_train::Error;
+use kinegrad_train::memory::size;
+use kinegrad_train::systems::Systems;
+use serde_json::{Value, json};
+
+use crate::args::RunsArguments;
+use crate::output;
+use crate::progress::duration;
+use crate::runs::{Run, find};
+
+/// Lists the runs in a folder.
+pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
+    let RunsArguments { folder, json } = arguments;
+    if !folder.is_dir() {
+        let message = format!("there is no folder {}", folder.display());
+        let hint = "`kinegrad train` makes `runs`; give the folder that contains yours";
+        return Err(Error::usage(message, hint));
+    }
+    let found = find(&folder);
+    let runs: Vec<Run> = found.iter().map(|path| Run::read(systems, path)).collect();
+    if json {
+        let runs: Vec<Value> = runs.iter().map(|run| object(run, &folder)).collect();
+        output::json(&json!({ "runs": runs }));
+        return Ok(ExitCode::SUCCESS);
+    }
+    if runs.is_empty() {
+        say!("no runs in {}", folder.display());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let header = [
+        "run",
+        "recipe",
+        "state",
+        "step",
+        "best val_loss",
+        "size",
+        "age",
+    ];
+    say!(
+        "{}",
+        table(header, runs.iter().map(|run| row(run, &folder)))
+    );
+    for run in &runs {
+        if let Some(problem) = &run.problem {
+            tell!("warning: {}: {problem}", name(run, &folder));
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The run's path below the folder; the folder itself by its own name.
+fn name(run: &Run, folder: &Path) -> String {
+    let below = run.folder.strip_prefix(folder).unwrap_or(&run.folder);
+    match below.as_os_str().is_empty() {
+        false => below.display().to_string(),
+        true => {
+            let whole = folder.canonicalize().unwrap_or_else(|_| folder.into());
+            let own = whole.file_name().unwrap_or(whole.as_os_str());
+            own.to_string_lossy().into_owned()
+        }
+    }
+}
+
+fn row(run: &Run, folder: &Path) -> [String; 7] {
+    let missing = || "-".to_string();
+    let recipe = match (run.system, run.recipe()) {
+        (Some(system), Some(recipe)) => format!("{system}/{recipe}"),
+        _ => missing(),
+    };
+    let step = match run.max_steps() {
+        Some(max_steps) => format!("{} of {max_steps}", run.step),
+        None => run.step.to_string(),
+    };
+    let best = run.best.as_ref().map(|best| {
+        let (loss, step) = (best.val_loss, best.step);
+        format!("{loss:.5} at {step}")
+    });
+    let age = run.modified.and_then(|time| time.elapsed().ok());
+    [
+        name(run, folder),
+        recipe,
+        run.standing.name().into(),
+        step,
+        best.unwrap_or_else(missing),
+        size(run.bytes),
+        age.map_or_else(missing, |age| age_of(age.as_secs_f64())),
+    ]
+}
+
+/// Days where there are many hours.
+fn age_of(seconds: f64) -> String {
+    let days = seconds / 86_400.0;
+    match days < 2.0 {
+        true => duration(seconds),
+        false => format!("{days:.0}d"),
+    }
+}
+
+fn object(run: &Run, folder: &Path) -> Value {
+    let seconds = |time: SystemTime| Some(time.duration_since(UNIX_EPOCH).ok()?.as_secs_f64());
+    json!({
+        "name": name(run, folder),
+        "path": run.folder.display().to_string(),
+        "system": run.system,
+        "recipe": run.recipe(),
+        "state": run.standing.name(),
+        "problem": run.problem,
+        "step": run.step,
+        "max_steps": run.max_steps(),
+        "best_step": run.best.as_ref().map(|best| best.step),
+        "best_val_loss": run.best.as_ref().map(|best| best.val_loss),
+        "bytes": run.bytes,
+        "modified": run.modified.and_then(seconds),
+    })
+}

@@ -1,0 +1,104 @@
+//! Samples that are looked at while a run is trained.
+
+use std::fs;
+use std::path::Path;
+
+use kinegrad_report::scene::{Floor, Scene};
+use kinegrad_report::{Panel, body_panels, draw_png, viewer};
+use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::run::preview_page;
+use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Request};
+use kinegrad_train::systems::Systems;
+use kinegrad_train::{Error, Preview};
+
+use crate::figure;
+
+/// Items that previews are drawn for: those that the samples at the end begin with.
+const COUNT: usize = 4;
+
+/// Size of a panel in a picture, pixels.
+const PANEL: (u32, u32) = (420, 240);
+
+/// Panels of a picture, in two columns.
+const PANELS: usize = 4;
+
+/// Draws samples of the averaged weights of a checkpoint for the first held-out items, writes them as
+/// a page into its run's folder, and returns a picture of each.
+///
+/// # Errors
+/// If they cannot be drawn or written; no page is left then.
+pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
+    let subject = systems.trained(checkpoint, &[], Weights::Ema, None)?;
+    let (system, _) = systems.of(&subject.config)?;
+    let request = Request {
+        conditions: Conditions {
+            held_out: Some(COUNT),
+            ..Conditions::default()
+        },
+        count: 1,
+        frames: None,
+        seed: subject.config.run.seed,
+    };
+    let mut drawn = Scenes {
+        systems,
+        scene: Scene {
+            title: format!("{}: step {step}", subject.config.run.name),
+            ..Scene::default()
+        },
+    };
+    system.sample(&subject, &request, &mut drawn)?;
+    let run = checkpoint.parent().and_then(Path::parent);
+    write(&preview_page(run.unwrap_or(checkpoint), step), &drawn.scene)?;
+    let previews = drawn.scene.figures.iter().filter_map(|figure| {
+        let curves = figure.curves.iter().map(|curves| {
+            let series = curves.series.iter().map(|(name, values)| {
+                let values = values.iter().map(|&value| value.into()).collect();
+                (name.as_str(), values)
+            });
+            Panel::over_time(curves.title.clone(), figure.fps, series)
+        });
+        let body = body_panels(figure, &Floor::default()).into_iter();
+        let panels: Vec<Panel> = body.chain(curves).take(PANELS).collect();
+        let png = draw_png(&panels, 2, PANEL)?;
+        Some(Preview {
+            name: figure.name.clone(),
+            width: png.width,
+            height: png.height,
+            png: png.bytes,
+        })
+    });
+    Ok(previews.collect())
+}
+
+/// Writes the page under another name first, so that one that is there is whole.
+fn write(page: &Path, scene: &Scene) -> Result<(), Error> {
+    let folder = page.parent().unwrap_or(page);
+    fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+    let temporary = page.with_extension("partial");
+    fs::write(&temporary, viewer::page(scene)).map_err(Error::io("write", &temporary))?;
+    fs::rename(&temporary, page).map_err(Error::io("rename", &temporary))
+}
+
+/// Takes samples as figures.
+struct Scenes<'a> {
+    systems: Systems<'a>,
+    scene: Scene,
+}
+
+impl Receiver for Scenes<'_> {
+    fn stepped(&mut self, _stage: &'static str, _done: usize, _all: usize) {}
+
+    fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
+        // The motion itself comes first.
+        let Some((_, Contents::Array { shape, values })) = drawn.files.first() else {
+            return Ok(());
+        };
+        let path = Path::new(&drawn.name);
+        let representation = self.systems.representation_of(path, shape, values)?;
+        let figure = figure::of(&drawn.name, &*representation, values);
+        self.scene
+            .figures
+            .push(figure.ok_or(Error::SampleNotFinite { sample: drawn.name })?);
+        Ok(())
+    }
+}

@@ -1,0 +1,243 @@
+//! A page as HTML.
+
+use std::fmt::Write;
+
+use super::{Block, Cell, Page, Section, Table, Tone};
+use crate::viewer;
+
+/// How the page looks.
+const STYLE: &str = include_str!("style.css");
+
+/// What the page may load: only what stands in it.
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
+                      img-src data: blob:; media-src data: blob:";
+
+/// A text column is one whose cells are longer than this.
+const WORDS: usize = 24;
+
+/// The page as one file.
+pub fn html(page: &Page) -> String {
+    let title = escape(&page.title);
+    let mut out = format!(
+        "<!doctype html>\n<html lang=en>\n<head>\n<meta charset=utf-8>\n\
+         <meta name=viewport content=\"width=device-width, initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <link rel=icon href=\"data:,\">\n<title>{title}</title>\n<style>\n{STYLE}</style>\n"
+    );
+    let sections = page.sections.iter();
+    let sections: Vec<&Section> = sections
+        .filter(|section| !section.blocks.is_empty())
+        .collect();
+    let moves = |section: &&Section| {
+        let scenes = |block: &Block| matches!(block, Block::Scenes(_));
+        section.blocks.iter().any(scenes)
+    };
+    let moves = sections.iter().any(moves);
+    if moves {
+        let _ = writeln!(out, "<style>\n{}</style>", viewer::style());
+    }
+    let _ = writeln!(
+        out,
+        "</head>\n<body>\n<main>\n<header class=page><h1>{title}</h1>{}<p>{}</p></header>",
+        status(&page.status),
+        escape(&page.subtitle)
+    );
+    highlights(&mut out, &page.highlights);
+    out += "<nav>";
+    for (index, section) in sections.iter().enumerate() {
+        let _ = write!(out, "<a href=\"#s{index}\">{}</a>", escape(&section.title));
+    }
+    out += "</nav>\n";
+    for (index, section) in sections.iter().enumerate() {
+        let title = escape(&section.title);
+        let _ = writeln!(out, "<section id=s{index}><h2>{title}</h2>");
+        for item in &section.blocks {
+            block(&mut out, item);
+        }
+        out += "</section>\n";
+    }
+    out += "</main>\n";
+    if moves {
+        let _ = writeln!(out, "<script>\n{}</script>", viewer::script());
+    }
+    out + "</body>\n</html>\n"
+}
+
+/// Text as it may stand in HTML, in quotes too.
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => escaped += "&amp;",
+            '<' => escaped += "&lt;",
+            '>' => escaped += "&gt;",
+            '"' => escaped += "&quot;",
+            '\'' => escaped += "&#39;",
+            other => escaped.push(other),
+        }
+    }
+    escaped
+}
+
+fn tone(tone: Tone) -> &'static str {
+    match tone {
+        Tone::Plain => "",
+        Tone::Good => "good",
+        Tone::Bad => "bad",
+        Tone::Busy => "busy",
+    }
+}
+
+fn status(cell: &Cell) -> String {
+    match cell.text.is_empty() {
+        true => String::new(),
+        false => format!(
+            "<span class=\"pill {}\">{}</span>",
+            tone(cell.tone),
+            escape(&cell.text)
+        ),
+    }
+}
+
+fn highlights(out: &mut String, highlights: &[(String, String)]) {
+    if highlights.is_empty() {
+        return;
+    }
+    *out += "<dl class=highlights>";
+    for (name, value) in highlights {
+        let (name, value) = (escape(name), escape(value));
+        let _ = write!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
+    }
+    *out += "</dl>\n";
+}
+
+fn block(out: &mut String, block: &Block) {
+    let written = match block {
+        Block::Heading(text) => writeln!(out, "<h3>{}</h3>", escape(text)),
+        Block::Text(text) => writeln!(out, "<p class=note>{}</p>", escape(text)),
+        Block::Warning(text) => writeln!(out, "<p class=warning>{}</p>", escape(text)),
+        Block::Facts(facts) => {
+            *out += "<dl class=facts>";
+            for (name, value) in facts {
+                let (name, value) = (escape(name), escape(value));
+                let _ = write!(out, "<dt>{name}</dt><dd>{value}</dd>");
+            }
+            writeln!(out, "</dl>")
+        }
+        Block::Table(rows) => {
+            table(out, rows);
+            Ok(())
+        }
+        Block::Charts(charts) => {
+            *out += "<div class=charts>\n";
+            let drawn = charts.iter().filter(|chart| !chart.is_empty());
+            drawn.for_each(|chart| *out += &chart.html());
+            writeln!(out, "</div>")
+        }
+        Block::Scenes(scenes) => {
+            *out += "<div class=scenes>\n";
+            let embedded = scenes.iter().map(|scene| viewer::embed(scene, true));
+            embedded.for_each(|scene| *out += &scene);
+            writeln!(out, "</div>")
+        }
+        Block::Source { title, text } => writeln!(
+            out,
+            "<details><summary>{}</summary><pre>{}</pre></details>",
+            escape(title),
+            escape(text)
+        ),
+    };
+    written.expect("written to memory");
+}
+
+fn table(out: &mut String, Table { header, rows }: &Table) {
+    *out += "<div class=tables><table><thead><tr>";
+    for name in header {
+        let _ = write!(out, "<th>{}</th>", escape(name));
+    }
+    *out += "</tr></thead><tbody>\n";
+    for row in rows {
+        *out += "<tr>";
+        let span = match row.len() {
+            1 => format!(" colspan={}", header.len().max(1)),
+            _ => String::new(),
+        };
+        for (index, cell) in row.iter().enumerate() {
+            let kind = match () {
+                () if row.len() == 1 => "group",
+                () if index > 0 && cell.text.len() > WORDS => "words",
+                () => "",
+            };
+            let (tone, text) = (tone(cell.tone), escape(&cell.text));
+            let _ = write!(out, "<td class=\"{kind} {tone}\"{span}>{text}</td>");
+        }
+        *out += "</tr>\n";
+    }
+    *out += "</tbody></table></div>\n";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::page::{Chart, Line};
+
+    #[test]
+    fn nothing_that_is_given_is_markup() {
+        let bad = || "<script>alert('1\"&')</script>".to_string();
+        let chart = Chart {
+            title: bad(),
+            x_label: bad(),
+            lines: vec![Line {
+                name: bad(),
+                points: vec![(0.0, 1.0)],
+            }],
+        };
+        let table = Table {
+            header: vec![bad(), bad()],
+            rows: vec![vec![bad().into()], vec![bad().into(), bad().into()]],
+        };
+        let blocks = vec![
+            Block::Heading(bad()),
+            Block::Text(bad()),
+            Block::Warning(bad()),
+            Block::Facts(vec![(bad(), bad())]),
+            Block::Table(table),
+            Block::Charts(vec![chart]),
+            Block::Source {
+                title: bad(),
+                text: bad(),
+            },
+        ];
+        let page = Page {
+            title: bad(),
+            subtitle: bad(),
+            status: bad().into(),
+            highlights: vec![(bad(), bad())],
+            sections: vec![Section {
+                title: bad(),
+                blocks,
+            }],
+        };
+        let html = html(&page);
+        assert!(!html.contains("<script"), "{html}");
+        assert!(html.matches("&lt;script&gt;").count() >= 20);
+    }
+
+    #[test]
+    fn a_section_of_nothing_is_left_out() {
+        let mut empty = Section::new("nothing here");
+        empty.add(Block::Facts(Vec::new()));
+        empty.add(Block::Charts(vec![Chart::default()]));
+        let mut full = Section::new("something");
+        full.add(Block::Text("words".into()));
+        let page = Page {
+            sections: vec![empty, full],
+            ..Page::default()
+        };
+        let html = html(&page);
+        assert!(!html.contains("nothing here") && html.contains("something"));
+        for outside in ["http://", "https://", "src=", "@import"] {
+            assert!(!html.contains(outside), "{outside}");
+        }
+    }
+}

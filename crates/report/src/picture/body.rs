@@ -1,0 +1,180 @@
+//! A body along its path: poses from the side, the way from above, when the feet stand.
+
+use super::panel::{Panel, Pose};
+use crate::scene::{Figure, Floor};
+
+/// Metres that a body must move for its poses to stand where they are.
+const ALONG: f64 = 2.0;
+
+/// Metres between two poses along a way, at least.
+const BETWEEN: f64 = 0.6;
+
+/// Most poses along a way.
+const MOST: usize = 12;
+
+/// Poses of a body that stays, side by side, and the metres between them.
+const BESIDE: usize = 8;
+const APART: f64 = 1.1;
+
+/// Sides of the polygon that stands for a disc.
+const SIDES: usize = 48;
+
+/// The poses of a body, its path from above with what stands on the floor, and when its feet stand
+/// on the ground; of a lone root the path alone.
+pub fn body_panels(figure: &Figure, floor: &Floor) -> Vec<Panel> {
+    let mut panels = Vec::new();
+    panels.extend(poses(figure));
+    panels.push(path(figure, floor));
+    panels.extend(contacts(figure));
+    panels
+}
+
+fn path(figure: &Figure, floor: &Floor) -> Panel {
+    let root = (0..figure.frames()).map(|t| figure.joint(t, 0));
+    let root = root.map(|[x, _, z]| (x.into(), z.into())).collect();
+    let mut series = vec![("path".to_string(), root)];
+    if !floor.path.is_empty() {
+        let goal = floor.path.iter().map(|&[x, z]| (x.into(), z.into()));
+        series.push(("goal".to_string(), goal.collect()));
+    }
+    let keyframes = floor.keyframes.iter();
+    let keyframes = keyframes.map(|(frame, [x, z])| {
+        let place = (f64::from(*x), f64::from(*z));
+        (format!("frame {frame}"), place)
+    });
+    let map = Panel::map("path from above (m; x right, z down)", series).with_points(keyframes);
+    let polygons = floor.polygons.iter();
+    let map = polygons.fold(map, |map, corners| {
+        map.with_region(corners.iter().map(|&[x, z]| (x.into(), z.into())))
+    });
+    floor.obstacles.iter().fold(map, |map, ([x, z], radius)| {
+        map.with_region((0..SIDES).map(|side| {
+            let (sin, cos) = (side as f64 / SIDES as f64 * std::f64::consts::TAU).sin_cos();
+            let radius = f64::from(*radius);
+            (f64::from(*x) + radius * sin, f64::from(*z) + radius * cos)
+        }))
+    })
+}
+
+fn contacts(figure: &Figure) -> Option<Panel> {
+    let tracks = figure.contacts.iter().map(|contact| {
+        let name = figure.joint_names.get(contact.joint);
+        (
+            name.map_or("foot", String::as_str),
+            contact.frames.as_slice(),
+        )
+    });
+    let any = !figure.contacts.is_empty();
+    any.then(|| Panel::strip("on the ground", figure.fps, tracks))
+}
+
+/// Poses at even moments: where they are if the body goes somewhere, else side by side.
+fn poses(figure: &Figure) -> Option<Panel> {
+    if figure.joints() < 2 || figure.frames() == 0 {
+        return None;
+    }
+    let frames = figure.frames();
+    let axis = direction(figure);
+    let along = |frame: usize, joint: usize| {
+        let [x, _, z] = figure.joint(frame, joint).map(f64::from);
+        x * axis[0] + z * axis[1]
+    };
+    let ways = (0..frames).map(|t| along(t, 0));
+    let (low, high) = super::axes::extremes(ways);
+    let goes = high - low >= ALONG;
+    let count = match goes {
+        true => (((high - low) / BETWEEN) as usize).min(MOST),
+        false => BESIDE,
+    };
+    let count = count.min(frames);
+    let moment = |index: usize| index * (frames - 1) / (count - 1).max(1);
+    let poses = (0..count).map(|index| {
+        let frame = moment(index);
+        let shift = match goes {
+            true => -along(0, 0),
+            false => APART * index as f64 - along(frame, 0),
+        };
+        let place = |joint: usize| {
+            let height = f64::from(figure.joint(frame, joint)[1]);
+            (along(frame, joint) + shift, height)
+        };
+        let bones = figure.parents.iter().enumerate();
+        let bones =
+            bones.filter_map(|(joint, parent)| parent.map(|parent| [place(parent), place(joint)]));
+        let heights = (0..figure.joints()).map(|joint| place(joint).1);
+        Pose {
+            label: format!("{:.1} s", frame as f64 / figure.fps),
+            top: (place(0).0, super::axes::extremes(heights).1 + 0.1),
+            bones: bones.collect(),
+        }
+    });
+    let title = match goes {
+        true => "poses along the way, from the side (m)",
+        false => "poses from the side, one beside the other (m)",
+    };
+    Some(Panel::poses(title, poses.collect()).wide())
+}
+
+/// The unit vector (x, z) along which the root moves most, towards where it ends.
+fn direction(figure: &Figure) -> [f64; 2] {
+    let track: Vec<[f64; 2]> = (0..figure.frames())
+        .map(|t| {
+            let [x, _, z] = figure.joint(t, 0);
+            [x.into(), z.into()]
+        })
+        .collect();
+    let mean = |axis: usize| track.iter().map(|p| p[axis]).sum::<f64>() / track.len() as f64;
+    let middle = [mean(0), mean(1)];
+    let product = |a: usize, b: usize| -> f64 {
+        let products = track
+            .iter()
+            .map(|p| (p[a] - middle[a]) * (p[b] - middle[b]));
+        products.sum()
+    };
+    let (xx, xz, zz) = (product(0, 0), product(0, 1), product(1, 1));
+    let (sin, cos) = (0.5 * (2.0 * xz).atan2(xx - zz)).sin_cos();
+    let (first, last) = (track[0], track[track.len() - 1]);
+    let onwards = (last[0] - first[0]) * cos + (last[1] - first[1]) * sin;
+    let sign = if onwards < 0.0 { -1.0 } else { 1.0 };
+    [sign * cos, sign * sin]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A mast of one metre that goes along z, metres a frame.
+    fn mast(step: f32) -> Figure {
+        let frames = (0..20).flat_map(|t| {
+            let z = step * t as f32;
+            [0.0, 0.0, z, 0.0, 1.0, z]
+        });
+        Figure {
+            fps: 10.0,
+            positions: frames.collect(),
+            parents: vec![None, Some(0)],
+            ..Figure::default()
+        }
+    }
+
+    #[test]
+    fn the_way_is_seen_from_its_side() {
+        let [x, z] = direction(&mast(0.1));
+        assert!(x.abs() < 1e-9 && (z - 1.0).abs() < 1e-9, "{x}, {z}");
+        let [_, z] = direction(&mast(-0.1));
+        assert!((z + 1.0).abs() < 1e-9, "{z}");
+    }
+
+    #[test]
+    fn a_body_that_goes_is_drawn_where_it_is_and_one_that_stays_beside_itself() {
+        let last = |step: f32| {
+            let panel = poses(&mast(step)).expect("poses");
+            let places: Vec<(f64, f64)> = panel.places().collect();
+            places
+                .iter()
+                .fold(0.0f64, |furthest, place| furthest.max(place.0))
+        };
+        assert!((last(0.2) - 3.8).abs() < 1e-6, "{}", last(0.2));
+        assert!((last(0.0) - 7.0 * APART).abs() < 1e-6, "{}", last(0.0));
+    }
+}

@@ -1,0 +1,275 @@
+//! Charts in a grid, as SVG or PNG by the file's ending.
+
+mod axes;
+mod body;
+mod chart;
+mod heat;
+mod legend;
+mod panel;
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use miette::Diagnostic;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::{FontStyle, register_font};
+
+pub use body::body_panels;
+pub use panel::{Panel, Pose, Series};
+
+use chart::draw_panel;
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum PictureError {
+    /// A file name that ends as no picture's does.
+    #[error("`{}`: ending `{ending}` found", path.display())]
+    #[diagnostic(help("pictures are .svg or .png"))]
+    Ending {
+        /// The file.
+        path: PathBuf,
+        /// Its ending.
+        ending: String,
+    },
+    /// It cannot be drawn or written.
+    #[error("cannot draw {}: {reason}", path.display())]
+    #[diagnostic(help("check that its folder exists and can be written"))]
+    Drawing {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        reason: String,
+    },
+}
+
+/// Rejects an ending that no picture has.
+///
+/// # Errors
+/// [`PictureError::Ending`].
+pub fn check_ending(out: &Path) -> Result<(), PictureError> {
+    let ending = out.extension().unwrap_or_default().to_string_lossy();
+    if ["svg", "png"]
+        .iter()
+        .any(|known| ending.eq_ignore_ascii_case(known))
+    {
+        return Ok(());
+    }
+    Err(PictureError::Ending {
+        path: out.to_path_buf(),
+        ending: ending.to_ascii_lowercase(),
+    })
+}
+
+/// Draws the panels into `out`, `columns` side by side, each of `size` pixels.
+///
+/// # Errors
+/// [`PictureError`].
+pub fn draw(
+    panels: &[Panel],
+    columns: usize,
+    size: (u32, u32),
+    out: &Path,
+) -> Result<(), PictureError> {
+    check_ending(out)?;
+    let is_svg = out
+        .extension()
+        .is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
+    let sheet = Sheet::new(panels, columns, size);
+    let drawn = if is_svg { sheet.svg() } else { sheet.png() };
+    let written = drawn.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
+    written.map_err(|error| PictureError::Drawing {
+        path: out.to_path_buf(),
+        reason: error.to_string(),
+    })
+}
+
+/// A picture in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Png {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// The file.
+    pub bytes: Vec<u8>,
+}
+
+/// The panels as [`draw`] writes them to a PNG file; `None` if they cannot be drawn.
+pub fn draw_png(panels: &[Panel], columns: usize, size: (u32, u32)) -> Option<Png> {
+    let sheet = Sheet::new(panels, columns, size);
+    let (width, height) = sheet.size;
+    let bytes = sheet.png().ok()?;
+    Some(Png {
+        width,
+        height,
+        bytes,
+    })
+}
+
+/// Panels at their places in a picture.
+struct Sheet<'a> {
+    /// Each with its left upper corner and its size, pixels.
+    panels: Vec<(&'a Panel, (i32, i32), (u32, u32))>,
+    size: (u32, u32),
+}
+
+impl<'a> Sheet<'a> {
+    /// Row by row; a wide panel has a row for itself.
+    fn new(panels: &'a [Panel], columns: usize, (width, height): (u32, u32)) -> Self {
+        let columns = columns.min(panels.len()).max(1) as u32;
+        let mut placed = Vec::with_capacity(panels.len());
+        let (mut column, mut row) = (0, 0);
+        for panel in panels {
+            let span = if panel.is_wide { columns } else { 1 };
+            if column + span > columns {
+                (column, row) = (0, row + 1);
+            }
+            let corner = ((column * width) as i32, (row * height) as i32);
+            placed.push((panel, corner, (span * width, height)));
+            column += span;
+        }
+        Self {
+            panels: placed,
+            size: (columns * width, (row + 1) * height),
+        }
+    }
+
+    fn svg(&self) -> Result<Vec<u8>, Box<dyn Error>> {
+        let mut text = String::new();
+        let root = SVGBackend::with_string(&mut text, self.size).into_drawing_area();
+        self.draw(&root, 2)?;
+        drop(root);
+        Ok(text.into_bytes())
+    }
+
+    fn png(&self) -> Result<Vec<u8>, Box<dyn Error>> {
+        let (width, height) = self.size;
+        let mut pixels = vec![0; 3 * width as usize * height as usize];
+        let root = BitMapBackend::with_buffer(&mut pixels, self.size).into_drawing_area();
+        // Wider strokes of a bitmap have spikes where a curve turns back.
+        self.draw(&root, 1)?;
+        drop(root);
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&pixels)?;
+        writer.finish()?;
+        Ok(bytes)
+    }
+
+    fn draw<B>(&self, root: &DrawingArea<B, Shift>, stroke: u32) -> Result<(), Box<dyn Error>>
+    where
+        B: DrawingBackend,
+        B::ErrorType: 'static,
+    {
+        // With its own font a picture is the same on every machine; registering it again is
+        // harmless.
+        let font = epaint_default_fonts::UBUNTU_LIGHT;
+        let registered = register_font("sans-serif", FontStyle::Normal, font);
+        debug_assert!(registered.is_ok(), "the built-in font is one");
+        root.fill(&WHITE)?;
+        for &(panel, corner, size) in &self.panels {
+            draw_panel(panel, &root.clone().shrink(corner, size), stroke)?;
+        }
+        root.present()?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drawn(panels: &[Panel]) -> String {
+        let sheet = Sheet::new(panels, 1, (520, 250));
+        String::from_utf8(sheet.svg().expect("drawn")).expect("text")
+    }
+
+    /// The points of the first curve of a picture, which follows its stroke in the legend.
+    fn first_curve(svg: &str) -> Vec<(f64, f64)> {
+        let of_first = |line: &&str| line.contains("<polyline") && line.contains("#E6194B");
+        let line = svg.lines().rfind(of_first);
+        let points = line.expect("a line").split("points=\"").nth(1);
+        let points = points.expect("points").split('"').next().expect("a list");
+        let pair = |pair: &str| {
+            let (x, y) = pair.split_once(',').expect("x and y");
+            (x.parse().expect("x"), y.parse().expect("y"))
+        };
+        points.split_whitespace().map(pair).collect()
+    }
+
+    #[test]
+    fn a_metre_on_a_map_is_as_long_to_the_right_as_downwards() {
+        let square = [(0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (0.0, 3.0)];
+        let map = Panel::map("map", vec![("path".into(), square.to_vec())]);
+        let corners = first_curve(&drawn(&[map]));
+        let (across, down) = (corners[1].0 - corners[0].0, corners[2].1 - corners[1].1);
+        assert!(down > 100.0, "z goes downwards: {corners:?}");
+        assert!((across - down).abs() <= 2.0, "{corners:?}");
+    }
+
+    #[test]
+    fn legends_and_ticks_stand_above_what_is_drawn() {
+        let curve = |name: &str| (name.to_string(), vec![(0.0, 0.0), (4.0, 1.0)]);
+        let panel = Panel::lines("curves", "s", vec![curve("one"), curve("two")]);
+        let svg = drawn(&[panel.with_marks(&[1.0, 2.0])]);
+        let top = first_curve(&svg)
+            .iter()
+            .fold(f64::INFINITY, |top, p| top.min(p.1));
+        let mut ticks = 0;
+        for line in svg.lines().filter(|line| line.contains("#FF0000")) {
+            let ends = line.split("points=\"").nth(1).expect("points");
+            let y: f64 = ends
+                .split([',', ' '])
+                .nth(3)
+                .and_then(|y| y.parse().ok())
+                .expect("y");
+            assert!(y < top, "{line}");
+            ticks += 1;
+        }
+        assert_eq!(ticks, 2);
+        for name in ["one", "two"] {
+            let before = svg.split(&format!("\n{name}\n")).next().expect("text");
+            let tag = before.rsplit("<text").next().expect("a tag");
+            let y = tag.split(" y=\"").nth(1).expect("y").split('"').next();
+            assert!(
+                y.expect("y").parse::<f64>().expect("a number") < top,
+                "{tag}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_wide_panel_has_a_row_for_itself() {
+        let panel = || Panel::lines("", "s", Vec::new());
+        let panels = [panel(), panel().wide(), panel(), panel(), panel()];
+        let sheet = Sheet::new(&panels, 2, (10, 5));
+        let places = sheet.panels.iter();
+        let places: Vec<_> = places.map(|(_, corner, size)| (*corner, size.0)).collect();
+        let expected = [
+            ((0, 0), 10),
+            ((0, 5), 20),
+            ((0, 10), 10),
+            ((10, 10), 10),
+            ((0, 15), 10),
+        ];
+        assert_eq!(places, expected);
+        assert_eq!(sheet.size, (20, 20));
+    }
+
+    #[test]
+    fn a_picture_in_memory_is_the_one_in_a_file() {
+        let folder = std::env::temp_dir().join(format!("kinegrad-picture-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let panel = || [Panel::strip("feet", 2.0, [("left", &[true, false][..])])];
+        let out = folder.join("strip.png");
+        draw(&panel(), 1, (200, 100), &out).expect("written");
+        let png = draw_png(&panel(), 1, (200, 100)).expect("drawn");
+        assert_eq!((png.width, png.height), (200, 100));
+        assert!(png.bytes == std::fs::read(&out).expect("bytes"));
+        std::fs::remove_dir_all(folder).expect("removed");
+    }
+}

@@ -1,0 +1,308 @@
+//! Pages of runs, lists of runs, and pictures of every representation.
+
+use std::fs;
+use std::path::Path;
+
+use kinegrad_data::write_values;
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, wait_for};
+use serde_json::Value;
+
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.write("w.toml", SMALLEST_WALKS);
+    sandbox
+}
+
+/// The page that `report` writes to `out`.
+fn page(sandbox: &Sandbox, arguments: &str, out: &str) -> String {
+    let written = sandbox.run(&format!("report {arguments}")).succeeded();
+    assert_eq!(written.stdout.trim(), out);
+    let page = fs::read_to_string(sandbox.path(out)).expect("a page");
+    assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+    for outside in ["http://", "https://", "src=\"", "@import"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    page
+}
+
+#[track_caller]
+fn holds(page: &str, texts: &[&str]) {
+    for text in texts {
+        assert!(page.contains(text), "no `{text}`");
+    }
+}
+
+#[test]
+fn a_page_gathers_what_a_run_holds() {
+    let sandbox = sandbox();
+    let train = "train c.toml --set optim.lr_schedule=constant --set sampling.count_at_end=2 \
+                 --set sampling.sampler.num_inference_steps=2 --set train.max_steps";
+    sandbox.run(&format!("{train}=8")).succeeded();
+    sandbox.run(&format!("{train}=12 --resume")).succeeded();
+    sandbox
+        .run("eval runs/smallest --steps 2 --set evaluation.phrases=2")
+        .succeeded();
+    let page = page(&sandbox, "runs/smallest", "runs/smallest/report.html");
+    let version = env!("CARGO_PKG_VERSION");
+    holds(
+        &page,
+        &[
+            "<h1>smallest</h1>",
+            ">finished</span>",
+            "12 of 12",
+            "best validation loss",
+            "gradient norm",
+            "<polyline",
+            "<h2>Samples</h2>",
+            "synthetic_",
+            "<h2>Evaluation</h2>",
+            "<h2>Hardware and versions</h2>",
+            &format!("<dt>kinegrad</dt><dd>{version}</dd>"),
+            "<dt>Burn</dt><dd>0.22.1</dd>",
+            "cores",
+            "Each time it was started",
+            "95,",
+            "SHA-256",
+            "log_every_steps = 1",
+        ],
+    );
+    let starts = fs::read_to_string(sandbox.path("runs/smallest/environment.jsonl"));
+    let starts: Vec<Value> = starts
+        .expect("lines")
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect();
+    let steps: Vec<_> = starts.iter().map(|start| start["step"].as_u64()).collect();
+    assert_eq!(steps, [Some(0), Some(8)]);
+    assert_eq!(starts[0]["device"], "cpu");
+    assert!(starts[0]["cores"].as_u64() > Some(0));
+
+    // A sample that is none is named, and the rest is there.
+    sandbox.write("runs/smallest/samples/bad<b>.npy", "none");
+    fs::write(sandbox.path("runs/smallest/reports/broken.csv"), "a,b\n1\n").expect("written");
+    let again = self::page(&sandbox, "runs/smallest --out made.html", "made.html");
+    holds(
+        &again,
+        &["bad&lt;b&gt;.npy", "broken.csv is no table", "synthetic_"],
+    );
+    assert!(!again.contains("bad<b>"));
+}
+
+#[test]
+fn a_page_is_made_of_any_run() {
+    let sandbox = sandbox();
+    // Without samples and validation.
+    sandbox
+        .run("train c.toml --set validation.every_steps=0 --set train.max_steps=4")
+        .succeeded();
+    let bare = page(&sandbox, "runs/smallest", "runs/smallest/report.html");
+    holds(&bare, &["last training loss", ">finished</span>"]);
+    assert!(!bare.contains("<h2>Samples</h2>") && !bare.contains("<h2>Evaluation</h2>"));
+
+    // On clips.
+    let walks = "train w.toml --name walks --set sampling.count_at_end=1 --set train.max_steps=4";
+    sandbox.run(walks).succeeded();
+    let walks = page(&sandbox, "runs/walks", "runs/walks/report.html");
+    holds(
+        &walks,
+        &[
+            "Recipe gmd_motion of gmd",
+            "<h2>Samples</h2>",
+            "synthetic_walks",
+        ],
+    );
+
+    // With the stages before it, and its weights merged.
+    let stages = "train c.toml --name whole --set train.recipe=e2e --set train.max_steps=4 \
+        --set init.pretrain.diffusion_steps=4 --set init.pretrain.decoder_steps=4 \
+        --set decoder.hidden_dim=32 --set rollout.steps=2 --set lora.rank=2";
+    sandbox.run(stages).succeeded();
+    let whole = page(&sandbox, "runs/whole", "runs/whole/report.html");
+    holds(
+        &whole,
+        &[
+            "<h2>Stage base</h2>",
+            "<h2>Stage decoder</h2>",
+            "learning rates",
+        ],
+    );
+    sandbox
+        .run("merge runs/whole --out runs/merged")
+        .succeeded();
+    let merged = page(&sandbox, "runs/merged", "runs/merged/report.html");
+    holds(
+        &merged,
+        &["weights only", "There are no metrics", "not recorded"],
+    );
+
+    // Stopped in a stage, before its own folder holds anything.
+    fs::remove_dir_all(sandbox.path("runs/whole/checkpoints")).expect("removed");
+    for file in ["config.toml", "lock", "metrics.jsonl"] {
+        fs::remove_file(sandbox.path("runs/whole").join(file)).expect("removed");
+    }
+    let stopped = page(&sandbox, "runs/whole", "runs/whole/report.html");
+    holds(
+        &stopped,
+        &["<h1>whole</h1>", "never begun", "<h2>Stage base</h2>"],
+    );
+}
+
+#[test]
+fn a_page_of_a_run_that_is_trained_says_so() {
+    let sandbox = sandbox();
+    let mut child = sandbox.start("train c.toml --set train.max_steps=100000");
+    let first = sandbox.path("runs/smallest/checkpoints/step-00000004");
+    wait_for(&mut child, "a checkpoint", || first.exists());
+    let busy = page(&sandbox, "runs/smallest --out busy.html", "busy.html");
+    let listed = sandbox.run("runs").succeeded().stdout;
+    child.kill().expect("a kill");
+    child.wait().expect("an end");
+    holds(&busy, &[">training</span>", "time left"]);
+    assert!(listed.contains("training"), "{listed}");
+    let listed = sandbox.run("runs").succeeded().stdout;
+    assert!(
+        listed.contains("stopped") && !listed.contains("training"),
+        "{listed}"
+    );
+}
+
+#[test]
+fn a_page_needs_a_run_and_a_place() {
+    let sandbox = sandbox();
+    fs::create_dir(sandbox.path("empty")).expect("a folder");
+    for run in ["empty", "nowhere", "c.toml"] {
+        let texts = [&format!("there is no run at {run}"), "hint:"].map(|text| text as &str);
+        sandbox.run(&format!("report {run}")).failed(2, &texts);
+    }
+    assert!(sandbox.list("empty").is_empty());
+    sandbox
+        .run("train c.toml --set train.max_steps=2")
+        .succeeded();
+    for (out, text) in [
+        ("empty", "`--out empty/report.html`"),
+        ("no/such/page.html", "cannot write no/such/page.html"),
+    ] {
+        sandbox
+            .run(&format!("report runs/smallest --out {out}"))
+            .failed(2, &[text]);
+    }
+    assert!(sandbox.list("empty").is_empty());
+}
+
+#[test]
+fn runs_are_listed_with_their_states() {
+    let sandbox = sandbox();
+    sandbox.run("runs").failed(2, &["there is no folder runs"]);
+    fs::create_dir(sandbox.path("runs")).expect("a folder");
+    let none = sandbox.run("runs").succeeded();
+    assert_eq!(none.stdout.trim(), "no runs in runs");
+
+    let train = "train c.toml --set validation.every_steps=2 --set train.max_steps=4";
+    sandbox.run(&format!("{train} --name done")).succeeded();
+    sandbox
+        .run(&format!("{train} --name nested --runs-dir runs/more"))
+        .succeeded();
+    for name in ["damaged", "half"] {
+        sandbox.run(&format!("{train} --name {name}")).succeeded();
+    }
+    let checkpoint = sandbox.path("runs/damaged/checkpoints/step-00000004");
+    fs::write(checkpoint.join("state.json"), "{}").expect("written");
+    let config = sandbox.path("runs/half/config.toml");
+    let text = fs::read_to_string(&config).expect("a config");
+    fs::write(&config, text.replace("max_steps = 4", "max_steps = 9")).expect("written");
+    sandbox.write("runs/new/lock", "");
+    sandbox.write("runs/notes.txt", "mine");
+
+    let listed = sandbox.run("runs").succeeded();
+    for texts in [
+        ["done", "cc_motion/diffusion", "finished", "4 of 4"],
+        ["more/nested", "cc_motion/diffusion", "finished", "4 of 4"],
+        ["half", "cc_motion/diffusion", "stopped", "4 of 9"],
+        ["damaged", "cc_motion/diffusion", "damaged", "of 4"],
+        ["new", "-", "never begun", "0"],
+    ] {
+        let line = |line: &&str| texts.iter().all(|text| line.contains(text));
+        assert!(
+            listed.stdout.lines().any(|found| line(&found)),
+            "{texts:?}: {}",
+            listed.stdout
+        );
+    }
+    assert!(listed.stderr.contains("damaged"), "{}", listed.stderr);
+
+    let json = sandbox.run("runs --json").succeeded().stdout;
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    let runs = json["runs"].as_array().expect("a list");
+    let names: Vec<_> = runs.iter().filter_map(|run| run["name"].as_str()).collect();
+    assert_eq!(names, ["damaged", "done", "half", "more/nested", "new"]);
+    assert!(runs[0]["problem"].is_string() && runs[1]["problem"].is_null());
+    assert_eq!(runs[1]["step"], 4);
+    assert!(runs[1]["best_val_loss"].is_number());
+    assert!(runs[1]["bytes"].as_u64() > Some(100_000));
+
+    let own = sandbox.run("runs runs/done").succeeded().stdout;
+    assert!(own.contains("done") && own.lines().count() == 3, "{own}");
+}
+
+/// Values that wander a little.
+fn wandering(count: usize) -> Vec<f32> {
+    (0..count).map(|i| (i as f32 * 0.37).sin()).collect()
+}
+
+#[test]
+fn every_representation_is_plotted() {
+    let sandbox = sandbox();
+    let write = |name: &str, shape: &[usize], values: Vec<f32>| {
+        write_values(Path::new(&sandbox.path(name)), shape, &values).expect("written");
+    };
+    write("path.npy", &[20, 2], wandering(40));
+    write("body.npy", &[20, 22, 3], wandering(20 * 66));
+    sandbox
+        .run("train w.toml --set sampling.count_at_end=1 --set train.max_steps=2")
+        .succeeded();
+    let samples = "runs/smallest/samples";
+    let features = sandbox.list(samples);
+    let features = features.iter().find(|name| name.ends_with(".features.npy"));
+    let features = format!("{samples}/{}", features.expect("features"));
+    sandbox.write(
+        "goal.toml",
+        "frames = 20\n[[keyframe]]\nframe = 7\nx = 1.0\nz = 2.0\n\
+         [[obstacle]]\nkind = \"disc\"\nx = 3.0\nz = 0.0\nradius = 0.5\n\
+         [[obstacle]]\nkind = \"polygon\"\nvertices = [[0.0, 4.0], [1.0, 4.0], [1.0, 5.0]]\n",
+    );
+    let plot = |arguments: &str| {
+        let plot = format!("plot {arguments} --out p.svg");
+        sandbox.run(&plot).succeeded();
+        fs::read_to_string(sandbox.path("p.svg")).expect("a picture")
+    };
+    let path = plot("path.npy");
+    holds(
+        &path,
+        &["path from above", "position (m)", "speed on the ground"],
+    );
+    assert!(!path.contains("height (m)"));
+    for body in ["body.npy", &features] {
+        let picture = plot(&format!("{body} --goal goal.toml"));
+        let texts = [
+            "poses ",
+            "path from above",
+            "on the ground",
+            "height (m)",
+            "key frames",
+            "frame 7",
+            "obstacles",
+            "<polygon",
+        ];
+        holds(&picture, &texts);
+    }
+    let pictured = "plot body.npy --goal goal.toml --out p.png";
+    sandbox.run(pictured).succeeded();
+    sandbox
+        .run("plot runs/smallest --goal goal.toml --out q.svg")
+        .failed(2, &["`--goal` with the folder runs/smallest"]);
+    sandbox
+        .run("plot body.npy --goal c.toml --out q.svg")
+        .failed(2, &["c.toml", "goals.md"]);
+    assert!(!sandbox.path("q.svg").exists());
+}
