@@ -1,6 +1,7 @@
 //! Command-line arguments, parsed with clap. The commands themselves are in `commands`.
 
 mod data;
+mod newcomer;
 
 use std::path::PathBuf;
 
@@ -15,6 +16,7 @@ pub use data::{
     AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
     SynthArguments,
 };
+pub use newcomer::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -32,6 +34,8 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Write a config to start from
+    Init(InitArguments),
     /// Train a model from a config file, or resume a run
     Train(TrainArguments),
     /// Generate motion with a trained model
@@ -57,6 +61,10 @@ pub enum Command {
     Config(ConfigCommand),
     /// List the devices that this build supports
     Devices,
+    /// Print a completion script for a shell
+    Completions(CompletionsArguments),
+    /// Write manual pages
+    Man(ManArguments),
 }
 
 /// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
@@ -68,8 +76,8 @@ Examples:
   kinegrad train configs/phrases.toml --set data.source=phrases --set train.max_steps=100
   kinegrad train configs/phrases.toml --set data.source=phrases --resume")]
 pub struct TrainArguments {
-    /// The config file
-    pub config: PathBuf,
+    /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
+    pub config: Option<PathBuf>,
     /// Override a config key, for example optim.learning_rate=2e-4
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -232,7 +240,9 @@ pub struct MergeArguments {
     pub out: PathBuf,
 }
 
-/// PATH is a motion file, or a folder that is searched for motion files. The representation is
+/// PATH is a motion file, or a folder that is searched for motion files, each sample once: without
+/// its raw model output (PATH.raw.npy, see `--raw`), and without joint features and ground path
+/// (PATH.features.npy, PATH.path.npy) beside joint positions. The representation is
 /// recognised from the array: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
 /// positions `[T, J, 3]`. The `strict` profile compares with statistics of training motion: pass
 /// the run (`--run`) or the dataset (`--source`).
@@ -257,6 +267,9 @@ pub struct CheckArguments {
     /// Dataset whose statistics `strict` uses
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
+    /// Also check raw model output, PATH.raw.npy, in folders
+    #[arg(long)]
+    pub raw: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -323,6 +336,8 @@ pub struct PlotArguments {
 pub enum ConfigCommand {
     /// Print a config with all defaults filled in, and the number of model parameters
     Show(ShowArguments),
+    /// Say what config keys mean, what they may hold, and their defaults
+    Explain(ExplainArguments),
 }
 
 #[derive(Debug, Args)]

@@ -227,7 +227,9 @@ fn values_of(schema: &Map<String, Value>) -> Values {
             Values::List(Box::new(items), fixed)
         }
         Some("object") if schema.get("properties").is_none() => {
-            let free = schema.get("additionalProperties").and_then(Value::as_object);
+            let free = schema
+                .get("additionalProperties")
+                .and_then(Value::as_object);
             match free {
                 Some(free) => Values::Map(Box::new(values_of(free))),
                 None => Values::Table,
@@ -262,7 +264,10 @@ fn names_of(schema: &Map<String, Value>) -> impl Iterator<Item = Name> {
         })
     };
     let listed = schema.get("enum").and_then(Value::as_array);
-    let listed = listed.into_iter().flatten().filter_map(move |n| name(n, ""));
+    let listed = listed
+        .into_iter()
+        .flatten()
+        .filter_map(move |n| name(n, ""));
     let meaning = text(schema, "description");
     let single = schema.get("const").and_then(move |n| name(n, meaning));
     let inner = alternatives(schema).flat_map(|each| names_of(each).collect::<Vec<_>>());
@@ -301,7 +306,9 @@ fn plain(comment: &str) -> String {
             break;
         };
         let (inside, after) = (&link[1..close], &link[close + 1..]);
-        let target = after.strip_prefix('(').and_then(|after| after.split_once(')'));
+        let target = after
+            .strip_prefix('(')
+            .and_then(|after| after.split_once(')'));
         match target {
             Some((_, after)) => {
                 out.push_str(inside);

@@ -70,7 +70,9 @@ fn key(name: &str) -> Key {
     let keys = keys_of::<Document>();
     let names: Vec<&str> = keys.iter().map(|key| key.name.as_str()).collect();
     let found = keys.iter().find(|key| key.name == name);
-    found.unwrap_or_else(|| panic!("no {name} in {names:?}")).clone()
+    found
+        .unwrap_or_else(|| panic!("no {name} in {names:?}"))
+        .clone()
 }
 
 #[test]
@@ -86,7 +88,10 @@ fn values_are_said_in_words() {
         ("colour", "\"red\" or \"light_green\""),
         ("again", "\"red\" or \"light_green\""),
         ("pair", "a list of 2; each: a number"),
-        ("groups", "a table of `name = value` entries; each: a number"),
+        (
+            "groups",
+            "a table of `name = value` entries; each: a number",
+        ),
         ("side", "a table"),
         ("side.side", "a number"),
         ("shape", "tables, one for each"),

@@ -183,7 +183,11 @@ mod tests {
                 "c.toml:4: `model.kind`: \"unet1d\"",
                 "gmd_unet",
             ),
-            ("adagn = 3", "c.toml:4: `model.adagn`: expected true or false, found 3", ""),
+            (
+                "adagn = 3",
+                "c.toml:4: `model.adagn`: expected true or false, found 3",
+                "",
+            ),
             (
                 "activation_checkpointing = 3",
                 "c.toml:4: `model.activation_checkpointing`",

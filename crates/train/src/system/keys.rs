@@ -56,7 +56,8 @@ impl Systems<'_> {
             described.push((key, every.clone()));
         }
         for system in self.0 {
-            let own: Vec<&'static str> = system.recipes().iter().map(|recipe| recipe.name).collect();
+            let own: Vec<&'static str> =
+                system.recipes().iter().map(|recipe| recipe.name).collect();
             for key in system.keys() {
                 match described.iter_mut().find(|(known, _)| *known == key) {
                     Some((_, recipes)) => recipes.extend(&own),
@@ -71,8 +72,15 @@ impl Systems<'_> {
     pub fn keys(self) -> Vec<ConfigKey> {
         let variants = self.variants();
         let mut order = Vec::new();
-        variants.iter().for_each(|variant| flatten(&variant.whole, "", &mut order));
-        let place = |name: &str| order.iter().position(|known| known == name).unwrap_or(usize::MAX);
+        variants
+            .iter()
+            .for_each(|variant| flatten(&variant.whole, "", &mut order));
+        let place = |name: &str| {
+            order
+                .iter()
+                .position(|known| known == name)
+                .unwrap_or(usize::MAX)
+        };
         let mut keys: Vec<ConfigKey> = self
             .described()
             .into_iter()
@@ -86,9 +94,19 @@ impl Systems<'_> {
         // Tables as configs have them, each with its own keys before the tables in it.
         keys.sort_by_key(|ConfigKey { key, .. }| {
             let table = key.name.rsplit_once('.').map_or("", |(table, _)| table);
-            let home = if key.values.is_table() { &key.name } else { table };
+            let home = if key.values.is_table() {
+                &key.name
+            } else {
+                table
+            };
             let first = home.split('.').next().unwrap_or_default();
-            (place(first), first.to_owned(), place(home), home.to_owned(), place(&key.name))
+            (
+                place(first),
+                first.to_owned(),
+                place(home),
+                home.to_owned(),
+                place(&key.name),
+            )
         });
         keys
     }
@@ -98,7 +116,11 @@ impl Systems<'_> {
     pub fn find_ranges(self, keys: &mut [ConfigKey]) {
         let bases = self.bases();
         for key in keys {
-            let ConfigKey { key: described, recipes, .. } = &*key;
+            let ConfigKey {
+                key: described,
+                recipes,
+                ..
+            } = &*key;
             let mine = bases.iter().filter(|base| {
                 recipes.contains(&base.recipe) && base.has(described.only_with.as_deref())
             });
@@ -108,7 +130,10 @@ impl Systems<'_> {
                 let mut given = base.given.clone();
                 apply(&mut given, &format!("{}={value}", described.name)).ok()?;
                 let refused = self.refused(&given)?;
-                refused.key.starts_with(&described.name).then_some(refused.allowed)
+                refused
+                    .key
+                    .starts_with(&described.name)
+                    .then_some(refused.allowed)
             });
             let range = ranges.next();
             key.range = range;
@@ -123,13 +148,20 @@ impl Systems<'_> {
         let mut bases = Vec::new();
         for variant in self.variants() {
             for kind in kinds {
-                let data = format!("data = {{ kind = \"{}\", source = \"DATASET\" }}", kind.name);
+                let data = format!(
+                    "data = {{ kind = \"{}\", source = \"DATASET\" }}",
+                    kind.name
+                );
                 let mut given = variant.given.clone();
                 given.extend(data.parse::<Table>().expect("TOML of this file"));
                 let config = self.read(&given, &|_| String::new());
                 if config.is_ok_and(|config| self.validate(&config).is_ok()) {
                     let whole = variant.whole.clone();
-                    bases.push(Variant { given, whole, ..variant });
+                    bases.push(Variant {
+                        given,
+                        whole,
+                        ..variant
+                    });
                 }
             }
         }
@@ -151,12 +183,14 @@ impl Systems<'_> {
         let described = self.described();
         let mut variants = Vec::new();
         for recipe in self.recipes().map(|recipe| recipe.name) {
-            let kinds = described.iter().find(|(key, recipes)| {
-                key.name == "model.kind" && recipes.contains(&recipe)
-            });
+            let kinds = described
+                .iter()
+                .find(|(key, recipes)| key.name == "model.kind" && recipes.contains(&recipe));
             let kinds = kinds.map(|(key, _)| key.values.names()).unwrap_or_default();
             let plain = format!("train.recipe = \"{recipe}\"\n");
-            let others = kinds.iter().map(|kind| format!("{plain}model.kind = \"{}\"", kind.name));
+            let others = kinds
+                .iter()
+                .map(|kind| format!("{plain}model.kind = \"{}\"", kind.name));
             for text in [plain.clone()].into_iter().chain(others) {
                 let given: Table = text.parse().expect("TOML of this file");
                 let Ok(config) = self.read(&given, &|_| String::new()) else {
@@ -165,7 +199,11 @@ impl Systems<'_> {
                 let whole = Table::try_from(config).expect(PLAIN);
                 // The default kind, by its name, is the first again.
                 if !variants.iter().any(|known: &Variant| known.whole == whole) {
-                    variants.push(Variant { recipe, given, whole });
+                    variants.push(Variant {
+                        recipe,
+                        given,
+                        whole,
+                    });
                 }
             }
         }
@@ -178,20 +216,40 @@ impl Systems<'_> {
         let recipe = named.and_then(Value::as_str).map(str::to_owned);
         let recipe = recipe.unwrap_or(TrainConfig::default().recipe);
         match error {
-            ConfigError::UnknownKey { place, key, allowed, hint } => ConfigError::UnknownKey {
+            ConfigError::UnknownKey {
+                place,
+                key,
+                allowed,
+                hint,
+            } => ConfigError::UnknownKey {
                 hint: self.suggestion(&key, &recipe).unwrap_or(hint),
                 place,
                 key,
                 allowed,
             },
-            ConfigError::Value { place, key, message, hint } if message.starts_with("expected") => {
+            ConfigError::Value {
+                place,
+                key,
+                message,
+                hint,
+            } if message.starts_with("expected") => {
                 let described = self.described().into_iter();
                 let mut mine = described.filter(|(known, recipes)| {
                     known.name == key && recipes.contains(&recipe.as_str())
                 });
                 match (mine.next(), value_at(given, &key)) {
-                    (Some((Key { values: Values::Names(names), .. }, _)), Some(found)) => {
-                        let names: Vec<&str> = names.iter().map(|name| name.name.as_str()).collect();
+                    (
+                        Some((
+                            Key {
+                                values: Values::Names(names),
+                                ..
+                            },
+                            _,
+                        )),
+                        Some(found),
+                    ) => {
+                        let names: Vec<&str> =
+                            names.iter().map(|name| name.name.as_str()).collect();
                         crate::config::not_among(place, &key, &found.to_string(), &names)
                     }
                     (Some(_), _) => ConfigError::Value {
@@ -200,7 +258,12 @@ impl Systems<'_> {
                         key,
                         message,
                     },
-                    (None, _) => ConfigError::Value { place, key, message, hint },
+                    (None, _) => ConfigError::Value {
+                        place,
+                        key,
+                        message,
+                        hint,
+                    },
                 }
             }
             other => other,
@@ -211,7 +274,11 @@ impl Systems<'_> {
     pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
         let last = last(key);
         let described = self.described();
-        let others = || described.iter().filter(|(known, _)| !known.name.contains("[]"));
+        let others = || {
+            described
+                .iter()
+                .filter(|(known, _)| !known.name.contains("[]"))
+        };
         if let Some((known, recipes)) = others().find(|(known, _)| known.name == key) {
             return match (&known.only_with, recipes.contains(&recipe)) {
                 (Some(with), true) => Some(format!("it is a key of `{with}`")),
@@ -347,20 +414,33 @@ mod tests {
     #[test]
     fn defaults_are_told_by_recipe() {
         let keys = BUILT_IN.keys();
-        let of = |name: &str| &keys.iter().find(|key| key.key.name == name).expect(name).defaults;
+        let of = |name: &str| {
+            &keys
+                .iter()
+                .find(|key| key.key.name == name)
+                .expect(name)
+                .defaults
+        };
         assert_eq!(of("run.seed").len(), 1);
         assert_eq!(of("run.seed")[0].1, "42");
         assert_eq!(of("data.source")[0].1, "not set");
         assert_eq!(of("lora.rank")[0].1, "8");
         let steps = of("train.max_steps");
-        assert!(steps.contains(&(vec!["gmd_trajectory"], "62500".into())), "{steps:?}");
+        assert!(
+            steps.contains(&(vec!["gmd_trajectory"], "62500".into())),
+            "{steps:?}"
+        );
     }
 
     #[test]
     fn ranges_are_those_of_the_validation() {
         let keys = BUILT_IN.keys();
         let range = |name: &str| {
-            let mut key = [keys.iter().find(|key| key.key.name == name).expect(name).clone()];
+            let mut key = [keys
+                .iter()
+                .find(|key| key.key.name == name)
+                .expect(name)
+                .clone()];
             BUILT_IN.find_ranges(&mut key);
             key[0].range.clone()
         };

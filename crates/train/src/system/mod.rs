@@ -3,8 +3,8 @@
 mod keys;
 mod load;
 
-pub use keys::{ConfigKey, toml_text};
 pub(crate) use keys::names;
+pub use keys::{ConfigKey, toml_text};
 
 use std::path::{Path, PathBuf};
 
