@@ -92,11 +92,11 @@ impl Default for DataConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DataKind {
-    /// The phrase layout of CC-MotionGen, section 1.3, read from [`DataConfig::source`].
+    /// The phrase layout of CC-MotionGen, section 1.3, read from `source`.
     Phrases,
     /// [Synthetic phrases](crate::synthetic), no files needed.
     Synthetic,
-    /// [Clips](crate::humanml) in the layout of HumanML3D, read from [`DataConfig::source`].
+    /// [Clips](crate::humanml) in the layout of HumanML3D, read from `source`.
     Humanml3d,
     /// [Synthetic walks](crate::humanml::walk), clips without files.
     SyntheticWalks,
@@ -125,7 +125,7 @@ pub enum Crop {
 pub enum OnBadPhrase {
     /// Stop with an error.
     Error,
-    /// Leave it out, and count it in [`Dataset::skipped`](crate::Dataset::skipped).
+    /// Leave it out, and name it when training starts.
     Skip,
 }
 

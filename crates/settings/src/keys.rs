@@ -158,7 +158,10 @@ fn add(schema: &Map<String, Value>, name: String, only_with: Option<&str>, keys:
         }
         _ => None,
     };
-    let of_option = alternatives(schema).find(|schema| values_of(schema) == Values::Table);
+    // A table that may be missing is one of two alternatives.
+    let may_miss = alternatives(schema).any(|each| text(each, "type") == "null");
+    let table = || alternatives(schema).find(|each| values_of(each) == Values::Table);
+    let of_option = may_miss.then(table).flatten();
     keys.push(Key {
         meaning: plain(text(schema, "description")),
         default: schema.get("default").cloned(),
@@ -184,7 +187,7 @@ fn merge_tag(prefix: &str, key: &str, value: &str, meaning: &str, keys: &mut Vec
         Some(Values::Names(names)) => names.push(added),
         _ => keys.push(Key {
             name,
-            meaning: "Which of these it is.".to_owned(),
+            meaning: "Its kind, which decides what other keys there are.".to_owned(),
             values: Values::Names(vec![added]),
             default: None,
             required: true,

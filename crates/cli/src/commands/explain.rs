@@ -69,11 +69,12 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
     {
         documents.retain(|document| document.keys.iter().any(whole));
     }
+    let every = systems.recipes().count();
     let texts = documents.iter().flat_map(|document| {
         document
             .keys
             .iter()
-            .map(|key| explained(key, document.title))
+            .map(|key| explained(key, document.title, every))
     });
     say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
     Ok(ExitCode::SUCCESS)
@@ -168,22 +169,27 @@ fn allowed(key: &ConfigKey) -> String {
     }
 }
 
-/// The default, with the recipes in which it is another.
-fn default(key: &ConfigKey) -> String {
+/// The default, between two `quote`s, with the recipes in which it is another.
+fn default(key: &ConfigKey, quote: &str) -> String {
+    let quoted = |value: &str| match value {
+        "not set" => value.to_owned(),
+        value => format!("{quote}{value}{quote}"),
+    };
     match key.defaults.as_slice() {
         [] if key.key.required => "none: must be given".into(),
         [] => String::new(),
-        [(_, one)] => one.clone(),
+        [(_, one)] => quoted(one),
         several => {
             let each = several.iter();
-            let each = each.map(|(recipes, value)| format!("{value} ({})", recipes.join(", ")));
+            let each =
+                each.map(|(recipes, value)| format!("{} ({})", quoted(value), recipes.join(", ")));
             each.collect::<Vec<_>>().join("; ")
         }
     }
 }
 
-/// A key as the terminal shows it.
-fn explained(key: &ConfigKey, document: &str) -> String {
+/// A key as the terminal shows it; there are `every` recipes.
+fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
     let _ = writeln!(text, "{}", wrapped(&key.key.meaning, "  "));
     if key.key.values.is_table() {
@@ -206,10 +212,10 @@ fn explained(key: &ConfigKey, document: &str) -> String {
     let _ = writeln!(
         text,
         "{}",
-        wrapped(&format!("default: {}", default(key)), "  ")
+        wrapped(&format!("default: {}", default(key, "")), "  ")
     );
     let place = match &key.recipes[..] {
-        [] => document.to_owned(),
+        recipes if recipes.is_empty() || recipes.len() == every => document.to_owned(),
         recipes => format!("{document}, recipe {}", recipes.join(", ")),
     };
     let place = match &key.key.only_with {
@@ -242,25 +248,41 @@ fn markdown(documents: &[Document]) -> String {
     let mut page = PAGE.to_owned();
     for Document { title, about, keys } in documents {
         let _ = write!(page, "\n## The {title}\n\n{about}\n");
-        let mut heading = None;
-        for key in keys.iter().filter(|key| !key.key.values.is_table()) {
-            let table = key.key.name.rsplit_once('.').map_or("", |(table, _)| table);
-            let now = (table, key.key.only_with.as_deref(), &key.recipes);
-            if heading != Some(now) {
-                heading = Some(now);
-                section(&mut page, keys, key, table);
+        for (table, group) in groups(keys) {
+            section(&mut page, keys, group[0], table);
+            for key in group {
+                let _ = writeln!(
+                    page,
+                    "| `{}` | {} | {} | {} |",
+                    key.key.name,
+                    cell(&key.key.meaning),
+                    cell(&choices(key)),
+                    cell(&default(key, "`")),
+                );
             }
-            let _ = writeln!(
-                page,
-                "| `{}` | {} | {} | {} |",
-                key.key.name,
-                cell(&key.key.meaning),
-                cell(&choices(key)),
-                cell(&default(key)),
-            );
         }
     }
     page
+}
+
+/// Keys of one table that are there under the same conditions, those of no table first.
+fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
+    let mut groups: Vec<(&str, Vec<&ConfigKey>)> = Vec::new();
+    for key in keys.iter().filter(|key| !key.key.values.is_table()) {
+        let table = key.key.name.rsplit_once('.').map_or("", |(table, _)| table);
+        let same = |first: &ConfigKey| {
+            first.key.only_with == key.key.only_with && first.recipes == key.recipes
+        };
+        match groups
+            .iter_mut()
+            .find(|(known, group)| *known == table && same(group[0]))
+        {
+            Some((_, group)) => group.push(key),
+            None => groups.push((table, vec![key])),
+        }
+    }
+    groups.sort_by_key(|(table, _)| !table.is_empty());
+    groups
 }
 
 /// The heading of a table of keys, and what it is.

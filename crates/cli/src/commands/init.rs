@@ -5,7 +5,6 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_report::facts;
 use kinegrad_train::Error;
 
 use super::nearest;
@@ -52,7 +51,10 @@ impl Template {
     fn purpose(&self) -> String {
         let lines = self.text.lines().map_while(|line| line.strip_prefix("# "));
         let paragraph = lines.collect::<Vec<_>>().join(" ");
-        let sentence = paragraph.split(". ").next().unwrap_or_default();
+        let stops = paragraph.match_indices(". ").map(|(stop, _)| stop);
+        // Not that of "et al. 2023".
+        let mut ends = stops.filter(|stop| paragraph[stop + 2..].starts_with(char::is_uppercase));
+        let sentence = ends.next().map_or(&*paragraph, |end| &paragraph[..end]);
         self.outside(
             sentence.trim_end_matches(['.', ':']),
             Path::new("prepare.toml"),
@@ -87,8 +89,8 @@ impl Template {
     /// What is written to `file`.
     fn contents(&self, file: &Path) -> String {
         format!(
-            "# Written by `kinegrad init {}`. Go on with `{}`; `kinegrad config explain KEY` says what a\n\
-             # key means.\n\n{}",
+            "# Written by `kinegrad init {}`. To go on: `{}`\n\
+             # `kinegrad config explain KEY` says what a key means.\n\n{}",
             self.name,
             self.command(file),
             self.outside(self.text, file)
@@ -99,10 +101,9 @@ impl Template {
 /// Writes a config that comes with the program.
 pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
     if arguments.list {
-        say!(
-            "{}",
-            facts(TEMPLATES.iter().map(|each| (each.name, each.purpose())))
-        );
+        for template in TEMPLATES {
+            say!("{:<20} {}", template.name, template.purpose());
+        }
         return Ok(ExitCode::SUCCESS);
     }
     let name = arguments.name.as_deref();

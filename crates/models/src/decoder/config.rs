@@ -94,7 +94,7 @@ pub enum Coherence {
     #[default]
     None,
     /// The heads' position, velocity and acceleration are replaced by those of the nearest
-    /// trajectory that has all three ([`kinegrad_motion::coherence`]), and the quaternion keeps
+    /// trajectory that has all three (least squares), and the quaternion keeps
     /// its sign from frame to frame.
     Projection,
 }

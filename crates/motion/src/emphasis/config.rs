@@ -14,11 +14,9 @@ pub enum EmphasisKind {
     /// None: features stay as they are.
     #[default]
     None,
-    /// Independent normal numbers, as the published models have it
-    /// ([`EmphasisProjection::gaussian`]).
+    /// Independent normal numbers, as the published models have it.
     Gaussian,
-    /// A random rotation or reflection ([`EmphasisProjection::orthogonal`]): the same emphasis,
-    /// with the smallest condition number that it can have.
+    /// A random rotation or reflection: the same emphasis, with the smallest condition number that it can have.
     Orthogonal,
 }
 

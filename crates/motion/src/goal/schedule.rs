@@ -24,9 +24,10 @@ pub enum Phase {
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
-    /// Last timestep of [`Phase::Dense`].
+    /// Last timestep at which the line between the keyframes acts with them; below it they act
+    /// alone.
     pub dense_until: usize,
-    /// Last timestep of [`Phase::Points`].
+    /// Last timestep at which keyframes act; below it the model finishes the motion by itself.
     pub points_until: usize,
 }
 

@@ -59,6 +59,8 @@ struct Document {
     groups: BTreeMap<String, f64>,
     /// A table that may be missing.
     side: Option<Side>,
+    /// One shape.
+    main: Option<Nested<Shape>>,
     /// Shapes.
     #[serde(rename = "shape")]
     shapes: Vec<Nested<Shape>>,
@@ -115,6 +117,9 @@ fn keys_of_one_kind_of_table_say_so_and_defaults_are_those_of_the_types() {
         Some("shape[].kind = \"square\"")
     );
     assert_eq!(key("shape[].kind").values.names()[0].meaning, "A circle.");
+    for name in ["main.radius", "main.side", "main.count", "main.kind"] {
+        key(name);
+    }
     assert_eq!(key("colour").default, Some("red".into()));
     assert!(key("shape[].count").required && !key("colour").required);
     assert_eq!(key("again").default, Some(serde_json::Value::Null));

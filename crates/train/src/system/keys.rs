@@ -330,7 +330,7 @@ fn defaults(
             continue;
         }
         let value = match value_at(&variant.whole, &key.name) {
-            Some(value) => value.to_string(),
+            Some(value) => written(value),
             None => key.default.as_ref().map_or(NOT_SET.to_owned(), toml_text),
         };
         match defaults.iter_mut().find(|(_, known)| *known == value) {
@@ -346,7 +346,15 @@ fn defaults(
 pub fn toml_text(json: &Json) -> String {
     match json {
         Json::Null => NOT_SET.to_owned(),
-        json => Value::try_from(json).map_or(NOT_SET.to_owned(), |value| value.to_string()),
+        json => Value::try_from(json).map_or(NOT_SET.to_owned(), |value| written(&value)),
+    }
+}
+
+/// A value as TOML writes it, small numbers with an exponent.
+fn written(value: &Value) -> String {
+    match value {
+        Value::Float(number) => format!("{number:?}"),
+        value => value.to_string(),
     }
 }
 
