@@ -24,6 +24,10 @@ fn help() {
         "data inspect",
         "config",
         "config show",
+        "config explain",
+        "init",
+        "completions",
+        "man",
         "devices",
     ] {
         let help = sandbox.run(&format!("{command} --help")).succeeded().stdout;
@@ -48,7 +52,9 @@ fn wrong_arguments_exit_with_2() {
     sandbox
         .run("trian")
         .failed(2, &["unrecognized subcommand", "train"]);
-    sandbox.run("train").failed(2, &["CONFIG"]);
+    sandbox
+        .run("train")
+        .failed(2, &["kinegrad.toml", "kinegrad init"]);
     sandbox
         .run("sample nowhere --out s")
         .failed(2, &["nowhere", "hint:"]);

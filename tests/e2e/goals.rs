@@ -218,7 +218,7 @@ fn a_dataset_on_disk_trains_and_is_looked_at() {
     sandbox
         .run("train c.toml --set train.max_steps=30")
         .succeeded();
-    let said = sandbox.run("data inspect walks --humanml3d").succeeded();
+    let said = sandbox.run("data inspect walks").succeeded();
     assert!(
         said.stdout.contains("captions with an embedding"),
         "{}",

@@ -2,12 +2,16 @@
 //! none changes the environment or the current directory of this process.
 
 mod bad_input;
+mod checking;
 mod checkpoints;
 mod commands;
+mod config_errors;
+mod config_keys;
 mod eval;
 mod fine_tuning;
 mod goals;
 mod imports;
+mod newcomer;
 mod own_system;
 mod plans;
 mod preparation;

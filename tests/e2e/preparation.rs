@@ -258,6 +258,21 @@ fn songs_become_features_pictures_and_motion() {
     assert!(heard.stdout.contains("120.0"), "{}", heard.stdout);
     let features = kinegrad_data::load_audio(&sandbox.path("features/a/features.npz"));
     assert_eq!(features.expect("features").frames(), 181);
+    let cut = "--start 1.5 --duration 2 --out cut --plot";
+    sandbox
+        .run(&format!("audio features songs/a.wav {cut}"))
+        .succeeded();
+    let read = |file: &str| kinegrad_data::load_audio(&sandbox.path(file)).expect("features");
+    let whole = read("features/a/features.npz");
+    assert_eq!(read("cut/a/features.npz"), whole.slice(45..105));
+    for (wrong, found) in [
+        ("--start 60", "6.0 seconds"),
+        ("--duration 0", "more than 0"),
+    ] {
+        let line = format!("audio features songs/a.wav {wrong} --out wrong");
+        sandbox.run(&line).failed(2, &[found, "hint:"]);
+    }
+    assert!(!sandbox.path("wrong").exists());
     for name in ["a", "tones"] {
         let picture = fs::read(sandbox.path(format!("features/{name}/features.png")));
         assert!(picture.expect("a picture").starts_with(b"\x89PNG"));

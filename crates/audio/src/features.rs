@@ -81,6 +81,24 @@ impl Features {
         &self.stacked[rows.start * self.frames..rows.end * self.frames]
     }
 
+    /// The frames of `range`, with the beats in them; the tempo stays that of the whole.
+    ///
+    /// # Panics
+    /// Panics if `range` reaches beyond the last frame.
+    pub fn slice(&self, range: Range<usize>) -> Self {
+        let rows = self.stacked.chunks_exact(self.frames);
+        let beats = self.beats.frames.iter();
+        let inside = beats.filter(|beat| range.contains(beat));
+        Self {
+            frames: range.len(),
+            stacked: rows.flat_map(|row| &row[range.clone()]).copied().collect(),
+            beats: Beats {
+                tempo: self.beats.tempo,
+                frames: inside.map(|beat| beat - range.start).collect(),
+            },
+        }
+    }
+
     /// Tempo and beats.
     pub fn beats(&self) -> &Beats {
         &self.beats
@@ -124,6 +142,24 @@ mod tests {
         assert_eq!(min_max(vec![3.0, 3.0]), vec![0.0, 0.0]);
         assert_eq!(standardise(vec![-1.7e3; 7]), vec![0.0; 7]);
         assert_eq!(by_maximum(vec![0.0, 0.0]), vec![0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_slice_has_the_frames_and_beats_of_its_range() {
+        let whole = Features {
+            frames: 5,
+            stacked: (0..CHANNELS * 5).map(|i| i as f32).collect(),
+            beats: Beats {
+                tempo: 120.0,
+                frames: vec![0, 2, 3, 4],
+            },
+        };
+        let cut = whole.slice(2..4);
+        assert_eq!((cut.frames(), cut.stacked().len()), (2, 2 * CHANNELS));
+        assert_eq!(cut.rows(0..1), [2.0, 3.0]);
+        assert_eq!(cut.rows(ONSET..CHANNELS), [812.0, 813.0]);
+        assert_eq!(cut.beats().frames, [0, 1]);
+        assert_eq!(cut.beats().tempo, 120.0);
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! w = 1 - u^3 (10 - 15 u + 6 u^2),    u = frames since the border / fade_frames
 //! ```
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use kinegrad_motion::Quaternion;
@@ -18,7 +19,7 @@ use crate::error::require;
 use crate::{Assembly, Error, RootPose, RootSource, RootTrack};
 
 /// How borders are found and smoothed.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Joining {
     /// Frames of the track over which a jump in height and tilt is faded out.

@@ -46,6 +46,7 @@ pub mod prepare;
 mod track;
 
 use kinegrad_motion::Quaternion;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use assemble::{Assembly, Moment, Segment, assemble};
@@ -59,7 +60,7 @@ pub use phrases::{Stretch, stretches};
 pub use track::{MarkerGaps, RootPose, RootSource, RootTrack, resample};
 
 /// Which axis of a capture file points up.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum UpAxis {
     /// +y, as in phrases and most BVH files.

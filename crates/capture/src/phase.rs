@@ -1,12 +1,13 @@
 //! The musical phase: position in the bar.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::error::{require, require_positive};
 
 /// Even beats.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BeatGrid {
     /// Seconds of music to the first beat, the first of a bar.

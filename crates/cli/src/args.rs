@@ -2,6 +2,7 @@
 
 mod data;
 mod reports;
+mod newcomer;
 
 use std::path::PathBuf;
 
@@ -16,6 +17,7 @@ pub use data::{
     AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
     SynthArguments,
 };
+pub use newcomer::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 
@@ -35,6 +37,8 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Write a config to start from
+    Init(InitArguments),
     /// Train a model from a config file, or resume a run
     Train(TrainArguments),
     /// Generate motion with a trained model
@@ -64,6 +68,10 @@ pub enum Command {
     Config(ConfigCommand),
     /// List the devices that this build supports
     Devices,
+    /// Print a completion script for a shell
+    Completions(CompletionsArguments),
+    /// Write manual pages
+    Man(ManArguments),
 }
 
 /// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
@@ -75,8 +83,8 @@ Examples:
   kinegrad train configs/phrases.toml --set data.source=phrases --set train.max_steps=100
   kinegrad train configs/phrases.toml --set data.source=phrases --resume")]
 pub struct TrainArguments {
-    /// The config file
-    pub config: PathBuf,
+    /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
+    pub config: Option<PathBuf>,
     /// Override a config key, for example optim.learning_rate=2e-4
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -239,7 +247,9 @@ pub struct MergeArguments {
     pub out: PathBuf,
 }
 
-/// PATH is a motion file, or a folder that is searched for motion files. The representation is
+/// PATH is a motion file, or a folder that is searched for motion files, each sample once: without
+/// its raw model output (PATH.raw.npy, see `--raw`), and without joint features and ground path
+/// (PATH.features.npy, PATH.path.npy) beside joint positions. The representation is
 /// recognised from the array: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
 /// positions `[T, J, 3]`. The `strict` profile compares with statistics of training motion: pass
 /// the run (`--run`) or the dataset (`--source`).
@@ -264,6 +274,9 @@ pub struct CheckArguments {
     /// Dataset whose statistics `strict` uses
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
+    /// Also check raw model output, PATH.raw.npy, in folders
+    #[arg(long)]
+    pub raw: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -312,6 +325,8 @@ pub struct EvalArguments {
 pub enum ConfigCommand {
     /// Print a config with all defaults filled in, and the number of model parameters
     Show(ShowArguments),
+    /// Say what config keys mean, what they may hold, and their defaults
+    Explain(ExplainArguments),
 }
 
 #[derive(Debug, Args)]

@@ -73,6 +73,12 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Config(ConfigCommand::Show(arguments)) => {
             commands::config::show(systems, arguments)
         }
+        Command::Config(ConfigCommand::Explain(arguments)) => {
+            commands::explain::run(systems, arguments)
+        }
         Command::Devices => commands::devices::run(),
+        Command::Init(arguments) => commands::init::run(arguments),
+        Command::Completions(arguments) => commands::shell::completions(arguments),
+        Command::Man(arguments) => commands::shell::man(arguments),
     }
 }

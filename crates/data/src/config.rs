@@ -7,6 +7,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::location::Location;
@@ -23,7 +24,7 @@ const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 /// unless stated otherwise.
 ///
 /// Defaults follow CC-MotionGen, sections 6.1 and 6.3 (120 frames, batches of 32, four workers).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
     /// Kind of the dataset.
@@ -88,14 +89,14 @@ impl Default for DataConfig {
 }
 
 /// Kind of dataset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DataKind {
-    /// The phrase layout of CC-MotionGen, section 1.3, read from [`DataConfig::source`].
+    /// The phrase layout of CC-MotionGen, section 1.3, read from `source`.
     Phrases,
     /// [Synthetic phrases](crate::synthetic), no files needed.
     Synthetic,
-    /// [Clips](crate::humanml) in the layout of HumanML3D, read from [`DataConfig::source`].
+    /// [Clips](crate::humanml) in the layout of HumanML3D, read from `source`.
     Humanml3d,
     /// [Synthetic walks](crate::humanml::walk), clips without files.
     SyntheticWalks,
@@ -109,7 +110,7 @@ impl fmt::Display for DataKind {
 }
 
 /// Cropping of longer phrases to `target_frames`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Crop {
     /// A new random window each time.
@@ -119,19 +120,19 @@ pub enum Crop {
 }
 
 /// What to do with a phrase that cannot be read or holds a number that is not finite.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnBadPhrase {
     /// Stop with an error.
     Error,
-    /// Leave it out, and count it in [`Dataset::skipped`](crate::Dataset::skipped).
+    /// Leave it out, and name it when training starts.
     Skip,
 }
 
 /// Which phrases are held out for validation. `patterns` and `ids_file` add up. When neither is
 /// given, `fraction` decides; without that the `split` column of the dataset's manifest, and where
 /// there is none, a tenth of the phrases are held out.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationSplit {
     /// Share of the phrases held out, chosen by a hash of each id alone, so that adding phrases
@@ -147,7 +148,7 @@ pub struct ValidationSplit {
 }
 
 /// Caches. They change speed and memory, never a batch.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CacheConfig {
     /// Maximum size of phrases in memory, in MiB; a phrase of 120 frames takes 0.09. The held-out
@@ -185,7 +186,7 @@ impl CacheConfig {
 }
 
 /// Access to buckets and web servers. Credentials come from the environment.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StoreConfig {
     /// Base URL to use instead of the service's own, for emulators and other providers.
@@ -214,7 +215,7 @@ impl Default for StoreConfig {
 }
 
 /// Random changes to training samples; all off by default. Validation is never augmented.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentConfig {
     /// Rotate the motion about the vertical axis by a random angle from [0, 2 pi).
@@ -240,7 +241,7 @@ pub struct AugmentConfig {
 }
 
 /// Size and seed of the synthetic dataset.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SyntheticConfig {
     /// Number of phrases.

@@ -53,7 +53,8 @@ pub enum Error {
     /// This build lacks what it takes.
     #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
     #[diagnostic(help(
-        "build it with `cargo build --release --features full` (or `--features {feature}`)"
+        "install the wheel, which has it: `pip install kinegrad`; or build it with \
+         `cargo build --release --features full` (or `--features {feature}`)"
     ))]
     Feature {
         /// The requested object.

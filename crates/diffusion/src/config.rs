@@ -4,10 +4,11 @@ use std::f64::consts::FRAC_PI_2;
 use std::ops::Bound;
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the betas grow with the timestep; the tables are in [`crate::NoiseSchedule`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BetaSchedule {
     /// Equidistant betas from `beta_start` to `beta_end`.
@@ -23,7 +24,7 @@ pub enum BetaSchedule {
 }
 
 /// What the network's output stands for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PredictionType {
     /// The noise that was added.
@@ -38,7 +39,7 @@ pub enum PredictionType {
 }
 
 /// The distance between the network's output and its target; formulas in [`crate::loss`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossType {
     /// Squared difference.
@@ -52,7 +53,7 @@ pub enum LossType {
 
 /// The table `diffusion` of a config (CC-MotionGen, section 3.2.1; docs/sources.md, sections 1.2 to
 /// 1.4).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DiffusionConfig {
     /// Number of noise levels T; timesteps run from 0 to T-1. At least 2.

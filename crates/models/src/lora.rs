@@ -1,13 +1,14 @@
 //! LoRA: selecting layers and adding adapters to a network.
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Initializer;
 use crate::config::MAX_WIDTH;
 
 /// Layers that adapters can be put on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LoraTarget {
     /// Every projection of the attention blocks, of self- and cross-attention.
@@ -23,7 +24,7 @@ pub enum LoraTarget {
 /// Low-rank adapters for fine-tuning (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>): the
 /// network's own weights stay as they are, and the layers named train a change of rank
 /// [`rank`](Self::rank).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LoraConfig {
     /// Rank of the change of each weight.

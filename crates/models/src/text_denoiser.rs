@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_settings::InvalidSetting;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
@@ -11,7 +12,7 @@ use crate::transformer::{Encoder, EncoderConfig};
 use crate::{Initializer, Stages};
 
 /// The backbone and its sizes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Backbone {
     /// The UNet, over clips padded to one length.

@@ -12,6 +12,7 @@ use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use kinegrad_kernels::{Convolution, gelu, self_attention};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
@@ -20,7 +21,7 @@ use crate::layers::{LayerNorm, Linear};
 use crate::{Initializer, NamedSizes, NetworkConfig};
 
 /// The sizes of an [`Encoder`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EncoderConfig {
     /// Width of a token.

@@ -7,6 +7,7 @@ use burn::tensor::Tensor;
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::concat_channels;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::attention::AttentionBlock;
@@ -18,7 +19,7 @@ use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 
 /// The sizes of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs at
 /// the input's length divided by `2^i`, rounded up.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct UNet1dConfig {
     /// Channels of level 0; a multiple of 32.

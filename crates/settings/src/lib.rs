@@ -9,8 +9,12 @@
 //! ```
 
 mod document;
+mod keys;
+mod words;
 
 pub use document::{Unfit, must_be_finite, must_be_tables};
+pub use keys::{Key, Name, Values, keys_of};
+pub use words::in_words;
 
 use std::fmt::Display;
 use std::ops::{Bound, RangeBounds};

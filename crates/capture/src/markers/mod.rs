@@ -6,6 +6,7 @@ mod root;
 mod tests;
 
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::gaps::fill_gaps;
@@ -17,7 +18,7 @@ pub use root::MarkerRoot;
 
 /// Which markers carry the root. A group of several stands for its mean; names are given with or
 /// without the file's prefix. The default is the pelvis of Plug-in-Gait-like sets, z up.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkerMap {
     /// Markers whose mean is the root's place.

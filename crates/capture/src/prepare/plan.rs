@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
-use kinegrad_settings::{must_be_finite, must_be_tables};
+use kinegrad_settings::{in_words, must_be_finite, must_be_tables};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
@@ -16,7 +17,7 @@ use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
 const SMALLEST_UNIT: f64 = 1e-9;
 
 /// A plan, as its TOML file writes it. Paths are relative to that file.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     /// Where the dataset goes: a folder, `gs://BUCKET/PREFIX` or `s3://BUCKET/PREFIX`.
@@ -45,7 +46,7 @@ pub struct Plan {
 }
 
 /// How phrases are cut.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhrasesPlan {
     /// Frames of a phrase, 30 a second.
@@ -64,7 +65,7 @@ impl Default for PhrasesPlan {
 }
 
 /// Which phrases the manifest holds out.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitPlan {
     /// Ids, or patterns with `*` for any run of characters. Without any, the manifest states no
@@ -73,7 +74,7 @@ pub struct SplitPlan {
 }
 
 /// A recording with its music.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TakePlan {
     /// Begins the ids of its phrases; `{name}` stands for the motion file's name without ending,
@@ -112,7 +113,7 @@ pub struct TakePlan {
 }
 
 /// A piece of a capture file.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SegmentPlan {
     /// The capture file. A missing one is a gap.
@@ -124,7 +125,7 @@ pub struct SegmentPlan {
 }
 
 /// Dances of the ChoreoNet data: units of capture on the beats of songs.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChoreonetPlan {
     /// JSON list of dances: `dance_type`, `dance_id`, `start_pos` and `end_pos` at 25 frames per
@@ -162,7 +163,7 @@ impl Plan {
                 format!("line {line}: ")
             });
             let place = place.unwrap_or_default();
-            Error::plan(path, format!("{place}{}", error.message()))
+            Error::plan(path, format!("{place}{}", in_words(error.message())))
         };
         let given: Table = text.parse().map_err(wrong)?;
         let mut plan: Self = toml::from_str(&text).map_err(wrong)?;

@@ -1,10 +1,12 @@
 //! Lengths of the units that captures are written in.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Length of a unit of a BVH file.
-#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case", try_from = "toml::Value")]
+#[schemars(!try_from)]
 pub enum Units {
     /// Metres.
     M,

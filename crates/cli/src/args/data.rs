@@ -53,8 +53,9 @@ pub enum AudioCommand {
 /// onset_strength at 30 frames per second, plus tempo and beat_times.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Example:
-  kinegrad audio features songs/*.mp3 --out features --plot")]
+Examples:
+  kinegrad audio features songs/*.mp3 --out features --plot
+  kinegrad audio features song.mp3 --start 30 --duration 10 --out features")]
 pub struct FeaturesArguments {
     /// Songs (mp3, wav, flac, ogg)
     #[arg(required = true, value_name = "SONG")]
@@ -62,6 +63,13 @@ pub struct FeaturesArguments {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Position in the songs, in seconds, at which the features start; they are computed over the
+    /// whole song, then cut
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub start: f64,
+    /// Length of the features in seconds [default: to the end of the song]
+    #[arg(long, value_name = "SECONDS")]
+    pub duration: Option<f64>,
     /// Also plot features and beats to DIR/NAME/features.png
     #[arg(long)]
     pub plot: bool,
@@ -106,12 +114,12 @@ pub struct InspectArguments {
     /// Plot tempo, length and beats of the manifest's phrases that match the condition
     #[arg(long, value_name = "FILE.png|FILE.svg")]
     pub plot: Option<PathBuf>,
-    /// Read the dataset as clips in the HumanML3D layout
+    /// Read the dataset as clips in the HumanML3D layout [default: found out from its files]
     #[arg(long, conflicts_with_all = ["condition", "plot"])]
     pub humanml3d: bool,
-    /// Skeleton of the clips: humanml3d or kit
-    #[arg(long, value_parser = named::<SkeletonName>, default_value = "humanml3d", requires = "humanml3d")]
-    pub skeleton: SkeletonName,
+    /// Skeleton of the clips: humanml3d or kit [default: found out from the features of a clip]
+    #[arg(long, value_parser = named::<SkeletonName>, conflicts_with_all = ["condition", "plot"])]
+    pub skeleton: Option<SkeletonName>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

@@ -24,7 +24,21 @@ struct Song {
 /// the others have been done.
 pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     let songs = songs(&arguments)?;
-    let each = songs.par_iter().map(|song| one(song, arguments.plot));
+    for (option, seconds, least) in [
+        ("--start", Some(arguments.start), "0"),
+        ("--duration", arguments.duration, "more than 0"),
+    ] {
+        let is_least = |seconds: &f64| *seconds > 0.0 || (*seconds == 0.0 && least == "0");
+        if let Some(seconds) = seconds.filter(|seconds| !(seconds.is_finite() && is_least(seconds)))
+        {
+            let message = format!("`{option}` is {seconds}, allowed: {least} seconds or more");
+            return Err(Error::usage(
+                message,
+                "for example `--start 30 --duration 10`",
+            ));
+        }
+    }
+    let each = songs.par_iter().map(|song| one(song, &arguments));
     let mut code = 0;
     let mut rows = Vec::new();
     for row in each.collect::<Vec<_>>() {
@@ -71,18 +85,24 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     Ok(songs)
 }
 
-fn one(song: &Song, plot: bool) -> Result<[String; 6], Error> {
+fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error> {
     let (waveform, features) = song_features(&song.path)?;
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
+    let features = cut(features, song, arguments)?;
     let target = song.folder.join("features.npz");
     let beats = features.beats();
     write_song_features(&target, &features)?;
-    if plot {
+    if arguments.plot {
         picture(&features, &song.folder.join("features.png"))?;
     }
-    let seconds = waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE);
+    let whole = waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE);
+    let is_whole = arguments.start == 0.0 && arguments.duration.is_none();
+    let seconds = match is_whole {
+        true => whole,
+        false => features.frames() as f64 / kinegrad_audio::FPS,
+    };
     Ok([
         song.path.display().to_string(),
         format!("{seconds:.2}"),
@@ -91,6 +111,30 @@ fn one(song: &Song, plot: bool) -> Result<[String; 6], Error> {
         beats.frames.len().to_string(),
         target.display().to_string(),
     ])
+}
+
+/// The part of a song's features that is asked for.
+fn cut(features: Features, song: &Song, arguments: &FeaturesArguments) -> Result<Features, Error> {
+    let frames = features.frames();
+    let start = arguments.start * kinegrad_audio::FPS;
+    if frames as f64 - start < 1.0 {
+        let seconds = frames as f64 / kinegrad_audio::FPS;
+        return Err(Error::usage(
+            format!(
+                "`--start` is {}, the song {} has {seconds:.1} seconds",
+                arguments.start,
+                song.path.display()
+            ),
+            "begin earlier",
+        ));
+    }
+    let start = start.round() as usize;
+    let length = arguments
+        .duration
+        .map(|seconds| (seconds * kinegrad_audio::FPS).round());
+    // A duration of less than a frame is one.
+    let length = length.map_or(frames, |length| (length as usize).max(1));
+    Ok(features.slice(start..frames.min(start.saturating_add(length))))
 }
 
 /// All features over time, with the beats.

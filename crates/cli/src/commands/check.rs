@@ -19,7 +19,7 @@ use crate::output;
 /// Checks each file; exit code 1 if any fails.
 pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
-    for path in motion_files(&arguments.paths)? {
+    for path in motion_files(&arguments.paths, arguments.raw)? {
         let array = read_array(&path)?;
         let representation = systems.representation_of(&path, &array.shape, &array.values)?;
         let statistics = statistics(&arguments, &*representation)?;
@@ -91,12 +91,12 @@ fn statistics(
     Ok(Some(kinegrad_data::statistics(&data)?))
 }
 
-/// The files meant by `paths`, folders searched through.
-fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+/// The files meant by `paths`, folders searched through, with `raw` model output or without.
+fn motion_files(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
         let before = files.len();
-        collect(path, &mut files);
+        collect(path, raw, &mut files);
         if files.len() == before {
             let message = format!("there is no motion file at {}", path.display());
             let hint = "give a .npy file such as `kinegrad sample` writes, or a folder of them";
@@ -106,7 +106,7 @@ fn motion_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     Ok(files)
 }
 
-fn collect(path: &Path, files: &mut Vec<PathBuf>) {
+fn collect(path: &Path, raw: bool, files: &mut Vec<PathBuf>) {
     if path.is_file() {
         files.push(path.to_path_buf());
         return;
@@ -115,10 +115,23 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) {
     let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
     inside.sort();
     for path in inside {
-        if path.is_dir() || path.extension().is_some_and(|extension| extension == "npy") {
-            collect(&path, files);
+        let is_array = path.extension().is_some_and(|extension| extension == "npy");
+        if path.is_dir() || (is_array && !is_left_out(&path, raw)) {
+            collect(&path, raw, files);
         }
     }
+}
+
+/// Whether a file in a folder says of a sample what another file beside it says too.
+fn is_left_out(path: &Path, raw: bool) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let stem_of = |ending: &&str| name.strip_suffix(*ending);
+    let companion = [".raw.npy", ".features.npy", ".path.npy"];
+    let Some(stem) = companion.iter().find_map(stem_of) else {
+        return false;
+    };
+    let beside = path.with_file_name(format!("{stem}.npy")).exists();
+    beside && !(raw && name.ends_with(".raw.npy"))
 }
 
 fn report_table(report: &Report) -> String {

@@ -48,9 +48,11 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
         source: Some(arguments.source.clone()),
         ..Default::default()
     };
-    if arguments.humanml3d {
+    let clips = kinegrad_data::humanml::find_clips(&config)?;
+    if arguments.humanml3d || arguments.skeleton.is_some() || clips.is_some() {
         config.kind = DataKind::Humanml3d;
-        config.humanml3d.skeleton = arguments.skeleton;
+        let skeleton = arguments.skeleton.or(clips.flatten());
+        config.humanml3d.skeleton = skeleton.unwrap_or(SkeletonName::Humanml3d);
         if config.humanml3d.skeleton == SkeletonName::Kit {
             config.humanml3d.min_frames = KIT_MIN_FRAMES;
         }
@@ -59,7 +61,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     if arguments.json {
         output::json(&inspection);
     } else {
-        print(&inspection);
+        print(&inspection, &config);
     }
     Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
 }
@@ -136,7 +138,7 @@ fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
     draw(&panels, 2, (520, 250), out)
 }
 
-fn print(inspection: &Inspection) {
+fn print(inspection: &Inspection, config: &DataConfig) {
     let Inspection { kind, fps, .. } = inspection;
     let (shortest, longest) = (inspection.shortest_frames, inspection.longest_frames);
     let (train, held_out) = (grouped(inspection.train), grouped(inspection.validation));
@@ -147,8 +149,16 @@ fn print(inspection: &Inspection) {
         format!("{kind}s left out"),
         format!("frames a {kind}"),
     );
+    let layout = match config.kind {
+        DataKind::Humanml3d => {
+            let skeleton = config.humanml3d.skeleton;
+            format!("clips in the HumanML3D layout, skeleton {skeleton}")
+        }
+        _ => "phrases".to_owned(),
+    };
     let shown = [
         ("source", inspection.source.clone()),
+        ("read as", layout),
         (&items, grouped(inspection.items)),
         (&unusable, grouped(inspection.bad_items)),
         (&left_out, grouped(inspection.left_out)),

@@ -28,8 +28,12 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
             overrides.push(format!("{key}={}", serde_json::Value::from(value)));
         }
     }
+    let config = match arguments.config {
+        Some(config) => config,
+        None => super::init::default_config()?,
+    };
     let request = TrainRequest {
-        config: arguments.config,
+        config,
         overrides,
         runs_dir: arguments.runs_dir,
         resume: arguments.resume,

@@ -4,13 +4,14 @@ use std::fmt;
 
 use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Root, Skeleton};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"` are read.
 ///
 /// Defaults are those of HumanML3D and of the published training on it; for KIT-ML set `skeleton`
 /// and `min_frames = 24`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Humanml3dConfig {
     /// How batches say where the root is: relative to the frame before, as the files do, or
@@ -53,7 +54,7 @@ impl Default for Humanml3dConfig {
 }
 
 /// A skeleton that is built in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SkeletonName {
     /// The 22 joints of HumanML3D: 263 channels, 20 frames a second.
@@ -87,7 +88,7 @@ impl fmt::Display for SkeletonName {
 }
 
 /// What becomes of a clip without captions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptionRule {
     /// It is a bad clip.

@@ -12,7 +12,7 @@ use super::Humanml3dConfig;
 use super::clip::{FEATURES, TEXTS, features_path, texts_path};
 
 /// The longest list: some millions of ids.
-const MAX_BYTES: u64 = 1 << 28;
+pub(super) const MAX_BYTES: u64 = 1 << 28;
 
 /// The clips of both lists, sorted by id.
 ///
@@ -91,7 +91,7 @@ pub(super) fn read_lists(
 }
 
 /// The ids of a list with their lines. Empty lines and those that begin with `#` are passed over.
-fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
+pub(super) fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
     let hint = "a list names clips as their files are called, without the ending";
     let text = str::from_utf8(bytes)
         .map_err(|_| FileError::unexpected(file, "bytes that are no UTF-8", "UTF-8 text", hint))?;

@@ -26,6 +26,7 @@
 mod clip;
 mod config;
 mod embeddings;
+mod find;
 mod lists;
 mod samples;
 mod statistics;
@@ -37,6 +38,7 @@ mod word_vectors;
 pub use clip::{Clip, ClipSet, parse_features, write_features};
 pub use config::{CaptionRule, Humanml3dConfig, SkeletonName};
 pub use embeddings::read_embedding;
+pub use find::find_clips;
 pub use samples::ClipSamples;
 pub use synthetic::{synthetic_id, walk, write_walks};
 pub use texts::{Caption, parse_captions};

@@ -3,10 +3,11 @@
 use std::fmt;
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The sampling algorithm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SamplerKind {
     /// Deterministic at `eta` 0, and good with few steps: [`crate::ddim_step`].
@@ -32,7 +33,7 @@ impl fmt::Display for SamplerKind {
 ///
 /// `leading`, `linspace` and `trailing` are the names of table 2 of Lin et al. 2023,
 /// <https://arxiv.org/abs/2305.08891>. With N = T all four are T-1, T-2, ..., 0.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TimestepSpacing {
     /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen, section 8.1; docs/sources.md, section
@@ -48,7 +49,7 @@ pub enum TimestepSpacing {
 }
 
 /// Where the last step of DDIM lands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FinalAlpha {
     /// On timestep 0, whose noise stays in the sample: `abar[0]` (section 8.1).
@@ -59,7 +60,7 @@ pub enum FinalAlpha {
 }
 
 /// A sampler (CC-MotionGen, sections 3.2.1 and 8.1; docs/sources.md, section 1.9).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplerConfig {
     /// The sampling algorithm.

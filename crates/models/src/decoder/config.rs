@@ -2,12 +2,13 @@
 
 use kinegrad_motion::CHANNELS;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 
 /// What bounds one component of the decoded motion.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputActivation {
     /// Nothing.
@@ -23,7 +24,7 @@ pub enum OutputActivation {
 
 /// One activation a component. CC-MotionGen's configuration and its code disagree (its sections
 /// 3.3.1 and 3.3.2; docs/sources.md, section 1.6); these are the code's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputActivations {
     /// Metres.
@@ -58,7 +59,7 @@ impl Default for OutputActivations {
 }
 
 /// The ranges of `tanh_scaled`, in each component's unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputRanges {
     /// Metres.
@@ -86,20 +87,20 @@ impl Default for OutputRanges {
 }
 
 /// How position, velocity and acceleration of the decoded motion agree.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Coherence {
     /// As the heads say: only the losses pull them together (CC-MotionGen's decoder).
     #[default]
     None,
     /// The heads' position, velocity and acceleration are replaced by those of the nearest
-    /// trajectory that has all three ([`kinegrad_motion::coherence`]), and the quaternion keeps
+    /// trajectory that has all three (least squares), and the quaternion keeps
     /// its sign from frame to frame.
     Projection,
 }
 
 /// What the weights of a decoder start as.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DecoderInit {
     /// The inverse of the normalisation, as near as the output activations allow.
@@ -110,7 +111,7 @@ pub enum DecoderInit {
 }
 
 /// Which decoder to build.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecoderConfig {
     /// Width of the residual stream.

@@ -5,6 +5,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::mish;
 use kinegrad_kernels::concat_channels;
 use kinegrad_settings::{InvalidSetting, Refused, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
@@ -16,7 +17,7 @@ use crate::{Initializer, NamedSizes, NetworkConfig, Stages};
 const MAX_PADDED_FRAMES: usize = 1 << 20;
 
 /// The sizes of a [`GmdUnet`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdUnetConfig {
     /// Width of the condition inside the network, and base of the multipliers.

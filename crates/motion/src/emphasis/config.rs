@@ -2,22 +2,21 @@
 
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{EmphasisError, EmphasisProjection};
 
 /// Which matrix mixes the emphasised features.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EmphasisKind {
     /// None: features stay as they are.
     #[default]
     None,
-    /// Independent normal numbers, as the published models have it
-    /// ([`EmphasisProjection::gaussian`]).
+    /// Independent normal numbers, as the published models have it.
     Gaussian,
-    /// A random rotation or reflection ([`EmphasisProjection::orthogonal`]): the same emphasis,
-    /// with the smallest condition number that it can have.
+    /// A random rotation or reflection: the same emphasis, with the smallest condition number that it can have.
     Orthogonal,
 }
 
@@ -25,7 +24,7 @@ pub enum EmphasisKind {
 ///
 /// The matrix is a function of these settings and of the number of features; it is stored with a
 /// model all the same, as a published model's matrix follows from no seed.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmphasisConfig {
     /// Which matrix, if any.

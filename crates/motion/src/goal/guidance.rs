@@ -1,12 +1,13 @@
 //! The guidance loss of a goal and its gradient.
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Goal, GroundTargets, Obstacle};
 
 /// The norm of the distance from a target.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceNorm {
     /// Absolute differences, p = 1 in the source: canonical.
@@ -17,7 +18,7 @@ pub enum GuidanceNorm {
 }
 
 /// Settings of the [`GuidanceLoss`].
-#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceConfig {
     /// The norm of the distance from a target.

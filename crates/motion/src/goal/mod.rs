@@ -45,6 +45,7 @@ pub use schedule::{GuidanceSchedule, Phase};
 pub use targets::{GROUND_X, GroundTargets, TRAJECTORY_CHANNELS};
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::MAX_FRAMES;
@@ -68,7 +69,7 @@ fn check_position(key: &str, [x, z]: [f64; 2]) -> Result<(), InvalidSetting> {
 }
 
 /// A target position of the root in one frame.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
     /// The frame, counted from 0.
@@ -87,7 +88,7 @@ impl Keyframe {
 }
 
 /// Target positions of the root in a range of frames.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trajectory {
     /// Frame of the first point, counted from 0.
@@ -98,7 +99,7 @@ pub struct Trajectory {
 }
 
 /// Weights of the parts of a goal in the [`GuidanceLoss`].
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GoalWeights {
     /// Distance from keyframes or trajectory.
@@ -118,7 +119,7 @@ impl Default for GoalWeights {
 }
 
 /// Position control of one clip.
-#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
     /// Length of the clip.

@@ -1,12 +1,13 @@
 //! Obstacles as signed distance functions.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{check_metres, check_position, polygon};
 
 /// A region of the ground plane that the root must avoid, in metres.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Obstacle {
     /// All points nearer than `radius` to a centre.

@@ -1,10 +1,11 @@
 //! The phases of guidance and imputation over the timesteps.
 
 use kinegrad_settings::{InvalidSetting, Refused, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The targets that are used in a step.
-#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// The keyframes and the line between them.
@@ -20,12 +21,13 @@ pub enum Phase {
 /// The appendix (GMD, F) ends guidance and imputation at t = 20; the published evaluation changes
 /// from the line to the keyframes at t = 100. The published demonstration goes on to t = 1 with
 /// the motion model, which is `points_until = 1` here.
-#[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
-    /// Last timestep of [`Phase::Dense`].
+    /// Last timestep at which the line between the keyframes acts with them; below it they act
+    /// alone.
     pub dense_until: usize,
-    /// Last timestep of [`Phase::Points`].
+    /// Last timestep at which keyframes act; below it the model finishes the motion by itself.
     pub points_until: usize,
 }
 

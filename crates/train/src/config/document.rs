@@ -1,7 +1,7 @@
 //! Tables of TOML: laid over each other, read into settings, changed key by key, with errors that
 //! name file, line, key, what was found and what is allowed.
 
-use kinegrad_settings::Unfit;
+use kinegrad_settings::{Unfit, in_words};
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
@@ -133,7 +133,7 @@ pub(crate) fn place(origin: &str, line: Option<usize>) -> String {
 }
 
 /// The hint that fits every key.
-const SHOW: &str = "`kinegrad config show CONFIG` prints every key with its value";
+const SHOW: &str = "`kinegrad config explain` lists every key";
 
 /// The line of a byte, counted from 1.
 pub(crate) fn line_of(text: &str, byte: usize) -> usize {
@@ -208,7 +208,7 @@ fn explain(place: Place<'_>, path: &str, message: &str) -> ConfigError {
     ConfigError::Value {
         place: place(path),
         key: path.to_string(),
-        message: message.to_string(),
+        message: in_words(message),
         hint: SHOW.into(),
     }
 }

@@ -8,7 +8,10 @@ use thiserror::Error;
 pub enum ConfigError {
     /// The file is not there or cannot be read.
     #[error("cannot read the config {}: {source}", path.display())]
-    #[diagnostic(help("the configs that come with kinegrad are in the folder `configs`"))]
+    #[diagnostic(help(
+        "`kinegrad init` writes a config to start from; `kinegrad init --list` lists those that \
+         there are"
+    ))]
     Read {
         /// The file.
         path: PathBuf,
@@ -54,13 +57,12 @@ pub enum ConfigError {
     #[error(
         "`--set {argument}`: the model is trained, only keys of `sampling` and `evaluation` can be set"
     )]
-    #[diagnostic(help(
-        "for example `--set sampling.sampler.num_inference_steps=50`; other settings are for \
-         `kinegrad train`"
-    ))]
+    #[diagnostic(help("{hint}"))]
     Trained {
         /// The argument found.
         argument: String,
+        /// The key that may have been meant.
+        hint: String,
     },
     /// An override that is not `KEY=VALUE`.
     #[error("`--set {argument}` is not KEY=VALUE")]

@@ -33,6 +33,7 @@ pub use tables::{
 };
 
 use kinegrad_data::DataConfig;
+use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::{Table, Value};
@@ -41,7 +42,7 @@ use toml::{Table, Value};
 const MODEL_KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 
 /// Everything a run is made from.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Config {
     /// Name, seed, device.
@@ -51,6 +52,7 @@ pub struct Config {
     /// The tables of the run's system, every key written out: a [`SystemTables`] reads them, and
     /// refuses those that are of nobody.
     #[serde(flatten)]
+    #[schemars(skip)]
     pub system: Table,
     /// AdamW and its learning rate.
     pub optim: OptimConfig,

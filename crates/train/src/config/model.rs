@@ -2,6 +2,8 @@
 //! read by the network's own settings.
 
 use kinegrad_models::NetworkConfig;
+use kinegrad_settings::Key;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -9,7 +11,7 @@ use super::document::{Place, from_table, lay_over, not_among};
 use super::{ConfigError, PLAIN};
 
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTable<N> {
     /// Named size that the network's keys started from.
     pub size: String,
@@ -63,6 +65,20 @@ fn keys<N: NetworkConfig>(
     let mut network = from_table::<Under<N>>(&under, place)?.model;
     network.complete();
     Ok(Table::try_from(network).expect(PLAIN))
+}
+
+/// Says of `model.size` which names the sizes of each kind have.
+pub(super) fn name_sizes(kinds: &[NetworkKind], keys: &mut Vec<Key>) {
+    let Some(place) = keys.iter().position(|key| key.name == "model.size") else {
+        return;
+    };
+    let size = keys.remove(place);
+    let of_kind = |kind: &NetworkKind| Key {
+        values: crate::system::names(&(kind.sizes)()),
+        only_with: Some(format!("model.kind = \"{}\"", kind.name)),
+        ..size.clone()
+    };
+    keys.extend(kinds.iter().map(of_kind));
 }
 
 /// The table `model` with every key that its kind and size imply written out.
@@ -167,7 +183,11 @@ mod tests {
                 "c.toml:4: `model.kind`: \"unet1d\"",
                 "gmd_unet",
             ),
-            ("adagn = 3", "c.toml:4: `model.adagn`: invalid type", ""),
+            (
+                "adagn = 3",
+                "c.toml:4: `model.adagn`: expected true or false, found 3",
+                "",
+            ),
             (
                 "activation_checkpointing = 3",
                 "c.toml:4: `model.activation_checkpointing`",

@@ -2,10 +2,11 @@
 
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Guidance and imputation for goals (Guided Motion Diffusion, appendix F).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SteeringConfig {
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.

@@ -1,5 +1,7 @@
 //! The tables of a config that belong to one system.
 
+use kinegrad_settings::{Key, keys_of};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
@@ -43,6 +45,16 @@ pub trait SystemTables: Serialize + DeserializeOwned {
     /// [`Systems::load`](crate::system::Systems::load) has read.
     fn of(config: &Config) -> Result<Self, ConfigError> {
         Self::read(&config.system, &|_| "the run's config".into())
+    }
+
+    /// Their keys, with what the doc comments of the struct say of them.
+    fn keys() -> Vec<Key>
+    where
+        Self: JsonSchema,
+    {
+        let mut keys = keys_of::<Self>();
+        model::name_sizes(Self::NETWORKS, &mut keys);
+        keys
     }
 
     /// The tables as plain data, every key written out.

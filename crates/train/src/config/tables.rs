@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use kinegrad_diffusion::{ClipRange, SamplerConfig};
 use kinegrad_motion::Statistics;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Config, SteeringConfig};
 use crate::recipe::RecipeInfo;
 
 /// The table `run`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunConfig {
     /// Name of the run's folder under the runs directory; if empty, the config file's name.
@@ -33,7 +34,7 @@ impl Default for RunConfig {
 }
 
 /// Learning rate schedule after the warm-up, over the rest of `train.max_steps`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LrSchedule {
     /// Cosine decay to zero.
@@ -46,7 +47,7 @@ pub enum LrSchedule {
 }
 
 /// The table `optim`: AdamW (CC-MotionGen, section 6.3; docs/sources.md, section 1.10).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimConfig {
     /// Learning rate after the warm-up.
@@ -87,7 +88,7 @@ impl Default for OptimConfig {
 }
 
 /// The table `train`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
     /// The training recipe, which belongs to one system.
@@ -119,7 +120,7 @@ impl Default for TrainConfig {
 }
 
 /// The table `ema`: the exponential moving average of the weights, used for sampling.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmaConfig {
     /// Decay of the average; 0 makes it a copy of the weights.
@@ -147,7 +148,7 @@ impl Default for EmaConfig {
 }
 
 /// The table `checkpoint`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckpointConfig {
     /// Steps between checkpoints; one is also written at the end and at each best validation.
@@ -166,7 +167,7 @@ impl Default for CheckpointConfig {
 }
 
 /// The table `validation`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
     /// Steps between validations; 0 disables validation.
@@ -190,7 +191,7 @@ impl Default for ValidationConfig {
 }
 
 /// Clipping of the predicted clean motion in each sampling step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipSample {
     /// Each channel to its range in the training data. Not with an emphasis projection, nor with
@@ -237,7 +238,7 @@ impl ClipSample {
 }
 
 /// The table `sampling`: sampler settings of the run, for samples at its end and `kinegrad sample`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {
     /// Number of samples generated when training ends; phrases are post-processed and checked.

@@ -96,6 +96,7 @@ impl Systems<'_> {
             let key = argument.trim_start();
             if !OF_TRAINED.iter().any(|table| key.starts_with(table)) {
                 return Err(ConfigError::Trained {
+                    hint: self.of_trained(config, key),
                     argument: argument.clone(),
                 });
             }
@@ -105,8 +106,26 @@ impl Systems<'_> {
         Ok(changed)
     }
 
+    /// A hint for an override of a trained model that is of none of its tables that may change.
+    fn of_trained(self, config: &Config, argument: &str) -> String {
+        let key = argument.split('=').next().unwrap_or_default().trim();
+        let meant = self.suggestion(key, &config.train.recipe);
+        let meant = meant.filter(|hint| OF_TRAINED.iter().any(|table| hint.contains(table)));
+        meant.unwrap_or_else(|| {
+            "for example `--set sampling.sampler.num_inference_steps=50`; other settings are for \
+             `kinegrad train`"
+                .into()
+        })
+    }
+
     /// The config of `given`, where what it leaves out is as its recipe has it.
-    fn whole(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
+    pub(super) fn whole(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
+        let read = self.read(given, place);
+        read.map_err(|error| self.guided(error, given))
+    }
+
+    /// [`whole`](Self::whole) with errors as they come.
+    pub(super) fn read(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
         must_be_finite(given, place)?;
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let default = TrainConfig::default().recipe;
@@ -221,7 +240,7 @@ mod tests {
     fn a_wrong_type_names_line_and_key() {
         let text = error("[train]\nmax_steps = \"many\"\n", &[]);
         assert!(
-            text.contains("c.toml:2: `train.max_steps`: invalid type"),
+            text.contains("c.toml:2: `train.max_steps`: expected a whole number, 0 or more"),
             "{text}"
         );
         let text = error("[train]\nmax_steps = -5\n", &[]);

@@ -1,11 +1,15 @@
 //! What a system is to the entry points, and how they find it.
 
+mod keys;
 mod load;
+
+pub(crate) use keys::names;
+pub use keys::{ConfigKey, toml_text};
 
 use std::path::{Path, PathBuf};
 
 use kinegrad_motion::Representation;
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{InvalidSetting, Key};
 use toml::Table;
 
 use crate::config::{Config, ConfigError, Place};
@@ -32,6 +36,13 @@ pub trait System: Sync {
     /// Default values of the recipe for keys that are missing in `given`, the config as written.
     fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
         Table::new()
+    }
+
+    /// The keys of the system's own config tables, with what they mean:
+    /// [`SystemTables::keys`](crate::config::SystemTables::keys) has those of a struct that is
+    /// described. Of a system that does not say, errors and `kinegrad config explain` know less.
+    fn keys(&self) -> Vec<Key> {
+        Vec::new()
     }
 
     /// The system's own config tables with all defaults filled in; `place` maps a dotted key to its

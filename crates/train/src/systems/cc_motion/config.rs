@@ -7,6 +7,7 @@ use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph, must_suit};
 use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
@@ -16,7 +17,7 @@ use crate::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTa
 use crate::error::Error;
 
 /// The tables of this system.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CcMotionConfig {
     /// The initial checkpoints of fine-tuning.
@@ -46,7 +47,7 @@ impl SystemTables for CcMotionConfig {
 }
 
 /// The denoiser.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum CcMotionNetwork {
     /// The audio-conditioned UNet.
@@ -60,7 +61,7 @@ impl Default for CcMotionNetwork {
 }
 
 /// The table `init`: the initial checkpoints of fine-tuning.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitConfig {
     /// Run or checkpoint of the diffusion model, whose EMA weights, network, process and statistics
@@ -74,7 +75,7 @@ pub struct InitConfig {
 
 /// The table `init.pretrain`: how recipe `e2e` trains a base model and a decoder of its own where
 /// `init.diffusion` is empty.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PretrainConfig {
     /// Steps of recipe `diffusion`.
@@ -99,7 +100,7 @@ impl Default for PretrainConfig {
 }
 
 /// What a rollout stores for its backward pass.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutMode {
     /// One graph over all steps: memory grows with them.
@@ -112,7 +113,7 @@ pub enum RolloutMode {
 }
 
 /// The start of a rollout.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutStart {
     /// The batch's motion, noised to the start timestep. Except at the last timesteps it contains
@@ -125,7 +126,7 @@ pub enum RolloutStart {
 }
 
 /// The table `rollout`: the differentiable sampler.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RolloutConfig {
     /// DDIM steps K.
@@ -190,7 +191,7 @@ impl RolloutConfig {
 }
 
 /// Weighting of the reconstruction loss of each sample.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ReconstructionWeighting {
     /// By `abar` of its start timestep, the signal in the start state.
@@ -201,7 +202,7 @@ pub enum ReconstructionWeighting {
 }
 
 /// The table `loss` (CC-MotionGen, sections 7.1 and 7.4; docs/sources.md, section 1.8).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
     /// Weight of the diffusion loss, on normalised motion.
@@ -251,7 +252,7 @@ impl Default for LossConfig {
 }
 
 /// The audio condition of the samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CondSource {
     /// The audio features of the held-out phrases.
@@ -263,7 +264,7 @@ pub enum CondSource {
 }
 
 /// The table `evaluation`: the settings of `kinegrad eval`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluationConfig {
     /// Samples per held-out phrase; at least two are needed for same-phrase diversity.

@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use kinegrad_models::parameters;
 use kinegrad_motion::{Phrases, Representation};
+use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{
@@ -55,6 +56,10 @@ impl System for CcMotion {
 
     fn representations(&self) -> Vec<Box<dyn Representation>> {
         vec![Box::new(Phrases)]
+    }
+
+    fn keys(&self) -> Vec<Key> {
+        CcMotionConfig::keys()
     }
 
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {

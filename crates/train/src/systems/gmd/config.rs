@@ -10,6 +10,7 @@ use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::recipe_name::RecipeName;
@@ -17,7 +18,7 @@ use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdConfig {
     /// The initial checkpoint of fine-tuning.
@@ -35,7 +36,7 @@ pub struct GmdConfig {
 }
 
 /// The table `init`: the initial checkpoint of fine-tuning.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdInitConfig {
     /// Run or checkpoint of the same recipe, whose EMA weights, network, process, feature space and
@@ -44,7 +45,7 @@ pub struct GmdInitConfig {
 }
 
 /// The table `loss`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdLossConfig {
     /// For motion models without a projection: the first four channels (root rotation, x, z and
@@ -61,7 +62,7 @@ impl Default for GmdLossConfig {
 }
 
 /// The table `evaluation`: the settings of `kinegrad eval`, which takes goals from held-out clips.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdEvaluationConfig {
     /// Number of held-out clips, with one goal each.
@@ -86,7 +87,7 @@ impl Default for GmdEvaluationConfig {
 }
 
 /// The table `evaluation.evaluator`: files of the text-motion evaluator; empty without one.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluatorFiles {
     /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.

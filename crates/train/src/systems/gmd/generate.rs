@@ -19,7 +19,7 @@ use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
-use kinegrad_settings::{Refused, in_range, must_be_finite, must_be_tables, require};
+use kinegrad_settings::{Refused, in_range, in_words, must_be_finite, must_be_tables, require};
 use toml::Table;
 
 use super::GmdConfig;
@@ -27,7 +27,7 @@ use super::networks::{TrainedClips, channels_of};
 use super::recipe_name::RecipeName;
 use super::space::{FeatureSpace, GroundObjective};
 use crate::checkpoint::{State, Weights};
-use crate::config::{Config, PLAIN, SamplingConfig, SystemTables};
+use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -345,8 +345,12 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
         Error::usage(message, "docs/goals.md describes goals")
     };
     let text = read_text(path).map_err(|error| refused(&error))?;
-    let given: Table = text.parse().map_err(|error| refused(&error))?;
-    let goal: Goal = toml::from_str(&text).map_err(|error| refused(&error))?;
+    let no_goal = |error: toml::de::Error| {
+        let line = error.span().map_or(1, |span| line_of(&text, span.start));
+        refused(&format!("line {line}: {}", in_words(error.message())))
+    };
+    let given: Table = text.parse().map_err(no_goal)?;
+    let goal: Goal = toml::from_str(&text).map_err(no_goal)?;
     let read = Table::try_from(&goal).expect(PLAIN);
     must_be_finite(&given)
         .and_then(|()| must_be_tables(&given, &read))

@@ -18,6 +18,7 @@ mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation};
+use kinegrad_settings::Key;
 use toml::Table;
 
 pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
@@ -66,6 +67,10 @@ impl System for Gmd {
 
     fn defaults(&self, recipe: &RecipeInfo, given: &Table) -> Table {
         defaults::of_recipe(recipe, given)
+    }
+
+    fn keys(&self) -> Vec<Key> {
+        GmdConfig::keys()
     }
 
     fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {

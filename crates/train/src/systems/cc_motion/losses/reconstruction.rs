@@ -3,12 +3,13 @@
 
 use burn::tensor::{Tensor, s};
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{hemisphere, mean_frames};
 
 /// How the two quaternions of one rotation compare.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SignMatching {
     /// The nearer one of q and -q counts.

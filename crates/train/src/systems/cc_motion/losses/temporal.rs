@@ -24,6 +24,7 @@ use burn::tensor::{Bool, Tensor};
 use kinegrad_motion::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, QUATERNION, VELOCITY,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{hemisphere, mean_frames, sum_frames};
@@ -38,7 +39,7 @@ const WRAP: f64 = 0.5;
 const ROOT_EPS: f64 = 1e-12;
 
 /// Which drops of the phase count.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhaseLoss {
     /// Steps backwards: `max(0, -d)` where `d >= -0.5`. Larger drops are wraps, which are legal.
@@ -49,7 +50,7 @@ pub enum PhaseLoss {
 }
 
 /// The table `loss.temporal`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TemporalLossConfig {
     /// Weight of `velocity_coherence`.

@@ -1,0 +1,334 @@
+//! `kinegrad config explain`
+
+use std::fmt::Write as _;
+use std::process::ExitCode;
+
+use kinegrad_capture::prepare::Plan;
+use kinegrad_motion::goal::Goal;
+use kinegrad_train::Error;
+use kinegrad_train::system::{ConfigKey, toml_text};
+use kinegrad_train::systems::Systems;
+
+use super::nearest;
+use crate::args::ExplainArguments;
+
+/// A document with keys.
+struct Document {
+    title: &'static str,
+    about: &'static str,
+    keys: Vec<ConfigKey>,
+}
+
+const PAGE: &str = "\
+# Config keys
+
+Every key of a training config, of a plan for `kinegrad data prepare` and of a goal for
+`kinegrad sample --goal`: what it means, what it may hold, its default. Where recipes differ, the
+default says which. This page is written by the program itself (`kinegrad config explain --markdown`)
+from the types that read the files; `kinegrad config explain KEY` prints one key or one table.
+
+Units are in the names of keys (`_seconds`, `_frames`, `_metres`, `_steps`) or in what they mean.
+";
+
+/// Says what keys mean.
+pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode, Error> {
+    let mut documents = documents(systems);
+    if arguments.markdown {
+        documents
+            .iter_mut()
+            .for_each(|document| systems.find_ranges(&mut document.keys));
+        say!("{}", markdown(&documents).trim_end());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let Some(asked) = &arguments.key else {
+        for Document { title, keys, .. } in &documents {
+            say!("# {title}");
+            let plain = keys.iter().filter(|key| !key.key.values.is_table());
+            let mut lines: Vec<String> = plain
+                .map(|key| format!("{}: {}", key.key.name, key.key.meaning))
+                .collect();
+            lines.dedup();
+            say!("{}\n", lines.join("\n"));
+        }
+        return Ok(ExitCode::SUCCESS);
+    };
+    let asked = asked.replace("[]", "");
+    for document in &mut documents {
+        document.keys = chosen(&document.keys, &asked);
+        systems.find_ranges(&mut document.keys);
+    }
+    documents.retain(|document| !document.keys.is_empty());
+    if documents.is_empty() {
+        return Err(unknown(systems, &asked));
+    }
+    // A key of the configs is what is meant, unless a plan or a goal has more of that name.
+    let whole = |key: &ConfigKey| bare(&key.key.name) == asked;
+    if documents
+        .iter()
+        .any(|document| document.keys.iter().any(whole))
+    {
+        documents.retain(|document| document.keys.iter().any(whole));
+    }
+    let every = systems.recipes().count();
+    let texts = documents.iter().flat_map(|document| {
+        document
+            .keys
+            .iter()
+            .map(|key| explained(key, document.title, every))
+    });
+    say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn documents(systems: Systems<'_>) -> Vec<Document> {
+    let of_type = |keys: Vec<kinegrad_settings::Key>| {
+        let described = keys.into_iter().map(|key| ConfigKey {
+            defaults: match (&key.default, key.required || key.values.is_table()) {
+                (_, true) => Vec::new(),
+                (Some(default), false) => vec![(Vec::new(), toml_text(default))],
+                (None, false) => vec![(Vec::new(), "not set".to_owned())],
+            },
+            recipes: Vec::new(),
+            range: None,
+            key,
+        });
+        described.collect()
+    };
+    vec![
+        Document {
+            title: "training config",
+            about: "Read by `kinegrad train`; `--set table.key=value` overrides a key.",
+            keys: systems.keys(),
+        },
+        Document {
+            title: "plan of `kinegrad data prepare`",
+            about: "[dataset.md](dataset.md) describes how a dataset is prepared. Paths are relative \
+                    to the plan.",
+            keys: of_type(kinegrad_settings::keys_of::<Plan>()),
+        },
+        Document {
+            title: "goal of `kinegrad sample --goal`",
+            about: "[goals.md](goals.md) describes goals.",
+            keys: of_type(kinegrad_settings::keys_of::<Goal>()),
+        },
+    ]
+}
+
+/// The name of a key without the marks of lists.
+fn bare(name: &str) -> String {
+    name.replace("[]", "")
+}
+
+/// The key that is asked for, or the keys of that table, or those whose last part it is.
+fn chosen(keys: &[ConfigKey], asked: &str) -> Vec<ConfigKey> {
+    let with = |holds: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
+        keys.iter()
+            .filter(|key| holds(&bare(&key.key.name)))
+            .cloned()
+            .collect()
+    };
+    let below = format!("{asked}.");
+    let found = with(&|name| name == asked || name.starts_with(&below));
+    match found.is_empty() {
+        false => found,
+        true => with(&|name| name.rsplit('.').next() == Some(asked)),
+    }
+}
+
+fn unknown(systems: Systems<'_>, asked: &str) -> Error {
+    let documents = documents(systems);
+    let names: Vec<String> = documents
+        .iter()
+        .flat_map(|document| document.keys.iter().map(|key| bare(&key.key.name)))
+        .collect();
+    let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_owned();
+    let whole = nearest(asked, names.iter().map(String::as_str));
+    let near = whole.map(str::to_owned).or_else(|| {
+        let lasts: Vec<String> = names.iter().map(|name| last(name)).collect();
+        let near = nearest(&last(asked), lasts.iter().map(String::as_str))?;
+        names.iter().find(|name| last(name) == near).cloned()
+    });
+    let hint = match near {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => "`kinegrad config explain` lists every key".into(),
+    };
+    Error::usage(format!("there is no key or table `{asked}`"), hint)
+}
+
+/// Type and range of a key, in words.
+fn allowed(key: &ConfigKey) -> String {
+    let values = &key.key.values;
+    match &key.range {
+        Some(range) => {
+            let words = values.to_string();
+            // The range says it better.
+            let words = words.strip_suffix(", 0 or more").unwrap_or(&words);
+            format!("{words}, {range}")
+        }
+        None => values.to_string(),
+    }
+}
+
+/// The default, between two `quote`s, with the recipes in which it is another.
+fn default(key: &ConfigKey, quote: &str) -> String {
+    let quoted = |value: &str| match value {
+        "not set" => value.to_owned(),
+        value => format!("{quote}{value}{quote}"),
+    };
+    match key.defaults.as_slice() {
+        [] if key.key.required => "none: must be given".into(),
+        [] => String::new(),
+        [(_, one)] => quoted(one),
+        several => {
+            let each = several.iter();
+            let each =
+                each.map(|(recipes, value)| format!("{} ({})", quoted(value), recipes.join(", ")));
+            each.collect::<Vec<_>>().join("; ")
+        }
+    }
+}
+
+/// A key as the terminal shows it; there are `every` recipes.
+fn explained(key: &ConfigKey, document: &str, every: usize) -> String {
+    let mut text = format!("{}\n", key.key.name);
+    let _ = writeln!(text, "{}", wrapped(&key.key.meaning, "  "));
+    if key.key.values.is_table() {
+        return text;
+    }
+    let names = key.key.values.names();
+    if names.iter().any(|name| !name.meaning.is_empty()) {
+        let _ = writeln!(text, "  allowed:");
+        for name in names {
+            let line = format!("\"{}\": {}", name.name, name.meaning);
+            let _ = writeln!(text, "{}", wrapped(&line, "    "));
+        }
+    } else {
+        let _ = writeln!(
+            text,
+            "{}",
+            wrapped(&format!("allowed: {}", allowed(key)), "  ")
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{}",
+        wrapped(&format!("default: {}", default(key, "")), "  ")
+    );
+    let place = match &key.recipes[..] {
+        recipes if recipes.is_empty() || recipes.len() == every => document.to_owned(),
+        recipes => format!("{document}, recipe {}", recipes.join(", ")),
+    };
+    let place = match &key.key.only_with {
+        Some(with) => format!("{place}, with {with}"),
+        None => place,
+    };
+    let _ = writeln!(text, "{}", wrapped(&format!("in: {place}"), "  "));
+    text
+}
+
+/// `text` in lines of at most 100 columns, each indented.
+fn wrapped(text: &str, indent: &str) -> String {
+    let mut lines = vec![indent.to_owned()];
+    for word in text.split_whitespace() {
+        let line = lines.last_mut().expect("one at least");
+        if line.len() > indent.len() && line.len() + 1 + word.len() > 100 {
+            lines.push(format!("{indent}{word}"));
+        } else {
+            if line.len() > indent.len() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    lines.join("\n")
+}
+
+/// All keys as a page.
+fn markdown(documents: &[Document]) -> String {
+    let mut page = PAGE.to_owned();
+    for Document { title, about, keys } in documents {
+        let _ = write!(page, "\n## The {title}\n\n{about}\n");
+        for (table, group) in groups(keys) {
+            section(&mut page, keys, group[0], table);
+            for key in group {
+                let _ = writeln!(
+                    page,
+                    "| `{}` | {} | {} | {} |",
+                    key.key.name,
+                    cell(&key.key.meaning),
+                    cell(&choices(key)),
+                    cell(&default(key, "`")),
+                );
+            }
+        }
+    }
+    page
+}
+
+/// Keys of one table that are there under the same conditions, those of no table first.
+fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
+    let mut groups: Vec<(&str, Vec<&ConfigKey>)> = Vec::new();
+    for key in keys.iter().filter(|key| !key.key.values.is_table()) {
+        let table = key.key.name.rsplit_once('.').map_or("", |(table, _)| table);
+        let same = |first: &ConfigKey| {
+            first.key.only_with == key.key.only_with && first.recipes == key.recipes
+        };
+        match groups
+            .iter_mut()
+            .find(|(known, group)| *known == table && same(group[0]))
+        {
+            Some((_, group)) => group.push(key),
+            None => groups.push((table, vec![key])),
+        }
+    }
+    groups.sort_by_key(|(table, _)| !table.is_empty());
+    groups
+}
+
+/// The heading of a table of keys, and what it is.
+fn section(page: &mut String, keys: &[ConfigKey], key: &ConfigKey, table: &str) {
+    let of = match (&key.key.only_with, &key.recipes[..]) {
+        (Some(with), _) => format!(", with `{with}`"),
+        (None, recipes) if recipes.len() < longest(keys) => format!(" in {}", recipes.join(", ")),
+        _ => String::new(),
+    };
+    let named = match table {
+        "" => "At the top".to_owned(),
+        table => format!("`{table}`"),
+    };
+    let _ = write!(page, "\n### {named}{of}\n\n");
+    let about = keys.iter().find(|other| {
+        other.key.name.trim_end_matches("[]") == table.trim_end_matches("[]")
+            && (other.recipes == key.recipes || other.recipes.len() == longest(keys))
+    });
+    if let Some(about) = about.filter(|about| !about.key.meaning.is_empty()) {
+        let _ = write!(page, "{}\n\n", about.key.meaning);
+    }
+    page.push_str("| key | meaning | allowed | default |\n|---|---|---|---|\n");
+}
+
+/// The number of recipes that there are.
+fn longest(keys: &[ConfigKey]) -> usize {
+    keys.iter()
+        .map(|key| key.recipes.len())
+        .max()
+        .unwrap_or_default()
+}
+
+/// What a key may hold; names with what they mean.
+fn choices(key: &ConfigKey) -> String {
+    let names = key.key.values.names();
+    if names.iter().all(|name| name.meaning.is_empty()) {
+        return allowed(key);
+    }
+    let named = names.iter().map(|name| match name.meaning.as_str() {
+        "" => format!("`\"{}\"`", name.name),
+        meaning => format!("`\"{}\"`: {meaning}", name.name),
+    });
+    named.collect::<Vec<_>>().join("<br>")
+}
+
+/// Text for a cell of a Markdown table.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|")
+}

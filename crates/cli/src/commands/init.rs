@@ -1,0 +1,206 @@
+//! `kinegrad init`
+
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use kinegrad_train::Error;
+
+use super::nearest;
+use crate::args::InitArguments;
+
+/// The config of a `kinegrad train` that names none.
+pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
+
+/// What `init` writes unless asked for something else.
+const FIRST: &str = "quickstart";
+
+/// A file of the repository's folder `configs`.
+struct Template {
+    name: &'static str,
+    text: &'static str,
+}
+
+macro_rules! templates {
+    ($($name:literal),* $(,)?) => {
+        &[$(Template {
+            name: $name,
+            text: include_str!(concat!("../../../../configs/", $name, ".toml")),
+        }),*]
+    };
+}
+
+/// All of them, in the order in which they are listed.
+const TEMPLATES: &[Template] = templates![
+    "quickstart",
+    "phrases",
+    "decoder",
+    "e2e",
+    "e2e_quickstart",
+    "gmd_motion",
+    "gmd_trajectory",
+    "gmd_motion_tiny",
+    "gmd_trajectory_tiny",
+    "prepare",
+    "goal",
+];
+
+impl Template {
+    /// The first sentence of its comment.
+    fn purpose(&self) -> String {
+        let lines = self.text.lines().map_while(|line| line.strip_prefix("# "));
+        let paragraph = lines.collect::<Vec<_>>().join(" ");
+        let stops = paragraph.match_indices(". ").map(|(stop, _)| stop);
+        // Not that of "et al. 2023".
+        let mut ends = stops.filter(|stop| paragraph[stop + 2..].starts_with(char::is_uppercase));
+        let sentence = ends.next().map_or(&*paragraph, |end| &paragraph[..end]);
+        self.outside(
+            sentence.trim_end_matches(['.', ':']),
+            Path::new("prepare.toml"),
+        )
+    }
+
+    /// How to go on with the file.
+    fn command(&self, file: &Path) -> String {
+        let path = file.display();
+        match self.name {
+            "prepare" => format!("kinegrad data prepare {path}"),
+            "goal" => format!("kinegrad sample RUN --goal {path} --out walk"),
+            _ if file == Path::new(DEFAULT_CONFIG) => "kinegrad train".to_owned(),
+            _ => format!("kinegrad train {path}"),
+        }
+    }
+
+    /// `text` for a folder that is not the repository: there is no folder `configs`, the program
+    /// is installed, and what a plan names lies beside it.
+    fn outside(&self, text: &str, file: &Path) -> String {
+        let itself = format!("kinegrad train configs/{}.toml", self.name);
+        text.replace("cargo run --release -- ", "kinegrad ")
+            .replace(&itself, &self.command(file))
+            .replace(
+                "Takes about a minute on two cores after the build",
+                "Takes about a minute",
+            )
+            .replace("configs/", "")
+            .replace("\"../", "\"")
+    }
+
+    /// What is written to `file`.
+    fn contents(&self, file: &Path) -> String {
+        format!(
+            "# Written by `kinegrad init {}`. To go on: `{}`\n\
+             # `kinegrad config explain KEY` says what a key means.\n\n{}",
+            self.name,
+            self.command(file),
+            self.outside(self.text, file)
+        )
+    }
+}
+
+/// Writes a config that comes with the program.
+pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
+    if arguments.list {
+        for template in TEMPLATES {
+            say!("{:<20} {}", template.name, template.purpose());
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let name = arguments.name.as_deref();
+    let template = find(name.unwrap_or(FIRST))?;
+    let file = match (arguments.out, name) {
+        (Some(out), _) => out,
+        (None, Some(name)) => PathBuf::from(format!("{name}.toml")),
+        (None, None) => PathBuf::from(DEFAULT_CONFIG),
+    };
+    write_new(&file, &template.contents(&file))?;
+    say!("{}", file.display());
+    tell!("go on with `{}`", template.command(&file));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn find(name: &str) -> Result<&'static Template, Error> {
+    let found = TEMPLATES.iter().find(|template| template.name == name);
+    found.ok_or_else(|| {
+        let names: Vec<&str> = TEMPLATES.iter().map(|template| template.name).collect();
+        let hint = match nearest(name, names.iter().copied()) {
+            Some(near) => format!("did you mean `kinegrad init {near}`?"),
+            None => "`kinegrad init --list` says what each is for".into(),
+        };
+        let message = format!("there is no config `{name}`, allowed: {}", names.join(", "));
+        Error::usage(message, hint)
+    })
+}
+
+/// Writes a file that must not be there yet.
+fn write_new(file: &Path, text: &str) -> Result<(), Error> {
+    let opened = OpenOptions::new().write(true).create_new(true).open(file);
+    let mut new = opened.map_err(|error| match error.kind() {
+        ErrorKind::AlreadyExists => Error::usage(
+            format!("{} is there already", file.display()),
+            "remove it, or write another one with `--out FILE.toml`",
+        ),
+        _ => Error::io("write", file)(error),
+    })?;
+    new.write_all(text.as_bytes()).map_err(|error| {
+        // Nothing half-written is left.
+        let _ = std::fs::remove_file(file);
+        Error::io("write", file)(error)
+    })
+}
+
+/// The config of a training that names none.
+///
+/// # Errors
+/// If there is none in this folder.
+pub fn default_config() -> Result<PathBuf, Error> {
+    let path = PathBuf::from(DEFAULT_CONFIG);
+    match path.exists() {
+        true => Ok(path),
+        false => Err(Error::usage(
+            format!("no config is given, and there is no {DEFAULT_CONFIG} in this folder"),
+            "`kinegrad init` writes one; or name another: `kinegrad train CONFIG.toml`",
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_train::systems::BUILT_IN;
+
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_the_file_of_the_repository_with_paths_that_are_there() {
+        for template in TEMPLATES {
+            let file = PathBuf::from(format!("{}.toml", template.name));
+            let written = template.contents(&file);
+            for absent in ["configs/", "cargo run", "../"] {
+                assert!(!written.contains(absent), "{}: {absent}", template.name);
+            }
+            assert!(written.lines().all(|line| line.len() <= 110), "{written}");
+            assert!(template.purpose().len() > 20, "{}", template.purpose());
+            if !matches!(template.name, "prepare" | "goal") {
+                let read = BUILT_IN
+                    .parse(&written, template.name, &[])
+                    .expect("a config");
+                let own = BUILT_IN
+                    .parse(template.text, template.name, &[])
+                    .expect("a config");
+                assert_eq!(read, own);
+            }
+        }
+    }
+
+    #[test]
+    fn every_config_of_the_repository_can_be_written() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let files = std::fs::read_dir(folder)
+            .expect("the folder of configs")
+            .flatten();
+        for file in files.map(|entry| entry.path()) {
+            let name = file.file_stem().expect("a name").to_string_lossy();
+            assert!(find(&name).is_ok(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Plain words for what a deserialiser says.
+
+/// `message` of serde, such as "invalid type: string "many", expected u64", in the words of
+/// somebody who writes a document; other messages as they are.
+pub fn in_words(message: &str) -> String {
+    let message = message.trim().lines().next().unwrap_or_default();
+    if let Some(rest) = message.strip_prefix("missing field `") {
+        return format!("the key `{} is missing", rest.trim_end());
+    }
+    if let Some(rest) = message.strip_prefix("invalid length ")
+        && let Some((found, expected)) = rest.split_once(", expected ")
+    {
+        return format!("expected {}, found {found}", expected_in_words(expected));
+    }
+    let rest = ["invalid type: ", "invalid value: "]
+        .iter()
+        .find_map(|start| message.strip_prefix(start));
+    match rest.and_then(|rest| rest.rsplit_once(", expected ")) {
+        Some((found, expected)) => format!(
+            "expected {}, found {}",
+            expected_in_words(expected),
+            found_in_words(found)
+        ),
+        None => message.to_owned(),
+    }
+}
+
+fn expected_in_words(expected: &str) -> String {
+    let list = |length: &str| format!("a list of {length} values");
+    match expected {
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more".into(),
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".into(),
+        "f32" | "f64" => "a number".into(),
+        "a boolean" => "true or false".into(),
+        "a string" | "path string" | "a borrowed string" => "text in quotes".into(),
+        "string or table" => "one name in quotes".into(),
+        "a sequence" => "a list, in square brackets".into(),
+        "a map" => "a table".into(),
+        _ => {
+            let array = expected.strip_prefix("an array of length ");
+            let tuple = expected.strip_prefix("a tuple of size ");
+            if let Some(length) = array.or(tuple) {
+                return list(length);
+            }
+            let table = ["struct ", "internally tagged enum "];
+            match table.iter().any(|start| expected.starts_with(start)) {
+                true => "a table".into(),
+                false => expected.to_owned(),
+            }
+        }
+    }
+}
+
+fn found_in_words(found: &str) -> String {
+    for start in ["integer `", "floating point `", "boolean `"] {
+        if let Some(value) = found.strip_prefix(start) {
+            return value.trim_end_matches('`').to_owned();
+        }
+    }
+    if let Some(text) = found.strip_prefix("string ") {
+        return format!("the text {text}");
+    }
+    match found {
+        "sequence" => "a list".into(),
+        "map" => "a table".into(),
+        "unit value" => "nothing".into(),
+        _ => found.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn types_become_words() {
+        for (message, words) in [
+            (
+                "invalid type: string \"many\", expected u64",
+                "expected a whole number, 0 or more, found the text \"many\"",
+            ),
+            (
+                "invalid value: integer `-5`, expected usize",
+                "expected a whole number, 0 or more, found -5",
+            ),
+            (
+                "invalid type: floating point `1.5`, expected a boolean\n",
+                "expected true or false, found 1.5",
+            ),
+            (
+                "invalid type: string \"a, expected b\", expected f64",
+                "expected a number, found the text \"a, expected b\"",
+            ),
+            (
+                "invalid type: integer `3`, expected struct TrainConfig",
+                "expected a table, found 3",
+            ),
+            (
+                "invalid length 3, expected an array of length 2",
+                "expected a list of 2 values, found 3",
+            ),
+            ("missing field `output`", "the key `output` is missing"),
+            ("something else", "something else"),
+        ] {
+            assert_eq!(in_words(message), words);
+        }
+    }
+}

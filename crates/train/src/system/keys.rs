@@ -1,0 +1,461 @@
+//! Every key of the configs, with its meaning, values and defaults.
+
+use kinegrad_settings::{InvalidSetting, Key, Name, Values, keys_of};
+use serde_json::Value as Json;
+use toml::{Table, Value};
+
+use super::Systems;
+use crate::config::{Config, ConfigError, PLAIN, TrainConfig, apply};
+use crate::error::Error;
+
+/// A key of the configs of some recipes.
+#[derive(Clone, Debug)]
+pub struct ConfigKey {
+    /// What its type says.
+    pub key: Key,
+    /// The recipes that have it.
+    pub recipes: Vec<&'static str>,
+    /// The default, as TOML writes it, with the recipes in which it is that; `not set` of a key
+    /// that may be left out. None of tables.
+    pub defaults: Vec<(Vec<&'static str>, String)>,
+    /// What numbers are accepted, in words, if not all; [`Systems::find_ranges`] fills it in.
+    pub range: Option<String>,
+}
+
+/// What a default is called where there is none.
+const NOT_SET: &str = "not set";
+
+/// A recipe with one kind of network and all of its defaults.
+struct Variant {
+    recipe: &'static str,
+    /// What a config says to have it.
+    given: Table,
+    /// Every key.
+    whole: Table,
+}
+
+impl Variant {
+    /// Whether keys that need `only_with`, such as `model.kind = "unet1d"`, are there.
+    fn has(&self, only_with: Option<&str>) -> bool {
+        let Some((key, value)) = only_with.and_then(|with| with.split_once(" = ")) else {
+            return true;
+        };
+        value_at(&self.whole, key).is_some_and(|found| found.to_string() == value)
+    }
+}
+
+impl Systems<'_> {
+    /// Every key of the configs as its type describes it, with the recipes that have it.
+    pub(crate) fn described(self) -> Vec<(Key, Vec<&'static str>)> {
+        let every: Vec<&'static str> = self.recipes().map(|recipe| recipe.name).collect();
+        let mut described: Vec<(Key, Vec<&'static str>)> = Vec::new();
+        for mut key in keys_of::<Config>() {
+            if key.name == "train.recipe" {
+                key.values = names(&every);
+            }
+            described.push((key, every.clone()));
+        }
+        for system in self.0 {
+            let own: Vec<&'static str> =
+                system.recipes().iter().map(|recipe| recipe.name).collect();
+            for key in system.keys() {
+                match described.iter_mut().find(|(known, _)| *known == key) {
+                    Some((_, recipes)) => recipes.extend(&own),
+                    None => described.push((key, own.clone())),
+                }
+            }
+        }
+        described
+    }
+
+    /// Every key of the configs, table by table.
+    pub fn keys(self) -> Vec<ConfigKey> {
+        let variants = self.variants();
+        let mut order = Vec::new();
+        variants
+            .iter()
+            .for_each(|variant| flatten(&variant.whole, "", &mut order));
+        let place = |name: &str| {
+            order
+                .iter()
+                .position(|known| known == name)
+                .unwrap_or(usize::MAX)
+        };
+        let mut keys: Vec<ConfigKey> = self
+            .described()
+            .into_iter()
+            .map(|(key, recipes)| ConfigKey {
+                defaults: defaults(&key, &recipes, &variants),
+                key,
+                recipes,
+                range: None,
+            })
+            .collect();
+        // Tables as configs have them, each with its own keys before the tables in it.
+        keys.sort_by_key(|ConfigKey { key, .. }| {
+            let table = key.name.rsplit_once('.').map_or("", |(table, _)| table);
+            let home = if key.values.is_table() {
+                &key.name
+            } else {
+                table
+            };
+            let first = home.split('.').next().unwrap_or_default();
+            (
+                place(first),
+                first.to_owned(),
+                place(home),
+                home.to_owned(),
+                place(&key.name),
+            )
+        });
+        keys
+    }
+
+    /// Fills in the [range](ConfigKey::range) of each of `keys`: validation is asked, with configs
+    /// that it accepts but for a far too small or large number.
+    pub fn find_ranges(self, keys: &mut [ConfigKey]) {
+        let bases = self.bases();
+        for key in keys {
+            let ConfigKey {
+                key: described,
+                recipes,
+                ..
+            } = &*key;
+            let mine = bases.iter().filter(|base| {
+                recipes.contains(&base.recipe) && base.has(described.only_with.as_deref())
+            });
+            let probes = probes(&described.values);
+            let tried = mine.flat_map(|base| probes.iter().map(move |value| (base, value)));
+            let mut ranges = tried.filter_map(|(base, value)| {
+                let mut given = base.given.clone();
+                apply(&mut given, &format!("{}={value}", described.name)).ok()?;
+                let refused = self.refused(&given)?;
+                refused
+                    .key
+                    .starts_with(&described.name)
+                    .then_some(refused.allowed)
+            });
+            let range = ranges.next();
+            key.range = range;
+        }
+    }
+
+    /// Configs that are accepted, of every recipe, kind of network and kind of dataset.
+    fn bases(self) -> Vec<Variant> {
+        let keys = keys_of::<Config>();
+        let kinds = keys.iter().find(|key| key.name == "data.kind");
+        let kinds = kinds.map(|key| key.values.names()).unwrap_or_default();
+        let mut bases = Vec::new();
+        for variant in self.variants() {
+            for kind in kinds {
+                let data = format!(
+                    "data = {{ kind = \"{}\", source = \"DATASET\" }}",
+                    kind.name
+                );
+                let mut given = variant.given.clone();
+                given.extend(data.parse::<Table>().expect("TOML of this file"));
+                let config = self.read(&given, &|_| String::new());
+                if config.is_ok_and(|config| self.validate(&config).is_ok()) {
+                    let whole = variant.whole.clone();
+                    bases.push(Variant {
+                        given,
+                        whole,
+                        ..variant
+                    });
+                }
+            }
+        }
+        bases
+    }
+
+    /// The setting of a config that is refused.
+    fn refused(self, given: &Table) -> Option<InvalidSetting> {
+        let config = self.read(given, &|_| String::new()).ok()?;
+        match self.validate(&config) {
+            Err(Error::Setting(refused) | Error::Data(kinegrad_data::Error::Config(refused))) => {
+                Some(refused)
+            }
+            _ => None,
+        }
+    }
+
+    fn variants(self) -> Vec<Variant> {
+        let described = self.described();
+        let mut variants = Vec::new();
+        for recipe in self.recipes().map(|recipe| recipe.name) {
+            let kinds = described
+                .iter()
+                .find(|(key, recipes)| key.name == "model.kind" && recipes.contains(&recipe));
+            let kinds = kinds.map(|(key, _)| key.values.names()).unwrap_or_default();
+            let plain = format!("train.recipe = \"{recipe}\"\n");
+            let others = kinds
+                .iter()
+                .map(|kind| format!("{plain}model.kind = \"{}\"", kind.name));
+            for text in [plain.clone()].into_iter().chain(others) {
+                let given: Table = text.parse().expect("TOML of this file");
+                let Ok(config) = self.read(&given, &|_| String::new()) else {
+                    continue;
+                };
+                let whole = Table::try_from(config).expect(PLAIN);
+                // The default kind, by its name, is the first again.
+                if !variants.iter().any(|known: &Variant| known.whole == whole) {
+                    variants.push(Variant {
+                        recipe,
+                        given,
+                        whole,
+                    });
+                }
+            }
+        }
+        variants
+    }
+
+    /// `error` of the config `given` with what is known of its key.
+    pub(super) fn guided(self, error: ConfigError, given: &Table) -> ConfigError {
+        let named = given.get("train").and_then(|train| train.get("recipe"));
+        let recipe = named.and_then(Value::as_str).map(str::to_owned);
+        let recipe = recipe.unwrap_or(TrainConfig::default().recipe);
+        match error {
+            ConfigError::UnknownKey {
+                place,
+                key,
+                allowed,
+                hint,
+            } => ConfigError::UnknownKey {
+                hint: self.suggestion(&key, &recipe).unwrap_or(hint),
+                place,
+                key,
+                allowed,
+            },
+            ConfigError::Value {
+                place,
+                key,
+                message,
+                hint,
+            } if message.starts_with("expected") => {
+                let described = self.described().into_iter();
+                let mut mine = described.filter(|(known, recipes)| {
+                    known.name == key && recipes.contains(&recipe.as_str())
+                });
+                match (mine.next(), value_at(given, &key)) {
+                    (
+                        Some((
+                            Key {
+                                values: Values::Names(names),
+                                ..
+                            },
+                            _,
+                        )),
+                        Some(found),
+                    ) => {
+                        let names: Vec<&str> =
+                            names.iter().map(|name| name.name.as_str()).collect();
+                        crate::config::not_among(place, &key, &found.to_string(), &names)
+                    }
+                    (Some(_), _) => ConfigError::Value {
+                        hint: format!("`kinegrad config explain {key}` says what it means"),
+                        place,
+                        key,
+                        message,
+                    },
+                    (None, _) => ConfigError::Value {
+                        place,
+                        key,
+                        message,
+                        hint,
+                    },
+                }
+            }
+            other => other,
+        }
+    }
+
+    /// What may have been meant by the unknown `key` in a config of `recipe`, of other tables.
+    pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
+        let last = last(key);
+        let described = self.described();
+        let others = || {
+            described
+                .iter()
+                .filter(|(known, _)| !known.name.contains("[]"))
+        };
+        if let Some((known, recipes)) = others().find(|(known, _)| known.name == key) {
+            return match (&known.only_with, recipes.contains(&recipe)) {
+                (Some(with), true) => Some(format!("it is a key of `{with}`")),
+                (None, true) => None,
+                (_, false) => Some(format!(
+                    "it is a key of recipe {}; `train.recipe` is \"{recipe}\"",
+                    recipes.join(", ")
+                )),
+            };
+        }
+        let mut same: Vec<String> = others()
+            .filter(|(known, recipes)| known.name.ends_with(last) && recipes.contains(&recipe))
+            .filter(|(known, _)| self::last(&known.name) == last && !known.values.is_table())
+            .map(|(known, _)| format!("`{}`", known.name))
+            .collect();
+        same.dedup();
+        match same.split_last()? {
+            (one, []) => Some(format!("did you mean {one}?")),
+            (one, more) => Some(format!("did you mean {} or {one}?", more.join(", "))),
+        }
+    }
+}
+
+/// The last part of a dotted key.
+fn last(key: &str) -> &str {
+    key.rsplit('.').next().unwrap_or(key)
+}
+
+/// These names as what a key may hold.
+pub(crate) fn names(names: &[&str]) -> Values {
+    let name = |name: &&str| Name {
+        name: (*name).to_owned(),
+        meaning: String::new(),
+    };
+    Values::Names(names.iter().map(name).collect())
+}
+
+fn defaults(
+    key: &Key,
+    recipes: &[&'static str],
+    variants: &[Variant],
+) -> Vec<(Vec<&'static str>, String)> {
+    let mut defaults: Vec<(Vec<&'static str>, String)> = Vec::new();
+    if key.values.is_table() {
+        return defaults;
+    }
+    for variant in variants {
+        if !recipes.contains(&variant.recipe) || !variant.has(key.only_with.as_deref()) {
+            continue;
+        }
+        let value = match value_at(&variant.whole, &key.name) {
+            Some(value) => written(value),
+            None => key.default.as_ref().map_or(NOT_SET.to_owned(), toml_text),
+        };
+        match defaults.iter_mut().find(|(_, known)| *known == value) {
+            Some((recipes, _)) if recipes.contains(&variant.recipe) => {}
+            Some((recipes, _)) => recipes.push(variant.recipe),
+            None => defaults.push((vec![variant.recipe], value)),
+        }
+    }
+    defaults
+}
+
+/// JSON as TOML writes it.
+pub fn toml_text(json: &Json) -> String {
+    match json {
+        Json::Null => NOT_SET.to_owned(),
+        json => Value::try_from(json).map_or(NOT_SET.to_owned(), |value| written(&value)),
+    }
+}
+
+/// A value as TOML writes it, small numbers with an exponent.
+fn written(value: &Value) -> String {
+    match value {
+        Value::Float(number) => format!("{number:?}"),
+        value => value.to_string(),
+    }
+}
+
+/// The value of a dotted key.
+fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    match key.split_once('.') {
+        Some((name, rest)) => value_at(table.get(name)?.as_table()?, rest),
+        None => table.get(key),
+    }
+}
+
+/// All dotted keys, those of tables too, in their order.
+fn flatten(table: &Table, prefix: &str, names: &mut Vec<String>) {
+    for (name, value) in table {
+        let name = format!("{prefix}{name}");
+        if let Value::Table(inner) = value {
+            names.push(name.clone());
+            flatten(inner, &format!("{name}."), names);
+        } else {
+            names.push(name);
+        }
+    }
+}
+
+/// Values that a key of numbers may well refuse, as TOML writes them.
+fn probes(values: &Values) -> Vec<String> {
+    let numbers: &[&str] = match values {
+        Values::Count => &["0", "9223372036854775807"],
+        Values::Whole => &["-9223372036854775808", "0", "9223372036854775807"],
+        Values::Number => &["-1e300", "0.0", "1e300"],
+        Values::List(values, length) => {
+            let length = length.unwrap_or(1) as usize;
+            let repeated = |value: String| format!("[{}]", vec![value; length].join(", "));
+            return probes(values).into_iter().map(repeated).collect();
+        }
+        _ => &[],
+    };
+    numbers.iter().map(ToString::to_string).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::systems::BUILT_IN;
+
+    #[test]
+    fn every_key_of_every_resolved_config_is_described() {
+        let described = BUILT_IN.described();
+        for variant in BUILT_IN.variants() {
+            let mut names = Vec::new();
+            flatten(&variant.whole, "", &mut names);
+            assert!(names.len() > 80);
+            for name in names {
+                let known = described.iter().find(|(key, recipes)| {
+                    key.name == name
+                        && recipes.contains(&variant.recipe)
+                        && variant.has(key.only_with.as_deref())
+                });
+                let (key, _) = known.unwrap_or_else(|| panic!("{name} of {}", variant.recipe));
+                assert!(key.meaning.len() > 4, "{name}: {:?}", key.meaning);
+            }
+        }
+    }
+
+    #[test]
+    fn defaults_are_told_by_recipe() {
+        let keys = BUILT_IN.keys();
+        let of = |name: &str| {
+            &keys
+                .iter()
+                .find(|key| key.key.name == name)
+                .expect(name)
+                .defaults
+        };
+        assert_eq!(of("run.seed").len(), 1);
+        assert_eq!(of("run.seed")[0].1, "42");
+        assert_eq!(of("data.source")[0].1, "not set");
+        assert_eq!(of("lora.rank")[0].1, "8");
+        let steps = of("train.max_steps");
+        assert!(
+            steps.contains(&(vec!["gmd_trajectory"], "62500".into())),
+            "{steps:?}"
+        );
+    }
+
+    #[test]
+    fn ranges_are_those_of_the_validation() {
+        let keys = BUILT_IN.keys();
+        let range = |name: &str| {
+            let mut key = [keys
+                .iter()
+                .find(|key| key.key.name == name)
+                .expect(name)
+                .clone()];
+            BUILT_IN.find_ranges(&mut key);
+            key[0].range.clone()
+        };
+        assert_eq!(range("data.batch_size").as_deref(), Some("1 to 65536"));
+        assert_eq!(range("optim.betas").as_deref(), Some("0 to below 1"));
+        assert_eq!(range("lora.rank").as_deref(), Some("1 to 65536"));
+        assert_eq!(range("run.seed"), None);
+        assert_eq!(range("run.device"), None);
+    }
+}
