@@ -25,7 +25,7 @@ use kinegrad_train::config::{Config, ConfigError, SystemTables};
 use kinegrad_train::denoising::{HeldOut, Inputs};
 use kinegrad_train::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use kinegrad_train::run::{Material, Outcome, Setup};
-use kinegrad_train::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
+use kinegrad_train::sampling::{Contents, Drawn, Receiver, Record, Remark, Request, Subject};
 use kinegrad_train::systems::{BUILT_IN, RecipeInfo, System, Systems};
 use kinegrad_train::{Error, Loss, Measured, Observer, Recipe, StepKey};
 use serde::{Deserialize, Serialize};
@@ -347,7 +347,8 @@ impl System for Toy {
     ) -> Result<Option<Remark>, Error> {
         let radii: Vec<f32> = (0..request.count).map(|i| 0.6 + 0.2 * i as f32).collect();
         for (index, rows) in draw(subject, &radii, request.seed)?.into_iter().enumerate() {
-            let shape = vec![rows.len() / CHANNELS, CHANNELS];
+            let frames = rows.len() / CHANNELS;
+            let shape = vec![frames, CHANNELS];
             let values = Contents::Array {
                 shape,
                 values: rows,
@@ -355,6 +356,12 @@ impl System for Toy {
             receiver.drawn(Drawn {
                 name: format!("-{index}"),
                 files: vec![(".npy", values)],
+                record: Record {
+                    index,
+                    frames,
+                    fps: 30.0,
+                    ..Record::new(self.name(), subject, request.seed)
+                },
             })?;
         }
         Ok(None)

@@ -46,7 +46,7 @@ fn memory_stays_flat_over_200_sampler_calls() {
             &sampler,
             &ClipRange::None,
             key.at(index),
-            &mut |_, _, _| {},
+            &mut |_, _, _| std::ops::ControlFlow::Continue(()),
         );
         drawn.expect("a sample")
     };

@@ -21,4 +21,7 @@ pub enum Error {
         /// Sizes of its input.
         expected: Vec<usize>,
     },
+    /// The callback of the steps asked for an end.
+    #[error("sampling was stopped")]
+    Stopped,
 }

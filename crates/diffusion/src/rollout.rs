@@ -10,6 +10,8 @@
 //! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient from step
 //! to step (`gradient_decay`).
 
+use std::ops::ControlFlow;
+
 use burn::tensor::{GradientCheckpointingStrategy, Gradients, Tensor};
 
 use kinegrad_random::{Key, Purpose};
@@ -195,7 +197,7 @@ impl Rollout {
             path,
             &config,
             unused,
-            &mut |_, _, _| {},
+            &mut |_, _, _| ControlFlow::Continue(()),
         )
     }
 }

@@ -1,6 +1,6 @@
 //! Long calls: away from the interpreter's lock, with progress, ended by Ctrl-C.
 
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::ops::ControlFlow;
 
 use kinegrad_train::Error;
 use pyo3::prelude::*;
@@ -27,23 +27,9 @@ pub struct Progress {
     raised: Option<PyErr>,
 }
 
-/// What unwinds out of a computation that is to end.
-struct Ended;
-
 impl Progress {
-    /// Reports to `callback`, if there is one.
-    pub fn new(callback: Option<Py<PyAny>>) -> Self {
-        Self {
-            callback,
-            raised: None,
-        }
-    }
-
-    /// `done` steps of `total` are done, of a stage if there are several.
-    ///
-    /// # Panics
-    /// Unwinds to [`call_with`] where the computation is to end.
-    pub fn step(&mut self, stage: &str, done: usize, total: usize) {
+    /// `done` steps of `total` are done, of a stage if there are several; whether to go on.
+    pub fn step(&mut self, stage: &str, done: usize, total: usize) -> ControlFlow<()> {
         let told = Python::attach(|py| {
             py.check_signals()?;
             if let Some(callback) = &self.callback {
@@ -51,14 +37,17 @@ impl Progress {
             }
             Ok(())
         });
-        if let Err(raised) = told {
-            self.raised = Some(raised);
-            resume_unwind(Box::new(Ended));
+        match told {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(raised) => {
+                self.raised = Some(raised);
+                ControlFlow::Break(())
+            }
         }
     }
 }
 
-/// [`call`] of work that reports its progress.
+/// [`call`] of work that reports its progress to `callback`, if there is one.
 ///
 /// # Errors
 /// The exception of its error, or what ended it: `KeyboardInterrupt`, or what `callback` raised.
@@ -67,13 +56,14 @@ pub fn call_with<T: Send>(
     callback: Option<Py<PyAny>>,
     work: impl FnOnce(&mut Progress) -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    let mut progress = Progress::new(callback);
-    let done =
-        py.detach(|| threads::run(|| catch_unwind(AssertUnwindSafe(|| work(&mut progress)))));
-    match (done, progress.raised.take()) {
-        (Err(_), Some(raised)) => Err(raised),
-        (Err(panic), None) => resume_unwind(panic),
-        (Ok(done), _) => done.map_err(|error| exception(py, &error)),
+    let mut progress = Progress {
+        callback,
+        raised: None,
+    };
+    let done = py.detach(|| threads::run(|| work(&mut progress)));
+    match progress.raised {
+        Some(raised) => Err(raised),
+        None => done.map_err(|error| exception(py, &error)),
     }
 }
 

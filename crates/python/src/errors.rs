@@ -2,10 +2,14 @@
 
 use kinegrad_train::Error;
 use miette::Diagnostic;
+use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 /// The exception that stands for `error`, with its hint and the exit code of the command line.
 pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
+    if matches!(error, Error::Interrupted) {
+        return PyKeyboardInterrupt::new_err(());
+    }
     let hint = error.help().map(|hint| hint.to_string());
     let made = py
         .import("kinegrad.errors")
@@ -40,6 +44,7 @@ fn class(error: &Error) -> &'static str {
         | Error::Model(_) => "CheckpointError",
         Error::NotFinite { .. } | Error::SampleNotFinite { .. } => "NotFiniteError",
         Error::Io { .. } => "StorageError",
+        _ => "Error",
     }
 }
 

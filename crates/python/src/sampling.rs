@@ -11,7 +11,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
 use crate::arrays::array;
-use crate::calls::{Progress, call, call_with};
+use crate::calls::{Progress, call, call_with, json};
 use crate::runs::{Model, optional_checkpoint};
 
 /// What a sample is conditioned on, and how many are drawn.
@@ -34,9 +34,6 @@ pub struct Wanted {
 
 impl Wanted {
     fn request(&self) -> Result<Request, Error> {
-        if self.count == 0 {
-            return Err(Error::usage("`count` is 0", "ask for at least one sample"));
-        }
         Ok(Request {
             conditions: Conditions {
                 source: self.source.clone(),
@@ -66,6 +63,12 @@ impl Drawn {
     #[getter]
     fn name(&self) -> String {
         self.0.name.clone()
+    }
+
+    /// How it was made, as JSON.
+    #[getter]
+    fn record(&self) -> String {
+        json(&self.0.record)
     }
 
     /// Its arrays by the ending of their files; the motion itself is `.npy`.
@@ -109,12 +112,17 @@ impl Drawn {
 /// Collects samples.
 struct Collector<'a> {
     progress: &'a mut Progress,
+    ended: bool,
     drawn: Vec<Drawn>,
 }
 
 impl Receiver for Collector<'_> {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
-        self.progress.step(stage, done, all);
+        self.ended |= self.progress.step(stage, done, all).is_break();
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.ended
     }
 
     fn drawn(&mut self, drawn: sampling::Drawn) -> Result<(), Error> {
@@ -137,12 +145,12 @@ pub fn sample(
         while_it_is_trained(|| {
             let request = wanted.request()?;
             let subject = model.open()?;
-            let (system, _) = BUILT_IN.of(&subject.config)?;
             let mut collector = Collector {
                 progress: &mut *progress,
+                ended: false,
                 drawn: Vec::new(),
             };
-            system.sample(&subject, &request, &mut collector)?;
+            sampling::sample(BUILT_IN, &subject, &request, &mut collector)?;
             Ok(collector.drawn)
         })
     })

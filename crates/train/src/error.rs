@@ -36,7 +36,11 @@ pub enum Error {
     /// The diffusion process or a sampler is set up wrongly.
     #[error(transparent)]
     #[diagnostic(transparent)]
-    Diffusion(#[from] kinegrad_diffusion::Error),
+    Diffusion(kinegrad_diffusion::Error),
+    /// Sampling was asked to stop.
+    #[error("interrupted: what was not finished is not written")]
+    #[diagnostic(help("samples that were written before are complete"))]
+    Interrupted,
     /// An emphasis projection cannot be made.
     #[error(transparent)]
     #[diagnostic(transparent)]
@@ -189,6 +193,15 @@ fn io_hint(source: &std::io::Error) -> &'static str {
     }
 }
 
+impl From<kinegrad_diffusion::Error> for Error {
+    fn from(error: kinegrad_diffusion::Error) -> Self {
+        match error {
+            kinegrad_diffusion::Error::Stopped => Self::Interrupted,
+            error => Self::Diffusion(error),
+        }
+    }
+}
+
 impl Error {
     /// Wraps an error of the file system.
     pub fn io(
@@ -212,11 +225,12 @@ impl Error {
     }
 
     /// The exit code of a program that ends with this error: 1 when the run failed, 2 when what
-    /// it was given is wrong.
+    /// it was given is wrong, 130 when it was interrupted.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::NotFinite { .. } | Self::SampleNotFinite { .. } | Self::Io { .. } => 1,
             Self::Data(error) if error.is_failure() => 1,
+            Self::Interrupted => 130,
             _ => 2,
         }
     }

@@ -1,5 +1,6 @@
 //! Evaluating trained models: requests, and results that reports show side by side.
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use serde_json::Value;
@@ -21,8 +22,9 @@ pub struct EvaluationRequest {
 /// A validated evaluation, to be called with a progress callback.
 pub type Evaluate<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Evaluated, Error> + 'a>;
 
-/// Progress callback: stage, denoising steps done and in total.
-pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) + 'a;
+/// Progress callback: stage, denoising steps done and in total. `Break` ends with
+/// [`Error::Interrupted`].
+pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) -> ControlFlow<()> + 'a;
 
 /// Results of the evaluation of one run.
 #[derive(Clone, Debug)]

@@ -7,6 +7,7 @@
 //! Generating motion from a trained run:
 //!
 //! ```no_run
+//! use std::ops::ControlFlow;
 //! use std::path::Path;
 //!
 //! use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
@@ -21,7 +22,7 @@
 //!     let audio = kinegrad_data::load_audio(Path::new("features.npz"))?;
 //!     let mut sampling = generator.config().sampling.clone();
 //!     sampling.sampler.num_inference_steps = 50;
-//!     let samples = generator.sample(&[audio], &sampling, 0, &mut |_, _| {})?;
+//!     let samples = generator.sample(&[audio], &sampling, 0, &mut |_, _| ControlFlow::Continue(()))?;
 //!     println!("{} frames", samples[0].motion.frames());
 //!     Ok(())
 //! }

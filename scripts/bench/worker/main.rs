@@ -252,7 +252,7 @@ impl Work for Sampling {
             &self.sampler,
             &ClipRange::None,
             Key::new(0, Purpose::Noise), // no noise is drawn: eta is 0
-            &mut |_, _, _| {},
+            &mut |_, _, _| std::ops::ControlFlow::Continue(()),
         )?;
         Ok(Done {
             sample: Some(drawn),

@@ -81,7 +81,10 @@ fn golden_ddim_sampling(golden: Golden) {
                 sampler,
                 &clip,
                 key,
-                &mut |_, _, x| states.push(x.clone()),
+                &mut |_, _, x| {
+                    states.push(x.clone());
+                    std::ops::ControlFlow::Continue(())
+                },
             )
             .expect("a sample")
         };

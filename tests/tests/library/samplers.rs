@@ -73,6 +73,7 @@ fn every_state_is_that_of_diffusers() {
                     &mut |_, _, x| {
                         let state = x.to_data().try_to_vec::<f32>();
                         found.extend(state.expect("float32"));
+                        std::ops::ControlFlow::Continue(())
                     },
                 )
                 .expect("a sample");

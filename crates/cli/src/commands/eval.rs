@@ -1,5 +1,6 @@
 //! `kinegrad eval`
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -49,7 +50,8 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
     for (subject, evaluate) in subjects.iter().zip(evaluations) {
         let bar = Denoising::of(&subject.config.run.name);
         evaluated.push(evaluate(&mut |stage, done, all| {
-            bar.show(stage, done, all)
+            bar.show(stage, done, all);
+            ControlFlow::Continue(())
         })?);
         bar.finish();
     }

@@ -9,7 +9,9 @@ use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
+use kinegrad_train::sampling::{
+    self, Conditions, Contents, Drawn, Receiver, Remark, Request, Subject,
+};
 use kinegrad_train::systems::Systems;
 
 use crate::args::{DrawArguments, SampleArguments};
@@ -39,12 +41,6 @@ pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Res
 }
 
 fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
-    if arguments.count == 0 {
-        return Err(Error::usage(
-            "`--count` is 0",
-            "ask for at least one sample",
-        ));
-    }
     let mut files = Files::new(&arguments.out)?;
     let subject = subject(systems, &arguments.run, &arguments.draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
@@ -64,8 +60,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         frames: arguments.frames,
         seed: arguments.seed,
     };
-    let (system, _) = systems.of(&subject.config)?;
-    let remark = system.sample(&subject, &request, &mut files)?;
+    let remark = sampling::sample(systems, &subject, &request, &mut files)?;
     say_remark(remark);
     Ok(ExitCode::SUCCESS)
 }

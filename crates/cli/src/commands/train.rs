@@ -8,7 +8,7 @@ use std::time::Instant;
 use kinegrad_report::facts;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
-use kinegrad_train::sampling::{Conditions, Remark, Request};
+use kinegrad_train::sampling::{self, Conditions, Remark, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
@@ -124,11 +124,10 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<SamplesAtEnd,
     };
     let folder = outcome.folder.join(SAMPLES);
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES);
-    let (system, _) = systems.of(&subject.config)?;
     remove(&unfinished)?;
     fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;
     let mut files = Files::silent(&unfinished);
-    let remark = system.sample(&subject, &request, &mut files)?;
+    let remark = sampling::sample(systems, &subject, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
     Ok(SamplesAtEnd {
         count: files.written(),

@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::step::{Alphas, coefficients};
-use super::{NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig};
+use super::{NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig, go_on};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -31,7 +31,7 @@ pub fn ddim(
         let noise = (config.eta > 0.0 && path.stays_noisy(index))
             .then(|| keys.noise(index, None, &prediction.x_t));
         x = ddim_step(diffusion, &prediction, now, &next, noise, config);
-        on_step(index + 1, path.len(), &x);
+        go_on(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }

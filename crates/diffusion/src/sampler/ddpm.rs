@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{NoiseKeys, OnStep, Path, Posterior, Predict, Prediction};
+use super::{NoiseKeys, OnStep, Path, Posterior, Predict, Prediction, go_on};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), steered where
@@ -34,7 +34,7 @@ pub fn ddpm(
             .filter(|steered| steered.imputation.is_some())
             .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
         x = ddpm_step(diffusion, &prediction, now, &next, noise, imputation_noise);
-        on_step(index + 1, path.len(), &x);
+        go_on(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }

@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::{OnStep, Path, Predict};
+use super::{OnStep, Path, Predict, go_on};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
@@ -70,7 +70,7 @@ pub fn dpmpp_2m(
         let (kept, gained) = (per_sample(&kept, &x_t), per_sample(&gained, &corrected));
         x = x_t * kept + corrected * gained;
         before = Some((x_start, now));
-        on_step(index + 1, path.len(), &x);
+        go_on(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }

@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::level::Level;
-use super::{OnStep, Path, Predict};
+use super::{OnStep, Path, Predict, go_on};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
@@ -49,7 +49,7 @@ pub fn heun(
         let euler = x_t.clone() * kept + x_start.clone() * gained;
         let Some(timesteps) = landings.into_iter().collect::<Option<Vec<usize>>>() else {
             x = euler;
-            on_step(index + 1, path.len(), &x);
+            go_on(on_step(index + 1, path.len(), &x))?;
             continue;
         };
 
@@ -68,7 +68,7 @@ pub fn heun(
         let second = slope(there.x_t, there.x_start, &|_, next| *next);
         let carried = of(&|now, next| next.alpha / now.alpha, &x_t);
         x = x_t * carried + first + second;
-        on_step(index + 1, path.len(), &x);
+        go_on(on_step(index + 1, path.len(), &x))?;
     }
     Ok(x)
 }

@@ -23,6 +23,8 @@ mod prediction;
 mod spacing;
 mod step;
 
+use std::ops::ControlFlow;
+
 use burn::tensor::Tensor;
 
 pub use clip::ClipRange;
@@ -42,8 +44,16 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use crate::{Denoiser, DiffusionConfig, Error, GaussianDiffusion, Time, guided};
 
 /// Callback after each step: the number of steps done, starting from 1, the total number of steps,
-/// and the new state `[batch, channels, time]`.
-pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) + 'a;
+/// and the new state `[batch, channels, time]`. `Break` ends the sampler with [`Error::Stopped`].
+pub type OnStep<'a> = dyn FnMut(usize, usize, &Tensor<3>) -> ControlFlow<()> + 'a;
+
+/// The error of a sampler whose callback asked it to stop.
+pub(crate) fn go_on(flow: ControlFlow<()>) -> Result<(), Error> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Stopped),
+    }
+}
 
 /// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).

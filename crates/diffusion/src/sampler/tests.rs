@@ -100,7 +100,7 @@ fn try_run<D: Denoiser>(
     config: &SamplerConfig,
     key: Key,
 ) -> Result<Tensor<3>, Error> {
-    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
     sample(
         diffusion,
         denoiser,
@@ -213,7 +213,7 @@ fn a_sample_does_not_depend_on_its_batch() {
         ..Default::default()
     };
     let both = run(&diffusion, &Waves, &(), &config, key(5));
-    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
     let first = normal(1).narrow(0, 0, 1);
     let alone = sample(
         &diffusion,
@@ -237,7 +237,7 @@ fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
     };
     let draw = |start: Tensor<3>, keys: &[Key]| {
         let (clip, keys) = (ClipRange::None, NoiseKeys::Samples(keys));
-        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
         sample(&diffusion, &Waves, start, &(), &config, &clip, keys, ignore).unwrap()
     };
     let both = draw(normal(1), &[key(5), key(6)]);
@@ -273,6 +273,7 @@ fn on_step_sees_every_state_and_the_last_is_the_sample() {
     let mut seen = Vec::new();
     let on_step = &mut |step: usize, total: usize, x: &Tensor<3>| {
         seen.push((step, total, x.to_data()));
+        ControlFlow::Continue(())
     };
     let clip = ClipRange::Symmetric(1.0);
     let x = sample(
@@ -295,6 +296,42 @@ fn on_step_sees_every_state_and_the_last_is_the_sample() {
 }
 
 #[test]
+fn on_step_can_stop_every_sampler() {
+    let diffusion = process(50, PredictionType::Epsilon);
+    for kind in [
+        SamplerKind::Ddim,
+        SamplerKind::Ddpm,
+        SamplerKind::Dpmpp2m,
+        SamplerKind::Heun,
+    ] {
+        let config = SamplerConfig {
+            kind,
+            num_inference_steps: 7,
+            ..Default::default()
+        };
+        let mut last = 0;
+        let stopped = sample(
+            &diffusion,
+            &Waves,
+            normal(1),
+            &(),
+            &config,
+            &ClipRange::None,
+            key(1),
+            &mut |step, _, _| {
+                last = step;
+                match step {
+                    3 => ControlFlow::Break(()),
+                    _ => ControlFlow::Continue(()),
+                }
+            },
+        );
+        assert!(matches!(stopped, Err(Error::Stopped)), "{kind:?}");
+        assert_eq!(last, 3, "{kind:?}");
+    }
+}
+
+#[test]
 fn the_clipped_motion_is_what_the_last_step_lands_on() {
     let diffusion = process(50, PredictionType::Epsilon);
     let clip = ClipRange::PerChannel {
@@ -307,7 +344,7 @@ fn the_clipped_motion_is_what_the_last_step_lands_on() {
             final_alpha: FinalAlpha::One,
             ..Default::default()
         };
-        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+        let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
         let x = sample(
             &diffusion,
             &Waves,
@@ -347,7 +384,7 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
 #[test]
 fn what_does_not_fit_is_an_error() {
     let diffusion = process(50, PredictionType::Epsilon);
-    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| {};
+    let ignore = &mut |_: usize, _: usize, _: &Tensor<3>| ControlFlow::Continue(());
     let good = SamplerConfig::default();
     let many = SamplerConfig {
         num_inference_steps: 51,

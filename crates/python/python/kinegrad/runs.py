@@ -16,6 +16,7 @@ from ._progress import Bar, ProgressArgument, reporting
 from ._settings import Path as PathArgument
 from ._settings import overrides as as_overrides
 from .data import Dataset
+from .errors import UsageError
 
 __all__ = ["Run", "Sample", "StepReport", "train"]
 
@@ -71,6 +72,12 @@ class Sample:
         return self._arrays.get(".path.npy")
 
     @property
+    def record(self) -> dict[str, Any]:
+        """How it was made: run, checkpoint, seed, sampler, condition."""
+        record: dict[str, Any] = json.loads(self._drawn.record)
+        return record
+
+    @property
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """All of its arrays by the ending of their files."""
         return dict(self._arrays)
@@ -83,8 +90,6 @@ class Sample:
         """
         text = self._drawn.bvh()
         if text is None:
-            from .errors import UsageError
-
             raise UsageError("the sample has no skeleton to write as BVH", None)
         return text
 
@@ -207,10 +212,6 @@ class Run:
             goals = [goal]  # type: ignore[list-item]
         else:
             goals = list(goal)
-        if start != 0.0 and audio is None:
-            from .errors import UsageError
-
-            raise UsageError("`start` without `audio`", "name the song that the motion starts in")
         wanted = {
             "source": source,
             "phrase": phrase,

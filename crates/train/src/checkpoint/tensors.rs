@@ -8,6 +8,7 @@ use kinegrad_data::file::regular;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
 use safetensors::tensor::Metadata;
 use safetensors::{Dtype, SafeTensors, View};
+use serde::{Deserialize, Serialize};
 
 use super::are_finite;
 use super::state::{State, file_of, sha256, sha256_of};
@@ -16,7 +17,8 @@ use crate::memory;
 use crate::optim::Moments;
 
 /// Which weights of a checkpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Weights {
     /// Those being trained.
     Model,

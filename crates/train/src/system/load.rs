@@ -157,13 +157,15 @@ impl Systems<'_> {
         weights: Weights,
         device: Option<&str>,
     ) -> Result<Subject, Error> {
-        let saved = self.completed(&State::read(path)?.config)?;
+        let state = State::read(path)?;
+        let saved = self.completed(&state.config)?;
         let config = self.override_trained(&saved, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = crate::device::open(device.unwrap_or(&config.run.device))?;
         Ok(Subject {
             checkpoint: path.to_path_buf(),
+            step: state.step,
             config,
             weights,
             device,

@@ -1,5 +1,6 @@
 //! Generating phrases from a checkpoint.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use burn::module::Module;
@@ -101,13 +102,13 @@ impl Generator {
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
-    /// If the sampler's settings are invalid.
+    /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
     pub fn sample(
         &self,
         conditions: &[AudioFeatures],
         sampling: &SamplingConfig,
         seed: u64,
-        on_step: &mut dyn FnMut(usize, usize),
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Vec<Sample>, Error> {
         let mut samples = Vec::with_capacity(conditions.len());
         let conditions = conditions.iter().cloned();
@@ -128,7 +129,7 @@ impl Generator {
         mut conditions: impl ExactSizeIterator<Item = AudioFeatures>,
         sampling: &SamplingConfig,
         seed: u64,
-        on_step: &mut dyn FnMut(usize, usize),
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
         take: &mut dyn FnMut(Sample) -> Result<(), Error>,
     ) -> Result<(), Error> {
         let key = Key::new(seed, Purpose::Sampling);

@@ -4,15 +4,21 @@ use std::cell::RefCell;
 use std::iter::repeat_n;
 use std::path::Path;
 
-use kinegrad_data::{AudioFeatures, DataKind, Dataset, Phrase, load_audio};
+use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
+use kinegrad_motion::phrase::FPS;
+use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
 
+use super::CcMotion;
 use super::evaluate::phrase_seed;
 use super::generate::{Generator, Sample, must_fit};
 use crate::config::Config;
 use crate::error::Error;
-use crate::sampling::{Conditions, Contents, Drawn, Receiver, Remark, Request, Subject};
+use crate::sampling::{
+    Condition, Conditions, Contents, Drawn, Receiver, Record, Remark, Request, Subject,
+};
 use crate::song::song_features;
+use crate::system::System as _;
 
 /// What to do where samples do not fit into memory.
 const HINT: &str = "draw shorter ones (`--frames`), or fewer";
@@ -34,8 +40,8 @@ pub(super) fn sample(
     if let Some(count) = request.conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver).map(Some);
     }
-    let conditions = conditions(request, &subject.config)?;
-    let lengths = conditions.iter().map(|(_, condition)| condition.frames());
+    let conditions = conditions(request, &subject.config, receiver)?;
+    let lengths = conditions.iter().map(|heard| heard.audio.frames());
     must_fit(
         subject,
         request.count,
@@ -44,25 +50,30 @@ pub(super) fn sample(
     )?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
-    for (id, condition) in conditions {
+    for heard in conditions {
         let mut index = 0;
         let stem = match several {
-            true => format!("-{id}"),
+            true => format!("-{}", heard.name),
             false => String::new(),
         };
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
-            repeat_n(condition, request.count),
+            repeat_n(heard.audio, request.count),
             &subject.config.sampling,
-            phrase_seed(request.seed, &id),
-            &mut |done, all| receiver.borrow_mut().stepped("", done, all),
+            phrase_seed(request.seed, &heard.name),
+            &mut |done, all| receiver.borrow_mut().advance("", done, all),
             &mut |sample| {
                 let name = match request.count {
                     1 => stem.clone(),
                     _ => format!("{stem}-{index:03}"),
                 };
+                let record = Record {
+                    index,
+                    condition: heard.condition.clone(),
+                    ..record(subject, request.seed, &sample)
+                };
                 index += 1;
-                receiver.borrow_mut().drawn(drawn(name, sample))
+                receiver.borrow_mut().drawn(drawn(name, sample, record))
             },
         )?;
     }
@@ -85,13 +96,18 @@ fn for_held_out(
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;
     let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {
-        receiver.stepped("", done, all);
+        receiver.advance("", done, all)
     })?;
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
-    for (phrase, sample) in chosen.iter().zip(samples) {
+    for (index, (phrase, sample)) in chosen.iter().zip(samples).enumerate() {
         rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
-        receiver.drawn(drawn(phrase.id.clone(), sample))?;
+        let record = Record {
+            index,
+            condition: of_item(&phrase.id, &subject.config.data),
+            ..record(subject, seed, &sample)
+        };
+        receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
     }
     Ok(Remark::Table(rows))
 }
@@ -113,7 +129,26 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
     ])
 }
 
-fn drawn(name: String, sample: Sample) -> Drawn {
+/// What every sample's record says.
+fn record(subject: &Subject, seed: u64, sample: &Sample) -> Record {
+    Record {
+        frames: sample.motion.frames(),
+        fps: FPS,
+        post_processing: Some(PostProcessConfig::default()),
+        ..Record::new(CcMotion.name(), subject, seed)
+    }
+}
+
+/// The condition of an item of a dataset.
+fn of_item(id: &str, data: &DataConfig) -> Condition {
+    Condition {
+        item: Some(id.to_string()),
+        source: data.source.clone(),
+        ..Condition::default()
+    }
+}
+
+fn drawn(name: String, sample: Sample, record: Record) -> Drawn {
     let array = |motion: Motion| Contents::Array {
         shape: vec![motion.frames(), CHANNELS],
         values: motion.into_vec(),
@@ -124,44 +159,64 @@ fn drawn(name: String, sample: Sample) -> Drawn {
             (".npy", array(sample.motion)),
             (".raw.npy", array(sample.raw)),
         ],
+        record,
     }
 }
 
-/// The conditions by name, cut to the requested number of frames.
-fn conditions(request: &Request, config: &Config) -> Result<Vec<(String, AudioFeatures)>, Error> {
+/// An audio condition.
+struct Heard {
+    /// What stands for it in file names, and in the seed of its noise.
+    name: String,
+    audio: AudioFeatures,
+    condition: Condition,
+}
+
+/// The conditions, cut to the requested number of frames.
+fn conditions(
+    request: &Request,
+    config: &Config,
+    receiver: &mut dyn Receiver,
+) -> Result<Vec<Heard>, Error> {
     let Conditions {
         audio_features,
         song,
         ..
     } = &request.conditions;
     let found = match (audio_features, song) {
-        (Some(path), _) => vec![("cond".to_string(), load_audio(path)?)],
+        (Some(path), _) => vec![Heard {
+            name: "cond".to_string(),
+            audio: load_audio(path)?,
+            condition: Condition {
+                audio_features: Some(path.clone()),
+                ..Condition::default()
+            },
+        }],
         (None, Some(song)) => vec![of_song(song, request, config)?],
-        (None, None) => of_phrases(&request.conditions, config)?,
+        (None, None) => of_phrases(&request.conditions, config, receiver)?,
     };
     let Some(frames) = request.frames else {
         return Ok(found);
     };
-    let cut = |(id, audio): (String, AudioFeatures)| {
+    let cut = |heard: Heard| {
+        let Heard { name, audio, .. } = &heard;
         if frames == 0 || frames > audio.frames() {
             let message = format!(
-                "`--frames` is {frames}, the condition `{id}` has {} frames",
+                "`--frames` is {frames}, the condition `{name}` has {} frames",
                 audio.frames()
             );
             return Err(Error::usage(message, "ask for 1 up to that many"));
         }
-        Ok((id, audio.slice(0..frames)))
+        Ok(Heard {
+            audio: audio.slice(0..frames),
+            ..heard
+        })
     };
     found.into_iter().map(cut).collect()
 }
 
 /// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
-fn of_song(
-    song: &Path,
-    request: &Request,
-    config: &Config,
-) -> Result<(String, AudioFeatures), Error> {
+fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Error> {
     let audio = AudioFeatures::from(&song_features(song)?.1);
     let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
@@ -177,13 +232,22 @@ fn of_song(
     let start = start.round() as usize;
     let most = request.frames.unwrap_or(config.data.target_frames);
     let end = audio.frames().min(start + most.max(1));
-    Ok((name.into_owned(), audio.slice(start..end)))
+    Ok(Heard {
+        name: name.into_owned(),
+        audio: audio.slice(start..end),
+        condition: Condition {
+            song: Some(song.to_path_buf()),
+            start: Some(begins),
+            ..Condition::default()
+        },
+    })
 }
 
 fn of_phrases(
     conditions: &Conditions,
     config: &Config,
-) -> Result<Vec<(String, AudioFeatures)>, Error> {
+    receiver: &mut dyn Receiver,
+) -> Result<Vec<Heard>, Error> {
     let mut data = config.data.clone();
     if let Some(source) = &conditions.source {
         data.kind = DataKind::Phrases;
@@ -211,8 +275,20 @@ fn of_phrases(
         let hint = "`kinegrad data inspect URI` lists the phrases";
         return Err(Error::usage(message, hint));
     }
+    if conditions.item.is_none() {
+        let side = match dataset.validation.is_empty() {
+            true => "training phrase",
+            false => "held-out phrase",
+        };
+        let id = &found[0].id;
+        receiver.note(&format!("no condition given: using {side} {id}"));
+    }
     let found = found.into_iter();
     Ok(found
-        .map(|phrase| (phrase.id.clone(), phrase.audio.clone()))
+        .map(|phrase| Heard {
+            name: phrase.id.clone(),
+            audio: phrase.audio.clone(),
+            condition: of_item(&phrase.id, &data),
+        })
         .collect())
 }

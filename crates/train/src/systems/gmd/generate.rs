@@ -5,6 +5,7 @@
 //! guidance in every frame. Rotation and height are not constrained.
 
 use std::fmt::Display;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use burn::module::Module;
@@ -197,7 +198,7 @@ impl ClipGenerator {
         frames: usize,
         sampling: &SamplingConfig,
         key: Key,
-        on_step: &mut dyn FnMut(usize, usize),
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Tensor<3>, Error> {
         if let Some(most) = self.longest {
             in_range("frames", frames, 1..=most).hint(

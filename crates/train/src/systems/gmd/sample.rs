@@ -11,6 +11,7 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use kinegrad_settings::{Refused, in_range};
 
+use super::Gmd;
 use super::evaluate::embedding;
 use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal};
 use super::networks::footprint;
@@ -18,7 +19,10 @@ use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::sampling::{Contents, Drawn, Receiver, Remark, Request, Subject};
+use crate::sampling::{
+    Condition, Contents, Drawn, Receiver, Record, Remark, Request, SamplerRecord, Subject,
+};
+use crate::system::System as _;
 
 /// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path
 /// of a trajectory model. Returns how near the goals the clips have come.
@@ -58,6 +62,9 @@ pub(super) fn sample(
         );
         return Err(Error::usage("`--frames` with `--goal`", hint));
     }
+    if conditions.is_empty() {
+        receiver.note("no condition given: drawing without a text and without a goal");
+    }
     let text = conditions.text_embedding.as_deref().map(read_embedding);
     let text = text.transpose()?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
@@ -82,16 +89,31 @@ pub(super) fn sample(
         frames,
         &subject.config.sampling,
         request.seed,
-        &mut |stage, done, all| receiver.stepped(stage, done, all),
+        &mut |stage, done, all| receiver.advance(stage, done, all),
     )?;
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    for (index, (sample, request)) in samples.iter().zip(&requests).enumerate() {
+    for (index, (sample, clip)) in samples.iter().zip(&requests).enumerate() {
         let name = match samples.len() {
             1 => String::new(),
             _ => format!("-{index:03}"),
         };
-        let frames = request.goal.as_ref().map_or(frames, |goal| goal.frames);
-        receiver.drawn(drawn(name, sample, frames, &skeleton))?;
+        let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
+        let steered = clip.goal.is_some();
+        let record = record(subject, request.seed, index, frames, &skeleton);
+        let record = Record {
+            sampler: SamplerRecord {
+                steering: steered.then(|| subject.config.sampling.steering.clone()),
+                ..record.sampler
+            },
+            condition: Condition {
+                goal: conditions.goals.get(index / request.count).cloned(),
+                trajectory: conditions.trajectory.clone(),
+                text_embedding: conditions.text_embedding.clone(),
+                ..Condition::default()
+            },
+            ..record
+        };
+        receiver.drawn(drawn(name, sample, &skeleton, record))?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
 }
@@ -115,11 +137,19 @@ fn for_held_out(
     let (frames, sampling) = (config.data.target_frames, &config.sampling);
     must_fit_as_batch(subject, requests.len(), frames, false)?;
     let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let mut told = |stage, done, all| receiver.stepped(stage, done, all);
+    let mut told = |stage, done, all| receiver.advance(stage, done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
-    for (clip, sample) in chosen.iter().zip(&samples) {
+    for (index, (clip, sample)) in chosen.iter().zip(&samples).enumerate() {
         let skeleton = &dataset.representation.skeleton;
-        receiver.drawn(drawn(clip.id.clone(), sample, frames, skeleton))?;
+        let record = Record {
+            condition: Condition {
+                item: Some(clip.id.clone()),
+                source: config.data.source.clone(),
+                ..Condition::default()
+            },
+            ..record(subject, seed, index, frames, skeleton)
+        };
+        receiver.drawn(drawn(clip.id.clone(), sample, skeleton, record))?;
     }
     Ok(None)
 }
@@ -173,10 +203,32 @@ fn requests(count: usize, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipReque
     }
 }
 
-fn drawn(name: String, sample: &GeneratedClip, frames: usize, skeleton: &Skeleton) -> Drawn {
+/// What every clip's record says.
+fn record(
+    subject: &Subject,
+    seed: u64,
+    index: usize,
+    frames: usize,
+    skeleton: &Skeleton,
+) -> Record {
+    Record {
+        index,
+        frames,
+        fps: skeleton.description().fps,
+        ..Record::new(Gmd.name(), subject, seed)
+    }
+}
+
+/// The files of a clip, cut to the record's length.
+fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Record) -> Drawn {
+    let frames = record.frames;
     let Some(features) = &sample.features else {
         let files = vec![(".npy", path(&sample.ground[..frames]))];
-        return Drawn { name, files };
+        return Drawn {
+            name,
+            files,
+            record,
+        };
     };
     let features = features.slice(0..frames);
     let joints = features.joints();
@@ -206,7 +258,11 @@ fn drawn(name: String, sample: &GeneratedClip, frames: usize, skeleton: &Skeleto
     if let Some(drawn) = &sample.path {
         files.push((".path.npy", path(&drawn[..frames])));
     }
-    Drawn { name, files }
+    Drawn {
+        name,
+        files,
+        record,
+    }
 }
 
 /// `[frames, 2]`, x and z.

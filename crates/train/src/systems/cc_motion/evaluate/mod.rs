@@ -6,6 +6,7 @@ mod run;
 mod terms;
 
 use std::iter::repeat_n;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
@@ -76,7 +77,7 @@ pub fn evaluate(
     held_out: &[Arc<Phrase>],
     training: &[Arc<Phrase>],
     settings: &EvaluationSettings,
-    on_step: &mut dyn FnMut(usize, usize),
+    on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
 ) -> Result<Evaluation, Error> {
     let mut raw = Vec::with_capacity(held_out.len());
     let mut processed = Vec::with_capacity(held_out.len());

@@ -1,0 +1,117 @@
+//! How a sample was made.
+
+use std::path::PathBuf;
+
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::postprocess::PostProcessConfig;
+use serde::{Deserialize, Serialize};
+
+use super::Subject;
+use crate::checkpoint::Weights;
+use crate::config::{ClipSample, SteeringConfig};
+
+/// How a sample was made: enough to draw it again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Version of kinegrad.
+    pub kinegrad: String,
+    /// Name of the run.
+    pub run: String,
+    /// The checkpoint's folder.
+    pub checkpoint: PathBuf,
+    /// Steps it was trained for.
+    pub step: u64,
+    /// Whether its trained weights were used or their moving average.
+    pub weights: Weights,
+    /// The system.
+    pub system: String,
+    /// The run's recipe.
+    pub recipe: String,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Number of the sample among those of one condition (phrases) or of one batch (clips), from 0:
+    /// its noise depends on `seed` and this number.
+    pub index: usize,
+    /// Length in frames.
+    pub frames: usize,
+    /// Frames per second.
+    pub fps: f64,
+    /// The sampler.
+    pub sampler: SamplerRecord,
+    /// Repairs of the generated motion; none for models without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub post_processing: Option<PostProcessConfig>,
+    /// What the sample is conditioned on.
+    pub condition: Condition,
+}
+
+/// The sampler's settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SamplerRecord {
+    /// Kind, steps, guidance scale, eta.
+    #[serde(flatten)]
+    pub settings: SamplerConfig,
+    /// What the predicted clean motion was clipped to.
+    pub clip: ClipSample,
+    /// Guidance and imputation for goals; none without a goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steering: Option<SteeringConfig>,
+}
+
+/// What a sample is conditioned on. Everything is left out for an unconditional sample.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Condition {
+    /// Id of the phrase or clip whose audio features or caption are the condition.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub item: Option<String>,
+    /// Dataset that contains the item; left out for synthetic ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    /// File of audio features.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub audio_features: Option<PathBuf>,
+    /// Song.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub song: Option<PathBuf>,
+    /// Position in the song, in seconds, at which the motion starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start: Option<f64>,
+    /// Goal file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal: Option<PathBuf>,
+    /// Checkpoint of the trajectory model that generated the ground path.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trajectory: Option<PathBuf>,
+    /// Text embedding, `FILE#KEY`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub text_embedding: Option<String>,
+}
+
+impl Record {
+    /// The record of a sample of `system` with the model of `subject`: number 0, no frames and no
+    /// condition, which the system fills in.
+    pub fn new(system: &str, subject: &Subject, seed: u64) -> Self {
+        let config = &subject.config;
+        Self {
+            kinegrad: env!("CARGO_PKG_VERSION").into(),
+            run: config.run.name.clone(),
+            checkpoint: subject.checkpoint.clone(),
+            step: subject.step,
+            weights: subject.weights,
+            system: system.into(),
+            recipe: config.train.recipe.clone(),
+            seed,
+            index: 0,
+            frames: 0,
+            fps: 0.0,
+            sampler: SamplerRecord {
+                settings: config.sampling.sampler.clone(),
+                clip: config.sampling.clip,
+                steering: None,
+            },
+            post_processing: None,
+            condition: Condition::default(),
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! What samples are asked for.
+
+use std::path::PathBuf;
+
+use crate::error::Error;
+
+/// A request for samples. Systems reject conditions that their models do not support.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// The conditions.
+    pub conditions: Conditions,
+    /// Samples per condition.
+    pub count: usize,
+    /// Frames to generate.
+    pub frames: Option<usize>,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+/// The sources of conditions.
+#[derive(Clone, Debug, Default)]
+pub struct Conditions {
+    /// Dataset that contains the item, instead of the run's own.
+    pub source: Option<String>,
+    /// Id of the item, or a pattern.
+    pub item: Option<String>,
+    /// File of audio features.
+    pub audio_features: Option<PathBuf>,
+    /// Song.
+    pub song: Option<PathBuf>,
+    /// Position in the song, in seconds, at which the motion starts.
+    pub start: f64,
+    /// Goal files.
+    pub goals: Vec<PathBuf>,
+    /// Checkpoint of the trajectory model that generates the ground path in a first stage.
+    pub trajectory: Option<PathBuf>,
+    /// Text embedding, `FILE#KEY`.
+    pub text_embedding: Option<String>,
+    /// Use the first so many held-out items of the run's own dataset.
+    pub held_out: Option<usize>,
+}
+
+impl Request {
+    /// Rejects requests that contradict themselves, whatever the model.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for the first contradiction; it names the options of the command line.
+    pub fn validate(&self) -> Result<(), Error> {
+        if self.count == 0 {
+            return Err(Error::usage(
+                "`--count` is 0",
+                "ask for at least one sample",
+            ));
+        }
+        if self.frames == Some(0) {
+            return Err(Error::usage(
+                "`--frames` is 0",
+                "ask for at least one frame",
+            ));
+        }
+        self.conditions.validate()
+    }
+}
+
+impl Conditions {
+    /// Whether none is given, so that the system chooses one.
+    pub fn is_empty(&self) -> bool {
+        !self.given().iter().any(|(_, given)| *given) && self.held_out.is_none()
+    }
+
+    /// The conditions by their command-line names, and whether each is given.
+    fn given(&self) -> [(&'static str, bool); 7] {
+        [
+            ("--source", self.source.is_some()),
+            ("--phrase", self.item.is_some()),
+            ("--cond", self.audio_features.is_some()),
+            ("--audio", self.song.is_some()),
+            ("--goal", !self.goals.is_empty()),
+            ("--trajectory-run", self.trajectory.is_some()),
+            ("--text-embedding", self.text_embedding.is_some()),
+        ]
+    }
+
+    fn validate(&self) -> Result<(), Error> {
+        let given = self.given();
+        let is_given = |name: &str| given.iter().any(|(known, given)| *known == name && *given);
+        for (one, other) in CONTRADICTORY {
+            if is_given(one) && is_given(other) {
+                return Err(Error::usage(
+                    format!("`{one}` with `{other}`"),
+                    "a motion has one audio condition: leave out one of the two",
+                ));
+            }
+        }
+        if self.held_out.is_some() && given.iter().any(|(_, given)| *given) {
+            let (name, _) = given.iter().find(|(_, given)| *given).expect("just found");
+            return Err(Error::usage(
+                format!("`{name}` with held-out items"),
+                "held-out items have their own conditions: leave out one of the two",
+            ));
+        }
+        if self.held_out == Some(0) {
+            return Err(Error::usage(
+                "0 held-out items are asked for",
+                "ask for at least one",
+            ));
+        }
+        let start = self.start;
+        if !(start.is_finite() && start >= 0.0) {
+            return Err(Error::usage(
+                format!("`--start` is {start}"),
+                "give a position in the song, in seconds from 0",
+            ));
+        }
+        if start > 0.0 && self.song.is_none() {
+            return Err(Error::usage(
+                "`--start` without `--audio`",
+                "it is a position in a song: pass `--audio SONG` too",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Rejects conditions that are set but listed in `unknown`, by their command-line names.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for the first that is set.
+    pub fn refuse(&self, unknown: &[&str], why: &str, hint: &str) -> Result<(), Error> {
+        let mut given = self.given().into_iter();
+        match given.find(|(name, given)| *given && unknown.contains(name)) {
+            Some((name, _)) => Err(Error::usage(format!("`{name}` with {why}"), hint)),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Conditions that exclude each other.
+const CONTRADICTORY: [(&str, &str); 5] = [
+    ("--cond", "--phrase"),
+    ("--cond", "--source"),
+    ("--audio", "--cond"),
+    ("--audio", "--phrase"),
+    ("--audio", "--source"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_that_contradict_themselves_are_refused() {
+        let song = || Some(PathBuf::from("song.mp3"));
+        let conditions = |change: fn(&mut Conditions)| {
+            let mut conditions = Conditions {
+                song: Some("song.mp3".into()),
+                ..Conditions::default()
+            };
+            change(&mut conditions);
+            Request {
+                conditions,
+                count: 1,
+                ..Request::default()
+            }
+        };
+        let cases: [(Request, &str); 8] = [
+            (Request::default(), "`--count` is 0"),
+            (
+                Request {
+                    frames: Some(0),
+                    ..conditions(|_| {})
+                },
+                "`--frames` is 0",
+            ),
+            (
+                conditions(|c| c.item = Some("a".into())),
+                "`--audio` with `--phrase`",
+            ),
+            (
+                conditions(|c| c.audio_features = Some("a.npz".into())),
+                "`--audio` with `--cond`",
+            ),
+            (
+                conditions(|c| {
+                    c.song = None;
+                    c.audio_features = Some("a.npz".into());
+                    c.source = Some("phrases".into());
+                }),
+                "`--cond` with `--source`",
+            ),
+            (
+                conditions(|c| {
+                    c.song = None;
+                    c.start = 3.0;
+                }),
+                "`--start` without `--audio`",
+            ),
+            (conditions(|c| c.start = f64::NAN), "`--start` is NaN"),
+            (
+                conditions(|c| c.held_out = Some(2)),
+                "`--audio` with held-out items",
+            ),
+        ];
+        for (request, expected) in cases {
+            let error = request.validate().expect_err(expected);
+            assert_eq!(error.to_string(), expected);
+        }
+        let good = Request {
+            conditions: Conditions {
+                song: song(),
+                start: 12.5,
+                ..Conditions::default()
+            },
+            count: 1,
+            frames: Some(30),
+            seed: 0,
+        };
+        good.validate().expect("a song from a moment on");
+        assert!(!good.conditions.is_empty());
+        assert!(Conditions::default().is_empty());
+    }
+}
