@@ -10,6 +10,32 @@ from numpy.typing import NDArray
 _Path = str | os.PathLike[str]
 _Progress = Callable[[str, int, int], object] | None
 
+__all__ = [
+    "Batches",
+    "Dataset",
+    "Drawn",
+    "SongFeatures",
+    "__version__",
+    "abandon",
+    "audio_features",
+    "beat_alignment",
+    "check",
+    "diversity",
+    "evaluate",
+    "foot_skating",
+    "frechet_distance",
+    "jerk",
+    "kinematic_beats",
+    "main",
+    "open_run",
+    "read_bvh",
+    "read_metrics",
+    "sample",
+    "train",
+    "trajectory_features",
+    "write_bvh",
+]
+
 __version__: str
 
 def main(arguments: list[str]) -> int: ...

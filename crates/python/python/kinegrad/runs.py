@@ -20,7 +20,7 @@ from .errors import UsageError
 
 __all__ = ["Run", "Sample", "StepReport", "train"]
 
-Weights = Literal["ema", "model"]
+_Weights = Literal["ema", "model"]
 
 
 class StepReport(TypedDict):
@@ -172,7 +172,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: Weights = "ema",
+        weights: _Weights = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> list[Sample]:
@@ -240,7 +240,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: Weights = "ema",
+        weights: _Weights = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> dict[str, Any]:
@@ -278,7 +278,7 @@ class Run:
         settings: Mapping[str, Any] | Sequence[str] | None,
         steps: int | None,
         guidance_scale: float | None,
-        weights: Weights,
+        weights: _Weights,
         device: str | None,
     ) -> dict[str, Any]:
         given = as_overrides(settings)
@@ -299,7 +299,7 @@ def _run_path(run: PathArgument | Run | None) -> Path | None:
 
 
 def train(
-    config: PathArgument,
+    config: PathArgument = "kinegrad.toml",
     overrides: Mapping[str, Any] | Sequence[str] | None = None,
     *,
     runs_dir: PathArgument = "runs",
