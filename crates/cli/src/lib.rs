@@ -26,6 +26,9 @@ mod preview;
 mod progress;
 mod runs;
 
+pub use commands::sample::{Files, bvh_text, checkpoint, must_be_finite, while_it_is_trained};
+pub use commands::train::draw_samples_at_end;
+
 use std::ffi::OsString;
 use std::process::ExitCode;
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use kinegrad_capture::Bvh;
 use kinegrad_data::write_values;
+use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
@@ -108,6 +109,31 @@ pub fn say_remark(remark: Option<Remark>) {
     }
 }
 
+/// Rejects a motion whose numbers are not finite; `stem` begins the names of its files.
+///
+/// # Errors
+/// Names the first file.
+pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
+    for (ending, contents) in &drawn.files {
+        if let Contents::Array { values, .. } = contents
+            && !values.iter().all(|value| value.is_finite())
+        {
+            let sample = format!("{stem}{}{ending}", drawn.name);
+            return Err(Error::SampleNotFinite { sample });
+        }
+    }
+    Ok(())
+}
+
+/// The text of the BVH file of joint positions, in centimetres.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
+    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
+    Ok(bvh.to_text())
+}
+
 /// Writes motion to files of one stem.
 pub struct Files {
     stem: String,
@@ -148,6 +174,18 @@ impl Files {
         })
     }
 
+    /// Files with the prefix `out` that are not printed.
+    ///
+    /// # Errors
+    /// If `out` names a folder.
+    pub fn unprinted(out: &Path) -> Result<Self, Error> {
+        let files = Self::new(out)?;
+        Ok(Self {
+            says: false,
+            ..files
+        })
+    }
+
     /// Files in `folder` that are not printed.
     pub fn silent(folder: &Path) -> Self {
         Self {
@@ -156,6 +194,28 @@ impl Files {
             says: false,
             written: 0,
         }
+    }
+
+    /// Writes a motion and returns its files, the motion itself first.
+    ///
+    /// # Errors
+    /// If it is not finite, or a file cannot be written.
+    pub fn write(&mut self, drawn: &Drawn) -> Result<Vec<PathBuf>, Error> {
+        must_be_finite(drawn, &self.stem)?;
+        let mut written = Vec::with_capacity(drawn.files.len());
+        for (ending, contents) in &drawn.files {
+            let path = PathBuf::from(format!("{}{}{ending}", self.stem, drawn.name));
+            match contents {
+                Contents::Array { shape, values } => write_values(&path, shape, values)?,
+                Contents::Figure { joints, skeleton } => {
+                    let text = bvh_text(joints, skeleton)?;
+                    std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+                }
+            }
+            written.push(path);
+        }
+        self.written += 1;
+        Ok(written)
     }
 
     /// Motions written so far.
@@ -174,29 +234,9 @@ impl Receiver for Files {
         if let Some(bar) = self.bar.take() {
             bar.finish();
         }
-        let stem = format!("{}{}", self.stem, drawn.name);
-        let path = |ending: &str| PathBuf::from(format!("{stem}{ending}"));
-        for (ending, contents) in &drawn.files {
-            if let Contents::Array { values, .. } = contents
-                && !values.iter().all(|value| value.is_finite())
-            {
-                let sample = path(ending).display().to_string();
-                return Err(Error::SampleNotFinite { sample });
-            }
-        }
-        for (ending, contents) in &drawn.files {
-            let path = path(ending);
-            match contents {
-                Contents::Array { shape, values } => write_values(&path, shape, values)?,
-                Contents::Figure { joints, skeleton } => {
-                    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
-                    std::fs::write(&path, bvh.to_text()).map_err(Error::io("write", &path))?;
-                }
-            }
-        }
-        self.written += 1;
-        if let (true, Some((ending, _))) = (self.says, drawn.files.first()) {
-            say!("{stem}{ending}");
+        let written = self.write(&drawn)?;
+        if let (true, Some(path)) = (self.says, written.first()) {
+            say!("{}", path.display());
         }
         Ok(())
     }

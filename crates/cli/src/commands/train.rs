@@ -8,7 +8,7 @@ use std::time::Instant;
 use kinegrad_report::facts;
 use kinegrad_train::checkpoint::{State, Weights};
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
-use kinegrad_train::sampling::{self, Conditions, Request};
+use kinegrad_train::sampling::{self, Conditions, Remark, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
@@ -47,18 +47,41 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     if outcome.ending == Some(Ending::Interrupted) {
         return Ok(ExitCode::from(130));
     }
-    // A process that ended before has left them to this one, or a user has removed them.
-    let owed =
-        outcome.folder.join(UNFINISHED_SAMPLES).exists() || !outcome.folder.join(SAMPLES).exists();
-    if owed && outcome.config.sampling.count_at_end > 0 {
+    if owes_samples(&outcome) {
         if progress.end_training() {
             tell!("stopped before the samples were drawn; `--resume` draws them");
             return Ok(ExitCode::from(130));
         }
         // The outcome holds the run's lock until they are.
-        draw_samples(systems, &outcome)?;
+        let drawn = draw_samples(systems, &outcome)?;
+        say!(
+            "\n{} samples of step {} in {}",
+            drawn.count,
+            drawn.step,
+            outcome.folder.join(SAMPLES).display()
+        );
+        say_remark(drawn.remark);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Whether the samples of the run's end are still to be drawn: a process that ended before has left
+/// them to this one, or a user has removed them.
+fn owes_samples(outcome: &Outcome) -> bool {
+    let unfinished = outcome.folder.join(UNFINISHED_SAMPLES).exists();
+    let owed = unfinished || !outcome.folder.join(SAMPLES).exists();
+    owed && outcome.config.sampling.count_at_end > 0
+}
+
+/// Draws the samples of a run's end into its folder, if they are owed, without printing anything.
+///
+/// # Errors
+/// If they cannot be drawn or written.
+pub fn draw_samples_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
+    if owes_samples(outcome) {
+        draw_samples(systems, outcome)?;
+    }
+    Ok(())
 }
 
 fn summarise(outcome: &Outcome, started: Instant) {
@@ -81,9 +104,17 @@ fn summarise(outcome: &Outcome, started: Instant) {
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
+/// The samples of a run's end.
+struct SamplesAtEnd {
+    count: usize,
+    /// Step of the weights that they are drawn from.
+    step: u64,
+    remark: Option<Remark>,
+}
+
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
 /// ends before they are drawn, none.
-fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
+fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<SamplesAtEnd, Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = systems.trained(&path, &[], Weights::Ema, None)?;
     let request = Request {
@@ -102,14 +133,11 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     let mut files = Files::silent(&unfinished);
     let remark = sampling::sample(systems, &subject, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
-    say!(
-        "\n{} samples of step {} in {}",
-        files.written(),
-        State::read(&path)?.step,
-        folder.display()
-    );
-    say_remark(remark);
-    Ok(())
+    Ok(SamplesAtEnd {
+        count: files.written(),
+        step: State::read(&path)?.step,
+        remark,
+    })
 }
 
 /// Moves a folder, or what it holds into one that is there, over files of the same names.

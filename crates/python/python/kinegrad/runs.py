@@ -1,0 +1,343 @@
+"""Trained runs: training, sampling, evaluation."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Callable, Literal, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _kinegrad
+from ._progress import Bar, ProgressArgument, reporting
+from ._settings import Path as PathArgument
+from ._settings import overrides as as_overrides
+from .data import Dataset
+from .errors import UsageError
+
+__all__ = ["Run", "Sample", "StepReport", "train"]
+
+_Weights = Literal["ema", "model"]
+
+
+class StepReport(TypedDict):
+    """One optimiser step of a training."""
+
+    step: int
+    """Steps done, this one included."""
+    max_steps: int
+    """Steps in total."""
+    loss: float
+    """Loss, averaged over the micro-batches."""
+    learning_rate: float
+    """Learning rate of the first group of parameters."""
+    grad_norm: float
+    """Global norm of the gradient before clipping."""
+
+
+class Sample:
+    """A generated motion."""
+
+    def __init__(self, drawn: _kinegrad.Drawn) -> None:
+        self._drawn = drawn
+        self._arrays = dict(drawn.arrays())
+
+    @property
+    def name(self) -> str:
+        """What its files' names have after the prefix; empty for a single sample."""
+        return self._drawn.name
+
+    @property
+    def motion(self) -> NDArray[np.float32]:
+        """The motion: a post-processed phrase `[T, 25]` at 30 frames per second, joint positions
+        `[T, J, 3]` in metres, or for runs of recipe `gmd_trajectory` the ground path `[T, 2]`."""
+        return self._arrays[".npy"]
+
+    @property
+    def raw(self) -> NDArray[np.float32] | None:
+        """Of a phrase, the model's output before post-processing, `[T, 25]`."""
+        return self._arrays.get(".raw.npy")
+
+    @property
+    def features(self) -> NDArray[np.float32] | None:
+        """Of a clip, its joint features, `[T, 263]` or `[T, 251]`."""
+        return self._arrays.get(".features.npy")
+
+    @property
+    def path(self) -> NDArray[np.float32] | None:
+        """Of a clip sampled in two stages, the ground path of the first, `[T, 2]` in metres."""
+        return self._arrays.get(".path.npy")
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """How it was made: run, checkpoint, seed, sampler, condition."""
+        record: dict[str, Any] = json.loads(self._drawn.record)
+        return record
+
+    @property
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """All of its arrays by the ending of their files."""
+        return dict(self._arrays)
+
+    def bvh(self) -> str:
+        """The motion as the text of a BVH file, in centimetres.
+
+        Raises:
+            UsageError: For a motion without a skeleton.
+        """
+        text = self._drawn.bvh()
+        if text is None:
+            raise UsageError("the sample has no skeleton to write as BVH", None)
+        return text
+
+    def save(self, prefix: PathArgument) -> list[Path]:
+        """Writes the files that `kinegrad sample --out PREFIX` writes, and returns their paths:
+        `PREFIX.npy` and those beside it, `PREFIX-000.npy` for the first of several samples."""
+        return self._drawn.save(prefix)
+
+    def __repr__(self) -> str:
+        shape = ", ".join(str(length) for length in self.motion.shape)
+        return f"<kinegrad.Sample {self.name or 'sample'} [{shape}]>"
+
+
+class Run:
+    """A trained model.
+
+    Args:
+        path: Folder of a run, whose best checkpoint is used, or of a checkpoint.
+
+    Raises:
+        CheckpointError: If there is none, or it is damaged.
+    """
+
+    def __init__(self, path: PathArgument) -> None:
+        self._path = Path(path)
+        self._checkpoint, self._step, config = _kinegrad.open_run(self._path)
+        self._config: dict[str, Any] = json.loads(config)
+
+    @property
+    def path(self) -> Path:
+        """The folder given."""
+        return self._path
+
+    @property
+    def checkpoint(self) -> Path:
+        """The folder of the checkpoint."""
+        return self._checkpoint
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The config, with all defaults filled in."""
+        return self._config
+
+    @property
+    def step(self) -> int:
+        """Optimiser steps that the weights were trained for."""
+        return self._step
+
+    def metrics(self) -> dict[str, NDArray[Any]]:
+        """What the training recorded, by name: `step` `[N]` int64, and `loss`, `val_loss`, `lr`,
+        `grad_norm` and others `[N]` float64, NaN at steps without."""
+        folder = self._path
+        if not (folder / "metrics.jsonl").exists() and self._checkpoint.parent.name == "checkpoints":
+            folder = self._checkpoint.parent.parent
+        lines = _kinegrad.read_metrics(folder)
+        found: dict[str, NDArray[Any]] = {
+            "step": np.array([step for step, _ in lines], dtype=np.int64)
+        }
+        for index, (_, scalars) in enumerate(lines):
+            for name, value in scalars:
+                column = found.setdefault(name, np.full(len(lines), np.nan))
+                column[index] = value
+        return found
+
+    def sample(
+        self,
+        *,
+        phrase: str | None = None,
+        audio: PathArgument | None = None,
+        start: float = 0.0,
+        audio_features: PathArgument | None = None,
+        goal: PathArgument | Sequence[PathArgument] | None = None,
+        text_embedding: str | None = None,
+        trajectory_run: PathArgument | Run | None = None,
+        held_out: int | None = None,
+        source: str | None = None,
+        count: int = 1,
+        frames: int | None = None,
+        seed: int = 0,
+        steps: int | None = None,
+        guidance_scale: float | None = None,
+        settings: Mapping[str, Any] | Sequence[str] | None = None,
+        weights: _Weights = "ema",
+        device: str | None = None,
+        progress: ProgressArgument = None,
+    ) -> list[Sample]:
+        """Generates motion; the same request as `kinegrad sample`, and the same arrays.
+
+        Args:
+            phrase: Phrase of the dataset whose audio features are the condition; `*` matches any
+                text. By default the first held-out phrase.
+            audio: Song to use as the condition.
+            start: Position in the song, in seconds, at which the motion starts.
+            audio_features: `features.npz` to use as the condition.
+            goal: Goal file or files for position control of a clip.
+            text_embedding: Text embedding to use as the condition, `FILE#KEY`.
+            trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
+            held_out: One sample for each of the first so many held-out items.
+            source: Dataset that contains the phrase, instead of the run's own.
+            count: Samples per condition.
+            frames: Frames to generate, by default as many as the condition has.
+            seed: Random seed of the noise.
+            steps: Number of denoising steps.
+            guidance_scale: Classifier-free guidance scale; 1 disables guidance.
+            settings: Keys of the `sampling` table, such as
+                `{"sampling.sampler.kind": "dpmpp_2m"}`.
+            weights: `"ema"` for the moving average of the weights, `"model"` for themselves.
+            device: Device to run on, by default that of the run.
+            progress: Called with stage, denoising steps done and in total; `None` for a bar if
+                standard error is a terminal, `False` for nothing. What it raises ends the call.
+
+        Raises:
+            UsageError: For conditions that the model does not support.
+            Error: Anything else; see `kinegrad.errors`.
+            KeyboardInterrupt: On Ctrl-C, after the denoising step.
+        """
+        if goal is None:
+            goals: list[PathArgument] = []
+        elif isinstance(goal, (str, Path)) or hasattr(goal, "__fspath__"):
+            goals = [goal]  # type: ignore[list-item]
+        else:
+            goals = list(goal)
+        wanted = {
+            "source": source,
+            "phrase": phrase,
+            "audio_features": audio_features,
+            "audio": audio,
+            "start": float(start),
+            "goal": goals,
+            "trajectory_run": _run_path(trajectory_run),
+            "text_embedding": text_embedding,
+            "held_out": held_out,
+            "count": count,
+            "frames": frames,
+            "seed": seed,
+        }
+        model = self._model(settings, steps, guidance_scale, weights, device)
+        with reporting(progress, "denoising steps") as report:
+            drawn = _kinegrad.sample(model, wanted, report)
+        return [Sample(each) for each in drawn]
+
+    def evaluate(
+        self,
+        *,
+        source: str | None = None,
+        trajectory_run: PathArgument | Run | None = None,
+        seed: int = 0,
+        steps: int | None = None,
+        guidance_scale: float | None = None,
+        settings: Mapping[str, Any] | Sequence[str] | None = None,
+        weights: _Weights = "ema",
+        device: str | None = None,
+        progress: ProgressArgument = None,
+    ) -> dict[str, Any]:
+        """Evaluates the model on held-out motion: the numbers of `kinegrad eval --json` for one
+        run. docs/evaluation.md defines them.
+
+        Args:
+            source: Dataset whose held-out items are used, instead of the run's own.
+            trajectory_run: Run of recipe `gmd_trajectory` for two-stage sampling.
+            seed: Random seed of the noise.
+            steps: Number of denoising steps.
+            guidance_scale: Classifier-free guidance scale.
+            settings: Keys of the tables `sampling` and `evaluation`, such as
+                `{"evaluation.seeds": 4}`.
+            weights: `"ema"` or `"model"`.
+            device: Device to run on.
+            progress: As in `sample`.
+
+        Raises:
+            Error: As `sample`.
+            KeyboardInterrupt: On Ctrl-C, after the denoising step.
+        """
+        model = self._model(settings, steps, guidance_scale, weights, device)
+        with reporting(progress, "denoising steps") as report:
+            text = _kinegrad.evaluate(model, source, _run_path(trajectory_run), seed, report)
+        evaluated: dict[str, Any] = json.loads(text)
+        return evaluated
+
+    def dataset(self, split: Literal["train", "validation"] = "train") -> Dataset:
+        """The run's own dataset, whose batches are normalised by the run's statistics."""
+        return Dataset(run=self._path, split=split)
+
+    def _model(
+        self,
+        settings: Mapping[str, Any] | Sequence[str] | None,
+        steps: int | None,
+        guidance_scale: float | None,
+        weights: _Weights,
+        device: str | None,
+    ) -> dict[str, Any]:
+        given = as_overrides(settings)
+        if steps is not None:
+            given.append(f"sampling.sampler.num_inference_steps={steps}")
+        if guidance_scale is not None:
+            given.append(f"sampling.sampler.guidance_scale={float(guidance_scale)!r}")
+        return {"run": self._path, "settings": given, "weights": weights, "device": device}
+
+    def __repr__(self) -> str:
+        return f"<kinegrad.Run {self._path} at step {self._step}>"
+
+
+def _run_path(run: PathArgument | Run | None) -> Path | None:
+    if isinstance(run, Run):
+        return run.path
+    return None if run is None else Path(run)
+
+
+def train(
+    config: PathArgument = "kinegrad.toml",
+    overrides: Mapping[str, Any] | Sequence[str] | None = None,
+    *,
+    runs_dir: PathArgument = "runs",
+    resume: bool = False,
+    on_step: Callable[[StepReport], object] | None = None,
+    progress: bool | None = None,
+) -> Run:
+    """Trains a run to its end, as `kinegrad train` does.
+
+    Args:
+        config: The config file.
+        overrides: Keys of the config, such as `{"train.max_steps": 100}`.
+        runs_dir: Folder that contains the runs.
+        resume: Continue the run from its latest valid checkpoint.
+        on_step: Called with each optimiser step. What it raises is raised here, after a
+            checkpoint has been written.
+        progress: Whether to show a bar; `None` if standard error is a terminal.
+
+    Returns:
+        The run, opened at its best checkpoint.
+
+    Raises:
+        ConfigError: For a config that is wrong; nothing has been written then.
+        Error: Anything else; see `kinegrad.errors`.
+        KeyboardInterrupt: On Ctrl-C, after a checkpoint has been written; `resume=True` goes on.
+    """
+    shows = sys.stderr.isatty() if progress is None and sys.stderr is not None else bool(progress)
+    bar = Bar("steps")
+
+    def event(kind: str, fields: dict[str, Any]) -> None:
+        if kind == "warning":
+            sys.stderr.write(f"warning: {fields['text']}\n")
+        elif kind == "step":
+            if shows:
+                bar(f"loss {fields['loss']:.4f}", fields["step"], fields["max_steps"])
+            if on_step is not None:
+                on_step(fields)  # type: ignore[arg-type]
+
+    with bar:
+        folder = _kinegrad.train(config, as_overrides(overrides), runs_dir, resume, event)
+    return Run(folder)

@@ -1,0 +1,73 @@
+//! Long calls: away from the interpreter's lock, with progress, ended by Ctrl-C.
+
+use std::ops::ControlFlow;
+
+use kinegrad_train::Error;
+use pyo3::prelude::*;
+
+use crate::errors::exception;
+use crate::threads;
+
+/// Runs `work` without the interpreter's lock.
+///
+/// # Errors
+/// The exception of its error.
+pub fn call<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce() -> Result<T, Error> + Send,
+) -> PyResult<T> {
+    py.detach(|| threads::run(work))
+        .map_err(|error| exception(py, &error))
+}
+
+/// Tells a Python callable `progress(stage, done, total)` how far a computation is, and ends the
+/// computation where that raises, or a signal handler does.
+pub struct Progress {
+    callback: Option<Py<PyAny>>,
+    raised: Option<PyErr>,
+}
+
+impl Progress {
+    /// `done` steps of `total` are done, of a stage if there are several; whether to go on.
+    pub fn step(&mut self, stage: &str, done: usize, total: usize) -> ControlFlow<()> {
+        let told = Python::attach(|py| {
+            py.check_signals()?;
+            if let Some(callback) = &self.callback {
+                callback.call1(py, (stage, done, total))?;
+            }
+            Ok(())
+        });
+        match told {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(raised) => {
+                self.raised = Some(raised);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}
+
+/// [`call`] of work that reports its progress to `callback`, if there is one.
+///
+/// # Errors
+/// The exception of its error, or what ended it: `KeyboardInterrupt`, or what `callback` raised.
+pub fn call_with<T: Send>(
+    py: Python<'_>,
+    callback: Option<Py<PyAny>>,
+    work: impl FnOnce(&mut Progress) -> Result<T, Error> + Send,
+) -> PyResult<T> {
+    let mut progress = Progress {
+        callback,
+        raised: None,
+    };
+    let done = py.detach(|| threads::run(|| work(&mut progress)));
+    match progress.raised {
+        Some(raised) => Err(raised),
+        None => done.map_err(|error| exception(py, &error)),
+    }
+}
+
+/// Plain data as JSON, which the Python side reads.
+pub fn json(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).expect("plain data")
+}

@@ -1,0 +1,15 @@
+//! The command line.
+
+use std::process::ExitCode;
+
+use kinegrad_train::systems::BUILT_IN;
+use pyo3::prelude::*;
+
+/// Runs the command line `arguments`, the program's name being the first, and returns its exit code.
+#[pyfunction]
+pub fn main(py: Python<'_>, arguments: Vec<String>) -> u8 {
+    let code = py.detach(|| kinegrad_cli::run(BUILT_IN, arguments));
+    let codes = 0..=u8::MAX;
+    let mut codes = codes.filter(|number| ExitCode::from(*number) == code);
+    codes.next().unwrap_or(1)
+}

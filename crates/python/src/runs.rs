@@ -1,0 +1,101 @@
+//! Trained runs: what they hold, and their evaluation.
+
+use std::path::{Path, PathBuf};
+
+use kinegrad_cli::{checkpoint, while_it_is_trained};
+use kinegrad_train::Error;
+use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::evaluation::EvaluationRequest;
+use kinegrad_train::sampling::Subject;
+use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::telemetry;
+use pyo3::prelude::*;
+
+use crate::calls::{call, call_with, json};
+
+/// The checkpoint that a run or checkpoint means, its step and its config as JSON.
+#[pyfunction]
+pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String)> {
+    call(py, || {
+        while_it_is_trained(|| {
+            let found = checkpoint(&path)?;
+            let state = State::read(&found)?;
+            let config = BUILT_IN.completed(&state.config)?;
+            Ok((found, state.step, json(&config)))
+        })
+    })
+}
+
+/// The metrics of the run in `folder`: each line's step, and its scalars by name.
+#[pyfunction]
+pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<(u64, Vec<(String, f64)>)>> {
+    let records = call(py, || telemetry::read_metrics(&folder, &mut |_| {}))?;
+    let line = |record: &telemetry::Record| (record.step, record.scalars().to_vec());
+    Ok(records.iter().map(line).collect())
+}
+
+/// A model and how to run it.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Model {
+    run: PathBuf,
+    settings: Vec<String>,
+    weights: String,
+    device: Option<String>,
+}
+
+impl Model {
+    /// Opens it.
+    ///
+    /// # Errors
+    /// If there is none, it is damaged, or a setting is invalid.
+    pub fn open(&self) -> Result<Subject, Error> {
+        let weights = match self.weights.as_str() {
+            "ema" => Weights::Ema,
+            "model" => Weights::Model,
+            other => {
+                return Err(Error::usage(
+                    format!("`weights` is \"{other}\""),
+                    "\"ema\" and \"model\" are allowed",
+                ));
+            }
+        };
+        let path = checkpoint(&self.run)?;
+        BUILT_IN.trained(&path, &self.settings, weights, self.device.as_deref())
+    }
+}
+
+/// The checkpoint of an optional run.
+///
+/// # Errors
+/// If there is none.
+pub fn optional_checkpoint(run: Option<&Path>) -> Result<Option<PathBuf>, Error> {
+    run.map(checkpoint).transpose()
+}
+
+/// Evaluates a run and returns the report as JSON.
+#[pyfunction]
+pub fn evaluate(
+    py: Python<'_>,
+    model: Model,
+    source: Option<String>,
+    trajectory_run: Option<PathBuf>,
+    seed: u64,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<String> {
+    kinegrad_kernels::memory::keep_freed();
+    call_with(py, progress, |progress| {
+        while_it_is_trained(|| {
+            let subject = model.open()?;
+            let request = EvaluationRequest {
+                source: source.clone(),
+                trajectory: optional_checkpoint(trajectory_run.as_deref())?,
+                seed,
+            };
+            let (system, _) = BUILT_IN.of(&subject.config)?;
+            let evaluate = system.evaluate(&subject, &request)?;
+            let evaluated = evaluate(&mut |stage, done, all| progress.step(stage, done, all))?;
+            Ok(json(&evaluated.json))
+        })
+    })
+}

@@ -1,0 +1,157 @@
+//! Sampling from trained runs.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use kinegrad_cli::{Files, bvh_text, must_be_finite, while_it_is_trained};
+use kinegrad_train::Error;
+use kinegrad_train::sampling::{self, Conditions, Contents, Receiver, Request};
+use kinegrad_train::systems::BUILT_IN;
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+
+use crate::arrays::array;
+use crate::calls::{Progress, call, call_with, json};
+use crate::runs::{Model, optional_checkpoint};
+
+/// What a sample is conditioned on, and how many are drawn.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Wanted {
+    source: Option<String>,
+    phrase: Option<String>,
+    audio_features: Option<PathBuf>,
+    audio: Option<PathBuf>,
+    start: f64,
+    goal: Vec<PathBuf>,
+    trajectory_run: Option<PathBuf>,
+    text_embedding: Option<String>,
+    held_out: Option<usize>,
+    count: usize,
+    frames: Option<usize>,
+    seed: u64,
+}
+
+impl Wanted {
+    fn request(&self) -> Result<Request, Error> {
+        Ok(Request {
+            conditions: Conditions {
+                source: self.source.clone(),
+                item: self.phrase.clone(),
+                audio_features: self.audio_features.clone(),
+                song: self.audio.clone(),
+                start: self.start,
+                goals: self.goal.clone(),
+                trajectory: optional_checkpoint(self.trajectory_run.as_deref())?,
+                text_embedding: self.text_embedding.clone(),
+                held_out: self.held_out,
+            },
+            count: self.count,
+            frames: self.frames,
+            seed: self.seed,
+        })
+    }
+}
+
+/// A sample.
+#[pyclass(frozen, module = "kinegrad._kinegrad")]
+pub struct Drawn(Arc<sampling::Drawn>);
+
+#[pymethods]
+impl Drawn {
+    /// What tells it from the other samples of its call.
+    #[getter]
+    fn name(&self) -> String {
+        self.0.name.clone()
+    }
+
+    /// How it was made, as JSON.
+    #[getter]
+    fn record(&self) -> String {
+        json(&self.0.record)
+    }
+
+    /// Its arrays by the ending of their files; the motion itself is `.npy`.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<(&str, Bound<'py, PyArrayDyn<f32>>)>> {
+        let arrays = self.0.files.iter().filter_map(|(ending, contents)| {
+            let Contents::Array { shape, values } = contents else {
+                return None;
+            };
+            Some(array(py, shape, values).map(|array| (*ending, array)))
+        });
+        arrays.collect()
+    }
+
+    /// The text of its BVH file, if it has one.
+    fn bvh(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        call(py, || {
+            let mut figures = self
+                .0
+                .files
+                .iter()
+                .filter_map(|(_, contents)| match contents {
+                    Contents::Figure { joints, skeleton } => Some((joints, skeleton)),
+                    Contents::Array { .. } => None,
+                });
+            let figure = figures.next();
+            figure
+                .map(|(joints, skeleton)| bvh_text(joints, skeleton))
+                .transpose()
+        })
+    }
+
+    /// Writes the files that the command line would for `--out PREFIX`; where.
+    fn save(&self, py: Python<'_>, prefix: PathBuf) -> PyResult<Vec<PathBuf>> {
+        call(py, || {
+            let mut files = Files::unprinted(&prefix)?;
+            files.write(&self.0)
+        })
+    }
+}
+
+/// Collects samples.
+struct Collector<'a> {
+    progress: &'a mut Progress,
+    ended: bool,
+    drawn: Vec<Drawn>,
+}
+
+impl Receiver for Collector<'_> {
+    fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
+        self.ended |= self.progress.step(stage, done, all).is_break();
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.ended
+    }
+
+    fn drawn(&mut self, drawn: sampling::Drawn) -> Result<(), Error> {
+        must_be_finite(&drawn, "")?;
+        self.drawn.push(Drawn(Arc::new(drawn)));
+        Ok(())
+    }
+}
+
+/// Draws samples from a model.
+#[pyfunction]
+pub fn sample(
+    py: Python<'_>,
+    model: Model,
+    wanted: Wanted,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Vec<Drawn>> {
+    kinegrad_kernels::memory::keep_freed();
+    call_with(py, progress, |progress| {
+        while_it_is_trained(|| {
+            let request = wanted.request()?;
+            let subject = model.open()?;
+            let mut collector = Collector {
+                progress: &mut *progress,
+                ended: false,
+                drawn: Vec::new(),
+            };
+            sampling::sample(BUILT_IN, &subject, &request, &mut collector)?;
+            Ok(collector.drawn)
+        })
+    })
+}
