@@ -107,10 +107,12 @@ pub fn draw_png(panels: &[Panel], columns: usize, size: (u32, u32)) -> Option<Pn
     })
 }
 
+/// A panel with its left upper corner and its size, pixels.
+type Placed<'a> = (&'a Panel, (i32, i32), (u32, u32));
+
 /// Panels at their places in a picture.
 struct Sheet<'a> {
-    /// Each with its left upper corner and its size, pixels.
-    panels: Vec<(&'a Panel, (i32, i32), (u32, u32))>,
+    panels: Vec<Placed<'a>>,
     size: (u32, u32),
 }
 
