@@ -72,7 +72,7 @@ pub enum Command {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  kinegrad train configs/quickstart.toml
+  kinegrad init && kinegrad train
   kinegrad train configs/phrases.toml --set data.source=phrases --set train.max_steps=100
   kinegrad train configs/phrases.toml --set data.source=phrases --resume")]
 pub struct TrainArguments {
