@@ -213,7 +213,7 @@ class Formats:
             self.program.run("data", "synth", "--out", made / name, "--phrases", 3, "--frames", 44,
                              *options)
         inspect = [["data", "inspect", "set"]]
-        listed = [["data", "inspect", "set", "--humanml3d"]]
+        listed = [["data", "inspect", "set"], ["data", "inspect", "set", "--humanml3d"]]
         for name, pattern, damage, commands in [
             ("phrases", "motion/*/*.npy", mutated, inspect),
             ("phrases", "audio_features/*/*.npz", mutated_archive, inspect),

@@ -13,7 +13,9 @@ from values import LONG, WORDS
 
 OPTION = re.compile(r"^ +(?:-\w, )?(--[\w-]+)(?: <([^>]*)>)?", re.MULTILINE)
 USAGE = re.compile(r"^Usage: kinegrad (.*)$", re.MULTILINE)
-REQUIRED = re.compile(r"(--[\w-]+) <([^>]*)>|<([^>]*)>")
+REQUIRED = re.compile(r"(--[\w-]+) <([^>]*)>|<([^>]*)>|\[(CONFIG)\]")
+"""What stands in a usage and is given a valid value: `train` can do without its config, which would
+say the same of every option."""
 LONG_ENOUGH = 3.0
 MANY_FILES = 400
 
@@ -51,11 +53,11 @@ class Options(Attack):
     def required(self, usage: str, recipe: str) -> list[str]:
         """Valid values of what a command requires."""
         words = []
-        for option, name, place in REQUIRED.findall(usage.replace("...", "")):
+        for option, name, place, config in REQUIRED.findall(usage.replace("...", "")):
             if option:
                 words += [option, valid(name, recipe, output=option == "--out")]
             else:
-                words.append(valid(place, recipe, output=False))
+                words.append(valid(place or config, recipe, output=False))
         return words
 
     def total(self) -> int | None:
@@ -82,6 +84,7 @@ def valid(name: str, recipe: str, output: bool) -> str:
         "WEIGHTS.pt": "shared/seeds/pt/0.pt",
         "ARCH": "gmd_trajectory",
         "PLAN.toml": "shared/seeds/plan/0.toml",
+        "SHELL": "bash",
         "SONG": "shared/seeds/wav/0.wav",
         "URI": "shared/datasets/0",
         "PATH": "shared/seeds/motion npy/0.npy",

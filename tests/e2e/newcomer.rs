@@ -71,7 +71,7 @@ fn bash_completes_commands_and_options() {
     let sandbox = sandbox();
     for shell in ["zsh", "fish", "powershell", "elvish"] {
         let script = sandbox.run(&format!("completions {shell}")).succeeded();
-        assert!(script.stdout.contains("gradient") || script.stdout.contains("prepare"));
+        assert!(script.stdout.contains("prepare"), "{shell}");
     }
     let script = sandbox.run("completions bash").succeeded().stdout;
     let script = sandbox.write("kinegrad.bash", script);
@@ -112,7 +112,7 @@ fn manual_pages_are_written_and_can_be_rendered() {
     );
     let mut groff = Command::new("groff");
     groff
-        .args(["-man", "-Tascii", "-ww"])
+        .args(["-man", "-Tascii", "-P-c", "-P-b", "-P-u"])
         .arg(sandbox.path("pages/kinegrad-train.1"));
     if let Ok(rendered) = groff.output() {
         let text = String::from_utf8_lossy(&rendered.stdout).into_owned();

@@ -54,7 +54,9 @@ pub enum Error {
 
     /// A plan, or a file it names, cannot be followed.
     #[error("{file}: {problem}")]
-    #[diagnostic(help("docs/dataset.md describes plans; configs/prepare.toml is one"))]
+    #[diagnostic(help(
+        "`kinegrad init prepare` writes a plan to start from; docs/dataset.md describes plans"
+    ))]
     Plan {
         /// The plan, or the file.
         file: String,
@@ -116,7 +118,9 @@ pub(crate) fn require(
     allowed: impl Display,
 ) -> Result<(), Error> {
     let checked = kinegrad_settings::require(holds, key, found, allowed);
-    Ok(checked.hint("docs/dataset.md describes plans; configs/prepare.toml is one")?)
+    Ok(checked.hint(
+        "`kinegrad init prepare` writes a plan to start from; docs/dataset.md describes plans",
+    )?)
 }
 
 /// [`require`] of a finite number above 0.

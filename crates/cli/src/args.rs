@@ -79,9 +79,9 @@ pub enum Command {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  kinegrad train configs/quickstart.toml
-  kinegrad train configs/phrases.toml --set data.source=phrases --set train.max_steps=100
-  kinegrad train configs/phrases.toml --set data.source=phrases --resume")]
+  kinegrad init && kinegrad train
+  kinegrad train phrases.toml --set data.source=phrases --set train.max_steps=100
+  kinegrad train phrases.toml --set data.source=phrases --resume")]
 pub struct TrainArguments {
     /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
     pub config: Option<PathBuf>,
@@ -332,7 +332,7 @@ pub enum ConfigCommand {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
-  kinegrad config show configs/quickstart.toml --set model.size=base")]
+  kinegrad config show kinegrad.toml --set model.size=base")]
 pub struct ShowArguments {
     /// The config file
     pub config: PathBuf,

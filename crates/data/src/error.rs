@@ -249,3 +249,18 @@ impl Error {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lean_build_names_the_wheel_and_the_feature() {
+        let lacking = Error::Feature {
+            what: "manifest.parquet".to_owned(),
+            feature: "manifest",
+        };
+        let help = lacking.help().expect("a hint").to_string();
+        assert!(help.contains("pip install kinegrad") && help.contains("--features full"));
+    }
+}

@@ -72,8 +72,7 @@ pub struct DiffusionConfig {
     pub prediction_type: PredictionType,
     /// The distance between the prediction and its target.
     pub loss_type: LossType,
-    /// Cap of the signal-to-noise ratio in the min-SNR loss weights of
-    /// [`crate::GaussianDiffusion::loss_weights`] (Hang et al. 2023,
+    /// Cap of the signal-to-noise ratio in the min-SNR loss weights (Hang et al. 2023,
     /// <https://arxiv.org/abs/2303.09556>, who use 5); without it every timestep weighs the same.
     pub snr_gamma: Option<f64>,
     /// Rescales the schedule so that the last timestep is pure noise (Lin et al. 2023,

@@ -7,6 +7,18 @@ pub fn in_words(message: &str) -> String {
     if let Some(rest) = message.strip_prefix("missing field `") {
         return format!("the key `{} is missing", rest.trim_end());
     }
+    let named = |start: &str| {
+        let texts = message.strip_prefix(start)?.split('`').skip(1).step_by(2);
+        let texts: Vec<&str> = texts.collect();
+        let (found, allowed) = texts.split_first()?;
+        Some((*found, allowed.join(", ")))
+    };
+    if let Some((found, allowed)) = named("unknown field ") {
+        return format!("unknown key `{found}`, allowed: {allowed}");
+    }
+    if let Some((found, allowed)) = named("unknown variant ") {
+        return format!("\"{found}\" is not among {allowed}");
+    }
     if let Some(rest) = message.strip_prefix("invalid length ")
         && let Some((found, expected)) = rest.split_once(", expected ")
     {
@@ -98,6 +110,14 @@ mod tests {
             (
                 "invalid length 3, expected an array of length 2",
                 "expected a list of 2 values, found 3",
+            ),
+            (
+                "unknown field `a`, expected one of `b`, `c`",
+                "unknown key `a`, allowed: b, c",
+            ),
+            (
+                "unknown variant `a`, expected `b` or `c`",
+                "\"a\" is not among b, c",
             ),
             ("missing field `output`", "the key `output` is missing"),
             ("something else", "something else"),

@@ -23,8 +23,9 @@ pub enum DataCommand {
 /// interrupted run continues where it stopped when it is run again. Exits with 1 if a take failed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Example:
-  kinegrad data prepare configs/prepare.toml --out gs://bucket/dances")]
+Examples:
+  kinegrad init prepare
+  kinegrad data prepare prepare.toml --out gs://bucket/dances")]
 pub struct PrepareArguments {
     /// The plan
     #[arg(value_name = "PLAN.toml")]

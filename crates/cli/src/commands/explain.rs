@@ -281,7 +281,12 @@ fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
             None => groups.push((table, vec![key])),
         }
     }
-    groups.sort_by_key(|(table, _)| !table.is_empty());
+    // Tables in their order, each with what is always there first.
+    let order: Vec<&str> = groups.iter().map(|(table, _)| *table).collect();
+    groups.sort_by_key(|(table, group)| {
+        let place = order.iter().position(|known| known == table);
+        (!table.is_empty(), place, group[0].key.only_with.is_some())
+    });
     groups
 }
 

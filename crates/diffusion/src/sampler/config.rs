@@ -10,15 +10,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SamplerKind {
-    /// Deterministic at `eta` 0, and good with few steps: [`crate::ddim_step`].
+    /// DDIM: deterministic at `eta` 0, and good with few steps.
     #[default]
     Ddim,
-    /// Ancestral sampling: samples from the posterior in every step: [`crate::ddpm_step`].
+    /// Ancestral sampling: samples from the posterior in every step.
     Ddpm,
-    /// Deterministic and of second order: [`crate::dpmpp_2m`].
+    /// DPM-Solver++ (2M): deterministic and of second order.
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m,
-    /// Deterministic and of second order, with two calls of the network a step: [`crate::heun`].
+    /// Deterministic and of second order, with two calls of the network a step.
     Heun,
 }
 
@@ -69,7 +69,7 @@ pub struct SamplerConfig {
     pub num_inference_steps: usize,
     /// Scale of the noise added by DDIM, from 0 (deterministic) to 1 (as DDPM).
     pub eta: f64,
-    /// Classifier-free guidance scale; 1 disables guidance ([`crate::guided`]).
+    /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
     /// Spacing of the timesteps.
     pub timestep_spacing: TimestepSpacing,

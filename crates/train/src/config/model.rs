@@ -13,7 +13,7 @@ use super::{ConfigError, PLAIN};
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTable<N> {
-    /// Named size that the network's keys started from.
+    /// Named size that the network's keys start from; each can be set beside it.
     pub size: String,
     /// The kind of network and its sizes.
     #[serde(flatten)]

@@ -5,7 +5,7 @@ use serde_json::Value as Json;
 use toml::{Table, Value};
 
 use super::Systems;
-use crate::config::{Config, ConfigError, PLAIN, TrainConfig, apply};
+use crate::config::{Config, ConfigError, PLAIN, TrainConfig, apply, not_among};
 use crate::error::Error;
 
 /// A key of the configs of some recipes.
@@ -233,36 +233,38 @@ impl Systems<'_> {
                 message,
                 hint,
             } if message.starts_with("expected") => {
-                let described = self.described().into_iter();
-                let mut mine = described.filter(|(known, recipes)| {
-                    known.name == key && recipes.contains(&recipe.as_str())
-                });
-                match (mine.next(), value_at(given, &key)) {
-                    (
-                        Some((
-                            Key {
-                                values: Values::Names(names),
-                                ..
-                            },
-                            _,
-                        )),
-                        Some(found),
-                    ) => {
-                        let names: Vec<&str> =
-                            names.iter().map(|name| name.name.as_str()).collect();
-                        crate::config::not_among(place, &key, &found.to_string(), &names)
-                    }
-                    (Some(_), _) => ConfigError::Value {
-                        hint: format!("`kinegrad config explain {key}` says what it means"),
-                        place,
-                        key,
-                        message,
-                    },
-                    (None, _) => ConfigError::Value {
+                let described = self.described();
+                let above = |known: &Key| {
+                    let below = key.strip_prefix(&known.name);
+                    below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
+                };
+                let mine = described
+                    .iter()
+                    .filter(|(known, recipes)| above(known) && recipes.contains(&recipe.as_str()));
+                let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) else {
+                    return ConfigError::Value {
                         place,
                         key,
                         message,
                         hint,
+                    };
+                };
+                // A list that is no list has no name in the place of one.
+                let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
+                let names = known.values.names().iter();
+                let names: Vec<&str> = names.map(|name| name.name.as_str()).collect();
+                match value_at(given, &key) {
+                    Some(found) if is_name && !names.is_empty() => {
+                        not_among(place, &key, &found.to_string(), &names)
+                    }
+                    _ => ConfigError::Value {
+                        hint: format!(
+                            "`kinegrad config explain {}` says what it means",
+                            known.name
+                        ),
+                        place,
+                        key,
+                        message,
                     },
                 }
             }
@@ -358,10 +360,16 @@ fn written(value: &Value) -> String {
     }
 }
 
-/// The value of a dotted key.
+/// The value of a dotted key, or of an element of a list: `lora.targets[1]`.
 fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
-    match key.split_once('.') {
-        Some((name, rest)) => value_at(table.get(name)?.as_table()?, rest),
+    if let Some((name, rest)) = key.split_once('.') {
+        return value_at(table.get(name)?.as_table()?, rest);
+    }
+    match key.split_once('[') {
+        Some((name, index)) => {
+            let index: usize = index.strip_suffix(']')?.parse().ok()?;
+            table.get(name)?.as_array()?.get(index)
+        }
         None => table.get(key),
     }
 }
