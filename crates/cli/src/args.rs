@@ -1,6 +1,7 @@
 //! Command-line arguments, parsed with clap. The commands themselves are in `commands`.
 
 mod data;
+mod view;
 
 use std::path::PathBuf;
 
@@ -15,6 +16,7 @@ pub use data::{
     AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
     SynthArguments,
 };
+pub use view::ViewArguments;
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -46,6 +48,8 @@ pub enum Command {
     Eval(EvalArguments),
     /// Plot a motion file, or the loss curves of a run
     Plot(PlotArguments),
+    /// Write a page on which motion is looked at from all sides, with its music
+    View(ViewArguments),
     /// Create and inspect datasets
     #[command(subcommand)]
     Data(DataCommand),

@@ -22,6 +22,7 @@ mod output;
 mod args;
 mod commands;
 mod progress;
+mod scene;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -61,6 +62,7 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Check(arguments) => commands::check::run(systems, arguments),
         Command::Eval(arguments) => commands::eval::run(systems, arguments),
         Command::Plot(arguments) => commands::plot::run(systems, arguments),
+        Command::View(arguments) => commands::view::run(systems, arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
         Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),

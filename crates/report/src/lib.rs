@@ -4,6 +4,7 @@ mod columns;
 mod picture;
 pub mod scene;
 mod table;
+pub mod viewer;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
 pub use picture::{Panel, PictureError, Series, check_ending, draw};

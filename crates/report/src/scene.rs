@@ -62,6 +62,8 @@ pub struct Floor {
     pub keyframes: Vec<(usize, [f32; 2])>,
     /// Centre and radius of each obstacle.
     pub obstacles: Vec<([f32; 2], f32)>,
+    /// Corners of each obstacle that is no disc.
+    pub polygons: Vec<Vec<[f32; 2]>>,
 }
 
 /// Music that belongs to the motion.

@@ -12,3 +12,4 @@ pub mod plot;
 pub mod prepare;
 pub mod sample;
 pub mod train;
+pub mod view;
