@@ -101,7 +101,9 @@ class Chart {
       }
     }
     if (!(least <= most)) [least, most] = [0, 1];
-    const margin = 0.08 * (most - least || Math.abs(most) || 1);
+    // What differs in the last digits of a float is level.
+    const size = Math.max(Math.abs(least), Math.abs(most)) || 1;
+    const margin = Math.max(0.08 * (most - least), 1e-4 * size);
     const y = (value) => height - (height * (value - least + margin)) / (most - least + 2 * margin);
     timeLines(context, width, height, this.scene, colours);
     if (least < 0 && most > 0) {
@@ -188,6 +190,9 @@ class ContactChart extends Chart {
         context.fillRect(from * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
       }
       context.fillStyle = colours.ink;
+      context.lineWidth = 3 * ratio;
+      context.strokeStyle = colours.ground;
+      context.strokeText(name, 4 * ratio, (row + 0.5) * step);
       context.fillText(name, 4 * ratio, (row + 0.5) * step);
     });
   }

@@ -151,6 +151,10 @@ const measure = (figure, parents) => {
     figure.bones.push({ parent, joint, radius, side: figure.sides[joint] });
   });
   figure.head = figure.joints.findIndex((name) => /^head$/i.test(name));
+  // The top of the head lies within the ball that is drawn for it.
+  const tops = figure.bones.filter(({ parent, joint }) => parent === figure.head && /end|top/i.test(figure.joints[joint]));
+  figure.top = tops.length === 1 ? tops[0].joint : figure.head;
+  figure.bones = figure.bones.filter((bone) => !tops.includes(bone) || tops.length > 1);
   figure.reach = 0;
   for (const frame of sampled) {
     for (let j = 0; j < count; j++) {

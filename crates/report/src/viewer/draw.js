@@ -301,7 +301,8 @@ class Painter {
     const dots = bones.length === 0 ? [...Array(count).keys()] : [];
     if (figure.head >= 0) dots.push(figure.head);
     for (const joint of dots) {
-      const [x, y, depth] = spots.subarray(3 * joint, 3 * joint + 3);
+      const other = joint === figure.head ? figure.top : joint;
+      const [x, y, depth] = [0, 1, 2].map((i) => (spots[3 * joint + i] + spots[3 * other + i]) / 2);
       if (depth < view.near) continue;
       const radius = (joint === figure.head ? 0.058 : 0.016) * figure.height;
       pieces.push({ depth: depth - radius, draw: () => ball(x, y, depth, radius, shades[1]) });

@@ -173,6 +173,9 @@ class Viewer {
     this.stale = false;
     this.shown = this.frame;
     const panes = this.panes();
+    // What shows between the panes.
+    this.painter.context.fillStyle = this.painter.grid;
+    this.painter.context.fillRect(0, 0, this.width, this.height);
     for (const pane of panes) {
       const [target, distance] = this.framing(pane);
       const view = this.camera.view(target, distance, pane);
@@ -246,10 +249,10 @@ class Viewer {
       for (const [x, z] of floor.polygons.flat()) include(x, z);
     }
     const spread = Math.hypot(x1 - x0, z1 - z0) / 2;
-    const wide = spread + (this.following ? Math.min(reach, tall) : 0.25 * tall);
+    const wide = spread + (this.following ? reach : 0.25 * tall);
     const high = 0.62 * tall + 0.35 * spread;
     const half = Math.tan(VIEW_ANGLE / 2);
-    const distance = Math.max(high / half, wide / ((half * pane.width) / pane.height)) + 0.5 * spread;
+    const distance = Math.max(high / half, wide / ((half * pane.width) / pane.height)) + 0.25 * spread;
     return [[(x0 + x1) / 2, ground + 0.5 * tall, (z0 + z1) / 2], distance];
   }
 
