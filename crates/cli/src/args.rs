@@ -1,8 +1,9 @@
 //! Command-line arguments, parsed with clap. The commands themselves are in `commands`.
 
+mod config;
 mod data;
 mod reports;
-mod newcomer;
+mod view;
 
 use std::path::PathBuf;
 
@@ -13,13 +14,14 @@ use kinegrad_train::Error;
 use serde::de::value::Error as ValueError;
 use serde::de::{DeserializeOwned, IntoDeserializer};
 
+pub use config::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 pub use data::{
     AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
     SynthArguments,
 };
-pub use newcomer::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
+pub use view::ViewArguments;
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -57,6 +59,8 @@ pub enum Command {
     Report(ReportArguments),
     /// List runs
     Runs(RunsArguments),
+    /// Write a page on which motion is looked at from all sides, with its music
+    View(ViewArguments),
     /// Create and inspect datasets
     #[command(subcommand)]
     Data(DataCommand),

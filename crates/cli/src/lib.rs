@@ -28,6 +28,7 @@ mod runs;
 
 pub use commands::sample::{Files, bvh_text, checkpoint, must_be_finite, while_it_is_trained};
 pub use commands::train::draw_samples_at_end;
+mod scene;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -69,6 +70,7 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Plot(arguments) => commands::plot::run(systems, arguments),
         Command::Report(arguments) => commands::report::run(systems, arguments),
         Command::Runs(arguments) => commands::runs::run(systems, arguments),
+        Command::View(arguments) => commands::view::run(systems, arguments),
         Command::Data(DataCommand::Synth(arguments)) => commands::data::synth(arguments),
         Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),

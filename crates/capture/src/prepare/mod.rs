@@ -30,6 +30,7 @@ use serde::Serialize;
 
 pub use plan::Plan;
 pub use report::{Rejection, TakeReport};
+pub use units::Units;
 
 use crate::Error;
 use journal::Journal;

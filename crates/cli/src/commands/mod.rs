@@ -17,6 +17,7 @@ pub mod runs;
 pub mod sample;
 pub mod shell;
 pub mod train;
+pub mod view;
 
 /// The name that `found` is nearest to, if it is near.
 fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {

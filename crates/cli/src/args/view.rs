@@ -1,0 +1,74 @@
+//! Arguments of `kinegrad view`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use kinegrad_capture::UpAxis;
+use kinegrad_capture::prepare::Units;
+
+use super::named;
+
+/// Writes one HTML file that needs no network: the figures move in 3D beside one another, with
+/// their curves, and with the song in step. Motions are what `kinegrad sample` writes (phrases
+/// `[T, 25]`, joint features, joint positions `[T, J, 3]`, ground paths `[T, 2]`) and BVH files of
+/// any skeleton. docs/viewing.md describes the page.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad view dance.npy --audio song.mp3 --start 30
+  kinegrad view walk.npy --goal goal.toml --raw
+  kinegrad view drawn.npy real.npy --title 'Drawn beside real' --out both.html
+  kinegrad view capture.bvh --units cmu")]
+pub struct ViewArguments {
+    /// Motion files (.npy or .bvh), or folders of them
+    #[arg(required = true, value_name = "MOTION")]
+    pub motions: Vec<PathBuf>,
+    /// Song (mp3, wav, flac, ogg) to play with the motion
+    #[arg(long, value_name = "SONG")]
+    pub audio: Option<PathBuf>,
+    /// Position in the song, in seconds, at which the motion starts
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.0,
+        requires = "audio"
+    )]
+    pub start: f64,
+    /// Goal to draw on the floor: keyframes, trajectory and obstacles
+    #[arg(long, value_name = "GOAL.toml")]
+    pub goal: Option<PathBuf>,
+    /// Also show NAME.raw.npy, the raw model output, beside each NAME.npy
+    #[arg(long)]
+    pub raw: bool,
+    /// Length of a unit of the BVH files: m, cm, mm, inch, cmu, or a number of metres [default:
+    /// the unit that makes the figure most like a person]
+    #[arg(long, value_parser = units)]
+    pub units: Option<Units>,
+    /// Axis of the BVH files that points up: y or z [default: the one along which feet are below
+    /// the root]
+    #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
+    pub up: Option<UpAxis>,
+    /// Frames per second of joint positions whose skeleton is unknown
+    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    pub fps: f64,
+    /// Title of the page [default: the names of the motions]
+    #[arg(long)]
+    pub title: Option<String>,
+    /// Page to write [default: beside the first motion, with its name]
+    #[arg(long, value_name = "PAGE.html")]
+    pub out: Option<PathBuf>,
+    /// Write the page even if there is a file of its name
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+/// Units by name or by their length.
+fn units(text: &str) -> Result<Units, String> {
+    match text.parse::<f64>() {
+        Ok(metres) if metres > 0.0 && metres.is_finite() => Ok(Units::Metres(metres)),
+        Ok(_) => Err("a length is a positive number of metres".to_string()),
+        Err(_) => named(text).map_err(|_| {
+            "allowed: m, cm, mm, inch, cmu, or a number of metres such as 0.05".to_string()
+        }),
+    }
+}

@@ -1,0 +1,328 @@
+//! From files to a [`Scene`]: motions of every representation and BVH files, goals and songs.
+
+mod body;
+mod bvh;
+mod music;
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use kinegrad_capture::UpAxis;
+use kinegrad_capture::prepare::Units;
+use kinegrad_data::{Array, read_array};
+use kinegrad_motion::goal::{Goal, Obstacle};
+use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::phrase::QUATERNION;
+use kinegrad_motion::{CHANNELS, Phrases, Representation};
+use kinegrad_report::scene::{Curves, Figure, Floor, Scene};
+use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
+use kinegrad_train::systems::gmd::read_goal;
+
+pub use body::figure as body;
+pub use music::{Music, song};
+
+/// Most figures of a scene: more can neither be told apart nor drawn in time.
+const MOST_FIGURES: usize = 16;
+
+/// How files are read.
+#[derive(Debug)]
+pub struct Reading {
+    /// Length of a unit of BVH files; guessed if absent.
+    pub units: Option<Units>,
+    /// Axis of BVH files that points up; guessed if absent.
+    pub up: Option<UpAxis>,
+    /// Frames per second of joint positions whose skeleton is unknown.
+    pub fps: f64,
+    /// Title; the names of the motions if absent.
+    pub title: Option<String>,
+    /// Goal on the floor.
+    pub goal: Option<PathBuf>,
+    /// Song to play.
+    pub music: Option<Music>,
+}
+
+impl Default for Reading {
+    fn default() -> Self {
+        Self {
+            units: None,
+            up: None,
+            fps: 30.0,
+            title: None,
+            goal: None,
+            music: None,
+        }
+    }
+}
+
+/// The motion files meant by `paths`, folders searched through; with `raw`, the raw model output
+/// behind each that has one. Folders give neither raw output, features and paths beside samples,
+/// nor the BVH file of a sample that is there as an array.
+///
+/// # Errors
+/// If there is nothing at a path, or too much.
+pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
+    let mut files = Vec::new();
+    for path in paths {
+        let before = files.len();
+        collect(path, &mut files);
+        if files.len() == before {
+            let message = format!("there is no motion file at {}", path.display());
+            let hint = "give a .npy file such as `kinegrad sample` writes, a .bvh file, or a \
+                        folder of them";
+            return Err(Error::usage(message, hint));
+        }
+    }
+    if raw {
+        files = files
+            .into_iter()
+            .flat_map(|file| {
+                let beside = file.with_extension("raw.npy");
+                let has_one = file != beside && beside.is_file();
+                [Some(file), has_one.then_some(beside)]
+            })
+            .flatten()
+            .collect();
+    }
+    if files.len() > MOST_FIGURES {
+        return Err(Error::usage(
+            format!(
+                "{} motions, at most {MOST_FIGURES} fit on a page",
+                files.len()
+            ),
+            format!("name some of them, the first is {}", files[0].display()),
+        ));
+    }
+    Ok(files)
+}
+
+fn collect(path: &Path, files: &mut Vec<PathBuf>) {
+    if path.is_file() {
+        files.push(path.to_path_buf());
+        return;
+    }
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+    let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    inside.sort();
+    for path in inside {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let beside = [".raw.npy", ".features.npy", ".path.npy"];
+        let is_motion = match path.extension().and_then(|ending| ending.to_str()) {
+            Some("npy") => !beside.iter().any(|ending| name.ends_with(ending)),
+            Some("bvh") => !path.with_extension("npy").exists(),
+            _ => path.is_dir(),
+        };
+        if is_motion {
+            collect(&path, files);
+        }
+    }
+}
+
+/// The scene of these `motions`, one figure each.
+///
+/// # Errors
+/// For the first file that cannot be shown, a goal that cannot be read or a song that cannot be
+/// decoded.
+pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
+    let figures = motions.iter().zip(names(motions));
+    let figures = figures
+        .map(|(path, name)| figure(systems, path, name, reading))
+        .collect::<Result<Vec<Figure>, Error>>()?;
+    let floor = match &reading.goal {
+        Some(path) => floor(&read_goal(path)?),
+        None => Floor::default(),
+    };
+    let seconds = figures.iter().map(Figure::seconds).fold(0.0, f64::max);
+    let music = reading.music.as_ref();
+    let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
+    Ok(Scene {
+        title: reading.title.clone().unwrap_or_else(|| names.join(", ")),
+        floor,
+        song: music.map(|music| song(music, seconds)).transpose()?,
+        figures,
+    })
+}
+
+/// A name for each file: its stem, with its folder's where stems are alike.
+fn names(paths: &[PathBuf]) -> Vec<String> {
+    let stem = |path: &Path| {
+        path.file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    let different: HashSet<String> = paths.iter().map(|path| stem(path)).collect();
+    let folder = |path: &Path| stem(path.parent().unwrap_or(Path::new("")));
+    let name = |path: &PathBuf| match different.len() == paths.len() {
+        true => stem(path),
+        false => format!("{}/{}", folder(path), stem(path)),
+    };
+    paths.iter().map(name).collect()
+}
+
+/// The figure in a file.
+fn figure(
+    systems: Systems<'_>,
+    path: &Path,
+    name: String,
+    reading: &Reading,
+) -> Result<Figure, Error> {
+    if path
+        .extension()
+        .is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
+    {
+        return bvh::figure(path, name, reading);
+    }
+    let array = read_array(path)?;
+    let known = systems.representation_of(path, &array.shape, &array.values);
+    let figure = match (known, array.shape.as_slice()) {
+        (Ok(representation), _) => of(&*representation, &array.values, name),
+        (Err(_), &[frames, joints, 3]) if frames > 0 && joints > 0 => {
+            Some(points(&array, joints, name, reading.fps)?)
+        }
+        (Err(error), _) => return Err(error),
+    };
+    figure.ok_or_else(|| {
+        Error::usage(
+            format!("{}: a position is not finite", path.display()),
+            "`kinegrad check` says what is wrong with a motion",
+        )
+    })
+}
+
+/// The figure of finite rows of a representation; none if a position is not finite.
+pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Option<Figure> {
+    let joints = representation.joints(rows)?;
+    let fps = representation.fps();
+    let curves = representation.curves(rows).into_iter().map(|curves| {
+        let series = curves.series.into_iter();
+        let single = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect();
+        Curves {
+            title: curves.title,
+            series: series
+                .map(|(name, values)| (name, single(values)))
+                .collect(),
+        }
+    });
+    let curves = curves.collect();
+    let Some(skeleton) = representation.skeleton() else {
+        let is_phrase = representation.name() == Phrases.name();
+        return Some(Figure {
+            name,
+            fps,
+            positions: joints.to_f32(),
+            joint_names: (0..joints.joints())
+                .map(|joint| format!("joint_{joint}"))
+                .collect(),
+            parents: vec![None; joints.joints()],
+            orientations: is_phrase.then(|| orientations(rows)),
+            curves,
+            ..Figure::default()
+        });
+    };
+    let feet = skeleton.contact_joints();
+    let parents = skeleton.parents().to_vec();
+    let joint_names = skeleton.description().joint_names.clone();
+    let shown = body(name, fps, &joints, joint_names, parents, Some(&feet));
+    Some(Figure { curves, ..shown })
+}
+
+/// Unit quaternions of phrases; where there is none, that of the frame before.
+fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
+    let mut last = [1.0, 0.0, 0.0, 0.0];
+    let frames = rows.chunks_exact(CHANNELS).map(|frame| {
+        let found: [f32; 4] = std::array::from_fn(|i| frame[QUATERNION][i]);
+        let norm = found.iter().map(|value| value * value).sum::<f32>().sqrt();
+        if norm.is_finite() && norm > 1e-6 {
+            last = found.map(|value| value / norm);
+        }
+        last
+    });
+    frames.collect()
+}
+
+/// Joints of no known skeleton: points.
+fn points(array: &Array, joints: usize, name: String, fps: f64) -> Result<Figure, Error> {
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(Error::usage(
+            format!("`--fps` is {fps}"),
+            "frames per second are a positive number, such as 30",
+        ));
+    }
+    let places = Joints::from_f32(&array.values, joints)?;
+    let joint_names = (0..joints).map(|joint| format!("joint_{joint}")).collect();
+    let parents = vec![None; joints];
+    Ok(body(name, fps, &places, joint_names, parents, Some(&[])))
+}
+
+/// What a goal has on the floor.
+pub fn floor(goal: &Goal) -> Floor {
+    let single = |place: [f64; 2]| place.map(|value| value as f32);
+    let path = goal.trajectory.iter().flat_map(|path| &path.points);
+    let mut floor = Floor {
+        path: path.map(|point| single(*point)).collect(),
+        keyframes: goal
+            .keyframes
+            .iter()
+            .map(|keyframe| (keyframe.frame, single(keyframe.position())))
+            .collect(),
+        ..Floor::default()
+    };
+    for obstacle in &goal.obstacles {
+        match obstacle {
+            &Obstacle::Disc { x, z, radius } => {
+                floor.obstacles.push((single([x, z]), radius as f32));
+            }
+            Obstacle::Polygon { vertices } => {
+                let corners = vertices.iter().map(|corner| single(*corner));
+                floor.polygons.push(corners.collect());
+            }
+        }
+    }
+    floor
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_stems_unless_those_are_alike() {
+        let paths = |names: [&str; 2]| names.map(PathBuf::from);
+        assert_eq!(names(&paths(["x/a.npy", "x/b.raw.npy"])), ["a", "b.raw"]);
+        assert_eq!(names(&paths(["x/a.npy", "y/a.npy"])), ["x/a", "y/a"]);
+    }
+
+    #[test]
+    fn a_folder_gives_each_motion_once() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "a.npy",
+            "a.raw.npy",
+            "a.bvh",
+            "a.features.npy",
+            "a.path.npy",
+            "b.bvh",
+            "c.txt",
+        ] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let found = |raw| -> Vec<String> {
+            let files = motions(&[folder.path().to_path_buf()], raw).unwrap();
+            let names = files.iter().map(|file| file.file_name().unwrap());
+            names
+                .map(|name| name.to_string_lossy().into_owned())
+                .collect()
+        };
+        assert_eq!(found(false), ["a.npy", "b.bvh"]);
+        assert_eq!(found(true), ["a.npy", "a.raw.npy", "b.bvh"]);
+        assert!(motions(&[folder.path().join("none")], false).is_err());
+    }
+
+    #[test]
+    fn a_quaternion_of_zeros_keeps_the_orientation_before_it() {
+        let mut rows = vec![0.0f32; 2 * CHANNELS];
+        rows[QUATERNION.start + 2] = 2.0;
+        assert_eq!(orientations(&rows), [[0.0, 0.0, 1.0, 0.0]; 2]);
+    }
+}

@@ -1,0 +1,138 @@
+//! Bodies of joints: when their feet stand, and curves where no representation gives any.
+
+use kinegrad_motion::humanml::Joints;
+use kinegrad_report::scene::{Contact, Curves, Figure};
+
+/// Height of the person that the thresholds of contacts are for, metres.
+const PERSON: f64 = 1.7;
+
+/// A joint that stands is at most this far above its lowest place, metres.
+const LOW: f64 = 0.05;
+
+/// A joint that stands moves at most this fast, metres per second.
+const SLOW: f64 = 0.4;
+
+/// The figure of a body's joints. `feet` are the joints that can stand on the ground; by default
+/// those named as feet and toes.
+///
+/// A foot stands where it is within 5 cm of its own lowest place and slower than 0.4 m/s, for a
+/// person 1.7 m tall; thresholds grow with the figure.
+pub fn figure(
+    name: String,
+    fps: f64,
+    joints: &Joints,
+    joint_names: Vec<String>,
+    parents: Vec<Option<usize>>,
+    feet: Option<&[usize]>,
+) -> Figure {
+    let named = || {
+        let feet = joint_names.iter().enumerate();
+        feet.filter(|(_, name)| is_foot(name))
+            .map(|(joint, _)| joint)
+            .collect()
+    };
+    let feet: Vec<usize> = feet.map_or_else(named, <[usize]>::to_vec);
+    let size = height(joints) / PERSON;
+    let contacts = feet.into_iter().map(|joint| Contact {
+        joint,
+        frames: stands(&joints.track(joint), fps, size),
+    });
+    Figure {
+        name,
+        fps,
+        positions: joints.to_f32(),
+        contacts: contacts.collect(),
+        curves: curves(joints, fps),
+        joint_names,
+        parents,
+        orientations: None,
+    }
+}
+
+/// Whether a joint of this name is a foot's: of the tips of its chain only those that carry weight.
+pub fn is_foot(name: &str) -> bool {
+    let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
+    (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
+}
+
+/// The largest height from the lowest to the highest joint, of a frame now and then.
+pub fn height(joints: &Joints) -> f64 {
+    let step = joints.frames().div_ceil(50);
+    let heights = (0..joints.frames()).step_by(step).map(|t| {
+        let places = || joints.frame(t).iter().map(|place| place[1]);
+        places().fold(f64::NEG_INFINITY, f64::max) - places().fold(f64::INFINITY, f64::min)
+    });
+    heights.fold(0.0, f64::max)
+}
+
+fn stands(track: &[[f64; 3]], fps: f64, size: f64) -> Vec<bool> {
+    let mut heights: Vec<f64> = track.iter().map(|place| place[1]).collect();
+    heights.sort_by(f64::total_cmp);
+    // A single frame that dips through the floor does not count.
+    let lowest = heights[heights.len() / 50];
+    let speed = |t: usize| {
+        let (from, to) = (t.saturating_sub(1), (t + 1).min(track.len() - 1));
+        let way = [0, 1, 2].map(|axis| track[to][axis] - track[from][axis]);
+        let metres = way.iter().map(|value| value * value).sum::<f64>().sqrt();
+        metres * fps / (to - from).max(1) as f64
+    };
+    let low = |t: usize| track[t][1] <= lowest + LOW * size;
+    (0..track.len())
+        .map(|t| low(t) && speed(t) <= SLOW * size)
+        .collect()
+}
+
+/// Height and speed of the root.
+fn curves(joints: &Joints, fps: f64) -> Vec<Curves> {
+    let track = joints.track(0);
+    let heights = track.iter().map(|place| place[1] as f32).collect();
+    let speeds = track.windows(2).map(|pair| {
+        let [x, _, z] = [0, 1, 2].map(|axis| pair[1][axis] - pair[0][axis]);
+        (x.hypot(z) * fps) as f32
+    });
+    let of_root = |title: &str, values| Curves {
+        title: title.to_string(),
+        series: vec![("root".to_string(), values)],
+    };
+    vec![
+        of_root("height (m)", heights),
+        of_root("speed on the ground (m/s)", speeds.collect()),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_foot_stands_while_it_is_low_and_slow() {
+        // Ten frames on the ground, ten up and ahead, ten on the ground again.
+        let place = |t: usize| match t {
+            0..10 => [0.0, 0.02, 0.0],
+            10..20 => [0.0, 0.2, 0.05 * (t - 9) as f64],
+            _ => [0.0, 0.02, 0.55],
+        };
+        let places = (0..30).flat_map(|t| [[0.0, 1.7, 0.0], place(t)]);
+        let joints = Joints::new(places.collect(), 2).unwrap();
+        let names = ["Hips", "mixamorig:LeftFoot"].map(String::from).to_vec();
+        let shown = figure("a".into(), 20.0, &joints, names, vec![None, Some(0)], None);
+        let [contact] = shown.contacts.as_slice() else {
+            panic!("one foot");
+        };
+        assert_eq!(contact.joint, 1);
+        let standing: Vec<usize> = (0..30).filter(|t| contact.frames[*t]).collect();
+        assert_eq!(standing, (0..9).chain(21..30).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn feet_are_known_by_their_names() {
+        for (name, is) in [
+            ("left_foot", true),
+            ("RightToeBase", true),
+            ("LeftToe_End", false),
+            ("Hips", false),
+        ] {
+            assert_eq!(is_foot(name), is, "{name}");
+        }
+    }
+}

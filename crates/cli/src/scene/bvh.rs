@@ -1,0 +1,117 @@
+//! BVH files as figures, with a guess of their units and of the axis that points up.
+
+use std::path::Path;
+
+use kinegrad_capture::prepare::Units;
+use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_data::file::read_file;
+use kinegrad_motion::humanml::Joints;
+use kinegrad_report::scene::Figure;
+use kinegrad_train::Error;
+
+use super::Reading;
+use super::body;
+use crate::output::unusable;
+
+/// Largest file that is read, bytes.
+const LARGEST: u64 = 1 << 30;
+
+/// Height of a person's joints, metres: what the unit is guessed by.
+const PERSON: f64 = 1.6;
+
+/// The figure of a BVH file.
+pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Error> {
+    let bytes = read_file(path, LARGEST).map_err(Error::io("read", path))?;
+    let bvh = Bvh::parse(&bytes, &path.display().to_string()).map_err(unusable)?;
+    let names: Vec<String> = bvh
+        .joints()
+        .iter()
+        .map(|joint| joint.name.clone())
+        .collect();
+    let first = bvh.world(0).into_iter().map(|pose| pose.position);
+    let first: Vec<[f64; 3]> = first.collect();
+    let up = reading.up.unwrap_or_else(|| guess_up(&names, &first));
+    let units = reading.units.unwrap_or_else(|| guess_units(&first, up));
+    if reading.units.is_none() || reading.up.is_none() {
+        let axis = if up == UpAxis::Y { "y" } else { "z" };
+        tell!(
+            "note: {} is read in {} with {axis} up; `--units` and `--up` say otherwise",
+            path.display(),
+            in_words(units)
+        );
+    }
+    let metres = units.metres();
+    let places = (0..bvh.frames()).flat_map(|t| bvh.world(t));
+    let places = places.map(|pose| up.to_y_up(pose.position.map(|value| value * metres)));
+    let joints = Joints::new(places.collect(), names.len())?;
+    let parents = bvh.joints().iter().map(|joint| joint.parent).collect();
+    let fps = 1.0 / bvh.frame_time();
+    Ok(body(name, fps, &joints, names, parents, None))
+}
+
+/// The axis along which feet are further below the root; y where no joint is named as a foot.
+fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
+    let feet = names
+        .iter()
+        .zip(places)
+        .filter(|(name, _)| body::is_foot(name));
+    let drop = |axis: usize| {
+        feet.clone()
+            .map(|(_, place)| places[0][axis] - place[axis])
+            .sum::<f64>()
+    };
+    match drop(2) > 1.5 * drop(1).max(0.0) && drop(2) > 0.0 {
+        true => UpAxis::Z,
+        false => UpAxis::Y,
+    }
+}
+
+/// The unit in which the figure is most nearly as tall as a person.
+fn guess_units(places: &[[f64; 3]], up: UpAxis) -> Units {
+    let heights = || places.iter().map(|place| up.to_y_up(*place)[1]);
+    let tall =
+        heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(f64::INFINITY, f64::min);
+    let off = |units: &Units| (tall * units.metres() / PERSON).ln().abs();
+    let known = [Units::Cm, Units::M, Units::Mm, Units::Inch, Units::Cmu];
+    let best = known.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+    best.filter(|units| off(units).is_finite())
+        .unwrap_or_default()
+}
+
+fn in_words(units: Units) -> &'static str {
+    match units {
+        Units::M => "metres",
+        Units::Cm => "centimetres",
+        Units::Mm => "millimetres",
+        Units::Inch => "inches",
+        Units::Cmu => "units of the CMU database",
+        Units::Metres(_) => "the given unit",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_and_axis_are_those_of_a_person() {
+        let names = ["Hips", "Head", "LeftFoot", "RightFoot"].map(String::from);
+        let standing = |scale: f64, up: usize| -> Vec<[f64; 3]> {
+            let heights = [0.95, 1.6, 0.05, 0.08];
+            let place = |height: f64| {
+                let mut place = [0.3 * scale; 3];
+                place[up] = height * scale;
+                place
+            };
+            heights.map(place).to_vec()
+        };
+        for units in [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu] {
+            for (axis, up) in [(1, UpAxis::Y), (2, UpAxis::Z)] {
+                let places = standing(1.0 / units.metres(), axis);
+                assert_eq!(guess_up(&names, &places), up);
+                assert_eq!(guess_units(&places, up), units);
+            }
+        }
+        assert_eq!(guess_units(&[[0.0; 3]], UpAxis::Y), Units::Cm);
+    }
+}

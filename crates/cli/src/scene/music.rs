@@ -1,0 +1,136 @@
+//! The song of a scene.
+
+use std::path::PathBuf;
+
+use kinegrad_audio::{SAMPLE_RATE, extract};
+use kinegrad_data::file::read_file;
+use kinegrad_report::scene::Song;
+use kinegrad_train::Error;
+use kinegrad_train::memory::must_fit;
+
+use crate::output::unusable;
+
+/// Largest song that is read, bytes.
+const LARGEST: u64 = 1 << 30;
+
+/// A song and where the motion starts in it.
+#[derive(Clone, Debug)]
+pub struct Music {
+    /// The file.
+    pub song: PathBuf,
+    /// Second of the song at which the motion starts.
+    pub start: f64,
+}
+
+/// The song with its beats during `seconds` of motion. What is smaller goes into the page: the
+/// file, or its part that belongs to the motion as uncompressed mono.
+///
+/// # Errors
+/// If the song cannot be decoded, or the motion would start outside of it.
+pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
+    let Music { song: path, start } = music;
+    let waveform = kinegrad_audio::decode(path)?;
+    let rate = f64::from(SAMPLE_RATE);
+    let length = waveform.samples.len() as f64 / rate;
+    if !(0.0..length).contains(start) {
+        return Err(Error::usage(
+            format!(
+                "`--start` is {start}, the song has {length:.1} s: {}",
+                path.display()
+            ),
+            "seconds from the beginning of the song to that of the motion",
+        ));
+    }
+    let from = (start * rate) as usize;
+    let to = (((start + seconds) * rate).ceil() as usize).min(waveform.samples.len());
+    let part = &waveform.samples[from..to];
+    must_fit(
+        &format!("{}: the beats of {seconds:.0} s", path.display()),
+        kinegrad_audio::Analysis::memory(part.len()),
+        "show a shorter motion, or free memory",
+    )?;
+    let beats = extract(part).map_err(unusable)?.beats().times();
+    let bytes = read_file(path, LARGEST).map_err(Error::io("read", path))?;
+    let ending = path.extension().map(|ending| ending.to_ascii_lowercase());
+    let media_type = match ending.as_ref().and_then(|ending| ending.to_str()) {
+        Some("mp3") => Some("audio/mpeg"),
+        Some("wav") => Some("audio/wav"),
+        Some("flac") => Some("audio/flac"),
+        Some("ogg" | "oga") => Some("audio/ogg"),
+        _ => None,
+    };
+    let shift = from as f64 / rate;
+    let uncompressed = HEADER + 2 * part.len();
+    Ok(match media_type {
+        Some(media_type) if bytes.len() <= uncompressed => Song {
+            media_type,
+            bytes,
+            start: shift,
+            beats: beats.into_iter().map(|beat| beat + shift).collect(),
+        },
+        _ => Song {
+            media_type: "audio/wav",
+            bytes: wav(part),
+            start: 0.0,
+            beats,
+        },
+    })
+}
+
+/// Bytes of a WAV file before its samples.
+const HEADER: usize = 44;
+
+/// Mono samples as a WAV file of 16 bits.
+fn wav(samples: &[f32]) -> Vec<u8> {
+    let data = 2 * samples.len() as u32;
+    let mut bytes = Vec::with_capacity(HEADER + data as usize);
+    bytes.extend(b"RIFF");
+    bytes.extend((data + HEADER as u32 - 8).to_le_bytes());
+    bytes.extend(b"WAVEfmt ");
+    bytes.extend(16u32.to_le_bytes());
+    // Integer samples, one channel.
+    bytes.extend([1u16, 1].map(u16::to_le_bytes).concat());
+    bytes.extend(
+        [SAMPLE_RATE, 2 * SAMPLE_RATE]
+            .map(u32::to_le_bytes)
+            .concat(),
+    );
+    bytes.extend([2u16, 16].map(u16::to_le_bytes).concat());
+    bytes.extend(b"data");
+    bytes.extend(data.to_le_bytes());
+    let level = |sample: &f32| ((sample.clamp(-1.0, 1.0) * 32767.0).round() as i16).to_le_bytes();
+    bytes.extend(samples.iter().flat_map(level));
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Five seconds with a click every half second.
+    fn clicks() -> Vec<f32> {
+        let sample = |n: u32| match n % (SAMPLE_RATE / 2) {
+            0..400 => 0.8 * (n as f32 * 0.3).sin(),
+            _ => 0.0,
+        };
+        (0..5 * SAMPLE_RATE).map(sample).collect()
+    }
+
+    #[test]
+    fn the_part_that_is_danced_comes_along_where_it_is_smaller() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("song.wav");
+        std::fs::write(&path, wav(&clicks())).unwrap();
+        let at = |start| Music {
+            song: path.clone(),
+            start,
+        };
+        let part = song(&at(1.5), 2.0).unwrap();
+        assert_eq!(part.start, 0.0);
+        assert_eq!(part.bytes, wav(&clicks()[66150..154350]));
+        assert!(part.beats.iter().all(|beat| (0.0..2.1).contains(beat)));
+        let whole = song(&at(0.0), 9.0).unwrap();
+        assert_eq!(whole.bytes.len(), HEADER + 10 * SAMPLE_RATE as usize);
+        assert!(song(&at(5.5), 1.0).is_err());
+    }
+}

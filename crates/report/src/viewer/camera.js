@@ -1,0 +1,78 @@
+// An eye that orbits a target, and the projection onto a part of the canvas.
+
+const VIEW_ANGLE = (36 * Math.PI) / 180;
+
+class Camera {
+  constructor() {
+    this.reset();
+  }
+
+  reset() {
+    this.yaw = 0.6;
+    this.pitch = 0.28;
+    this.zoom = 1;
+    this.pan = [0, 0, 0];
+  }
+
+  orbit(dx, dy) {
+    this.yaw -= dx * 0.008;
+    this.pitch = Math.min(1.55, Math.max(-0.3, this.pitch + dy * 0.008));
+  }
+
+  scale(factor) {
+    this.zoom = Math.min(20, Math.max(0.05, this.zoom * factor));
+  }
+
+  // Moves what is seen with the pointer; a pixel is `metres` long at the target.
+  shift(dx, dy, metres) {
+    const [sy, cy] = [Math.sin(this.yaw), Math.cos(this.yaw)];
+    const [sp, cp] = [Math.sin(this.pitch), Math.cos(this.pitch)];
+    const right = [cy, 0, -sy];
+    const up = [-sy * sp, cp, -cy * sp];
+    for (let axis = 0; axis < 3; axis++) {
+      this.pan[axis] += metres * (dy * up[axis] - dx * right[axis]);
+    }
+  }
+
+  // The view of `target` from `distance`, in the rectangle of `pane`.
+  view(target, distance, pane) {
+    const [sy, cy] = [Math.sin(this.yaw), Math.cos(this.yaw)];
+    const [sp, cp] = [Math.sin(this.pitch), Math.cos(this.pitch)];
+    const far = distance * this.zoom;
+    const at = target.map((value, axis) => value + this.pan[axis]);
+    return {
+      eye: [at[0] + far * sy * cp, at[1] + far * sp, at[2] + far * cy * cp],
+      right: [cy, 0, -sy],
+      up: [-sy * sp, cp, -cy * sp],
+      ahead: [-sy * cp, -sp, -cy * cp],
+      scale: (0.5 * pane.height) / Math.tan(VIEW_ANGLE / 2),
+      x: pane.x + pane.width / 2,
+      y: pane.y + pane.height / 2,
+      near: 0.02 * far,
+      far,
+      at,
+    };
+  }
+}
+
+// Right, up and depth of a point.
+const seen = (view, x, y, z) => {
+  const [dx, dy, dz] = [x - view.eye[0], y - view.eye[1], z - view.eye[2]];
+  const { right, up, ahead } = view;
+  return [
+    dx * right[0] + dz * right[2],
+    dx * up[0] + dy * up[1] + dz * up[2],
+    dx * ahead[0] + dy * ahead[1] + dz * ahead[2],
+  ];
+};
+
+const onScreen = (view, [x, y, depth]) => [
+  view.x + (x * view.scale) / depth,
+  view.y - (y * view.scale) / depth,
+];
+
+// The point between `a` and `b` that lies on the near plane.
+const clipped = (view, a, b) => {
+  const part = (view.near - a[2]) / (b[2] - a[2]);
+  return [0, 1, 2].map((axis) => a[axis] + part * (b[axis] - a[axis]));
+};

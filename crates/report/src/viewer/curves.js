@@ -1,0 +1,222 @@
+// Curves under the view, with a cursor that follows.
+
+const SERIES_COLOURS = ["#4a86e0", "#e58037", "#2fa37a", "#d0515f", "#b263c9", "#8f8a2f", "#3aa7bf", "#8c8c8c"];
+const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
+
+const element = (name, attributes = {}, text = "") => {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.textContent = text;
+  return made;
+};
+
+const short = (value) => {
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  return size >= 1e4 || size < 1e-3 ? value.toExponential(1) : String(+value.toPrecision(3));
+};
+
+// Curves of one title belong together, of whatever figure.
+const chartsOf = (scene) => {
+  const charts = new Map();
+  scene.figures.forEach((figure, index) => {
+    for (const { title, series } of figure.charts) {
+      if (!charts.has(title)) charts.set(title, { title, names: [], lines: [] });
+      const chart = charts.get(title);
+      for (const { name, values } of series) {
+        if (!chart.names.includes(name)) chart.names.push(name);
+        chart.lines.push({ figure: index, fps: figure.fps, name, values });
+      }
+    }
+  });
+  return [...charts.values()];
+};
+
+class Chart {
+  constructor(chart, scene, seek) {
+    Object.assign(this, chart);
+    this.scene = scene;
+    this.element = element("figure", { class: "kg-chart" });
+    const caption = element("figcaption", {}, this.title);
+    this.canvas = element("canvas", { role: "img", "aria-label": `${this.title} over time` });
+    this.cursor = element("div", { class: "kg-cursor" });
+    const area = element("div", { class: "kg-area" });
+    area.append(this.canvas, this.cursor);
+    this.element.append(caption, area, this.legend());
+    const seekTo = ({ clientX }) => {
+      const { left, width } = area.getBoundingClientRect();
+      seek((scene.seconds * (clientX - left)) / width);
+    };
+    area.addEventListener("pointerdown", (event) => {
+      area.setPointerCapture(event.pointerId);
+      seekTo(event);
+    });
+    area.addEventListener("pointermove", (event) => {
+      if (event.buttons) seekTo(event);
+    });
+  }
+
+  // With several figures a single curve has the colour of its figure, and several have its dashes.
+  look({ figure, name }) {
+    const several = this.scene.figures.length > 1;
+    if (several && this.names.length === 1) return { colour: colourOf(figure), dash: [] };
+    const colour = SERIES_COLOURS[this.names.indexOf(name) % SERIES_COLOURS.length];
+    return { colour, dash: several ? DASHES[figure % DASHES.length] : [] };
+  }
+
+  legend() {
+    const legend = element("ul", { class: "kg-legend" });
+    const several = this.scene.figures.length > 1;
+    const add = (text, { colour, dash }) => {
+      const item = element("li", {}, text);
+      const sample = element("span");
+      sample.style.borderTopColor = colour;
+      sample.style.borderTopStyle = dash.length === 0 ? "solid" : dash[0] > 2 ? "dashed" : "dotted";
+      item.prepend(sample);
+      legend.append(item);
+    };
+    if (several && this.names.length === 1) {
+      for (const line of this.lines) add(this.scene.figures[line.figure].name, this.look(line));
+      return legend;
+    }
+    this.names.forEach((name, i) => {
+      add(name, { colour: SERIES_COLOURS[i % SERIES_COLOURS.length], dash: [] });
+    });
+    if (several) {
+      this.scene.figures.forEach(({ name }, i) => {
+        add(name, { colour: "currentColor", dash: DASHES[i % DASHES.length] });
+      });
+    }
+    return legend;
+  }
+
+  draw(colours) {
+    const [width, height, context, ratio] = sized(this.canvas);
+    if (width === 0) return;
+    let [least, most] = [Infinity, -Infinity];
+    for (const { values } of this.lines) {
+      for (const value of values) {
+        if (value < least) least = value;
+        if (value > most) most = value;
+      }
+    }
+    if (!(least <= most)) [least, most] = [0, 1];
+    // What differs in the last digits of a float is level.
+    const size = Math.max(Math.abs(least), Math.abs(most)) || 1;
+    const margin = Math.max(0.08 * (most - least), 1e-4 * size);
+    const y = (value) => height - (height * (value - least + margin)) / (most - least + 2 * margin);
+    timeLines(context, width, height, this.scene, colours);
+    if (least < 0 && most > 0) {
+      context.strokeStyle = colours.muted;
+      context.globalAlpha = 0.5;
+      context.strokeRect(-1, y(0), width + 2, height);
+      context.globalAlpha = 1;
+    }
+    context.lineWidth = 1.4 * ratio;
+    context.lineJoin = "round";
+    for (const line of this.lines) {
+      const { colour, dash } = this.look(line);
+      context.strokeStyle = colour;
+      context.setLineDash(dash.map((part) => part * ratio));
+      this.trace(context, line, width / (this.scene.seconds * line.fps), y);
+    }
+    context.setLineDash([]);
+    context.font = `${10 * ratio}px system-ui, sans-serif`;
+    context.fillStyle = colours.muted;
+    context.textBaseline = "top";
+    context.fillText(short(most), 3 * ratio, 2 * ratio);
+    context.textBaseline = "bottom";
+    context.fillText(short(least), 3 * ratio, height - 2 * ratio);
+  }
+
+  // Of many frames in one pixel the least and the largest value are drawn.
+  trace(context, { values }, step, y) {
+    context.beginPath();
+    let down = false;
+    const bundle = Math.max(1, Math.floor(1 / step));
+    for (let from = 0; from < values.length; from += bundle) {
+      let [least, most] = [Infinity, -Infinity];
+      for (let t = from; t < Math.min(values.length, from + bundle); t++) {
+        if (values[t] < least) least = values[t];
+        if (values[t] > most) most = values[t];
+      }
+      if (!(least <= most)) {
+        down = false;
+        continue;
+      }
+      const x = (from + bundle / 2) * step;
+      if (down) context.lineTo(x, y(least));
+      else context.moveTo(x, y(least));
+      if (most > least) context.lineTo(x, y(most));
+      down = true;
+    }
+    context.stroke();
+  }
+
+  follow(part) {
+    this.cursor.style.left = `${100 * part}%`;
+  }
+}
+
+// When which joint of which figure stands on the ground.
+class ContactChart extends Chart {
+  constructor(scene, seek) {
+    const rows = scene.figures.flatMap((figure, index) =>
+      figure.contacts.map(({ joint, ranges }) => ({
+        name: figure.joints[joint],
+        figure: index,
+        fps: figure.fps,
+        ranges,
+      })),
+    );
+    super({ title: "foot contacts", names: [], lines: [], rows }, scene, seek);
+    this.canvas.style.height = `${Math.max(40, 15 * rows.length)}px`;
+  }
+
+  legend() {
+    return element("ul", { class: "kg-legend" });
+  }
+
+  draw(colours) {
+    const [width, height, context, ratio] = sized(this.canvas);
+    timeLines(context, width, height, this.scene, colours);
+    const step = height / this.rows.length;
+    context.font = `${Math.min(10 * ratio, step)}px system-ui, sans-serif`;
+    context.textBaseline = "middle";
+    this.rows.forEach(({ name, figure, fps, ranges }, row) => {
+      context.fillStyle = colourOf(figure);
+      const scale = width / (this.scene.seconds * fps);
+      for (const [from, to] of ranges) {
+        context.fillRect(from * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
+      }
+      context.fillStyle = colours.ink;
+      context.lineWidth = 3 * ratio;
+      context.strokeStyle = colours.ground;
+      context.strokeText(name, 4 * ratio, (row + 0.5) * step);
+      context.fillText(name, 4 * ratio, (row + 0.5) * step);
+    });
+  }
+}
+
+// The size of a canvas in its own pixels, with a fresh context.
+const sized = (canvas) => {
+  const ratio = Math.min(2, devicePixelRatio || 1);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((side) => Math.round(side * ratio));
+  canvas.width = width;
+  canvas.height = height;
+  return [width, height, canvas.getContext("2d"), ratio];
+};
+
+const beatTimes = ({ song, seconds }) => {
+  const beats = song ? song.beats.map((beat) => beat - song.start) : [];
+  return beats.filter((beat) => beat >= 0 && beat <= seconds);
+};
+
+const timeLines = (context, width, height, scene, colours) => {
+  context.fillStyle = colours.muted;
+  context.globalAlpha = 0.35;
+  for (const beat of beatTimes(scene)) {
+    context.fillRect((width * beat) / scene.seconds, 0, 1, height);
+  }
+  context.globalAlpha = 1;
+};

@@ -1,0 +1,405 @@
+// Drawing of a scene into parts of a canvas, from far to near.
+
+const mixed = (from, to, part) => {
+  const channels = [1, 3, 5].map((at) => {
+    const [a, b] = [from, to].map((colour) => parseInt(colour.slice(at, at + 2), 16));
+    return Math.round(a + part * (b - a)).toString(16).padStart(2, "0");
+  });
+  return `#${channels.join("")}`;
+};
+
+const FIGURE_COLOURS = ["#4a86e0", "#e58037", "#2fa37a", "#b263c9", "#d0515f", "#8f8a2f"];
+const colourOf = (index) => FIGURE_COLOURS[index % FIGURE_COLOURS.length];
+
+// Corners of a lone root's body and the faces they make, seen from outside; its front is +z.
+const BODY = [0.17, 0.26, 0.1];
+const FACES = [[0, 1, 3, 2], [5, 4, 6, 7], [4, 0, 2, 6], [1, 5, 7, 3], [2, 3, 7, 6], [4, 5, 1, 0]];
+
+const turned = ([w, x, y, z], [a, b, c]) => {
+  const [i, j, k] = [2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)];
+  return [a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i];
+};
+
+class Painter {
+  constructor(context, scene) {
+    this.context = context;
+    this.scene = scene;
+    this.trail = true;
+  }
+
+  setColours(element) {
+    const style = getComputedStyle(element);
+    const read = (name) => style.getPropertyValue(name).trim();
+    this.ink = read("--kg-ink");
+    this.ground = read("--kg-stage");
+    this.grid = read("--kg-grid");
+    this.muted = read("--kg-muted");
+    this.contact = read("--kg-contact");
+    this.goal = read("--kg-goal");
+    this.obstacle = read("--kg-obstacle");
+  }
+
+  // Draws the figures of `pane` at the frames that `frameOf` says.
+  pane(pane, view, frameOf, ratio) {
+    const { context } = this;
+    this.view = view;
+    this.ratio = ratio;
+    context.save();
+    context.beginPath();
+    context.rect(pane.x, pane.y, pane.width, pane.height);
+    context.clip();
+    context.fillStyle = this.ground;
+    context.fillRect(pane.x, pane.y, pane.width, pane.height);
+    this.floor();
+    for (const index of pane.figures) this.trails(index, frameOf(index));
+    this.goals(frameOf(0));
+    const pieces = [];
+    for (const index of pane.figures) this.figure(index, frameOf(index), pieces);
+    pieces.sort((a, b) => b.depth - a.depth);
+    for (const piece of pieces) piece.draw();
+    this.label(pane);
+    context.restore();
+  }
+
+  label(pane) {
+    const { context, ratio } = this;
+    context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+    context.textBaseline = "top";
+    let y = pane.y + 9 * ratio;
+    for (const index of pane.figures) {
+      context.fillStyle = colourOf(index);
+      context.fillRect(pane.x + 10 * ratio, y + 1.5 * ratio, 9 * ratio, 9 * ratio);
+      context.fillStyle = this.ink;
+      const { name } = this.scene.figures[index];
+      context.fillText(name, pane.x + 25 * ratio, y, Math.max(1, pane.width - 34 * ratio));
+      y += 17 * ratio;
+    }
+  }
+
+  // A line through points `[x, y, z]`, cut at the near plane, added to the current path.
+  line(points, closed) {
+    const { view, context } = this;
+    let before = null;
+    let moved = false;
+    const count = points.length + (closed ? 1 : 0);
+    for (let i = 0; i < count; i++) {
+      const point = points[i % points.length];
+      const now = seen(view, point[0], point[1], point[2]);
+      if (before !== null) {
+        const shows = [before[2] > view.near, now[2] > view.near];
+        if (shows[0] || shows[1]) {
+          const from = shows[0] ? before : clipped(view, before, now);
+          const to = shows[1] ? now : clipped(view, before, now);
+          if (!moved || !shows[0]) context.moveTo(...onScreen(view, from));
+          context.lineTo(...onScreen(view, to));
+          moved = shows[1];
+        }
+      }
+      before = now;
+    }
+  }
+
+  // The part of a polygon before the near plane, as the current path.
+  area(points) {
+    const { view, context } = this;
+    const places = points.map(([x, y, z]) => seen(view, x, y, z));
+    const shown = [];
+    places.forEach((now, i) => {
+      const before = places[(i + places.length - 1) % places.length];
+      if (before[2] > view.near !== now[2] > view.near) shown.push(clipped(view, before, now));
+      if (now[2] > view.near) shown.push(now);
+    });
+    context.beginPath();
+    shown.forEach((place, i) => {
+      const [x, y] = onScreen(view, place);
+      if (i === 0) context.moveTo(x, y);
+      else context.lineTo(x, y);
+    });
+    context.closePath();
+  }
+
+  // A round carpet of squares below the target.
+  floor() {
+    const { context, view, scene } = this;
+    const cell = 10 ** Math.round(Math.log10(scene.size / 2.5));
+    const reach = Math.ceil((1.1 * view.far) / cell / 2) * cell;
+    const [cx, cz] = [view.at[0], view.at[2]].map((value) => Math.round(value / cell) * cell);
+    const y = scene.ground;
+    context.beginPath();
+    for (let i = -reach; i <= reach + cell / 2; i += cell) {
+      const half = Math.sqrt(Math.max(0, reach * reach - i * i));
+      this.line([[cx + i, y, cz - half], [cx + i, y, cz + half]]);
+      this.line([[cx - half, y, cz + i], [cx + half, y, cz + i]]);
+    }
+    context.lineWidth = this.ratio;
+    context.strokeStyle = this.grid;
+    context.stroke();
+  }
+
+  circle([x, z], radius) {
+    const points = [];
+    for (let i = 0; i < 28; i++) {
+      const angle = (i * Math.PI) / 14;
+      const [dx, dz] = [radius * Math.cos(angle), radius * Math.sin(angle)];
+      points.push([x + dx, this.scene.ground, z + dz]);
+    }
+    return points;
+  }
+
+  // The whole way of the root, faint, and that of the last two seconds.
+  trails(index, frame) {
+    if (!this.trail) return;
+    const { context, scene, ratio } = this;
+    const figure = scene.figures[index];
+    const { positions, count, frames, root, fps } = figure;
+    const place = (t) => {
+      const at = 3 * (t * count + root);
+      return [positions[at], scene.ground, positions[at + 2]];
+    };
+    const way = (from, to, most) => {
+      const step = Math.max(1, Math.ceil((to - from) / most));
+      const points = [];
+      for (let t = from; t < to; t += step) points.push(place(t));
+      points.push(place(to));
+      context.beginPath();
+      this.line(points);
+      context.stroke();
+    };
+    context.lineJoin = "round";
+    context.strokeStyle = colourOf(index);
+    context.globalAlpha = 0.3;
+    context.lineWidth = 1.2 * ratio;
+    way(0, frames - 1, 400);
+    context.globalAlpha = 0.9;
+    context.lineWidth = 2.6 * ratio;
+    way(Math.max(0, frame - Math.round(2 * fps)), frame, 120);
+    context.globalAlpha = 1;
+  }
+
+  goals(frame) {
+    const { context, scene, ratio } = this;
+    const { path, keyframes, obstacles, polygons } = scene.floor;
+    const standing = ([x, z]) => [x, scene.ground, z];
+    const shapes = obstacles.map(([centre, radius]) => this.circle(centre, radius));
+    shapes.push(...polygons.map((corners) => corners.map(standing)));
+    context.lineWidth = 1.5 * ratio;
+    for (const shape of shapes) {
+      context.fillStyle = this.obstacle;
+      context.strokeStyle = this.obstacle;
+      this.area(shape);
+      context.globalAlpha = 0.35;
+      context.fill();
+      context.globalAlpha = 1;
+      context.stroke();
+    }
+    context.strokeStyle = this.goal;
+    if (path.length > 1) {
+      context.setLineDash([6 * ratio, 5 * ratio]);
+      context.beginPath();
+      this.line(path.map(standing));
+      context.stroke();
+      context.setLineDash([]);
+    }
+    context.font = `${11 * ratio}px system-ui, sans-serif`;
+    context.textBaseline = "bottom";
+    for (const [at, place] of keyframes) {
+      const near = Math.abs(at - frame) <= 2;
+      const ring = this.circle(place, 0.045 * scene.size);
+      this.area(ring);
+      context.globalAlpha = near ? 0.9 : 0.25;
+      context.fillStyle = this.goal;
+      context.fill();
+      context.globalAlpha = 1;
+      context.lineWidth = (near ? 3 : 1.8) * ratio;
+      context.stroke();
+      const centre = seen(this.view, place[0], scene.ground, place[1]);
+      if (centre[2] < this.view.near) continue;
+      const [x, y] = onScreen(this.view, centre);
+      context.fillStyle = this.ink;
+      context.fillText(String(at), x + 8 * ratio, y - 4 * ratio);
+    }
+  }
+
+  // Shadow and contacts are drawn at once; of the body `pieces` that wait for their turn.
+  figure(index, frame, pieces) {
+    const figure = this.scene.figures[index];
+    const { positions, count } = figure;
+    const base = 3 * frame * count;
+    const spots = (figure.spots ??= new Float32Array(3 * count));
+    for (let j = 0; j < count; j++) {
+      const at = base + 3 * j;
+      const place = seen(this.view, positions[at], positions[at + 1], positions[at + 2]);
+      const [x, y] = onScreen(this.view, place);
+      spots[3 * j] = x;
+      spots[3 * j + 1] = y;
+      spots[3 * j + 2] = place[2];
+    }
+    const touching = figure.contacts.filter(({ ranges }) =>
+      ranges.some(([from, to]) => from <= frame && frame < to),
+    );
+    this.shadow(figure, base);
+    const colour = colourOf(index);
+    if (count === 1) {
+      this.root(figure, frame, colour, pieces);
+    } else {
+      this.skeleton(figure, colour, pieces);
+    }
+    for (const { joint } of touching) this.touch(figure, base, joint, pieces);
+  }
+
+  shadow(figure, base) {
+    const { context, view, scene, ratio } = this;
+    const { positions, bones } = figure;
+    const flat = (joint) => {
+      const at = base + 3 * joint;
+      return [positions[at], scene.ground, positions[at + 2]];
+    };
+    context.beginPath();
+    for (const { parent, joint } of bones) this.line([flat(parent), flat(joint)]);
+    context.lineCap = "round";
+    context.lineWidth = Math.max(ratio, (0.045 * figure.height * view.scale) / view.far);
+    context.strokeStyle = this.ink;
+    context.globalAlpha = 0.13;
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  skeleton(figure, colour, pieces) {
+    const { context, view, ratio, ground } = this;
+    const { bones, spots, count } = figure;
+    const shade = (side) => (side > 0 ? mixed(colour, "#ffffff", 0.3) : side < 0 ? mixed(colour, "#000000", 0.22) : colour);
+    const shades = [shade(-1), shade(0), shade(1)];
+    const ball = (x, y, depth, radius, fill) => {
+      const size = Math.max(1.4 * ratio, (radius * view.scale) / depth);
+      context.beginPath();
+      context.arc(x, y, size, 0, 2 * Math.PI);
+      context.fillStyle = fill;
+      context.fill();
+      context.lineWidth = ratio;
+      context.strokeStyle = ground;
+      context.stroke();
+    };
+    for (const { parent, joint, radius, side } of bones) {
+      const [a, b] = [3 * parent, 3 * joint];
+      if (spots[a + 2] < view.near || spots[b + 2] < view.near) continue;
+      const depth = (spots[a + 2] + spots[b + 2]) / 2;
+      const width = Math.max(1.2 * ratio, (2 * radius * view.scale) / depth);
+      const draw = () => {
+        context.lineCap = "round";
+        context.beginPath();
+        context.moveTo(spots[a], spots[a + 1]);
+        context.lineTo(spots[b], spots[b + 1]);
+        context.lineWidth = width + 1.6 * ratio;
+        context.strokeStyle = ground;
+        context.stroke();
+        context.lineWidth = width;
+        context.strokeStyle = shades[side + 1];
+        context.stroke();
+      };
+      pieces.push({ depth, draw });
+    }
+    const dots = bones.length === 0 ? [...Array(count).keys()] : [];
+    if (figure.head >= 0) dots.push(figure.head);
+    for (const joint of dots) {
+      const other = joint === figure.head ? figure.top : joint;
+      const [x, y, depth] = [0, 1, 2].map((i) => (spots[3 * joint + i] + spots[3 * other + i]) / 2);
+      if (depth < view.near) continue;
+      const radius = (joint === figure.head ? 0.058 : 0.016) * figure.height;
+      pieces.push({ depth: depth - radius, draw: () => ball(x, y, depth, radius, shades[1]) });
+    }
+  }
+
+  // A joint that stands on the ground: a ring below it, and the joint lit up.
+  touch(figure, base, joint, pieces) {
+    const { context, view, ratio, contact } = this;
+    const at = base + 3 * joint;
+    const { positions, spots } = figure;
+    this.area(this.circle([positions[at], positions[at + 2]], 0.055 * figure.height));
+    context.globalAlpha = 0.35;
+    context.fillStyle = contact;
+    context.fill();
+    context.globalAlpha = 1;
+    const [x, y, depth] = spots.subarray(3 * joint, 3 * joint + 3);
+    if (depth < view.near) return;
+    const size = Math.max(2.5 * ratio, (0.026 * figure.height * view.scale) / depth);
+    const draw = () => {
+      context.beginPath();
+      context.arc(x, y, size, 0, 2 * Math.PI);
+      context.fillStyle = contact;
+      context.fill();
+    };
+    pieces.push({ depth: depth - 0.05 * figure.height, draw });
+  }
+
+  // A lone root: a body with an arrow to its front where its orientation is known, else a ball; and
+  // a plumb line to the ground.
+  root(figure, frame, colour, pieces) {
+    const { context, view, scene, ratio } = this;
+    const at = [0, 1, 2].map((axis) => figure.positions[3 * frame + axis]);
+    const depth = figure.spots[2];
+    if (depth < view.near) return;
+    const foot = [at[0], scene.ground, at[2]];
+    this.area(this.circle([at[0], at[2]], 0.11));
+    context.globalAlpha = 0.16;
+    context.fillStyle = this.ink;
+    context.fill();
+    context.globalAlpha = 1;
+    context.beginPath();
+    this.line([at, foot]);
+    context.lineWidth = 1.5 * ratio;
+    context.strokeStyle = this.muted;
+    context.stroke();
+    if (!figure.orientations) {
+      const [x, y] = figure.spots;
+      const draw = () => {
+        context.beginPath();
+        context.arc(x, y, (0.1 * view.scale) / depth, 0, 2 * Math.PI);
+        context.fillStyle = colour;
+        context.fill();
+      };
+      pieces.push({ depth, draw });
+      return;
+    }
+    const turn = figure.orientations.subarray(4 * frame, 4 * frame + 4);
+    const world = (point) => turned(turn, point).map((value, axis) => at[axis] + value);
+    pieces.push({ depth, draw: () => this.body(world, at, colour) });
+  }
+
+  body(world, at, colour) {
+    const { context, view, ratio } = this;
+    const [w, h, d] = BODY;
+    const front = world([0, 0, 1]).map((value, axis) => value - at[axis]);
+    const towards = [0, 1, 2].reduce((sum, axis) => sum + front[axis] * (view.eye[axis] - at[axis]), 0);
+    const polygon = (points, fill) => {
+      this.area(points);
+      context.fillStyle = fill;
+      context.fill();
+      context.lineJoin = "round";
+      context.lineWidth = ratio;
+      context.strokeStyle = mixed(colour, "#000000", 0.45);
+      context.stroke();
+    };
+    const arrow = () => {
+      const [from, neck, tip] = [d, d + 0.2, d + 0.38];
+      const flat = [[-0.035, 0, from], [-0.035, 0, neck], [-0.09, 0, neck], [0, 0, tip], [0.09, 0, neck], [0.035, 0, neck], [0.035, 0, from]];
+      const upright = flat.map(([x, , z]) => [0, x, z]);
+      for (const shape of [flat, upright]) polygon(shape.map(world), this.contact);
+    };
+    if (towards < 0) arrow();
+    const corners = [];
+    for (let i = 0; i < 8; i++) {
+      corners.push(world([i & 1 ? w : -w, i & 2 ? h : -h, i & 4 ? -d : d]));
+    }
+    for (const face of FACES) {
+      const points = face.map((corner) => corners[corner]);
+      const [a, b, c] = points;
+      const [u, v] = [b, c].map((point) => point.map((value, axis) => value - a[axis]));
+      const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+      const facing = normal.reduce((sum, value, axis) => sum + value * (view.eye[axis] - a[axis]), 0);
+      if (facing <= 0) continue;
+      const light = (0.35 * normal[0] + 0.85 * normal[1] + 0.4 * normal[2]) / Math.hypot(...normal);
+      polygon(points, light > 0 ? mixed(colour, "#ffffff", 0.45 * light) : mixed(colour, "#000000", -0.4 * light));
+    }
+    if (towards >= 0) arrow();
+  }
+}

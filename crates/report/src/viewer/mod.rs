@@ -1,0 +1,164 @@
+//! Pages that show a [`Scene`]: figures in motion to look at from all sides, with music, curves and
+//! what stands on the floor. A page is one file that needs no network.
+//!
+//! Positions are stored to 0.2 mm at worst (see [`encode`]). The drawing is ours, on a 2D canvas:
+//! it needs no graphics processor, and any number of figures fit on a page.
+
+mod encode;
+#[cfg(test)]
+mod tests;
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use serde_json::{Value, json};
+
+use crate::scene::{Contact, Figure, Floor, Scene, Song};
+
+/// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
+/// stands in the page itself.
+pub const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; \
+    style-src 'unsafe-inline'; img-src data: blob:; media-src data: blob:";
+
+/// The style sheet of viewers. Everything in it is about elements of class `kg`.
+pub fn style() -> &'static str {
+    include_str!("viewer.css")
+}
+
+/// The script of viewers: it fills every [`embed`] of the page once that is loaded, and lists them
+/// in `window.kinegrad.viewers`.
+pub fn script() -> &'static str {
+    concat!(
+        "(() => {\n\"use strict\";\n",
+        include_str!("data.js"),
+        include_str!("camera.js"),
+        include_str!("draw.js"),
+        include_str!("curves.js"),
+        include_str!("clock.js"),
+        include_str!("viewer.js"),
+        "})();\n"
+    )
+}
+
+/// The scene as an element of a page that has [`style`] and [`script`]. A `small` one is a moving
+/// thumbnail: it loops while it is on the screen, and has neither curves nor song.
+pub fn embed(scene: &Scene, small: bool) -> String {
+    let size = if small { " kg-small" } else { "" };
+    format!(
+        "<section class=\"kg{size}\" aria-label=\"{}\"><script type=\"application/json\">{}\
+         </script><noscript>JavaScript shows the motion.</noscript></section>",
+        escaped(&scene.title),
+        inert(&scene_json(scene, small)),
+    )
+}
+
+/// A page of the scene.
+pub fn page(scene: &Scene) -> String {
+    let title = escaped(&scene.title);
+    format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{CONTENT_SECURITY_POLICY}\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n<link rel=\"icon\" href=\"data:,\">\n\
+         <title>{title}</title>\n<style>\n{}</style>\n</head>\n<body class=\"kg-page\">\n\
+         <h1>{title}</h1>\n{}\n<script>\n{}</script>\n</body>\n</html>\n",
+        style(),
+        embed(scene, false),
+        script(),
+    )
+}
+
+/// Text as it may stand in an element or an attribute.
+fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => safe.push_str("&amp;"),
+            '<' => safe.push_str("&lt;"),
+            '>' => safe.push_str("&gt;"),
+            '"' => safe.push_str("&quot;"),
+            '\'' => safe.push_str("&#39;"),
+            letter => safe.push(letter),
+        }
+    }
+    safe
+}
+
+/// JSON that ends no script: `<` only stands in its strings.
+fn inert(json: &Value) -> String {
+    json.to_string().replace('<', "\\u003c")
+}
+
+fn scene_json(scene: &Scene, small: bool) -> Value {
+    let figures: Vec<Value> = scene
+        .figures
+        .iter()
+        .map(|figure| figure_json(figure, small))
+        .collect();
+    let song = scene.song.as_ref().filter(|_| !small);
+    json!({
+        "title": scene.title,
+        "figures": figures,
+        "floor": floor_json(&scene.floor),
+        "song": song.map(song_json),
+    })
+}
+
+fn figure_json(figure: &Figure, small: bool) -> Value {
+    let frames = figure.frames();
+    let parents = figure.parents.iter().map(|parent| match parent {
+        Some(parent) => json!(parent),
+        None => json!(-1),
+    });
+    let contacts = figure.contacts.iter();
+    let charts = figure.curves.iter().filter(|_| !small);
+    let series: Vec<&[f32]> = charts
+        .clone()
+        .flat_map(|chart| chart.series.iter().map(|(_, values)| values.as_slice()))
+        .collect();
+    let named = charts.map(|chart| {
+        let names: Vec<&str> = chart.series.iter().map(|(name, _)| name.as_str()).collect();
+        json!({ "title": chart.title, "series": names })
+    });
+    json!({
+        "name": figure.name,
+        "fps": figure.fps,
+        "frames": frames,
+        "joints": figure.joint_names,
+        "parents": parents.collect::<Vec<_>>(),
+        "positions": encode::positions(&figure.positions, figure.joints()),
+        "orientations": figure.orientations.as_deref().map(encode::orientations),
+        "contacts": contacts.map(contact_json).collect::<Vec<_>>(),
+        "charts": named.collect::<Vec<_>>(),
+        "curves": encode::curves(&series, frames),
+    })
+}
+
+/// A contact as the ranges of frames in which the joint stands, ends excluded.
+fn contact_json(contact: &Contact) -> Value {
+    let mut ranges: Vec<[usize; 2]> = Vec::new();
+    for frame in (0..contact.frames.len()).filter(|frame| contact.frames[*frame]) {
+        match ranges.last_mut() {
+            Some([_, end]) if *end == frame => *end += 1,
+            _ => ranges.push([frame, frame + 1]),
+        }
+    }
+    json!({ "joint": contact.joint, "ranges": ranges })
+}
+
+fn floor_json(floor: &Floor) -> Value {
+    json!({
+        "path": floor.path,
+        "keyframes": floor.keyframes,
+        "obstacles": floor.obstacles,
+        "polygons": floor.polygons,
+    })
+}
+
+fn song_json(song: &Song) -> Value {
+    let data = BASE64_STANDARD.encode(&song.bytes);
+    json!({
+        "src": format!("data:{};base64,{data}", song.media_type),
+        "start": song.start,
+        "beats": song.beats,
+    })
+}

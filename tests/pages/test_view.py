@@ -1,0 +1,307 @@
+"""What `kinegrad view` writes, in a browser."""
+
+import array
+import math
+import zlib
+
+import pytest
+
+from material import Capture, read_npy, walk, write_npy, write_song
+
+FIRST = "kinegrad.viewers[0]"
+
+
+def decoded(png):
+    """Width, height and RGB rows of an 8-bit PNG without interlacing."""
+    at, data, header = 8, b"", None
+    while at < len(png):
+        size, kind = int.from_bytes(png[at:at + 4], "big"), png[at + 4:at + 8]
+        body = png[at + 8:at + 8 + size]
+        header = body if kind == b"IHDR" else header
+        data += body if kind == b"IDAT" else b""
+        at += 12 + size
+    width, height = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
+    bytes_per_pixel = {2: 3, 6: 4}[header[9]]
+    raw, stride = zlib.decompress(data), width * bytes_per_pixel
+    rows, before = [], bytearray(stride)
+    for y in range(height):
+        kind = raw[y * (stride + 1)]
+        row = bytearray(raw[y * (stride + 1) + 1:(y + 1) * (stride + 1)])
+        for x in range(stride):
+            left = row[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
+            up = before[x]
+            corner = before[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
+            if kind == 1:
+                row[x] = (row[x] + left) & 255
+            elif kind == 2:
+                row[x] = (row[x] + up) & 255
+            elif kind == 3:
+                row[x] = (row[x] + (left + up) // 2) & 255
+            elif kind == 4:
+                guess = left + up - corner
+                nearest = min((left, up, corner), key=lambda value: abs(guess - value))
+                row[x] = (row[x] + nearest) & 255
+        rows.append(row)
+        before = row
+    return width, height, [[tuple(row[x * bytes_per_pixel:x * bytes_per_pixel + 3])
+                            for x in range(width)] for row in rows]
+
+
+def coloured(page, columns=1):
+    """Where strong colours are, for each of `columns` parts of the stage: sets of pixels."""
+    width, height, pixels = decoded(page.locator(".kg-stage").first.screenshot())
+    parts = [set() for _ in range(columns)]
+    # Below the labels, which have the colours of the figures too.
+    for y in range(40, height):
+        for x in range(width):
+            if max(pixels[y][x]) - min(pixels[y][x]) > 70:
+                parts[min(columns - 1, x * columns // width)].add((x, y))
+    return parts
+
+
+def joints(page, figure, frame):
+    return page.evaluate(f"{FIRST}.joints({figure}, {frame})")
+
+
+def apart(a, b):
+    return max(math.dist(p, q) for p, q in zip(a, b, strict=True))
+
+
+@pytest.fixture(scope="session")
+def phrase(kinegrad, tmp_path_factory):
+    """A phrase with a song that it starts 1.5 s into."""
+    folder = tmp_path_factory.mktemp("phrase")
+    kinegrad("data", "synth", "--out", "data", "--phrases", 2, "--frames", 90, cwd=folder)
+    motion = sorted((folder / "data/motion").glob("*/trajectory.npy"))[0]
+    # Shorter than what it would be as uncompressed music, so that the file itself goes in.
+    write_song(folder / "song.wav", 6)
+    kinegrad("view", motion, "--audio", "song.wav", "--start", "1.5", "--out", "page.html", cwd=folder)
+    return motion, folder / "page.html"
+
+
+def test_a_phrase_moves_as_in_its_file_and_in_step_with_its_song(phrase, show):
+    motion, path = phrase
+    (frames, channels), values = read_npy(motion)
+    page = show(path)
+    assert page.evaluate(f"{FIRST}.frames") == frames
+    for frame in (0, 17, frames - 1):
+        place = list(values[frame * channels:frame * channels + 3])
+        assert apart(joints(page, 0, frame), [place]) <= 1e-3
+    page.evaluate(f"{FIRST}.seek(45)")
+    # A seek moves the song along.
+    assert page.evaluate(f"{FIRST}.audio.currentTime") == pytest.approx(3.0, abs=0.02)
+    page.get_by_role("button", name="Play", exact=True).click()
+    page.wait_for_function(f"{FIRST}.frame > 50")
+    for _ in range(5):
+        page.wait_for_timeout(80)
+        frame, song, moving = page.evaluate(
+            f"new Promise((done) => requestAnimationFrame(() => done("
+            f"[{FIRST}.frame, {FIRST}.audio.currentTime, !{FIRST}.audio.paused])))")
+        assert moving
+        behind = song - 1.5 - frame / 30
+        # Round the end of the loop the song begins again with the motion.
+        assert abs(behind) < 0.12 or abs(abs(behind) - frames / 30) < 0.12
+    page.get_by_role("button", name="Pause").click()
+    assert page.evaluate(f"{FIRST}.audio.paused")
+
+
+def test_beats_and_curves_are_shown_and_a_click_on_a_curve_seeks(phrase, show):
+    page = show(phrase[1])
+    beats = page.evaluate(f"{FIRST}.scene.song.beats")
+    assert len(beats) >= 4
+    titles = page.locator("figcaption").all_text_contents()
+    assert "position (m)" in titles and "phase" in titles
+    area = page.locator(".kg-area").nth(1)
+    area.scroll_into_view_if_needed()
+    box = area.bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 30)
+    frames = page.evaluate(f"{FIRST}.frames")
+    assert page.evaluate(f"{FIRST}.frame") == pytest.approx(frames / 2, abs=1)
+    cursor = page.locator(".kg-cursor").nth(1).bounding_box()
+    assert cursor["x"] == pytest.approx(box["x"] + 0.5 * box["width"], abs=6)
+
+
+def test_keys_step_seek_and_play(phrase, show):
+    page = show(phrase[1])
+    frame = lambda: page.evaluate(f"{FIRST}.frame")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    assert frame() == 2
+    page.keyboard.press("Shift+ArrowRight")
+    assert frame() == 12
+    page.keyboard.press("ArrowLeft")
+    assert frame() == 11
+    page.keyboard.press("End")
+    assert frame() == page.evaluate(f"{FIRST}.frames") - 1
+    page.keyboard.press("Home")
+    assert frame() == 0
+    page.keyboard.press("ArrowUp")
+    assert page.locator("select").input_value() == "1.5"
+    page.keyboard.press("Space")
+    page.wait_for_function(f"{FIRST}.frame > 3")
+    page.keyboard.press("Space")
+    assert not page.evaluate(f"{FIRST}.playing")
+    page.keyboard.press("l")
+    assert page.get_by_role("button", name="Loop").get_attribute("aria-pressed") == "false"
+    page.keyboard.press("m")
+    assert page.evaluate(f"{FIRST}.audio.muted")
+    # The slider has the focus: its keys are ours, once.
+    page.get_by_role("slider", name="Frame").focus()
+    before = frame()
+    page.keyboard.press("ArrowRight")
+    assert frame() == before + 1
+
+
+def test_without_a_loop_the_end_stops_and_speed_counts(phrase, show):
+    page = show(phrase[1])
+    page.keyboard.press("m")
+    page.keyboard.press("l")
+    page.locator("select").select_option("2")
+    page.keyboard.press("Space")
+    page.wait_for_function(f"!{FIRST}.playing", timeout=8000)
+    assert page.evaluate(f"{FIRST}.frame") == page.evaluate(f"{FIRST}.frames") - 1
+
+
+def test_narrow_screens_scroll_down_alone_and_every_control_has_a_name(phrase, show):
+    page = show(phrase[1], width=360, height=700)
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 360
+    unnamed = page.evaluate("""[...document.querySelectorAll("button, select, input, canvas")].filter(
+        (e) => !(e.getAttribute("aria-label") || e.textContent.trim() || e.ariaHidden)).length""")
+    assert unnamed == 0
+
+
+def test_dark_and_light_are_as_the_reader_likes(phrase, show):
+    shade = "getComputedStyle(document.body).backgroundColor"
+    light = show(phrase[1], color_scheme="light").evaluate(shade)
+    dark = show(phrase[1], color_scheme="dark").evaluate(shade)
+    assert light == "rgb(255, 255, 255)" and dark != light
+
+
+def test_a_clip_with_a_goal_walks_over_key_frames_and_round_obstacles(kinegrad, show, tmp_path):
+    write_npy(tmp_path / "walk.npy", (60, 22, 3), walk(60))
+    (tmp_path / "goal.toml").write_text(
+        "frames = 60\n[[keyframe]]\nframe = 30\nx = 2.4\nz = 0.4\n[[keyframe]]\nframe = 59\nx = 2.3\nz = 0.8\n"
+        '[[obstacle]]\nkind = "disc"\nx = 1.5\nz = 0.5\nradius = 0.3\n'
+        '[[obstacle]]\nkind = "polygon"\nvertices = [[3.0, 0.0], [3.5, 0.0], [3.2, 0.6]]\n')
+    kinegrad("view", "walk.npy", "--goal", "goal.toml", cwd=tmp_path)
+    page = show(tmp_path / "walk.html")
+    _, values = read_npy(tmp_path / "walk.npy")
+    for frame in (0, 31, 59):
+        rows = [list(values[3 * (frame * 22 + j):3 * (frame * 22 + j) + 3]) for j in range(22)]
+        assert apart(joints(page, 0, frame), rows) <= 1e-3
+    floor = page.evaluate(f"{FIRST}.scene.floor")
+    assert [frame for frame, _ in floor["keyframes"]] == [30, 59]
+    assert len(floor["obstacles"]) == 1 and len(floor["polygons"][0]) == 3
+    red = lambda: sum(r > 150 and g < 130 and b < 130 for row in decoded(
+        page.locator(".kg-stage").screenshot())[2] for r, g, b in row)
+    assert red() > 100
+    contacts = page.evaluate(f"{FIRST}.scene.figures[0].contacts.map((c) => c.ranges.length)")
+    assert len(contacts) == 4 and any(contacts)
+
+
+def test_a_capture_of_66_joints_is_posed_as_its_angles_say(kinegrad, show, tmp_path):
+    capture = Capture()
+    assert len(capture.joints) >= 60
+    capture.write(tmp_path / "capture.bvh")
+    kinegrad("view", "capture.bvh", "--units", "cm", "--up", "y", cwd=tmp_path)
+    page = show(tmp_path / "capture.html")
+    for frame in (0, 13, 39):
+        assert apart(joints(page, 0, frame), capture.positions(frame)) <= 1e-3
+    page.evaluate(f"{FIRST}.seek(0)")
+    page.wait_for_timeout(100)
+    [before] = coloured(page)
+    page.evaluate(f"{FIRST}.seek(20)")
+    page.wait_for_timeout(100)
+    [after] = coloured(page)
+    # A body is there, and it moves.
+    assert len(before) > 800 and len(after) > 800
+    assert len(before ^ after) > 0.3 * len(before)
+
+
+def test_orbit_zoom_and_pan(kinegrad, show, tmp_path):
+    write_npy(tmp_path / "walk.npy", (20, 22, 3), walk(20))
+    kinegrad("view", "walk.npy", cwd=tmp_path)
+    page = show(tmp_path / "walk.html")
+    camera = lambda: page.evaluate(f"(({{ yaw, pitch, zoom, pan }}) => [yaw, pitch, zoom, ...pan])({FIRST}.camera)")
+    start = camera()
+    box = page.locator(".kg-stage canvas").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def drag():
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 60, y + 30)
+        page.mouse.up()
+
+    drag()
+    turned = camera()
+    assert turned[0] != start[0] and turned[1] > start[1] and turned[3:] == start[3:]
+    page.mouse.wheel(0, -200)
+    page.wait_for_function(f"{FIRST}.camera.zoom < 0.95")
+    page.keyboard.down("Shift")
+    drag()
+    page.keyboard.up("Shift")
+    assert camera()[3:] != start[3:] and camera()[:2] == turned[:2]
+    page.keyboard.press("r")
+    assert camera() == start
+
+
+def test_four_figures_fill_four_panes_or_one(kinegrad, show, tmp_path):
+    for seed in range(4):
+        write_npy(tmp_path / f"walk{seed}.npy", (40, 22, 3), walk(40, seed=seed))
+    names = [f"walk{seed}.npy" for seed in range(4)]
+    kinegrad("view", *names, "--out", "four.html", "--title", "Four", cwd=tmp_path)
+    page = show(tmp_path / "four.html")
+    page.wait_for_timeout(200)
+    panes = page.evaluate(f"{FIRST}.panes().length")
+    assert panes == 4
+    assert all(len(part) > 300 for part in coloured(page, 4))
+    page.get_by_role("button", name="Side by side").click()
+    assert page.evaluate(f"{FIRST}.panes().length") == 1
+
+
+def test_raw_output_stands_beside_what_was_made_of_it(kinegrad, show, tmp_path):
+    for name in ("walk.npy", "walk.raw.npy"):
+        write_npy(tmp_path / name, (10, 22, 3), walk(10))
+    kinegrad("view", "walk.npy", "--raw", cwd=tmp_path)
+    page = show(tmp_path / "walk.html")
+    assert page.evaluate(f"{FIRST}.scene.figures.map((f) => f.name)") == ["walk", "walk.raw"]
+
+
+def test_names_do_no_harm(kinegrad, show, tmp_path):
+    name = "<img src=x onerror=alert(1)>&'\".npy"
+    title = "</script></title><script>alert(2)</script>"
+    write_npy(tmp_path / name, (5, 22, 3), walk(5))
+    kinegrad("view", name, "--title", title, "--out", "page.html", cwd=tmp_path)
+    page = show(tmp_path / "page.html")
+    assert page.title() == title
+    assert page.locator("h1").inner_text() == title
+    assert page.locator("img").count() == 0
+    assert page.evaluate(f"{FIRST}.scene.figures[0].name") == name[:-4]
+
+
+def test_points_of_no_skeleton_and_paths_on_the_ground_are_shown(kinegrad, show, tmp_path):
+    write_npy(tmp_path / "points.npy", (6, 5, 3), array.array("f", [0.1 * i for i in range(90)]))
+    write_npy(tmp_path / "way.npy", (6, 2), array.array("f", [0.1 * i for i in range(12)]))
+    kinegrad("view", "points.npy", "way.npy", "--fps", 10, "--out", "page.html", cwd=tmp_path)
+    page = show(tmp_path / "page.html")
+    assert joints(page, 0, 5)[4] == pytest.approx([8.7, 8.8, 8.9], abs=1e-3)
+    assert joints(page, 1, 3)[0] == pytest.approx([0.6, 0.0, 0.7], abs=1e-3)
+
+
+def test_long_motions_are_played_in_time(kinegrad, show, tmp_path):
+    """20,000 frames of 22 joints, four times: the figure is printed, and judged by people."""
+    for seed in range(4):
+        write_npy(tmp_path / f"walk{seed}.npy", (20_000, 22, 3), walk(20_000, seed=seed))
+    names = [f"walk{seed}.npy" for seed in range(4)]
+    kinegrad("view", *names, "--out", "long.html", cwd=tmp_path)
+    page = show(tmp_path / "long.html")
+    page.evaluate(f"{FIRST}.play()")
+    page.wait_for_function(f"{FIRST}.frameTimes.length >= 120", timeout=60_000)
+    times = sorted(page.evaluate(f"{FIRST}.frameTimes"))
+    size = (tmp_path / "long.html").stat().st_size
+    print(f"\n20,000 frames x 22 joints x 4: median frame time {times[len(times) // 2]:.1f} ms, "
+          f"95th percentile {times[len(times) * 95 // 100]:.1f} ms, page {size / 1e6:.1f} MB")
+    # Every frame that is due is shown, however late.
+    assert page.evaluate(f"{FIRST}.frame") > 20
