@@ -1,10 +1,16 @@
 //! Reports: tables, side-by-side columns, CSV, plots of named values, and motion to look at.
 
 mod columns;
+mod export;
+pub mod gif;
+pub mod glb;
+pub mod mp4;
 mod picture;
+pub mod raster;
 pub mod scene;
 mod table;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
+pub use export::ExportError;
 pub use picture::{Panel, PictureError, Series, check_ending, draw};
 pub use table::{facts, grouped, rows, table};
