@@ -105,3 +105,239 @@ impl Figure {
         ]
     }
 }
+
+impl Scene {
+    /// Length of the longest figure in seconds.
+    pub fn seconds(&self) -> f64 {
+        let lengths = self.figures.iter().map(Figure::seconds);
+        lengths
+            .filter(|length| length.is_finite())
+            .fold(0.0, f64::max)
+    }
+
+    /// Seconds from one frame to the next of the figure with the most frames per second; 0 without
+    /// figures.
+    pub fn frame_seconds(&self) -> f64 {
+        let fps = self
+            .figures
+            .iter()
+            .map(|figure| figure.fps)
+            .fold(0.0, f64::max);
+        if fps > 0.0 { 1.0 / fps } else { 0.0 }
+    }
+}
+
+/// A figure at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Pose {
+    /// Place of each joint.
+    pub joints: Vec<[f32; 3]>,
+    /// Orientation of a lone root (w, x, y, z).
+    pub orientation: Option<[f32; 4]>,
+}
+
+/// The side of the body that a joint belongs to.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub(crate) enum Side {
+    Left,
+    Right,
+    Middle,
+}
+
+/// Radius of a bone in metres, and as a part of its length at most.
+const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
+
+impl Figure {
+    /// The frame that is nearest to a moment.
+    pub(crate) fn frame_at(&self, seconds: f64) -> usize {
+        let frame = (seconds * self.fps).round().max(0.0) as usize;
+        frame.min(self.frames().saturating_sub(1))
+    }
+
+    /// The figure at a moment, between two frames too; at its first or last one beyond them.
+    pub(crate) fn pose(&self, seconds: f64) -> Pose {
+        let last = self.frames().saturating_sub(1);
+        let place = (seconds * self.fps).clamp(0.0, last as f64);
+        // Moments of frames that were divided and multiplied by their rate are those frames.
+        let place = if (place - place.round()).abs() < 1e-6 {
+            place.round()
+        } else {
+            place
+        };
+        let (from, part) = (place.floor() as usize, (place - place.floor()) as f32);
+        let to = (from + 1).min(last);
+        let between = |a: f32, b: f32| if part > 0.0 { a + part * (b - a) } else { a };
+        let joints = (0..self.joints()).map(|joint| {
+            let (a, b) = (self.joint(from, joint), self.joint(to, joint));
+            [0, 1, 2].map(|axis| between(a[axis], b[axis]))
+        });
+        let orientation = self.orientations.as_ref().map(|turns| {
+            let (a, b) = (turns[from], turns[to]);
+            let dot: f32 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+            let sign = if dot < 0.0 { -1.0 } else { 1.0 };
+            normalised([0, 1, 2, 3].map(|axis| between(a[axis], sign * b[axis])))
+        });
+        Pose {
+            joints: joints.collect(),
+            orientation,
+        }
+    }
+
+    /// The side that a joint's name says.
+    pub(crate) fn side(&self, joint: usize) -> Side {
+        let name = self.joint_names.get(joint).map_or("", String::as_str);
+        let name = name.rsplit(':').next().unwrap_or(name);
+        let lower = name.to_lowercase();
+        let of = |word: &str, letter: char| {
+            let second = name.chars().nth(1).unwrap_or(' ');
+            let initial = lower.starts_with(letter) && (second.is_uppercase() || second == '_');
+            let end = ["_", "."].map(|mark| format!("{mark}{letter}"));
+            lower.contains(word) || initial || end.iter().any(|end| lower.ends_with(end))
+        };
+        match (of("left", 'l'), of("right", 'r')) {
+            (true, false) => Side::Left,
+            (false, true) => Side::Right,
+            _ => Side::Middle,
+        }
+    }
+
+    /// Whether a joint is the end of the head.
+    pub(crate) fn is_head(&self, joint: usize) -> bool {
+        let name = self.joint_names.get(joint);
+        let named = name.is_some_and(|name| name.to_lowercase().ends_with("head"));
+        named && !self.parents.contains(&Some(joint))
+    }
+
+    /// Radius in metres of the bone from a joint's parent to it, in a pose.
+    pub(crate) fn bone_radius(&self, joint: usize, places: &[[f32; 3]]) -> f32 {
+        let (most, part) = BONE_RADIUS;
+        let Some(parent) = self.parents[joint] else {
+            return most;
+        };
+        let (a, b) = (places[parent], places[joint]);
+        let square: f32 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
+        (part * square.sqrt()).min(most)
+    }
+}
+
+/// The quaternion (w, x, y, z) with norm 1; the identity where it has none.
+pub(crate) fn normalised(q: [f32; 4]) -> [f32; 4] {
+    let norm = q.iter().map(|part| part * part).sum::<f32>().sqrt();
+    if norm.is_finite() && norm > 1e-12 {
+        q.map(|part| part / norm)
+    } else {
+        [1.0, 0.0, 0.0, 0.0]
+    }
+}
+
+/// The vector turned by a unit quaternion (w, x, y, z).
+pub(crate) fn rotate([w, x, y, z]: [f32; 4], v: [f32; 3]) -> [f32; 3] {
+    let cross = |a: [f32; 3], b: [f32; 3]| {
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
+    };
+    let axis = [x, y, z];
+    let once = cross(axis, v);
+    let twice = cross(axis, once);
+    [0, 1, 2].map(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A body of four joints at 20 frames per second: a root, a head, a left and a right foot. It
+    /// goes forward, turns and bends.
+    pub fn body(frames: usize) -> Figure {
+        let mut positions = Vec::new();
+        for frame in 0..frames {
+            let t = frame as f32 / 20.0;
+            let root = [0.3 * t, 0.9 + 0.05 * (3.0 * t).sin(), 0.8 * t];
+            let heading = [(0.5 * t).cos(), 0.0, (0.5 * t).sin(), 0.0];
+            let bend = 0.4 * (2.0 * t).sin();
+            for bone in [
+                [0.0; 3],
+                [0.1 * bend, 0.7, 0.7 * bend],
+                [0.2, -0.8 * (1.0 - 0.1 * bend), 0.3 * bend],
+                [-0.2, -0.8, -0.3 * bend],
+            ] {
+                let turned = rotate(heading, bone);
+                positions.extend([0, 1, 2].map(|axis| root[axis] + turned[axis]));
+            }
+        }
+        let names = ["pelvis", "head", "left_foot", "right_foot"];
+        Figure {
+            name: "body".into(),
+            fps: 20.0,
+            positions,
+            joint_names: names.map(String::from).to_vec(),
+            parents: vec![None, Some(0), Some(0), Some(0)],
+            contacts: vec![Contact {
+                joint: 2,
+                frames: (0..frames).map(|frame| frame % 10 < 5).collect(),
+            }],
+            ..Figure::default()
+        }
+    }
+
+    /// A lone root at 30 frames per second that walks and turns, and faces `yaw` first.
+    pub fn dancer(frames: usize, yaw: f32) -> Figure {
+        let seconds = |frame: usize| frame as f32 / 30.0;
+        let turn = |frame: usize| {
+            let half = (yaw + 2.0 * seconds(frame)) / 2.0;
+            [half.cos(), 0.0, half.sin(), 0.0]
+        };
+        let place = |frame: usize| [0.4 * seconds(frame), 0.95, 0.2 * seconds(frame)];
+        Figure {
+            name: "phrase".into(),
+            fps: 30.0,
+            positions: (0..frames).flat_map(place).collect(),
+            joint_names: vec!["root".into()],
+            parents: vec![None],
+            orientations: Some((0..frames).map(turn).collect()),
+            ..Figure::default()
+        }
+    }
+
+    #[test]
+    fn poses_lie_between_frames() {
+        let figure = body(10);
+        let (from, to) = (figure.joint(3, 2), figure.joint(4, 2));
+        assert_eq!(figure.pose(3.0 / 20.0).joints[2], from);
+        let half = figure.pose(3.5 / 20.0).joints[2];
+        assert!((0..3).all(|axis| (half[axis] - (from[axis] + to[axis]) / 2.0).abs() < 1e-6));
+        assert_eq!(figure.pose(99.0).joints[2], figure.joint(9, 2));
+        assert_eq!(figure.pose(-1.0).joints[2], figure.joint(0, 2));
+        let mut dancer = dancer(3, 0.0);
+        let known = dancer.pose(0.05).orientation.unwrap();
+        // The same orientation with the other sign.
+        let turns = dancer.orientations.as_mut().unwrap();
+        turns[2] = turns[2].map(|part| -part);
+        let found = dancer.pose(0.05).orientation.unwrap();
+        assert!((0..4).all(|part| (known[part] - found[part]).abs() < 1e-6));
+    }
+
+    #[test]
+    fn sides_are_told_by_names() {
+        let names = [
+            ("left_hip", Side::Left),
+            ("mixamorig:RightFoot", Side::Right),
+            ("LHip", Side::Left),
+            ("hand_r", Side::Right),
+            ("r_wrist", Side::Right),
+            ("lumbar", Side::Middle),
+            ("root", Side::Middle),
+            ("neck", Side::Middle),
+        ];
+        for (name, side) in names {
+            let figure = Figure {
+                joint_names: vec![name.into()],
+                ..Figure::default()
+            };
+            assert_eq!(figure.side(0), side, "{name}");
+        }
+    }
+}

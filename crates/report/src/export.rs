@@ -1,0 +1,111 @@
+//! What files for other programs have in common: their errors, and that none is half-written.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use miette::Diagnostic;
+
+use crate::scene::Scene;
+
+/// Why a scene was not written.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum ExportError {
+    /// There is nothing to show, or it is not finite.
+    #[error("{}: {problem}", out.display())]
+    #[diagnostic(help("give a motion of at least one frame whose numbers are finite"))]
+    Scene {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The file cannot be written.
+    #[error("cannot write {}: {reason}", path.display())]
+    #[diagnostic(help("check that its folder exists and can be written"))]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        reason: String,
+    },
+    /// There is no `ffmpeg`.
+    #[error("{}: `{program}` cannot be started: {reason}", out.display())]
+    #[diagnostic(help(
+        "MP4 files are made by ffmpeg: install it (as with `apt-get install ffmpeg` or `brew install \
+         ffmpeg`) so that it is on the PATH, or write a GIF"
+    ))]
+    NoEncoder {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// The program.
+        program: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// `ffmpeg` failed.
+    #[error("{}: ffmpeg failed ({status}): {last_lines}", out.display())]
+    #[diagnostic(help(
+        "MP4 files need an ffmpeg with the encoders libx264 and aac, which can read the song; write a \
+         GIF where it has none"
+    ))]
+    Encoder {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// How it ended.
+        status: String,
+        /// What it said last.
+        last_lines: String,
+    },
+}
+
+/// Refuses a scene that has no frame, or numbers that cannot be shown.
+pub(crate) fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
+    let refused = |problem: String| ExportError::Scene {
+        out: out.to_path_buf(),
+        problem,
+    };
+    if scene.figures.is_empty() {
+        return Err(refused("there is no motion".into()));
+    }
+    for figure in &scene.figures {
+        let name = &figure.name;
+        if figure.frames() == 0 {
+            return Err(refused(format!("`{name}` has no frames")));
+        }
+        if !(figure.fps.is_finite() && figure.fps > 0.0) {
+            return Err(refused(format!(
+                "`{name}` has {} frames a second",
+                figure.fps
+            )));
+        }
+        let hang = figure.parents.iter().enumerate();
+        let (mut hang, joints) = (hang.skip(1), figure.joints());
+        if !hang.all(|(joint, parent)| parent.is_some_and(|p| p < joints && p != joint)) {
+            return Err(refused(format!("`{name}` has joints that hang from none")));
+        }
+        let turns = figure.orientations.iter().flatten().flatten();
+        let mut numbers = figure.positions.iter().chain(turns);
+        if !numbers.all(|number| number.is_finite()) {
+            return Err(refused(format!("`{name}` is not finite throughout")));
+        }
+    }
+    Ok(())
+}
+
+/// The name beside `out` that a file has until it is whole.
+pub(crate) fn temporary(out: &Path, what: &str) -> PathBuf {
+    out.with_added_extension(format!("{}.{what}.tmp", std::process::id()))
+}
+
+/// Writes a file under another name first, so that nobody sees half of it.
+pub(crate) fn write(out: &Path, bytes: &[u8]) -> Result<(), ExportError> {
+    let part = temporary(out, "part");
+    let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, out));
+    written.map_err(|reason| {
+        let _ = fs::remove_file(&part);
+        ExportError::Write {
+            path: out.to_path_buf(),
+            reason: reason.to_string(),
+        }
+    })
+}

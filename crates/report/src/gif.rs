@@ -1,0 +1,311 @@
+//! Animated pictures.
+
+use std::path::Path;
+
+use gif::{DisposalMethod, Encoder, Frame, Repeat};
+
+use crate::export::{self, ExportError};
+use crate::raster::{Image, PALETTE, Painter};
+use crate::scene::Scene;
+
+/// Most pictures per second: motion with more is drawn between its frames.
+const MOST_FPS: f64 = 20.0;
+/// Colour of pixels that stay as they are.
+const UNCHANGED: u8 = PALETTE.len() as u8;
+/// Pixels of a lone figure, and of each of several.
+const ALONE: (u32, u32) = (400, 360);
+/// See [`ALONE`].
+const BESIDE: (u32, u32) = (320, 340);
+
+/// Writes a scene as a GIF that is repeated without end. Each picture holds only what changed, and
+/// the whole lasts as long as the motion: delays are whole hundredths of a second, so what one is
+/// too short the next is longer.
+///
+/// # Errors
+/// [`ExportError::Scene`] for a scene without frames or with numbers that are not finite;
+/// [`ExportError::Write`].
+pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
+    export::check(scene, out)?;
+    let bytes = encode(scene, size(scene)).map_err(|reason| ExportError::Write {
+        path: out.to_path_buf(),
+        reason: reason.to_string(),
+    })?;
+    export::write(out, &bytes)
+}
+
+/// Pixels that a scene is drawn with.
+pub(crate) fn size(scene: &Scene) -> (u32, u32) {
+    match scene.figures.len() as u32 {
+        0 | 1 => ALONE,
+        count @ 2..=3 => (count * BESIDE.0, BESIDE.1),
+        count => {
+            let side = (1..)
+                .find(|side| side * side >= count)
+                .expect("there is one");
+            (
+                side.min(4) * BESIDE.0,
+                count.div_ceil(side).min(4) * BESIDE.1,
+            )
+        }
+    }
+}
+
+/// Moments and hundredths of a second of each picture.
+fn timing(scene: &Scene) -> Vec<(f64, u16)> {
+    let fps = (1.0 / scene.frame_seconds()).min(MOST_FPS);
+    let count = ((scene.seconds() * fps - 1e-6).ceil() as usize).max(1);
+    let hundredths = |moment: f64| (100.0 * moment).round() as u64;
+    let ends = (1..=count).map(|k| hundredths((k as f64 / fps).min(scene.seconds())));
+    let starts = (0..count).map(|k| k as f64 / fps);
+    let delays = starts.zip(ends);
+    delays
+        .map(|(start, end)| {
+            // A delay of less than two hundredths is taken for a tenth by most programs.
+            let delay = end.saturating_sub(hundredths(start)).max(2);
+            (start, delay.min(u64::from(u16::MAX)) as u16)
+        })
+        .collect()
+}
+
+fn encode(scene: &Scene, size: (u32, u32)) -> Result<Vec<u8>, gif::EncodingError> {
+    let painter = Painter::new(scene, size);
+    let (width, height) = painter.size();
+    let [width, height] = [width, height].map(|side| side.min(u32::from(u16::MAX)) as u16);
+    let mut palette = Palette::new();
+    let mut bytes = Vec::new();
+    let mut encoder = Encoder::new(&mut bytes, width, height, PALETTE.as_flattened())?;
+    encoder.set_repeat(Repeat::Infinite)?;
+    let mut before: Option<Vec<u8>> = None;
+    let mut waiting: Option<Frame<'static>> = None;
+    for (moment, delay) in timing(scene) {
+        let now = palette.indices(&painter.at(moment));
+        let changed = match &before {
+            None => Some(whole(&now, width, height)),
+            Some(before) => difference(before, &now, width.into()),
+        };
+        match (changed, &mut waiting) {
+            // A picture like the one before makes that stay longer.
+            (None, Some(frame)) if frame.delay.checked_add(delay).is_some() => frame.delay += delay,
+            (changed, _) => {
+                let mut frame = changed.unwrap_or_else(unchanged);
+                frame.delay = delay;
+                if let Some(done) = waiting.replace(frame) {
+                    encoder.write_frame(&done)?;
+                }
+            }
+        }
+        before = Some(now);
+    }
+    if let Some(last) = waiting {
+        encoder.write_frame(&last)?;
+    }
+    drop(encoder);
+    Ok(bytes)
+}
+
+/// The first picture.
+fn whole(indices: &[u8], width: u16, height: u16) -> Frame<'static> {
+    Frame {
+        width,
+        height,
+        buffer: indices.to_vec().into(),
+        dispose: DisposalMethod::Keep,
+        ..Frame::default()
+    }
+}
+
+/// One pixel that stays as it is.
+fn unchanged() -> Frame<'static> {
+    Frame {
+        transparent: Some(UNCHANGED),
+        ..whole(&[UNCHANGED], 1, 1)
+    }
+}
+
+/// The smallest part of a picture that holds all that changed, if something did.
+fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>> {
+    let rows = || before.chunks_exact(width).zip(now.chunks_exact(width));
+    let top = rows().position(|(a, b)| a != b)?;
+    let bottom = rows().rposition(|(a, b)| a != b)?;
+    let apart = |column: &usize| rows().any(|(a, b)| a[*column] != b[*column]);
+    let left = (0..width).find(apart)?;
+    let right = (0..width).rev().find(apart)?;
+    let part = (top..=bottom).flat_map(|row| {
+        let columns = row * width + left..=row * width + right;
+        columns.map(|at| {
+            if before[at] == now[at] {
+                UNCHANGED
+            } else {
+                now[at]
+            }
+        })
+    });
+    Some(Frame {
+        left: left as u16,
+        top: top as u16,
+        width: (right - left + 1) as u16,
+        height: (bottom - top + 1) as u16,
+        buffer: part.collect::<Vec<u8>>().into(),
+        transparent: Some(UNCHANGED),
+        dispose: DisposalMethod::Keep,
+        ..Frame::default()
+    })
+}
+
+/// Finds the nearest colours, each once.
+struct Palette {
+    /// Index of each colour of five bits a channel, where it was looked for.
+    known: Vec<Option<u8>>,
+}
+
+impl Palette {
+    fn new() -> Self {
+        Self {
+            known: vec![None; 1 << 15],
+        }
+    }
+
+    /// The index of each pixel's colour.
+    fn indices(&mut self, image: &Image) -> Vec<u8> {
+        let pixels = image.rgb.chunks_exact(3);
+        pixels
+            .map(|pixel| {
+                let at = pixel
+                    .iter()
+                    .fold(0, |at, value| at << 5 | usize::from(value >> 3));
+                *self.known[at].get_or_insert_with(|| nearest(pixel))
+            })
+            .collect()
+    }
+}
+
+fn nearest(pixel: &[u8]) -> u8 {
+    let distance = |colour: &[u8; 3]| {
+        let apart = colour
+            .iter()
+            .zip(pixel)
+            .map(|(a, b)| i32::from(*a) - i32::from(*b));
+        apart.map(|value| value * value).sum::<i32>()
+    };
+    let indices = 0..PALETTE.len() as u8;
+    let found = indices.min_by_key(|index| distance(&PALETTE[usize::from(*index)]));
+    found.expect("there are colours")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Figure;
+    use crate::scene::tests::{body, dancer};
+
+    fn scene(figures: Vec<Figure>) -> Scene {
+        Scene {
+            figures,
+            ..Scene::default()
+        }
+    }
+
+    /// The pictures of a file as a reader puts them together, and their delays.
+    fn decode(bytes: &[u8]) -> (Vec<Vec<[u8; 3]>>, Vec<u16>) {
+        let mut options = gif::DecodeOptions::new();
+        options.set_color_output(gif::ColorOutput::Indexed);
+        let mut decoder = options.read_info(bytes).unwrap();
+        assert_eq!(decoder.repeat(), Repeat::Infinite);
+        let width = usize::from(decoder.width());
+        let palette = decoder.global_palette().unwrap().to_vec();
+        let mut screen = vec![[0; 3]; width * usize::from(decoder.height())];
+        let (mut pictures, mut delays) = (Vec::new(), Vec::new());
+        while let Some(frame) = decoder.read_next_frame().unwrap() {
+            for (at, index) in frame.buffer.iter().enumerate() {
+                if frame.transparent != Some(*index) {
+                    let columns = usize::from(frame.width);
+                    let x = usize::from(frame.left) + at % columns;
+                    let y = usize::from(frame.top) + at / columns;
+                    let colour = &palette[3 * usize::from(*index)..][..3];
+                    screen[y * width + x] = [colour[0], colour[1], colour[2]];
+                }
+            }
+            pictures.push(screen.clone());
+            delays.push(frame.delay);
+        }
+        (pictures, delays)
+    }
+
+    #[test]
+    fn a_file_shows_each_picture_of_the_motion() {
+        let scene = scene(vec![body(12)]);
+        let (pictures, delays) = decode(&encode(&scene, (120, 100)).unwrap());
+        assert_eq!((pictures.len(), delays), (12, vec![5; 12]));
+        let painter = Painter::new(&scene, (120, 100));
+        for (frame, picture) in pictures.iter().enumerate() {
+            let drawn = painter.at(frame as f64 / 20.0);
+            let pixels = picture.iter().zip(drawn.rgb.chunks_exact(3));
+            let far = pixels.filter(|(shown, pixel)| {
+                shown.iter().zip(*pixel).any(|(a, b)| a.abs_diff(*b) > 40)
+            });
+            // Softened edges between two colours are far from the palette.
+            let far = far.count();
+            assert!(far < 120 * 100 / 50, "{far} pixels of frame {frame}");
+        }
+    }
+
+    #[test]
+    fn delays_add_up_to_the_length() {
+        for fps in [12.0, 20.0, 24.0, 30.0, 60.0, 120.0, 29.97] {
+            let mut figure = dancer(137, 0.0);
+            figure.fps = fps;
+            let scene = scene(vec![figure]);
+            let timing = timing(&scene);
+            let total: u32 = timing.iter().map(|(_, delay)| u32::from(*delay)).sum();
+            let seconds = 137.0 / fps;
+            assert!((f64::from(total) / 100.0 - seconds).abs() < 0.021, "{fps}");
+            let rate = timing.len() as f64 / seconds;
+            assert!(
+                rate <= 20.2 && rate >= fps.min(20.0) - 0.01,
+                "{fps}: {rate}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_stands_still_is_one_picture() {
+        let mut figure = body(1);
+        figure.positions = figure.positions.repeat(60);
+        figure.contacts.clear();
+        let (pictures, delays) = decode(&encode(&scene(vec![figure]), (80, 80)).unwrap());
+        assert_eq!((pictures.len(), delays), (1, vec![300]));
+    }
+
+    #[test]
+    fn thirteen_seconds_take_less_than_a_megabyte() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.gif");
+        write(&scene(vec![dancer(390, 0.0)]), &out).unwrap();
+        let size = std::fs::metadata(&out).unwrap().len();
+        assert!(size < 1_000_000, "{size} bytes");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn nothing_is_written_of_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.gif");
+        let mut broken = body(2);
+        broken.positions[0] = f32::NAN;
+        for (figures, reason) in [
+            (vec![], "there is no motion"),
+            (vec![body(0)], "`body` has no frames"),
+            (vec![broken], "`body` is not finite"),
+        ] {
+            let error = write(&scene(figures), &out).unwrap_err().to_string();
+            assert!(
+                error.contains(reason) && error.contains("dance.gif"),
+                "{error}"
+            );
+        }
+        let missing = folder.path().join("no/dance.gif");
+        let error = write(&scene(vec![body(2)]), &missing).unwrap_err();
+        assert!(error.to_string().starts_with("cannot write"), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}

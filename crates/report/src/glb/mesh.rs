@@ -1,0 +1,213 @@
+//! Simple bodies: capsules over bones, a box for a lone root.
+
+use std::f32::consts::{FRAC_PI_2, TAU};
+
+use gltf_json as json;
+use json::material::{PbrBaseColorFactor, PbrMetallicRoughness, StrengthFactor};
+use json::mesh::{Mode, Primitive, Semantic};
+use json::validation::Checked::Valid;
+use json::{Index, Material};
+
+use super::buffer::Buffer;
+use super::rig::Rig;
+use super::turn::Turn;
+use crate::scene::Figure;
+
+/// Corners around a capsule.
+const SIDES: u32 = 10;
+/// Rings of each of its round ends.
+const RINGS: u32 = 3;
+/// Radius in metres of the ball of a lone root without an orientation.
+const BALL: f32 = 0.08;
+/// Half sizes of an oriented body in metres: to its side, up and to its front.
+const BODY: [f32; 3] = [0.17, 0.26, 0.1];
+/// Colour of all bodies, red, green, blue and opacity.
+const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
+
+/// Triangles.
+#[derive(Default)]
+pub(super) struct Mesh {
+    places: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+    triangles: Vec<u32>,
+    /// The one joint of the skin that moves each vertex; none without a skin.
+    joints: Vec<u16>,
+}
+
+impl Mesh {
+    /// A capsule over every bone, in the bind pose, moved by the node that turns the bone.
+    pub fn skin(figure: &Figure, rig: &Rig, bind: &[[f32; 3]]) -> Self {
+        let mut mesh = Self::default();
+        let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
+        for (index, node) in rig.nodes.iter().enumerate() {
+            let Some(end) = node.bone_to else { continue };
+            let radius = figure.bone_radius(end, &places);
+            if radius > 0.0 {
+                mesh.capsule([bind[index], places[end]], radius);
+                mesh.joints.resize(mesh.places.len(), index as u16);
+            }
+        }
+        for (joint, place) in places.iter().enumerate() {
+            if figure.is_head(joint) {
+                let radius = 2.6 * figure.bone_radius(joint, &places);
+                mesh.capsule([*place, *place], radius);
+                mesh.joints
+                    .resize(mesh.places.len(), rig.joints[joint] as u16);
+            }
+        }
+        if mesh.places.is_empty() {
+            // Bones without any length: the root at least is seen.
+            mesh.capsule([places[0], places[0]], BALL);
+            mesh.joints.resize(mesh.places.len(), 0);
+        }
+        mesh
+    }
+
+    /// A box that faces +z, and what shows where it faces.
+    pub fn body() -> Self {
+        let mut mesh = Self::default();
+        for axis in 0..3 {
+            for sign in [-1.0, 1.0] {
+                mesh.face(axis, sign);
+            }
+        }
+        mesh.capsule([[0.0, 0.0, BODY[2]], [0.0, 0.0, BODY[2] + 0.2]], 0.03);
+        mesh
+    }
+
+    /// A ball.
+    pub fn ball() -> Self {
+        let mut mesh = Self::default();
+        mesh.capsule([[0.0; 3]; 2], BALL);
+        mesh
+    }
+
+    /// A side of the body's box.
+    fn face(&mut self, axis: usize, sign: f32) {
+        let first = self.places.len() as u32;
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for (along_u, along_v) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+            let mut place = [0.0; 3];
+            place[axis] = sign * BODY[axis];
+            place[u] = along_u * sign * BODY[u];
+            place[v] = along_v * BODY[v];
+            self.places.push(place);
+            let mut normal = [0.0; 3];
+            normal[axis] = sign;
+            self.normals.push(normal);
+        }
+        let corners = [0, 1, 2, 0, 2, 3];
+        self.triangles.extend(corners.map(|corner| first + corner));
+    }
+
+    /// A cylinder with round ends.
+    fn capsule(&mut self, [from, to]: [[f32; 3]; 2], radius: f32) {
+        let along = [0, 1, 2].map(|axis| f64::from(to[axis] - from[axis]));
+        let turn = Turn::between([0.0, 1.0, 0.0], along);
+        let first = self.places.len() as u32;
+        // Rings from the lower to the upper pole: each end has its own at the equator.
+        let rings = 2 * (RINGS + 1);
+        for ring in 0..rings {
+            let (end, step) = if ring <= RINGS {
+                (from, f32::from(ring as u16) - RINGS as f32)
+            } else {
+                (to, (ring - RINGS - 1) as f32)
+            };
+            let (high, wide) = (step / RINGS as f32 * FRAC_PI_2).sin_cos();
+            for side in 0..SIDES {
+                let (sin, cos) = (side as f32 / SIDES as f32 * TAU).sin_cos();
+                let normal = turn.rotate([wide * cos, high, wide * sin].map(f64::from));
+                let normal = normal.map(|value| value as f32);
+                let place = [0, 1, 2].map(|axis| end[axis] + radius * normal[axis]);
+                self.places.push(place);
+                self.normals.push(normal);
+            }
+        }
+        for ring in (0..rings - 1).filter(|ring| *ring != RINGS || from != to) {
+            for side in 0..SIDES {
+                let next = (side + 1) % SIDES;
+                let corner = |ring: u32, side: u32| first + ring * SIDES + side;
+                let (a, b) = (corner(ring, side), corner(ring, next));
+                let (c, d) = (corner(ring + 1, side), corner(ring + 1, next));
+                // At the poles all corners of a ring are one.
+                if ring > 0 {
+                    self.triangles.extend([a, c, b]);
+                }
+                if ring < rings - 2 {
+                    self.triangles.extend([b, c, d]);
+                }
+            }
+        }
+    }
+
+    /// Adds the mesh to a document.
+    pub fn push(self, root: &mut json::Root, buffer: &mut Buffer, name: &str) -> Index<json::Mesh> {
+        let places = buffer.vertices(root, &self.places);
+        let normals = buffer.vertices(root, &self.normals);
+        let triangles = buffer.indices(root, &self.triangles);
+        let mut attributes = vec![(Semantic::Positions, places), (Semantic::Normals, normals)];
+        if !self.joints.is_empty() {
+            let joints: Vec<[u16; 4]> = self.joints.iter().map(|joint| [*joint, 0, 0, 0]).collect();
+            let weights = vec![[1.0, 0.0, 0.0, 0.0]; joints.len()];
+            attributes.push((Semantic::Joints(0), buffer.joints(root, &joints)));
+            attributes.push((Semantic::Weights(0), buffer.weights(root, &weights)));
+        }
+        if root.materials.is_empty() {
+            root.push(Material {
+                pbr_metallic_roughness: PbrMetallicRoughness {
+                    base_color_factor: PbrBaseColorFactor(COLOUR),
+                    metallic_factor: StrengthFactor(0.0),
+                    roughness_factor: StrengthFactor(0.7),
+                    ..PbrMetallicRoughness::default()
+                },
+                ..Material::default()
+            });
+        }
+        let attributes = attributes.into_iter();
+        root.push(json::Mesh {
+            extensions: None,
+            extras: json::Extras::default(),
+            name: Some(name.to_string()),
+            primitives: vec![Primitive {
+                attributes: attributes.map(|(kind, at)| (Valid(kind), at)).collect(),
+                extensions: None,
+                extras: json::Extras::default(),
+                indices: Some(triangles),
+                material: Some(Index::new(0)),
+                mode: Valid(Mode::Triangles),
+                targets: None,
+            }],
+            weights: None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_triangles_face_outwards() {
+        for mesh in [Mesh::body(), Mesh::ball(), {
+            let mut mesh = Mesh::default();
+            mesh.capsule([[0.3, 0.2, 0.1], [-0.2, 0.5, 0.3]], 0.05);
+            mesh
+        }] {
+            for corners in mesh.triangles.chunks_exact(3) {
+                let [a, b, c] = [0, 1, 2].map(|n| mesh.places[corners[n] as usize].map(f64::from));
+                let side = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|i| to[i] - from[i]);
+                let across = super::super::turn::cross(side(a, b), side(a, c));
+                let normal = [0, 1, 2].map(|axis| {
+                    let corners = corners.iter();
+                    corners
+                        .map(|n| f64::from(mesh.normals[*n as usize][axis]))
+                        .sum()
+                });
+                assert!(
+                    super::super::turn::dot(across, normal) > 0.0,
+                    "{a:?} {b:?} {c:?}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,286 @@
+//! Films with the song, by `ffmpeg`.
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+
+use crate::export::{self, ExportError};
+use crate::raster::Painter;
+use crate::scene::{Scene, Song};
+
+/// Pictures per second.
+const FPS: u32 = 30;
+/// How often a film has the pixels of a GIF, along each side.
+const SCALE: u32 = 2;
+/// How many of ffmpeg's last lines an error repeats.
+const LAST_LINES: usize = 4;
+
+/// Writes a scene as an MP4 file (H.264, and AAC where there is a song) by the `ffmpeg` on the
+/// PATH. The song starts where the scene says; where it is shorter than the motion, silence follows.
+///
+/// # Errors
+/// [`ExportError::Scene`] for a scene without frames or with numbers that are not finite;
+/// [`ExportError::NoEncoder`] where there is no ffmpeg, [`ExportError::Encoder`] where it fails;
+/// [`ExportError::Write`].
+pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
+    write_by(OsStr::new("ffmpeg"), scene, out)
+}
+
+/// [`write`] by another program that takes the same arguments.
+fn write_by(program: &OsStr, scene: &Scene, out: &Path) -> Result<(), ExportError> {
+    export::check(scene, out)?;
+    let failed = |reason: std::io::Error| ExportError::Write {
+        path: out.to_path_buf(),
+        reason: reason.to_string(),
+    };
+    let (film, song) = (
+        export::temporary(out, "film"),
+        export::temporary(out, "song"),
+    );
+    if let Some(given) = &scene.song {
+        fs::write(&song, &given.bytes).map_err(|reason| {
+            let _ = fs::remove_file(&song);
+            failed(reason)
+        })?;
+    }
+    let given = scene.song.as_ref().map(|given| (given, song.as_path()));
+    let encoded = encode(program, scene, given, &film, out);
+    let _ = fs::remove_file(&song);
+    let written = encoded.and_then(|()| fs::rename(&film, out).map_err(failed));
+    if written.is_err() {
+        let _ = fs::remove_file(&film);
+    }
+    written
+}
+
+fn encode(
+    program: &OsStr,
+    scene: &Scene,
+    song: Option<(&Song, &Path)>,
+    film: &Path,
+    out: &Path,
+) -> Result<(), ExportError> {
+    let (width, height) = crate::gif::size(scene);
+    let painter = Painter::new(scene, (SCALE * width, SCALE * height));
+    let size = painter.size();
+    let count = ((scene.seconds() * f64::from(FPS)).round() as usize).max(1);
+    let seconds = count as f64 / f64::from(FPS);
+    let started = Command::new(program)
+        .args(arguments(size, seconds, song, film))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut child = started.map_err(|reason| ExportError::NoEncoder {
+        out: out.to_path_buf(),
+        program: program.display().to_string(),
+        reason: reason.to_string(),
+    })?;
+    let (status, said, taken) = feed(&mut child, &painter, count);
+    let status = match status {
+        // A program that does not take all pictures says why when it ends.
+        Ok(status) if status.success() && taken && film.exists() => return Ok(()),
+        Ok(status) => status.to_string(),
+        Err(reason) => reason.to_string(),
+    };
+    Err(ExportError::Encoder {
+        out: out.to_path_buf(),
+        status,
+        last_lines: last_lines(&said),
+    })
+}
+
+/// Hands the pictures over; how the program ended, what it said, and whether it took all.
+fn feed(
+    child: &mut Child,
+    painter: &Painter<'_>,
+    count: usize,
+) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
+    let mut pictures = child.stdin.take().expect("it is piped");
+    let mut errors = child.stderr.take().expect("it is piped");
+    // Read while it is fed: it would wait for a reader of what it says.
+    let said = thread::spawn(move || {
+        let mut said = Vec::new();
+        let _ = errors.read_to_end(&mut said);
+        String::from_utf8_lossy(&said).into_owned()
+    });
+    let taken = (0..count).all(|picture| {
+        let image = painter.at(picture as f64 / f64::from(FPS));
+        pictures.write_all(&image.rgb).is_ok()
+    });
+    drop(pictures);
+    let status = child.wait();
+    (status, said.join().unwrap_or_default(), taken)
+}
+
+fn arguments(
+    (width, height): (u32, u32),
+    seconds: f64,
+    song: Option<(&Song, &Path)>,
+    film: &Path,
+) -> Vec<OsString> {
+    // Names with a colon are no addresses.
+    let file = |path: &Path| {
+        let mut name = OsString::from("file:");
+        name.push(path);
+        name
+    };
+    let pixels = format!("{width}x{height}");
+    let (fps, seconds) = (FPS.to_string(), format!("{seconds:.6}"));
+    let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+    let mut all = words(&["-hide_banner", "-loglevel", "error", "-nostdin", "-y"]);
+    all.extend(words(&[
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &pixels,
+    ]));
+    all.extend(words(&["-framerate", &fps, "-i", "pipe:0"]));
+    if let Some((song, path)) = song {
+        all.extend(words(&[
+            "-ss",
+            &format!("{:.6}", song.start.max(0.0)),
+            "-i",
+        ]));
+        all.push(file(path));
+        all.extend(words(&["-map", "0:v:0", "-map", "1:a:0", "-af", "apad"]));
+        all.extend(words(&["-c:a", "aac", "-b:a", "160k"]));
+    }
+    // The length is that of the motion: the song is padded and cut.
+    all.extend(words(&["-t", &seconds, "-c:v", "libx264", "-crf", "20"]));
+    all.extend(words(&["-pix_fmt", "yuv420p", "-movflags", "+faststart"]));
+    all.extend(words(&["-f", "mp4"]));
+    all.push(file(film));
+    all
+}
+
+fn last_lines(said: &str) -> String {
+    let lines: Vec<&str> = said
+        .lines()
+        .filter(|line| !line.trim().is_empty())
+        .collect();
+    let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
+    if last.is_empty() {
+        return "it said nothing".into();
+    }
+    last.join("; ")
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+    use std::path::PathBuf;
+
+    use super::*;
+    use crate::scene::tests::{body, dancer};
+
+    /// A program in place of ffmpeg.
+    fn stand_in(folder: &Path, script: &str) -> PathBuf {
+        let path = folder.join("encoder");
+        fs::write(&path, format!("#!/bin/sh\n{script}\n")).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        path
+    }
+
+    fn scene(song: bool) -> Scene {
+        Scene {
+            figures: vec![body(20)],
+            song: song.then(|| Song {
+                media_type: "audio/mpeg",
+                bytes: b"a song".to_vec(),
+                start: 12.5,
+                beats: vec![],
+            }),
+            ..Scene::default()
+        }
+    }
+
+    fn files(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<String> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn the_encoder_gets_all_pictures_and_the_song() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.mp4");
+        // Its last argument is the film: it writes down the rest, the song and the picture's size.
+        let script = "for last; do :; done\nout=${last#file:}\n\
+                      { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
+        let program = stand_in(folder.path(), script);
+        write_by(program.as_os_str(), &scene(true), &out).unwrap();
+        assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
+        let told = fs::read_to_string(&out).unwrap();
+        let lines: Vec<&str> = told.lines().collect();
+        assert!(lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -i file:"));
+        assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
+        assert_eq!(lines[1], "a song");
+        assert_eq!(lines[2].trim(), (30 * 3 * 800 * 720).to_string());
+        write_by(program.as_os_str(), &scene(false), &out).unwrap_or_else(|e| panic!("{e}"));
+        assert!(!fs::read_to_string(&out).unwrap().contains("-ss"));
+    }
+
+    #[test]
+    fn an_encoder_that_fails_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.mp4");
+        fs::write(&out, "an older film").unwrap();
+        for (script, said) in [
+            // Half a film, and not all pictures read.
+            (
+                "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
+                "Unknown encoder",
+            ),
+            ("cat > /dev/null", "it said nothing"),
+        ] {
+            let program = stand_in(folder.path(), script);
+            let error = write_by(program.as_os_str(), &scene(true), &out).unwrap_err();
+            assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
+            assert!(error.to_string().contains(said), "{error}");
+            assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
+        }
+        let error = write_by(OsStr::new("no-such-encoder"), &scene(true), &out).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("`no-such-encoder` cannot be started")
+        );
+        assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
+        assert_eq!(fs::read_to_string(&out).unwrap(), "an older film");
+    }
+
+    #[test]
+    fn sizes_are_even() {
+        for count in 1..20 {
+            let scene = Scene {
+                figures: vec![dancer(1, 0.0); count],
+                ..Scene::default()
+            };
+            let (width, height) = crate::gif::size(&scene);
+            let size = Painter::new(&scene, (SCALE * width, SCALE * height)).size();
+            assert!(size.0 % 2 == 0 && size.1 % 2 == 0, "{count}: {size:?}");
+        }
+    }
+
+    #[test]
+    fn ffmpeg_makes_a_film_where_it_is_there() {
+        let there = Command::new("ffmpeg").arg("-version").output();
+        if !there.is_ok_and(|found| found.status.success()) {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("a: film.mp4");
+        write(&scene(false), &out).unwrap();
+        let bytes = fs::read(&out).unwrap();
+        assert_eq!(&bytes[4..8], b"ftyp");
+        assert_eq!(files(folder.path()), ["a: film.mp4"]);
+        // What is no song is refused by it.
+        let error = write(&scene(true), &folder.path().join("other.mp4")).unwrap_err();
+        assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
+        assert_eq!(files(folder.path()), ["a: film.mp4"]);
+    }
+}

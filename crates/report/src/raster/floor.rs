@@ -1,0 +1,90 @@
+//! What lies on the ground.
+
+use super::Image;
+use super::camera::Camera;
+use super::palette::{GRID, KEYFRAME, OBSTACLE, PATH, TRAIL};
+use crate::scene::Floor;
+
+/// Metres that the grid reaches beyond the middle.
+const GRID_REACH: i32 = 8;
+/// Corners that a circle is drawn with.
+const CIRCLE: usize = 32;
+/// Radius of a key frame in metres, and of one that is now.
+const KEYFRAME_RADII: [f32; 2] = [0.09, 0.16];
+
+/// Half a width in pixels of a line that is as wide as `metres`, at least one pixel.
+fn half(scale: f32, metres: f32) -> f32 {
+    (0.5 * scale * metres).max(0.5)
+}
+
+/// A line on the ground.
+fn line(image: &mut Image, camera: &Camera, ends: [[f32; 2]; 2], width: f32, colour: [u8; 3]) {
+    let [a, b] = ends.map(|[x, z]| [x, 0.0, z]);
+    if let Some([a, b]) = camera.line(a, b) {
+        let radii = [half(a.scale, width), half(b.scale, width)];
+        image.stroke([a.at, b.at], radii, colour);
+    }
+}
+
+/// A line through points on the ground.
+fn way(image: &mut Image, camera: &Camera, points: &[[f32; 2]], width: f32, colour: [u8; 3]) {
+    for pair in points.windows(2) {
+        line(image, camera, [pair[0], pair[1]], width, colour);
+    }
+}
+
+/// A disc on the ground.
+fn disc(
+    image: &mut Image,
+    camera: &Camera,
+    [x, z]: [f32; 2],
+    radius: f32,
+    colour: [u8; 3],
+    opacity: f32,
+) {
+    let corners: Option<Vec<[f32; 2]>> = (0..CIRCLE)
+        .map(|corner| {
+            let (sin, cos) = (corner as f32 * std::f32::consts::TAU / CIRCLE as f32).sin_cos();
+            let seen = camera.see([x + radius * cos, 0.0, z + radius * sin])?;
+            Some(seen.at)
+        })
+        .collect();
+    if let Some(corners) = corners {
+        image.convex(&corners, colour, opacity);
+    }
+}
+
+/// What does not move: a grid of one metre around `middle`, the goal, and the way of the root.
+pub(super) fn draw(
+    image: &mut Image,
+    camera: &Camera,
+    middle: [f32; 2],
+    floor: &Floor,
+    trail: &[[f32; 2]],
+) {
+    let [x, z] = middle.map(|value| value.round().clamp(-1e6, 1e6));
+    let reach = GRID_REACH as f32;
+    for step in -GRID_REACH..=GRID_REACH {
+        let step = step as f32;
+        let across = [[x - reach, z + step], [x + reach, z + step]];
+        let along = [[x + step, z - reach], [x + step, z + reach]];
+        line(image, camera, across, 0.012, GRID);
+        line(image, camera, along, 0.012, GRID);
+    }
+    for (centre, radius) in &floor.obstacles {
+        disc(image, camera, *centre, *radius, OBSTACLE, 1.0);
+    }
+    way(image, camera, trail, 0.02, TRAIL);
+    way(image, camera, &floor.path, 0.05, PATH);
+    for (_, at) in &floor.keyframes {
+        disc(image, camera, *at, KEYFRAME_RADII[0], KEYFRAME, 1.0);
+    }
+}
+
+/// The key frames of a frame, larger than the others.
+pub(super) fn draw_now(image: &mut Image, camera: &Camera, floor: &Floor, frame: usize) {
+    let now = floor.keyframes.iter();
+    for (_, at) in now.filter(|(key, _)| key.abs_diff(frame) <= 2) {
+        disc(image, camera, *at, KEYFRAME_RADII[1], KEYFRAME, 1.0);
+    }
+}

@@ -1,0 +1,34 @@
+//! Names on a picture.
+
+use epaint_default_fonts::UBUNTU_LIGHT;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::{FontStyle, register_font};
+
+use super::Image;
+use super::palette::TEXT;
+
+/// Writes a name at the top of the part of a picture from `left` on that is `width` pixels wide.
+pub(super) fn write(image: &mut Image, text: &str, left: u32, top: u32, width: u32) {
+    let height = (width / 20).clamp(9, 16);
+    let registered = register_font("sans-serif", FontStyle::Normal, UBUNTU_LIGHT);
+    debug_assert!(registered.is_ok(), "the built-in font is one");
+    // About how many letters there is space for.
+    let most = (2 * width / height) as usize;
+    let mut shown: String = text.chars().take(most).collect();
+    if shown.len() < text.len() {
+        shown.pop();
+        shown.push('…');
+    }
+    let size = (image.width, image.height);
+    let area = BitMapBackend::with_buffer(&mut image.rgb, size).into_drawing_area();
+    let [r, g, b] = TEXT;
+    let colour = RGBColor(r, g, b);
+    let style = TextStyle::from(("sans-serif", height).into_font())
+        .color(&colour)
+        .pos(Pos::new(HPos::Center, VPos::Top));
+    let at = ((left + width / 2) as i32, (top + height / 3) as i32);
+    // A name that cannot be written is no reason to have no picture.
+    let _ = area.draw(&Text::new(shown, at, style));
+    let _ = area.present();
+}

@@ -1,0 +1,233 @@
+//! Still pictures of a scene: a small software renderer, so that pictures need neither a browser nor
+//! a graphics processor and are the same on every machine.
+
+mod camera;
+mod canvas;
+mod figure;
+mod floor;
+mod label;
+mod painter;
+
+pub(crate) use painter::Painter;
+pub(crate) use palette::PALETTE;
+
+mod palette;
+
+use crate::scene::Scene;
+
+/// A picture in memory.
+#[derive(Clone, Debug, Eq, PartialEq)]
+pub struct Image {
+    /// Pixels from left to right.
+    pub width: u32,
+    /// Pixels from top to bottom.
+    pub height: u32,
+    /// Red, green and blue of each pixel, row by row from the top, `[height, width, 3]`.
+    pub rgb: Vec<u8>,
+}
+
+impl Image {
+    /// A picture of one colour.
+    pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
+        let pixels = width as usize * height as usize;
+        Self {
+            width,
+            height,
+            rgb: colour.repeat(pixels),
+        }
+    }
+
+    /// The picture as a PNG file.
+    pub fn png(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let written = encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&self.rgb));
+        written.expect("a picture of its own size goes into memory");
+        bytes
+    }
+
+    /// Copies a picture to the place whose upper left corner is `(x, y)`; it must lie within.
+    pub(crate) fn paste(&mut self, part: &Self, (x, y): (u32, u32)) {
+        let row = 3 * part.width as usize;
+        for (line, pixels) in part.rgb.chunks_exact(row).enumerate() {
+            let to = 3 * ((y as usize + line) * self.width as usize + x as usize);
+            self.rgb[to..to + row].copy_from_slice(pixels);
+        }
+    }
+}
+
+/// The scene at a moment, `size` pixels wide and high, at least 16 each: every figure seen from
+/// the front at an angle, several beside one another. The camera holds the whole motion, or follows
+/// the root where that goes far.
+pub fn picture(scene: &Scene, seconds: f64, size: (u32, u32)) -> Image {
+    Painter::new(scene, size).at(seconds)
+}
+
+/// `count` moments from the first to the last beside one another, each of `size` pixels.
+pub fn strip(scene: &Scene, count: usize, size: (u32, u32)) -> Image {
+    let painter = Painter::new(scene, size);
+    let (width, height) = painter.size();
+    let count = count.max(1);
+    let mut whole = Image::filled(width * count as u32, height, palette::BACKGROUND);
+    let last = scene.seconds() - scene.frame_seconds();
+    for moment in 0..count {
+        let part = moment as f64 / (count - 1).max(1) as f64;
+        let image = painter.at(part * last);
+        whole.paste(&image, (moment as u32 * width, 0));
+    }
+    whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::palette::{BACKGROUND, LEFT, RIGHT};
+    use crate::scene::tests::{body, dancer};
+
+    /// Bounding box `[left, top, right, bottom]` of the pixels of a colour.
+    fn extent(image: &Image, colour: [u8; 3]) -> Option<[u32; 4]> {
+        let mut found: Option<[u32; 4]> = None;
+        for (index, pixel) in image.rgb.chunks_exact(3).enumerate() {
+            if pixel == colour {
+                let (x, y) = (index as u32 % image.width, index as u32 / image.width);
+                let [l, t, r, b] = found.unwrap_or([x, y, x, y]);
+                found = Some([l.min(x), t.min(y), r.max(x), b.max(y)]);
+            }
+        }
+        found
+    }
+
+    fn scene(figures: Vec<crate::scene::Figure>) -> Scene {
+        Scene {
+            title: "test".into(),
+            figures,
+            ..Scene::default()
+        }
+    }
+
+    #[test]
+    fn a_body_is_seen_whole_and_its_left_side_is_where_it_belongs() {
+        let picture = picture(&scene(vec![body(40)]), 0.0, (300, 200));
+        assert_eq!((picture.width, picture.height), (300, 200));
+        // Seen from the front, the left side is to the right.
+        let left = extent(&picture, LEFT).expect("the left leg is drawn");
+        let right = extent(&picture, RIGHT).expect("the right leg is drawn");
+        assert!(
+            left[0] + left[2] > right[0] + right[2],
+            "{left:?} {right:?}"
+        );
+        let edge = |x: u32, y: u32| {
+            let at = 3 * (y * 300 + x) as usize;
+            [LEFT, RIGHT].contains(&picture.rgb[at..at + 3].try_into().unwrap())
+        };
+        assert!((0..300).all(|x| !edge(x, 0) && !edge(x, 199)));
+        // It fills a good part of the height, though it walks.
+        let high = left[3].max(right[3]) - left[1].min(right[1]);
+        assert!(high > 40, "{high}");
+    }
+
+    #[test]
+    fn what_moves_is_seen_elsewhere_and_what_stands_is_not() {
+        let still = scene(vec![body(1)]);
+        let moving = scene(vec![body(40)]);
+        let size = (160, 120);
+        assert!(picture(&still, 0.0, size) == picture(&still, 1.0, size));
+        assert!(picture(&moving, 0.0, size) != picture(&moving, 1.0, size));
+    }
+
+    #[test]
+    fn a_phrase_shows_which_way_it_faces() {
+        let size = (200, 200);
+        let front = picture(&scene(vec![dancer(1, 0.0)]), 0.0, size);
+        let back = picture(&scene(vec![dancer(1, std::f32::consts::PI)]), 0.0, size);
+        assert!(front.rgb.chunks(3).any(|p| p == palette::NOSE));
+        let seen = |image: &Image| image.rgb.chunks(3).filter(|p| *p == palette::NOSE).count();
+        assert!(
+            seen(&front) > seen(&back),
+            "{} {}",
+            seen(&front),
+            seen(&back)
+        );
+    }
+
+    #[test]
+    fn figures_stand_beside_one_another() {
+        let two = picture(&scene(vec![body(10), body(10)]), 0.0, (400, 150));
+        let left = extent(&two, LEFT).unwrap();
+        assert!(left[0] < 200 && left[2] > 200, "{left:?}");
+    }
+
+    #[test]
+    fn goals_lie_on_the_floor() {
+        let mut with = scene(vec![body(40)]);
+        with.floor.path = vec![[0.0, 0.0], [1.0, 1.0]];
+        with.floor.keyframes = vec![(10, [0.5, 0.5])];
+        with.floor.obstacles = vec![([-0.8, 0.4], 0.3)];
+        let image = picture(&with, 0.0, (300, 200));
+        for colour in [palette::PATH, palette::KEYFRAME, palette::OBSTACLE] {
+            assert!(extent(&image, colour).is_some(), "{colour:?}");
+        }
+    }
+
+    #[test]
+    fn a_long_way_is_followed() {
+        let mut far = body(200);
+        for frame in far.positions.chunks_exact_mut(12).enumerate() {
+            for joint in frame.1.chunks_exact_mut(3) {
+                joint[2] += 0.2 * frame.0 as f32;
+            }
+        }
+        let far = scene(vec![far]);
+        for seconds in [0.0, 5.0, 9.9] {
+            let image = picture(&far, seconds, (200, 200));
+            let [_, top, _, bottom] = extent(&image, LEFT).expect("the body is in the picture");
+            assert!(bottom - top > 25, "{seconds}: {top} {bottom}");
+        }
+    }
+
+    #[test]
+    fn strips_hold_several_moments() {
+        let moments = strip(&scene(vec![body(40)]), 4, (100, 80));
+        assert_eq!((moments.width, moments.height), (400, 80));
+        let column = |n: u32| {
+            let mut part = Image::filled(100, 80, BACKGROUND);
+            for y in 0..80 {
+                let from = 3 * (y * 400 + n * 100) as usize;
+                let to = 3 * (y * 100) as usize;
+                part.rgb[to..to + 300].copy_from_slice(&moments.rgb[from..from + 300]);
+            }
+            part
+        };
+        let whole = scene(vec![body(40)]);
+        assert!(column(0) == picture(&whole, 0.0, (100, 80)));
+        assert!(column(3) == picture(&whole, whole.seconds() - 0.05, (100, 80)));
+        assert!(column(1) != column(2));
+    }
+
+    #[test]
+    fn pictures_are_png_files() {
+        let image = picture(&scene(vec![body(2)]), 0.0, (64, 48));
+        let decoder = png::Decoder::new(std::io::Cursor::new(image.png()));
+        let mut reader = decoder.read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        assert!(pixels == image.rgb);
+    }
+
+    #[test]
+    fn odd_scenes_draw_something() {
+        for figures in [vec![], vec![crate::scene::Figure::default()]] {
+            let image = picture(&scene(figures), 1.0, (32, 32));
+            assert_eq!(image.rgb.len(), 3 * 32 * 32);
+        }
+        let mut broken = body(3);
+        broken.positions[4] = f32::NAN;
+        broken.positions[14] = f32::INFINITY;
+        broken.positions[20] = 1e30;
+        picture(&scene(vec![broken]), 0.1, (32, 32));
+    }
+}

@@ -1,0 +1,224 @@
+//! Draws one scene at many moments.
+
+use super::camera::{Camera, bounds, middle};
+use super::palette::BACKGROUND;
+use super::{Image, figure, floor, label};
+use crate::scene::{Figure, Floor, Scene};
+
+/// The widest motion that a camera at rest looks at, in metres.
+const AT_REST: f32 = 6.0;
+/// Seconds to both sides over which the way of a camera that follows is smoothed.
+const SMOOTHING: f64 = 0.4;
+/// Most points that the way of a root is drawn with.
+const TRAIL_POINTS: usize = 600;
+/// Frames that the size of a motion is measured in, at most.
+const MEASURED: usize = 300;
+/// How far the body of a lone root is taken to reach along each axis, in metres.
+const LONE_REACH: f32 = 0.35;
+/// Figures that stand in one row; more of them make a square.
+const ROW: usize = 3;
+/// Smallest side of a picture, in pixels.
+const SMALLEST: u32 = 16;
+
+/// A scene with its cameras.
+pub(crate) struct Painter<'a> {
+    scene: &'a Scene,
+    size: (u32, u32),
+    columns: u32,
+    cell: (u32, u32),
+    views: Vec<View<'a>>,
+}
+
+/// A figure with its camera.
+struct View<'a> {
+    figure: &'a Figure,
+    camera: Camera,
+    /// What the camera looks at when it stands where `camera` says, on the ground.
+    middle: [f32; 2],
+    trail: Vec<[f32; 2]>,
+    /// The ground, where the camera is at rest.
+    ground: Option<Image>,
+}
+
+impl<'a> Painter<'a> {
+    /// Gets ready to draw pictures of `size` pixels.
+    pub fn new(scene: &'a Scene, (width, height): (u32, u32)) -> Self {
+        let figures: Vec<&Figure> = scene.figures.iter().filter(|f| f.frames() > 0).collect();
+        let count = figures.len().max(1);
+        let columns = if count <= ROW {
+            count
+        } else {
+            (1..)
+                .find(|side| side * side >= count)
+                .expect("there is one")
+        };
+        let rows = count.div_ceil(columns) as u32;
+        let columns = columns as u32;
+        let cell = (
+            (width / columns).max(SMALLEST),
+            (height / rows).max(SMALLEST),
+        );
+        let views = figures.into_iter();
+        Self {
+            scene,
+            size: (width.max(columns * cell.0), height.max(rows * cell.1)),
+            columns,
+            cell,
+            views: views
+                .map(|figure| View::new(figure, &scene.floor, cell))
+                .collect(),
+        }
+    }
+
+    /// Pixels of each picture: as asked for, but never too few.
+    pub fn size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    /// The scene after so many seconds.
+    pub fn at(&self, seconds: f64) -> Image {
+        let mut image = Image::filled(self.size.0, self.size.1, BACKGROUND);
+        for (index, view) in self.views.iter().enumerate() {
+            let corner = (
+                index as u32 % self.columns * self.cell.0,
+                index as u32 / self.columns * self.cell.1,
+            );
+            image.paste(&view.at(seconds, &self.scene.floor, self.cell), corner);
+            if self.views.len() > 1 {
+                label::write(
+                    &mut image,
+                    &view.figure.name,
+                    corner.0,
+                    corner.1,
+                    self.cell.0,
+                );
+            }
+        }
+        image
+    }
+}
+
+impl<'a> View<'a> {
+    fn new(figure: &'a Figure, floor: &Floor, cell: (u32, u32)) -> Self {
+        let step = figure.frames().div_ceil(TRAIL_POINTS);
+        let trail: Vec<[f32; 2]> = (0..figure.frames())
+            .step_by(step)
+            .map(|frame| on_ground(figure.joint(frame, 0)))
+            .collect();
+        let mut points = shown(figure, floor);
+        let [low, high] = bounds(&points);
+        let rest = (high[0] - low[0]).max(high[2] - low[2]) <= AT_REST;
+        if !rest {
+            points = around_root(figure);
+        }
+        let camera = Camera::around(&points, cell);
+        let middle = on_ground(middle(&points));
+        let mut view = Self {
+            figure,
+            camera,
+            middle,
+            trail,
+            ground: None,
+        };
+        if rest {
+            view.ground = Some(view.ground(&camera, middle, floor, cell));
+        }
+        view
+    }
+
+    fn at(&self, seconds: f64, floor: &Floor, cell: (u32, u32)) -> Image {
+        let mut camera = self.camera;
+        let mut image = match &self.ground {
+            Some(ground) => ground.clone(),
+            None => {
+                let [x, z] = self.followed(seconds);
+                camera = camera.moved([x, 0.0, z]);
+                let middle = [x + self.middle[0], z + self.middle[1]];
+                self.ground(&camera, middle, floor, cell)
+            }
+        };
+        let frame = self.figure.frame_at(seconds);
+        floor::draw_now(&mut image, &camera, floor, frame);
+        let pose = self.figure.pose(seconds);
+        let contacts = self.figure.contacts.iter();
+        let standing: Vec<usize> = contacts
+            .filter(|contact| contact.frames.get(frame) == Some(&true))
+            .map(|contact| contact.joint)
+            .filter(|joint| *joint < pose.joints.len())
+            .collect();
+        figure::draw(&mut image, &camera, self.figure, &pose, &standing);
+        image
+    }
+
+    fn ground(
+        &self,
+        camera: &Camera,
+        middle: [f32; 2],
+        floor: &Floor,
+        (width, height): (u32, u32),
+    ) -> Image {
+        let mut image = Image::filled(width, height, BACKGROUND);
+        floor::draw(&mut image, camera, middle, floor, &self.trail);
+        image
+    }
+
+    /// Where the root is on the ground, smoothed, so that a following camera does not tremble.
+    fn followed(&self, seconds: f64) -> [f32; 2] {
+        let places = (-4..=4).map(|step| {
+            let moment = seconds + f64::from(step) / 4.0 * SMOOTHING;
+            on_ground(self.figure.pose(moment).joints[0])
+        });
+        places.fold([0.0; 2], |sum: [f32; 2], [x, z]| {
+            [sum[0] + x / 9.0, sum[1] + z / 9.0]
+        })
+    }
+}
+
+fn on_ground([x, _, z]: [f32; 3]) -> [f32; 2] {
+    [x, z]
+}
+
+/// Every joint in frames all over the motion, with the room that a lone root's body takes, and the
+/// ground below the root.
+fn joints(figure: &Figure) -> impl Iterator<Item = (usize, [f32; 3])> {
+    let step = figure.frames().div_ceil(MEASURED).max(1);
+    let reach = if figure.joints() == 1 {
+        LONE_REACH
+    } else {
+        0.0
+    };
+    let frames = (0..figure.frames()).step_by(step);
+    let all = frames.flat_map(move |frame| {
+        let [x, y, z] = figure.joint(frame, 0);
+        let own = (0..figure.joints()).map(move |joint| figure.joint(frame, joint));
+        let around = [-reach, reach].map(|by| [x + by, y + by, z + by]);
+        let places = own.chain(around).chain([[x, 0.0, z]]);
+        places.map(move |place| (frame, place))
+    });
+    all.filter(|(_, place)| place.iter().all(|value| value.abs() < 1e6))
+}
+
+/// What a camera at rest has to see: the motion and the goal.
+fn shown(figure: &Figure, floor: &Floor) -> Vec<[f32; 3]> {
+    let keys = floor.keyframes.iter().map(|(_, at)| *at);
+    let points = floor.path.iter().copied().chain(keys);
+    let obstacles = floor
+        .obstacles
+        .iter()
+        .flat_map(|([x, z], radius)| [[x - radius, z - radius], [x + radius, z + radius]]);
+    let ground = points.chain(obstacles).map(|[x, z]| [x, 0.0, z]);
+    joints(figure)
+        .map(|(_, place)| place)
+        .chain(ground)
+        .collect()
+}
+
+/// What a camera that follows has to see: the body from its root, and some of the ground.
+fn around_root(figure: &Figure) -> Vec<[f32; 3]> {
+    let body = joints(figure).map(|(frame, [x, y, z])| {
+        let [from_x, _, from_z] = figure.joint(frame, 0);
+        [x - from_x, y, z - from_z]
+    });
+    let ground = [[-0.6, 0.0, -0.6], [0.6, 0.0, 0.6]];
+    body.chain(ground).collect()
+}

@@ -1,0 +1,61 @@
+//! The colours of pictures: few, so that animated pictures need no search for good ones.
+
+/// What is behind everything.
+pub(crate) const BACKGROUND: [u8; 3] = [255, 255, 255];
+/// Lines on the floor.
+pub(crate) const GRID: [u8; 3] = [226, 228, 232];
+/// Shadows on the floor.
+pub(crate) const SHADOW: [u8; 3] = [205, 208, 214];
+/// The way of the root.
+pub(crate) const TRAIL: [u8; 3] = [158, 166, 180];
+/// Left limbs.
+pub(crate) const LEFT: [u8; 3] = [222, 107, 40];
+/// Right limbs.
+pub(crate) const RIGHT: [u8; 3] = [38, 112, 190];
+/// Trunk and head, and what has no side.
+pub(crate) const MIDDLE: [u8; 3] = [74, 84, 102];
+/// Edges of limbs.
+pub(crate) const EDGE: [u8; 3] = [28, 32, 40];
+/// Front of an oriented body.
+pub(crate) const FRONT: [u8; 3] = [92, 160, 222];
+/// What shows where an oriented body faces.
+pub(crate) const NOSE: [u8; 3] = [240, 168, 36];
+/// A foot on the ground.
+pub(crate) const CONTACT: [u8; 3] = [52, 168, 83];
+/// Path to follow.
+pub(crate) const PATH: [u8; 3] = [86, 150, 86];
+/// Key frames.
+pub(crate) const KEYFRAME: [u8; 3] = [140, 70, 170];
+/// Obstacles.
+pub(crate) const OBSTACLE: [u8; 3] = [214, 120, 120];
+/// Names.
+pub(crate) const TEXT: [u8; 3] = [60, 66, 78];
+
+const COLOURS: [[u8; 3]; 14] = [
+    GRID, SHADOW, TRAIL, LEFT, RIGHT, MIDDLE, EDGE, FRONT, NOSE, CONTACT, PATH, KEYFRAME, OBSTACLE,
+    TEXT,
+];
+
+/// Steps from the background to each colour: what softened edges are made of.
+const STEPS: usize = 4;
+
+/// The colours of an animated picture: the background, and every other colour in four steps from it.
+pub(crate) const PALETTE: [[u8; 3]; 1 + STEPS * COLOURS.len()] = {
+    let mut palette = [BACKGROUND; 1 + STEPS * COLOURS.len()];
+    let mut colour = 0;
+    while colour < COLOURS.len() {
+        let mut step = 1;
+        while step <= STEPS {
+            let mut channel = 0;
+            while channel < 3 {
+                let from = BACKGROUND[channel] as usize * (STEPS - step);
+                let mixed = (from + COLOURS[colour][channel] as usize * step) / STEPS;
+                palette[colour * STEPS + step][channel] = mixed as u8;
+                channel += 1;
+            }
+            step += 1;
+        }
+        colour += 1;
+    }
+    palette
+};
