@@ -28,7 +28,7 @@ fn pictures(sandbox: &Sandbox, run: &str) -> usize {
 #[test]
 fn previews_change_no_weight() {
     let sandbox = sandbox();
-    for config in ["c", "w"] {
+    for (config, item) in [("c", "synthetic_"), ("w", "walk_")] {
         // Dropout on, and steps between checkpoints.
         let train = format!("train {config}.toml {FEW_STEPS} --set train.max_steps=10");
         sandbox.run(&format!("{train} --name plain")).succeeded();
@@ -58,7 +58,7 @@ fn previews_change_no_weight() {
         assert!(drawn >= 3 && drawn % 3 == 0, "{drawn}");
         let page = sandbox.path("runs/watched/previews/step-00000006.html");
         let page = fs::read_to_string(page).expect("a page");
-        assert!(page.contains("synthetic_"), "{page}");
+        assert!(page.contains(item), "{page}");
         fs::remove_dir_all(sandbox.path("runs")).expect("removed");
     }
 }

@@ -62,7 +62,7 @@ fn a_page_gathers_what_a_run_holds() {
             "<dt>Burn</dt><dd>0.22.1</dd>",
             "cores",
             "Each time it was started",
-            "95,",
+            "<dt>parameters</dt>",
             "SHA-256",
             "log_every_steps = 1",
         ],
@@ -172,8 +172,10 @@ fn a_page_needs_a_run_and_a_place() {
     let sandbox = sandbox();
     fs::create_dir(sandbox.path("empty")).expect("a folder");
     for run in ["empty", "nowhere", "c.toml"] {
-        let texts = [&format!("there is no run at {run}"), "hint:"].map(|text| text as &str);
-        sandbox.run(&format!("report {run}")).failed(2, &texts);
+        let said = format!("there is no run at {run}");
+        sandbox
+            .run(&format!("report {run}"))
+            .failed(2, &[&said, "hint:"]);
     }
     assert!(sandbox.list("empty").is_empty());
     sandbox
@@ -206,8 +208,21 @@ fn runs_are_listed_with_their_states() {
     for name in ["damaged", "half"] {
         sandbox.run(&format!("{train} --name {name}")).succeeded();
     }
-    let checkpoint = sandbox.path("runs/damaged/checkpoints/step-00000004");
-    fs::write(checkpoint.join("state.json"), "{}").expect("written");
+    // One has an older checkpoint, the other none.
+    for state in [
+        "damaged/checkpoints/step-00000002",
+        "damaged/checkpoints/step-00000004",
+    ] {
+        let state = sandbox.path(format!("runs/{state}/state.json"));
+        fs::write(state, "{}").expect("written");
+    }
+    let state = "runs/done/checkpoints/step-00000004/state.json";
+    let kept = fs::read(sandbox.path(state)).expect("a state");
+    fs::write(sandbox.path(state), "{}").expect("written");
+    let older = sandbox.run("runs").succeeded();
+    assert!(older.stdout.contains("2 of 4"), "{}", older.stdout);
+    assert!(older.stderr.contains("warning: done: "), "{}", older.stderr);
+    fs::write(sandbox.path(state), kept).expect("written");
     let config = sandbox.path("runs/half/config.toml");
     let text = fs::read_to_string(&config).expect("a config");
     fs::write(&config, text.replace("max_steps = 4", "max_steps = 9")).expect("written");
@@ -229,7 +244,8 @@ fn runs_are_listed_with_their_states() {
             listed.stdout
         );
     }
-    assert!(listed.stderr.contains("damaged"), "{}", listed.stderr);
+    let warned = "warning: damaged: ";
+    assert!(listed.stderr.contains(warned), "{}", listed.stderr);
 
     let json = sandbox.run("runs --json").succeeded().stdout;
     let json: Value = serde_json::from_str(&json).expect("JSON");

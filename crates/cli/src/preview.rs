@@ -19,8 +19,8 @@ const COUNT: usize = 4;
 /// Size of a panel in a picture, pixels.
 const PANEL: (u32, u32) = (420, 240);
 
-/// Panels of a picture, in two columns.
-const PANELS: usize = 4;
+/// Charts that a picture of a lone root has beside its path.
+const CURVES: usize = 3;
 
 /// Draws samples of the averaged weights of a checkpoint for the first held-out items, writes them as
 /// a page into its run's folder, and returns a picture of each.
@@ -57,8 +57,11 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
             });
             Panel::over_time(curves.title.clone(), figure.fps, series)
         });
-        let body = body_panels(figure, &Floor::default()).into_iter();
-        let panels: Vec<Panel> = body.chain(curves).take(PANELS).collect();
+        let mut panels = body_panels(figure, &Floor::default());
+        if panels.len() == 1 {
+            // A path alone says little.
+            panels.extend(curves.take(CURVES));
+        }
         let png = draw_png(&panels, 2, PANEL)?;
         Some(Preview {
             name: figure.name.clone(),

@@ -89,10 +89,12 @@ impl Run {
             None
         });
         let checkpoints = Checkpoints::of(folder);
-        let newest = newest(&checkpoints).unwrap_or_else(|error| {
+        let (newest, damaged) = newest(&checkpoints);
+        // With an older checkpoint it goes on.
+        let is_damaged = problem.is_some() || damaged.is_some() && newest.is_none();
+        if let Some(error) = damaged {
             problem.get_or_insert(error.to_string());
-            None
-        });
+        }
         let saved = newest.as_ref().map(|(_, state)| &state.config);
         let config = config.or_else(|| systems.completed(saved?).ok());
         let system = config.as_ref().and_then(|config| systems.of(config).ok());
@@ -101,7 +103,7 @@ impl Run {
         let in_use = is_in_use(folder);
         let standing = match &newest {
             _ if in_use => Standing::Training,
-            _ if problem.is_some() => Standing::Damaged,
+            _ if is_damaged => Standing::Damaged,
             None => Standing::NeverBegun,
             Some(_) if !metrics.exists() && !folder.join("config.toml").exists() => {
                 Standing::Weights
@@ -150,11 +152,15 @@ fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, E
     Ok(config)
 }
 
-/// The newest checkpoint whose state can be read and whose files are there. A damaged one is passed
-/// over, as resuming does.
-fn newest(checkpoints: &Checkpoints) -> Result<Option<(PathBuf, State)>, Error> {
+/// The newest checkpoint whose state can be read and whose files are there, and what is wrong with
+/// newer ones: resuming passes over them too.
+fn newest(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Option<Error>) {
+    let steps = match checkpoints.steps() {
+        Ok(steps) => steps,
+        Err(error) => return (None, Some(error)),
+    };
     let mut first = None;
-    for step in checkpoints.steps()?.into_iter().rev() {
+    for step in steps.into_iter().rev() {
         let path = checkpoints.step_path(step);
         match State::read(&path) {
             Ok(state) => match state
@@ -162,7 +168,7 @@ fn newest(checkpoints: &Checkpoints) -> Result<Option<(PathBuf, State)>, Error> 
                 .keys()
                 .find(|file| !path.join(file).exists())
             {
-                None => return Ok(Some((path, state))),
+                None => return (Some((path, state)), first),
                 Some(file) => {
                     let reason = format!("{file} is missing");
                     first.get_or_insert(Error::CheckpointDamaged { path, reason });
@@ -175,7 +181,7 @@ fn newest(checkpoints: &Checkpoints) -> Result<Option<(PathBuf, State)>, Error> 
             }
         }
     }
-    first.map_or(Ok(None), Err)
+    (None, first)
 }
 
 fn ended(state: &State, config: &Config) -> Standing {

@@ -15,8 +15,8 @@ const BOTTOM: f64 = 30.0;
 /// Parts of a curve that are drawn one by one: the lowest and the highest value of each.
 const PARTS: usize = 300;
 
-/// A curve of more points than this is noisy, and is smoothed.
-const NOISY: usize = 60;
+/// A curve that goes up and down by so many times what it spans is noisy, and is smoothed.
+const NOISY: f64 = 5.0;
 
 /// Values over which a noisy curve is smoothed, as a share of all.
 const SMOOTHING: f64 = 0.03;
@@ -77,7 +77,7 @@ impl Chart {
         let mut legend = String::new();
         for (index, (name, points)) in lines.iter().enumerate() {
             let colour = index % COLOURS;
-            let noisy = points.len() > NOISY;
+            let noisy = is_noisy(points);
             let class = if noisy { "faint" } else { "" };
             body += &frame.curve(&thinned(points), class, colour);
             if noisy {
@@ -213,7 +213,7 @@ fn powers(range: &Range<f64>) -> Vec<f64> {
 /// A number of an axis whose numbers are `step` apart; 0 for one that stands alone.
 fn label(value: f64, step: f64) -> String {
     let size = value.abs().max(step);
-    if size == 0.0 {
+    if size == 0.0 || value.abs() < 1e-6 * step {
         return "0".into();
     }
     if !(1e-3..1e6).contains(&size) {
@@ -249,6 +249,12 @@ fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     }
     thinned.extend(points.last());
     thinned
+}
+
+fn is_noisy(points: &[(f64, f64)]) -> bool {
+    let way = points.windows(2).map(|pair| (pair[1].1 - pair[0].1).abs());
+    let range = span(points.iter().map(|point| point.1));
+    way.sum::<f64>() > NOISY * (range.end - range.start)
 }
 
 /// A running mean, which gives the first values the same weight as later ones.
@@ -301,6 +307,16 @@ mod tests {
             let html = chart(points).html();
             assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
         }
+    }
+
+    #[test]
+    fn noise_is_smoothed_and_a_schedule_is_not() {
+        let noise = |i: i32| (f64::from(i), f64::from(i * 7919 % 101));
+        let noisy = chart((0..100).map(noise)).html();
+        assert_eq!(noisy.matches("<polyline").count(), 2);
+        assert!(noisy.contains("faint"));
+        let schedule = chart((0..100).map(|i| (f64::from(i), f64::from(50 - i).abs()))).html();
+        assert_eq!(schedule.matches("<polyline").count(), 1);
     }
 
     #[test]

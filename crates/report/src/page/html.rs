@@ -12,7 +12,7 @@ const STYLE: &str = include_str!("style.css");
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
                       img-src data: blob:; media-src data: blob:";
 
-/// A text column is one whose cells are longer than this.
+/// A column with a cell that is longer than this is text.
 const WORDS: usize = 24;
 
 /// The page as one file.
@@ -152,8 +152,14 @@ fn block(out: &mut String, block: &Block) {
 
 fn table(out: &mut String, Table { header, rows }: &Table) {
     *out += "<div class=tables><table><thead><tr>";
-    for name in header {
-        let _ = write!(out, "<th>{}</th>", escape(name));
+    let words = |column: usize| {
+        let cells = rows.iter().filter(|row| row.len() > 1);
+        let mut cells = cells.filter_map(|row| row.get(column));
+        column > 0 && cells.any(|cell| cell.text.len() > WORDS)
+    };
+    for (column, name) in header.iter().enumerate() {
+        let class = if words(column) { "words" } else { "" };
+        let _ = write!(out, "<th class=\"{class}\">{}</th>", escape(name));
     }
     *out += "</tr></thead><tbody>\n";
     for row in rows {
@@ -165,7 +171,7 @@ fn table(out: &mut String, Table { header, rows }: &Table) {
         for (index, cell) in row.iter().enumerate() {
             let kind = match () {
                 () if row.len() == 1 => "group",
-                () if index > 0 && cell.text.len() > WORDS => "words",
+                () if words(index) => "words",
                 () => "",
             };
             let (tone, text) = (tone(cell.tone), escape(&cell.text));

@@ -11,7 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::axes::{bounds, can_be_drawn, equal_scale};
 use super::heat::cells;
-use super::legend::{KEYFRAME, OBSTACLE, draw_head};
+use super::legend::{KEYFRAME, OBSTACLE, colour, draw_head};
 use super::panel::{Kind, Panel, Pose};
 
 /// Around the plot and its axes, pixels.
@@ -81,7 +81,7 @@ where
         Kind::Bars(bars) => {
             chart.draw_series(bars.iter().map(|(range, count)| {
                 let corners = [(range.start, 0.0), (range.end, *count as f64)];
-                Rectangle::new(corners, Palette99::pick(0).mix(0.7).filled())
+                Rectangle::new(corners, colour(0).mix(0.7).filled())
             }))?;
         }
         Kind::Lines(_) | Kind::Map(_) => {}
@@ -90,7 +90,7 @@ where
         chart.draw_series([Polygon::new(region.clone(), OBSTACLE.mix(0.25).filled())])?;
     }
     for (index, (_, points)) in panel.series().iter().enumerate() {
-        let style = Palette99::pick(index).stroke_width(stroke);
+        let style = colour(index).stroke_width(stroke);
         let finite = points
             .iter()
             .copied()
@@ -153,7 +153,7 @@ where
         let row = row as f64;
         chart.draw_series(spans.iter().map(|span| {
             let corners = [(span.start, row + 0.2), (span.end, row + 0.8)];
-            Rectangle::new(corners, Palette99::pick(0).mix(0.8).filled())
+            Rectangle::new(corners, colour(0).mix(0.8).filled())
         }))?;
         let (x, y) = pixel(chart, area, (0.0, row + 0.5));
         let right = Pos::new(HPos::Right, VPos::Center);

@@ -22,6 +22,23 @@ const MARGIN: i32 = 10;
 pub(super) const KEYFRAME: RGBColor = RGBColor(200, 90, 0);
 pub(super) const OBSTACLE: RGBColor = RGBColor(170, 40, 40);
 
+/// Colours of curves, which are told apart on white.
+const COLOURS: [RGBColor; 8] = [
+    RGBColor(47, 111, 237),
+    RGBColor(228, 87, 46),
+    RGBColor(23, 150, 91),
+    RGBColor(142, 78, 198),
+    RGBColor(201, 130, 10),
+    RGBColor(13, 155, 181),
+    RGBColor(214, 51, 108),
+    RGBColor(107, 114, 128),
+];
+
+/// Colour of a curve.
+pub(super) fn colour(index: usize) -> RGBColor {
+    COLOURS[index % COLOURS.len()]
+}
+
 /// How something is drawn.
 #[derive(Clone, Copy)]
 enum Look {
@@ -82,7 +99,7 @@ fn entries(panel: &Panel) -> Vec<(Look, &str)> {
     let mut entries = Vec::new();
     if series.len() > 1 || is_map {
         let lines = series.iter().enumerate();
-        let of = |index| Look::Line(Palette99::pick(index).to_rgba());
+        let of = |index| Look::Line(colour(index).to_rgba());
         entries.extend(lines.map(|(index, (name, _))| (of(index), name.as_str())));
     }
     if is_map && !series.is_empty() {

@@ -192,7 +192,7 @@ mod tests {
 
     /// The points of the first curve of a picture, which follows its stroke in the legend.
     fn first_curve(svg: &str) -> Vec<(f64, f64)> {
-        let of_first = |line: &&str| line.contains("<polyline") && line.contains("#E6194B");
+        let of_first = |line: &&str| line.contains("<polyline") && line.contains("#2F6FED");
         let line = svg.lines().rfind(of_first);
         let points = line.expect("a line").split("points=\"").nth(1);
         let points = points.expect("points").split('"').next().expect("a list");

@@ -29,7 +29,7 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
         None => fact("steps", step),
     });
     if let Some(best) = &run.best {
-        let value = format!("{:.5} at {}", best.val_loss, grouped(best.step as usize));
+        let value = format!("{:.4} at {}", best.val_loss, grouped(best.step as usize));
         facts.push(fact("best validation loss", value));
     } else if let Some(loss) = records.iter().rev().find_map(|r| r.get("loss")) {
         facts.push(fact("last training loss", format!("{loss:.5}")));

@@ -1,0 +1,125 @@
+"""The page of `kinegrad report` in a real browser.
+
+    KINEGRAD=target/debug/kinegrad CHROMIUM=/usr/bin/chromium pytest tests/pages/test_report.py
+"""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+CONFIG = Path(__file__).parents[2] / "configs" / "quickstart.toml"
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
+KINEGRAD = os.environ.get("KINEGRAD") or shutil.which("kinegrad")
+STEPS = 80
+
+pytestmark = pytest.mark.skipif(
+    not (CHROMIUM and KINEGRAD), reason="needs chromium and kinegrad ($CHROMIUM, $KINEGRAD)"
+)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """A run with previews, its page, and the page of one preview."""
+    folder = tmp_path_factory.mktemp("report")
+    settings = {
+        "train.max_steps": STEPS,
+        "validation.every_steps": 20,
+        "sampling.preview_every_steps": 40,
+        "sampling.count_at_end": 2,
+        "sampling.sampler.num_inference_steps": 4,
+    }
+    overrides = [f"--set={key}={value}" for key, value in settings.items()]
+    run = folder / "runs" / "quickstart"
+    kinegrad = str(Path(KINEGRAD).resolve())
+    for command in (["train", str(CONFIG), *overrides], ["report", str(run)]):
+        subprocess.run([kinegrad, *command], cwd=folder, check=True, capture_output=True)
+    return run / "report.html", run / "previews" / "step-00000040.html"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser):
+    """Opens a page and fails where it logs an error or asks for anything beside itself."""
+    problems, contexts = [], []
+
+    def open_page(path, width=1280, colors="light"):
+        context = browser.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=colors, offline=True
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: problems.append(message.text))
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        requests = []
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(path.as_uri())
+        page.wait_for_load_state("load")
+        outside = [url for url in requests if not url.startswith(("file:", "data:", "blob:"))]
+        assert outside == []
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert problems == []
+
+
+def test_sections_and_charts_are_there(report, opened):
+    page = opened(report[0])
+    assert page.locator("h1").inner_text() == "quickstart"
+    assert page.locator(".pill").inner_text() == "finished"
+    titles = page.locator("main > section > h2").all_inner_texts()
+    assert titles[:2] == ["Training", "Samples"]
+    assert titles[-1] == "Config"
+    charts = page.locator("figure.chart")
+    assert charts.count() >= 4
+    # Every curve lies within its picture.
+    for box in page.evaluate(
+        """() => [...document.querySelectorAll("figure.chart polyline")].map(line => {
+            const own = line.getBBox(), view = line.ownerSVGElement.viewBox.baseVal;
+            return [own.x, own.y, view.width - own.x - own.width, view.height - own.y - own.height];
+        })"""
+    ):
+        assert min(box) >= 0, box
+    assert "584,025" in page.locator(".highlights").inner_text()
+    rows = page.locator("section:has(h2:text-is('Samples')) tbody tr")
+    assert rows.count() == 2
+
+
+def test_links_lead_to_sections_and_the_config_unfolds(report, opened):
+    page = opened(report[0])
+    for link in page.locator("nav a").all():
+        target = page.locator(link.get_attribute("href"))
+        assert target.locator("h2").first.inner_text() == link.inner_text()
+    source = page.locator("details pre").last
+    assert not source.is_visible()
+    page.locator("details summary").last.click()
+    assert f"max_steps = {STEPS}" in source.inner_text()
+
+
+@pytest.mark.parametrize("width", [360, 768, 1600])
+@pytest.mark.parametrize("colors", ["light", "dark"])
+def test_no_screen_is_too_narrow(report, opened, width, colors):
+    page = opened(report[0], width, colors)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    back, ink = page.evaluate(
+        "[getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color]"
+    )
+    bright = [sum(map(int, color[4:-1].split(","))) > 382 for color in (back, ink)]
+    assert bright == [colors == "light", colors == "dark"]
+
+
+def test_a_preview_is_a_page(report, opened):
+    page = opened(report[1])
+    assert "step 40" in page.title() or "synthetic_" in page.content()
