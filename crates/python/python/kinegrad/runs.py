@@ -20,8 +20,6 @@ from .errors import UsageError
 
 __all__ = ["Run", "Sample", "StepReport", "train"]
 
-_Weights = Literal["ema", "model"]
-
 
 class StepReport(TypedDict):
     """One optimiser step of a training."""
@@ -172,7 +170,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: _Weights = "ema",
+        weights: Literal["ema", "model"] = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> list[Sample]:
@@ -209,7 +207,7 @@ class Run:
         if goal is None:
             goals: list[PathArgument] = []
         elif isinstance(goal, (str, Path)) or hasattr(goal, "__fspath__"):
-            goals = [goal]  # type: ignore[list-item]
+            goals = [goal]
         else:
             goals = list(goal)
         wanted = {
@@ -240,7 +238,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: _Weights = "ema",
+        weights: Literal["ema", "model"] = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> dict[str, Any]:
@@ -278,7 +276,7 @@ class Run:
         settings: Mapping[str, Any] | Sequence[str] | None,
         steps: int | None,
         guidance_scale: float | None,
-        weights: _Weights,
+        weights: Literal["ema", "model"],
         device: str | None,
     ) -> dict[str, Any]:
         given = as_overrides(settings)
