@@ -21,6 +21,8 @@ mod output;
 
 mod args;
 mod commands;
+mod interrupt;
+mod log;
 mod progress;
 
 use std::ffi::OsString;
@@ -40,7 +42,10 @@ pub fn run(
     kinegrad_kernels::memory::keep_freed();
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let done = match Arguments::try_parse_from(&arguments) {
-        Ok(arguments) => execute(systems, arguments.command),
+        Ok(arguments) => {
+            log::start(arguments.talk);
+            execute(systems, arguments.command)
+        }
         Err(error) => {
             let command = arguments.get(1).and_then(|name| name.to_str());
             Err(args::replaced(command.unwrap_or_default(), &error).unwrap_or_else(|| error.exit()))
