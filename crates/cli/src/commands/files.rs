@@ -194,17 +194,15 @@ impl Receiver for Files {
             })
             .collect();
         taken.sort();
-        let more = match taken.len() {
-            0 => return Ok(()),
-            1 => String::new(),
-            all => format!(" and {} more of its files", all - 1),
+        let Some(first) = taken.first().map(|file| stem.with_file_name(file)) else {
+            return Ok(());
         };
-        let first = stem.with_file_name(&taken[0]);
+        let exist = match taken.len() {
+            1 => "exists".to_string(),
+            all => format!("and {} more of its files exist", all - 1),
+        };
         Err(Error::usage(
-            format!(
-                "{}{more} exists already: nothing was drawn",
-                first.display()
-            ),
+            format!("{} {exist} already: nothing was drawn", first.display()),
             "`--overwrite` replaces what is there; or choose another `--out`",
         ))
     }
