@@ -11,6 +11,7 @@ mod imports;
 mod own_system;
 mod plans;
 mod preparation;
+mod records;
 mod resume;
 mod run_folders;
 mod sizes;

@@ -21,9 +21,12 @@ mod output;
 
 mod args;
 mod commands;
+mod interrupt;
+mod log;
 mod progress;
 
-pub use commands::sample::{Files, bvh_text, checkpoint, must_be_finite, while_it_is_trained};
+pub use commands::files::{Existing, Files, bvh_text, must_be_finite};
+pub use commands::sample::{checkpoint, while_it_is_trained};
 pub use commands::train::draw_samples_at_end;
 
 use std::ffi::OsString;
@@ -43,7 +46,10 @@ pub fn run(
     kinegrad_kernels::memory::keep_freed();
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let done = match Arguments::try_parse_from(&arguments) {
-        Ok(arguments) => execute(systems, arguments.command),
+        Ok(arguments) => {
+            log::start(arguments.talk);
+            execute(systems, arguments.command)
+        }
         Err(error) => {
             let command = arguments.get(1).and_then(|name| name.to_str());
             Err(args::replaced(command.unwrap_or_default(), &error).unwrap_or_else(|| error.exit()))

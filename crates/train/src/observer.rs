@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::parameter_count::ParameterCount;
+
 /// Callbacks of a training run.
 pub trait Observer {
     /// The run has been set up and starts training (or was already finished).
@@ -49,8 +51,8 @@ pub struct RunSummary {
     pub folder: PathBuf,
     /// Name of the device.
     pub device: String,
-    /// Number of parameters.
-    pub parameters: usize,
+    /// Its parameters.
+    pub parameters: ParameterCount,
     /// Number of training items.
     pub train_phrases: usize,
     /// Number of held-out items.

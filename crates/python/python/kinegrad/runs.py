@@ -91,10 +91,15 @@ class Sample:
             raise UsageError("the sample has no skeleton to write as BVH", None)
         return text
 
-    def save(self, prefix: PathArgument) -> list[Path]:
+    def save(self, prefix: PathArgument, *, overwrite: bool = False) -> list[Path]:
         """Writes the files that `kinegrad sample --out PREFIX` writes, and returns their paths:
-        `PREFIX.npy` and those beside it, `PREFIX-000.npy` for the first of several samples."""
-        return self._drawn.save(prefix)
+        `PREFIX.npy` and those beside it, `PREFIX-000.npy` for the first of several samples, with
+        the record as JSON.
+
+        Raises:
+            UsageError: If the file exists, unless `overwrite`.
+        """
+        return self._drawn.save(prefix, overwrite)
 
     def __repr__(self) -> str:
         shape = ", ".join(str(length) for length in self.motion.shape)
