@@ -118,11 +118,18 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
         )
         .succeeded();
     assert!(said.stdout.contains("real"), "{}", said.stdout);
-    let report = sandbox.path("runs/gmd_motion/reports/eval-goals.json");
+    let report = sandbox.path("runs/gmd_motion/reports/eval-goals-two-stage.json");
     let report: Value = serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
     let report = &report["evaluations"][0];
     assert_eq!(report["real"]["average_error"], 0.0);
     assert!(report["drawn"]["average_error"].as_f64() > Some(0.0));
+    // Without the first stage it is another report: the two are compared.
+    sandbox
+        .run("eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3")
+        .succeeded();
+    let stems = ["eval-goals-two-stage", "eval-goals"];
+    let files = stems.map(|stem| [format!("{stem}.csv"), format!("{stem}.json")]);
+    assert_eq!(sandbox.list("runs/gmd_motion/reports"), files.concat());
     sandbox
         .run(
             "eval runs/gmd_trajectory --set evaluation.goals=2 --set evaluation.obstacles=1 \

@@ -16,6 +16,7 @@ mod own_system;
 mod plans;
 mod preparation;
 mod previews;
+mod records;
 mod reports;
 mod resume;
 mod run_folders;

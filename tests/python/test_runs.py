@@ -243,5 +243,9 @@ def test_files_that_cannot_be_written(phrases, tmp_path):
     with pytest.raises(kinegrad.Error) as raised:
         sample.save(tmp_path / "file" / "x")
     assert raised.value.exit_code in (1, 2)
+    sample.save(tmp_path / "x")
+    with pytest.raises(kinegrad.UsageError, match="x.npy exists already"):
+        sample.save(tmp_path / "x")
+    sample.save(tmp_path / "x", overwrite=True)
     with pytest.raises(kinegrad.UsageError, match="names no file"):
         sample.save(str(tmp_path) + "/")

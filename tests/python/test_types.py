@@ -37,7 +37,7 @@ def test_users_see_the_types(tmp_path):
         cwd=tmp_path,
         check=False,
     )
-    assert "float32" in done.stdout and 'argument "cuont"' in done.stdout, done.stdout
+    assert "_32Bit" in done.stdout and 'argument "cuont"' in done.stdout, done.stdout
 
 
 def test_everything_public_is_documented():

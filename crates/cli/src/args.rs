@@ -3,6 +3,8 @@
 mod config;
 mod data;
 mod reports;
+mod talk;
+mod train;
 mod view;
 
 use std::path::PathBuf;
@@ -21,6 +23,8 @@ pub use data::{
 };
 
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
+pub use talk::TalkArguments;
+pub use train::TrainArguments;
 pub use view::ViewArguments;
 
 /// Train and fine-tune motion-generation models.
@@ -35,6 +39,8 @@ Exit codes:
 pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
+    #[command(flatten)]
+    pub talk: TalkArguments,
 }
 
 #[derive(Debug, Subcommand)]
@@ -78,34 +84,6 @@ pub enum Command {
     Man(ManArguments),
 }
 
-/// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
-/// checkpoints. Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  kinegrad init && kinegrad train
-  kinegrad train phrases.toml --set data.source=phrases --set train.max_steps=100
-  kinegrad train phrases.toml --set data.source=phrases --resume")]
-pub struct TrainArguments {
-    /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
-    pub config: Option<PathBuf>,
-    /// Override a config key, for example optim.learning_rate=2e-4
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub overrides: Vec<String>,
-    /// Name of the run [default: `run.name`, else the config file's name]
-    #[arg(long)]
-    pub name: Option<String>,
-    /// Folder that contains the runs
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub runs_dir: PathBuf,
-    /// Device to train on, see `kinegrad devices` [default: `run.device`]
-    #[arg(long)]
-    pub device: Option<String>,
-    /// Resume the run from its latest valid checkpoint
-    #[arg(long)]
-    pub resume: bool,
-}
-
 /// Phrase models write PATH.npy (post-processed) and PATH.raw.npy (the raw model output), both
 /// `[T, 25]` float32 in the dataset's layout and units; with several samples PATH-000.npy and so
 /// on. The audio condition is a phrase of a dataset, a features.npz, a song, or by default the
@@ -115,6 +93,9 @@ pub struct TrainArguments {
 /// features to PATH.features.npy and a BVH file in centimetres to PATH.bvh; with
 /// `--trajectory-run`, also the generated ground path to PATH.path.npy. Runs of recipe
 /// `gmd_trajectory` write the ground path `[T, 2]` to PATH.npy.
+///
+/// Beside each sample, PATH.json records how it was made: version, run, checkpoint, seed, sampler
+/// settings and condition.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -131,6 +112,9 @@ pub struct SampleArguments {
     /// Output path without extension; `.npy` is appended
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
+    /// Replace files that exist
+    #[arg(long)]
+    pub overwrite: bool,
     /// Dataset that contains the phrase [default: the run's dataset]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
@@ -176,6 +160,9 @@ pub struct SampleArguments {
     /// Random seed of the noise
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Print one JSON object: the files and the record of each sample
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Sampling options shared by `sample` and `eval`.
@@ -294,7 +281,8 @@ pub struct CheckArguments {
 ///
 /// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on position control: goals are
 /// taken from held-out clips, and the distance to them is measured. The reports are
-/// eval-goals.json and eval-goals.csv.
+/// eval-goals.json and eval-goals.csv, or eval-goals-two-stage.json and eval-goals-two-stage.csv
+/// with a trajectory run.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -22,11 +22,14 @@ mod output;
 mod args;
 mod commands;
 mod figure;
+mod interrupt;
+mod log;
 mod preview;
 mod progress;
 mod runs;
 
-pub use commands::sample::{Files, bvh_text, checkpoint, must_be_finite, while_it_is_trained};
+pub use commands::files::{Existing, Files, bvh_text, must_be_finite};
+pub use commands::sample::{checkpoint, while_it_is_trained};
 pub use commands::train::draw_samples_at_end;
 mod scene;
 
@@ -47,7 +50,10 @@ pub fn run(
     kinegrad_kernels::memory::keep_freed();
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let done = match Arguments::try_parse_from(&arguments) {
-        Ok(arguments) => execute(systems, arguments.command),
+        Ok(arguments) => {
+            log::start(arguments.talk);
+            execute(systems, arguments.command)
+        }
         Err(error) => {
             let command = arguments.get(1).and_then(|name| name.to_str());
             Err(args::replaced(command.unwrap_or_default(), &error).unwrap_or_else(|| error.exit()))

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_report::Panel;
-use kinegrad_train::Error;
+use kinegrad_report::{Panel, grouped};
+use kinegrad_train::{Error, ParameterCount};
 use miette::Diagnostic;
 use serde::Serialize;
 
@@ -34,9 +35,56 @@ pub fn result(text: fmt::Arguments<'_>) {
     }
 }
 
-/// See [`tell!`].
+/// Whether only results, warnings and errors are printed.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// Prints no more progress and notes from now on.
+pub fn be_quiet() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+/// Whether progress and notes are not printed.
+pub fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
+/// See [`tell!`]. A quiet command drops it, unless it is a warning or an error by its first word.
 pub fn remark(text: fmt::Arguments<'_>) {
+    if is_quiet() {
+        let text = text.to_string();
+        let first = text.trim_start();
+        if !(first.starts_with("warning:") || first.starts_with("error:")) {
+            return;
+        }
+    }
+    always(text);
+}
+
+fn always(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// A number of parameters in words: what it counts, where that is not one network that is trained.
+pub fn parameters(count: &ParameterCount) -> String {
+    let mut parts: Vec<String> = count
+        .networks
+        .iter()
+        .map(|(name, own)| format!("{name} {}", grouped(*own)))
+        .collect();
+    if count.adapters > 0 {
+        parts.push(format!("adapters among them {}", grouped(count.adapters)));
+    }
+    if count.trained != count.all {
+        let frozen = grouped(count.all - count.trained);
+        parts.push(format!(
+            "trained {}, frozen {frozen}",
+            grouped(count.trained)
+        ));
+    }
+    match parts.is_empty() {
+        true => grouped(count.all),
+        false => format!("{} ({})", grouped(count.all), parts.join(", ")),
+    }
 }
 
 /// Prints results as JSON.
@@ -46,9 +94,9 @@ pub fn json(results: &impl Serialize) {
 
 /// Prints an error with its hint.
 pub fn failure(error: &Error) {
-    tell!("error: {error}");
+    always(format_args!("error: {error}"));
     if let Some(hint) = error.help() {
-        tell!("\nhint: {hint}");
+        always(format_args!("\nhint: {hint}"));
     }
 }
 

@@ -12,6 +12,8 @@ use kinegrad_train::{Error, Observer, Preview, RunSummary, StepReport};
 
 use crate::preview;
 
+use crate::output;
+
 /// Share of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
 
@@ -75,9 +77,9 @@ impl Observer for TrainProgress<'_> {
     fn started(&mut self, summary: &RunSummary) {
         self.trains.store(true, Ordering::SeqCst);
         tell!(
-            "run {}: {} parameters on {}, {} phrases to train on, {} held out",
+            "run {}: parameters {}, on {}, {} phrases to train on, {} held out",
             summary.name,
-            grouped(summary.parameters),
+            output::parameters(&summary.parameters),
             summary.device,
             summary.train_phrases,
             summary.validation_phrases,
@@ -259,5 +261,9 @@ fn spaced(word: &str) -> String {
 /// A bar on standard error, if that is a terminal.
 fn bar(template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).expect("a valid template");
-    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+    let target = match output::is_quiet() {
+        true => ProgressDrawTarget::hidden(),
+        false => ProgressDrawTarget::stderr(),
+    };
+    ProgressBar::with_draw_target(None, target).with_style(style)
 }

@@ -15,7 +15,7 @@ static WRITERS: AtomicU64 = AtomicU64::new(0);
 ///
 /// # Errors
 /// [`Error::Io`]; the temporary file is removed and an older `path` stays as it was.
-pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let failed = |reason| Error::io("write", path, reason);
     if path.file_name().is_none() {
         return Err(failed(io::Error::other("the path names no file")));

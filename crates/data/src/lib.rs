@@ -57,6 +57,7 @@ pub mod synthetic;
 
 pub use kinegrad_motion::MAX_FRAMES;
 
+pub use atomic::write as write_whole;
 pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StoreConfig,

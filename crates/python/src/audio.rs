@@ -21,38 +21,45 @@ pub struct SongFeatures {
 
 #[pymethods]
 impl SongFeatures {
+    /// The features, `[163, T]` float32.
     #[getter]
     fn features<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let shape = [AUDIO_CHANNELS, self.stacked.frames()];
         array(py, &shape, self.stacked.as_slice())
     }
 
+    /// Name of each of the 163 features.
     #[getter]
     fn channels(&self) -> Vec<String> {
         (0..AUDIO_CHANNELS).map(audio_channel_name).collect()
     }
 
+    /// Tempo in beats per minute.
     #[getter]
     fn tempo(&self) -> f64 {
         self.features.beats().tempo
     }
 
+    /// Times of the beats in seconds, `[beats]` float64.
     #[getter]
     fn beat_times<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let times = self.features.beats().times();
         double(py, &[times.len()], &times)
     }
 
+    /// Frames per second of the features.
     #[getter]
     fn fps(&self) -> f64 {
         FPS
     }
 
+    /// Length of the song in seconds.
     #[getter]
     fn seconds(&self) -> f64 {
         self.seconds
     }
 
+    /// Writes the `features.npz` that `kinegrad audio features` writes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         call(py, || Ok(write_song_features(&path, &self.features)?))
     }

@@ -30,12 +30,29 @@ pub struct Progress {
 impl Progress {
     /// `done` steps of `total` are done, of a stage if there are several; whether to go on.
     pub fn step(&mut self, stage: &str, done: usize, total: usize) -> ControlFlow<()> {
-        let told = Python::attach(|py| {
-            py.check_signals()?;
-            if let Some(callback) = &self.callback {
+        self.tell(|py, callback| {
+            if let Some(callback) = callback {
                 callback.call1(py, (stage, done, total))?;
             }
             Ok(())
+        })
+    }
+
+    /// Warns of something doubtful; whether to go on.
+    pub fn warn(&mut self, text: &str) -> ControlFlow<()> {
+        self.tell(|py, _| {
+            py.import("warnings")?.call_method1("warn", (text,))?;
+            Ok(())
+        })
+    }
+
+    fn tell(
+        &mut self,
+        tell: impl FnOnce(Python<'_>, Option<&Py<PyAny>>) -> PyResult<()>,
+    ) -> ControlFlow<()> {
+        let told = Python::attach(|py| {
+            py.check_signals()?;
+            tell(py, self.callback.as_ref())
         });
         match told {
             Ok(()) => ControlFlow::Continue(()),

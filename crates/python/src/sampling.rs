@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use kinegrad_cli::{Files, bvh_text, must_be_finite, while_it_is_trained};
+use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{self, Conditions, Contents, Receiver, Request};
 use kinegrad_train::systems::BUILT_IN;
@@ -101,9 +101,16 @@ impl Drawn {
     }
 
     /// Writes the files that the command line would for `--out PREFIX`; where.
-    fn save(&self, py: Python<'_>, prefix: PathBuf) -> PyResult<Vec<PathBuf>> {
+    fn save(&self, py: Python<'_>, prefix: PathBuf, overwrite: bool) -> PyResult<Vec<PathBuf>> {
         call(py, || {
-            let mut files = Files::unprinted(&prefix)?;
+            let files = Files::new(&prefix, Existing::Replaced)?;
+            let path = files.motion_path(&self.0);
+            if !overwrite && path.exists() {
+                return Err(Error::usage(
+                    format!("{} exists already", path.display()),
+                    "`overwrite=True` replaces it; or choose another prefix",
+                ));
+            }
             files.write(&self.0)
         })
     }
@@ -119,6 +126,10 @@ struct Collector<'a> {
 impl Receiver for Collector<'_> {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
         self.ended |= self.progress.step(stage, done, all).is_break();
+    }
+
+    fn warning(&mut self, text: &str) {
+        self.ended |= self.progress.warn(text).is_break();
     }
 
     fn stop_requested(&self) -> bool {

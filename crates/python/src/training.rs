@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_train::run::{self, TrainRequest};
+use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Ending, Observer, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -45,7 +45,7 @@ impl Observer for Events {
             fields.set_item("name", &summary.name)?;
             fields.set_item("folder", &summary.folder)?;
             fields.set_item("device", &summary.device)?;
-            fields.set_item("parameters", summary.parameters)?;
+            fields.set_item("parameters", summary.parameters.all)?;
             fields.set_item("train", summary.train_phrases)?;
             fields.set_item("held_out", summary.validation_phrases)?;
             fields.set_item("step", summary.step)?;
@@ -101,10 +101,13 @@ pub fn train(
 ) -> PyResult<PathBuf> {
     kinegrad_kernels::memory::keep_freed();
     let request = TrainRequest {
-        config,
+        target: match resume {
+            true => Target::Resumed(config),
+            false => Target::New(config),
+        },
         overrides,
         runs_dir,
-        resume,
+        dry_run: false,
     };
     let mut events = Events {
         event,

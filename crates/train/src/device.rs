@@ -69,6 +69,14 @@ pub fn is_host(name: &str) -> bool {
     ["cpu", "ndarray"].iter().any(|host| name.starts_with(host))
 }
 
+/// Which kernels run networks on the CPU, in words.
+pub fn kernels() -> &'static str {
+    match Mode::from_environment() {
+        Ok(Mode::Composed) => "networks on the CPU run as Burn's operations",
+        _ => "networks on the CPU run as kinegrad's own kernels",
+    }
+}
+
 /// The devices compiled into this build, best first, with whether each works on this machine.
 pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
     KINDS.iter().map(|kind| (kind, works(kind, 0).is_some()))

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
+use crate::parameter_count::ParameterCount;
 
 /// Callbacks of a training run.
 pub trait Observer {
@@ -72,8 +73,8 @@ pub struct RunSummary {
     pub folder: PathBuf,
     /// Name of the device.
     pub device: String,
-    /// Number of parameters.
-    pub parameters: usize,
+    /// Its parameters.
+    pub parameters: ParameterCount,
     /// Number of training items.
     pub train_phrases: usize,
     /// Number of held-out items.

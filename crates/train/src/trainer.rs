@@ -5,6 +5,7 @@ mod previews;
 pub(crate) mod restore;
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use burn::module::Module;
 use burn::tensor::Device;
@@ -46,8 +47,8 @@ pub struct Trainer<R: Recipe> {
     ema: Ema,
     step: u64,
     progress: Progress,
-    metrics: Metrics,
-    loader_log: LoaderLog,
+    /// What is measured is written; nothing of a trainer that only times its steps.
+    record: Option<(Metrics, LoaderLog)>,
     checkpoints: Checkpoints,
     last_saved: Option<PathBuf>,
 }
@@ -84,6 +85,21 @@ impl<R: Recipe> Trainer<R> {
         checkpoint: Option<Checkpoint>,
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
+        let mut trainer = Self::unrecorded(parts, model, checkpoint);
+        let parts = &trainer.parts;
+        let mut warn = |text: &str| observer.warning(text);
+        let metrics = Metrics::open(&parts.folder, trainer.step, &mut warn)?;
+        let loader_log = LoaderLog::open(&parts.folder, parts.loader.report())?;
+        trainer.record = Some((metrics, loader_log));
+        Ok(trainer)
+    }
+
+    /// [`new`](Self::new) without files: it can only [time steps](Self::time_step).
+    pub(crate) fn unrecorded(
+        parts: TrainerParts<R>,
+        model: R::Model,
+        checkpoint: Option<Checkpoint>,
+    ) -> Self {
         let infos = parameters::infos(&model);
         let optim = &parts.config.optim;
         let (step, progress, optimizer, shadow) = match checkpoint {
@@ -113,20 +129,32 @@ impl<R: Recipe> Trainer<R> {
         let checkpoints = Checkpoints::of(&parts.folder);
         let last_saved = (step > 0).then(|| checkpoints.step_path(step));
         let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
-        Ok(Self {
+        Self {
             model: Some(model),
             groups: groups.collect(),
             optimizer,
             ema: Ema::new(&parts.config.ema, shadow),
-            metrics: Metrics::open(&parts.folder, step, &mut |text| observer.warning(text))?,
-            loader_log: LoaderLog::open(&parts.folder, parts.loader.report())?,
+            record: None,
             infos,
             parts,
             step,
             progress,
             checkpoints,
             last_saved,
-        })
+        }
+    }
+
+    /// Does a step and says how long it took; `None` if a stop was requested while waiting for data.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub(crate) fn time_step(
+        &mut self,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Duration>, Error> {
+        let began = Instant::now();
+        let done = self.train_step(observer)?;
+        Ok(done.map(|_| began.elapsed()))
     }
 
     /// Steps done.
@@ -177,9 +205,10 @@ impl<R: Recipe> Trainer<R> {
                 .is_multiple_of(self.parts.config.train.log_every_steps)
                 || self.step == max_steps
             {
-                self.metrics.write(&record)?;
-                self.loader_log
-                    .write(self.step, self.parts.loader.report())?;
+                if let Some((metrics, loader_log)) = &mut self.record {
+                    metrics.write(&record)?;
+                    loader_log.write(self.step, self.parts.loader.report())?;
+                }
             }
             let best =
                 self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
@@ -339,7 +368,9 @@ impl<R: Recipe> Trainer<R> {
         for (name, value) in terms {
             record = record.with(format!("val_loss_{name}"), value);
         }
-        self.metrics.write(&record)?;
+        if let Some((metrics, _)) = &mut self.record {
+            metrics.write(&record)?;
+        }
         Ok(total)
     }
 
@@ -363,7 +394,9 @@ impl<R: Recipe> Trainer<R> {
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
         // The lines up to this step must not be lost once the checkpoint counts.
-        self.metrics.sync()?;
+        if let Some((metrics, _)) = &mut self.record {
+            metrics.sync()?;
+        }
         let state = State {
             format: FORMAT,
             kinegrad: env!("CARGO_PKG_VERSION").to_string(),
@@ -392,6 +425,11 @@ impl<R: Recipe> Trainer<R> {
             self.parts.config.checkpoint.keep_last,
             self.progress.best_step,
         )?;
+        log::debug!(
+            "checkpoint of step {} written: {}",
+            self.step,
+            path.display()
+        );
         observer.saved(&path);
         self.last_saved = Some(path);
         Ok(())

@@ -2,12 +2,12 @@
 
 use std::process::ExitCode;
 
-use kinegrad_report::grouped;
 use kinegrad_train::memory;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, config, run};
 
 use crate::args::ShowArguments;
+use crate::output;
 
 /// Prints the resolved config, and what the model takes as comments, so that the output is a config.
 pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
@@ -23,8 +23,8 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
         tell!("warning: {warning}");
     }
     let (system, _) = systems.of(&config)?;
-    let parameters = grouped(system.parameter_count(&config)?);
-    say!("# model: {parameters} parameters");
+    let parameters = output::parameters(&system.parameters(&config)?);
+    say!("# parameters: {parameters}");
     let needed = system.footprint(&config)?.of_training(&config, true);
     say!(
         "# memory: about {} to train it on the CPU",

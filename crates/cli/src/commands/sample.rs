@@ -1,28 +1,22 @@
 //! `kinegrad sample`
 
-use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_capture::Bvh;
-use kinegrad_data::write_values;
-use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{
-    self, Conditions, Contents, Drawn, Receiver, Remark, Request, Subject,
-};
+use kinegrad_train::sampling::{self, Conditions, Remark, Request, Subject};
 use kinegrad_train::systems::Systems;
+use serde::Serialize;
 
+use super::files::{Existing, Files, Written};
 use crate::args::{DrawArguments, SampleArguments};
-use crate::output::unusable;
-use crate::progress::Denoising;
-
-/// Units of a BVH file in a metre.
-const CENTIMETRES: f64 = 100.0;
+use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
+    interrupt::end_between_samples();
     while_it_is_trained(|| draw(systems, arguments.clone()))
 }
 
@@ -41,7 +35,14 @@ pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Res
 }
 
 fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
-    let mut files = Files::new(&arguments.out)?;
+    let existing = match arguments.overwrite {
+        true => Existing::Replaced,
+        false => Existing::Refused,
+    };
+    let mut files = Files::new(&arguments.out, existing)?;
+    if arguments.json {
+        files = files.keeping();
+    }
     let subject = subject(systems, &arguments.run, &arguments.draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = Request {
@@ -61,8 +62,25 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         seed: arguments.seed,
     };
     let remark = sampling::sample(systems, &subject, &request, &mut files)?;
-    say_remark(remark);
+    match arguments.json {
+        true => output::json(&Results {
+            samples: files.kept(),
+            remark: remark.map(|remark| match remark {
+                Remark::Text(text) => serde_json::json!(text),
+                Remark::Table(table) => serde_json::json!(table),
+            }),
+        }),
+        false => say_remark(remark),
+    }
     Ok(ExitCode::SUCCESS)
+}
+
+/// All samples, for programs.
+#[derive(Serialize)]
+struct Results {
+    samples: Vec<Written>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remark: Option<serde_json::Value>,
 }
 
 /// The checkpoint that a path means.
@@ -106,139 +124,6 @@ pub fn say_remark(remark: Option<Remark>) {
         Some(Remark::Text(text)) => say!("{text}"),
         Some(Remark::Table(table)) => say!("{}", rows(table)),
         None => {}
-    }
-}
-
-/// Rejects a motion whose numbers are not finite; `stem` begins the names of its files.
-///
-/// # Errors
-/// Names the first file.
-pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
-    for (ending, contents) in &drawn.files {
-        if let Contents::Array { values, .. } = contents
-            && !values.iter().all(|value| value.is_finite())
-        {
-            let sample = format!("{stem}{}{ending}", drawn.name);
-            return Err(Error::SampleNotFinite { sample });
-        }
-    }
-    Ok(())
-}
-
-/// The text of the BVH file of joint positions, in centimetres.
-///
-/// # Errors
-/// If they cannot be written as BVH.
-pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
-    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
-    Ok(bvh.to_text())
-}
-
-/// Writes motion to files of one stem.
-pub struct Files {
-    stem: String,
-    bar: Option<Denoising>,
-    says: bool,
-    written: usize,
-}
-
-impl Files {
-    /// Files with the prefix `out`; each is printed.
-    ///
-    /// # Errors
-    /// If `out` names a folder: the files would have no name.
-    fn new(out: &Path) -> Result<Self, Error> {
-        let text = out.to_string_lossy();
-        let stem = text.strip_suffix(".npy").unwrap_or(&text);
-        let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
-        if matches!(name, None | Some("" | "." | "..")) {
-            let folder = match stem {
-                "" => "./",
-                folder => folder,
-            };
-            return Err(Error::usage(
-                format!(
-                    "`--out {text}` names no file: it is the beginning of a path, such as dances/one"
-                ),
-                format!(
-                    "for files in that folder: `--out {}`",
-                    Path::new(folder).join("sample").display()
-                ),
-            ));
-        }
-        Ok(Self {
-            stem: stem.to_string(),
-            bar: None,
-            says: true,
-            written: 0,
-        })
-    }
-
-    /// Files with the prefix `out` that are not printed.
-    ///
-    /// # Errors
-    /// If `out` names a folder.
-    pub fn unprinted(out: &Path) -> Result<Self, Error> {
-        let files = Self::new(out)?;
-        Ok(Self {
-            says: false,
-            ..files
-        })
-    }
-
-    /// Files in `folder` that are not printed.
-    pub fn silent(folder: &Path) -> Self {
-        Self {
-            stem: format!("{}/", folder.display()),
-            bar: None,
-            says: false,
-            written: 0,
-        }
-    }
-
-    /// Writes a motion and returns its files, the motion itself first.
-    ///
-    /// # Errors
-    /// If it is not finite, or a file cannot be written.
-    pub fn write(&mut self, drawn: &Drawn) -> Result<Vec<PathBuf>, Error> {
-        must_be_finite(drawn, &self.stem)?;
-        let mut written = Vec::with_capacity(drawn.files.len());
-        for (ending, contents) in &drawn.files {
-            let path = PathBuf::from(format!("{}{}{ending}", self.stem, drawn.name));
-            match contents {
-                Contents::Array { shape, values } => write_values(&path, shape, values)?,
-                Contents::Figure { joints, skeleton } => {
-                    let text = bvh_text(joints, skeleton)?;
-                    std::fs::write(&path, text).map_err(Error::io("write", &path))?;
-                }
-            }
-            written.push(path);
-        }
-        self.written += 1;
-        Ok(written)
-    }
-
-    /// Motions written so far.
-    pub fn written(&self) -> usize {
-        self.written
-    }
-}
-
-impl Receiver for Files {
-    fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
-        let bar = self.bar.get_or_insert_with(|| Denoising::of(""));
-        bar.show(stage, done, all);
-    }
-
-    fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
-        if let Some(bar) = self.bar.take() {
-            bar.finish();
-        }
-        let written = self.write(&drawn)?;
-        if let (true, Some(path)) = (self.says, written.first()) {
-            say!("{}", path.display());
-        }
-        Ok(())
     }
 }
 

@@ -6,18 +6,25 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use kinegrad_report::facts;
-use kinegrad_train::checkpoint::{State, Weights};
+use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Conditions, Remark, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Ending, Error};
 
-use super::sample::{Files, checkpoint, say_remark};
+use serde::Serialize;
+
+use super::files::Files;
+use super::plan;
+use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
+use crate::output;
 use crate::progress::{TrainProgress, duration};
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
+    let target = arguments.target()?;
+    let (json, dry_run) = (arguments.json, arguments.dry_run);
     let mut overrides = arguments.overrides;
     for (key, value) in [
         ("run.name", arguments.name),
@@ -28,40 +35,52 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
             overrides.push(format!("{key}={}", serde_json::Value::from(value)));
         }
     }
-    let config = match arguments.config {
-        Some(config) => config,
-        None => super::init::default_config()?,
-    };
     let request = TrainRequest {
-        config,
+        target,
         overrides,
-        runs_dir: arguments.runs_dir,
-        resume: arguments.resume,
+        runs_dir: arguments.runs_dir.unwrap_or_else(|| "runs".into()),
+        dry_run,
     };
     let started = Instant::now();
     let mut progress = TrainProgress::new(systems);
     let outcome = run::train(systems, &request, &mut progress);
     progress.finish();
     let outcome = outcome?;
-    summarise(&outcome, started);
+    if let Some(plan) = &outcome.plan {
+        plan::print(plan, json);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    if !json {
+        summarise(&outcome, seconds);
+    }
+    let summary = |samples| {
+        if json {
+            output::json(&Summary::of(&outcome, seconds, samples));
+        }
+    };
     if outcome.ending == Some(Ending::Interrupted) {
+        summary(0);
         return Ok(ExitCode::from(130));
     }
     if owes_samples(&outcome) {
         if progress.end_training() {
             tell!("stopped before the samples were drawn; `--resume` draws them");
+            summary(0);
             return Ok(ExitCode::from(130));
         }
         // The outcome holds the run's lock until they are.
         let drawn = draw_samples(systems, &outcome)?;
-        say!(
-            "\n{} samples of step {} in {}",
-            drawn.count,
-            drawn.step,
-            outcome.folder.join(SAMPLES).display()
-        );
-        say_remark(drawn.remark);
+        if !json {
+            let folder = outcome.folder.join(SAMPLES);
+            let DrawnSamples { count, step, .. } = drawn;
+            say!("\n{count} samples of step {step} in {}", folder.display());
+            say_remark(drawn.remark);
+        }
+        summary(drawn.count);
+        return Ok(ExitCode::SUCCESS);
     }
+    summary(0);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -84,37 +103,76 @@ pub fn draw_samples_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<()
     Ok(())
 }
 
-fn summarise(outcome: &Outcome, started: Instant) {
+/// A training, for programs.
+#[derive(Serialize)]
+struct Summary<'a> {
+    run: &'a Path,
+    ended: &'static str,
+    steps: u64,
+    max_steps: u64,
+    best_step: Option<u64>,
+    best_val_loss: Option<f64>,
+    seconds: f64,
+    /// Samples drawn at the end.
+    samples: usize,
+}
+
+impl<'a> Summary<'a> {
+    fn of(outcome: &'a Outcome, seconds: f64, samples: usize) -> Self {
+        Self {
+            run: &outcome.folder,
+            ended: match outcome.ending {
+                None => "finished_before",
+                Some(Ending::Finished) => "finished",
+                Some(Ending::EarlyStopped) => "stopped_early",
+                Some(Ending::Interrupted) => "interrupted",
+            },
+            steps: outcome.step,
+            max_steps: outcome.config.train.max_steps,
+            best_step: outcome.progress.best_step,
+            best_val_loss: outcome.progress.best_val_loss,
+            seconds,
+            samples,
+        }
+    }
+}
+
+fn summarise(outcome: &Outcome, seconds: f64) {
+    let folder = outcome.folder.display();
     let ending = match outcome.ending {
-        None => "finished before, nothing to do",
-        Some(Ending::Finished) => "finished",
-        Some(Ending::EarlyStopped) => "stopped early: the validation loss no longer falls",
-        Some(Ending::Interrupted) => "stopped; `--resume` continues",
+        None => "finished before, nothing to do; `--set train.max_steps=N` extends it".to_string(),
+        Some(Ending::Finished) => "finished".to_string(),
+        Some(Ending::EarlyStopped) => {
+            "stopped early: the validation loss no longer falls".to_string()
+        }
+        Some(Ending::Interrupted) => {
+            format!("stopped; `kinegrad train --resume {folder}` continues")
+        }
     };
     let progress = &outcome.progress;
     let best = progress.best_step.zip(progress.best_val_loss);
     let best = best.map(|(step, loss)| ("best val_loss", format!("{loss:.5} at step {step}")));
     let rows = [
         Some(("run", outcome.folder.display().to_string())),
-        Some(("ended", ending.to_string())),
+        Some(("ended", ending)),
         Some(("steps", outcome.step.to_string())),
         best,
-        Some(("time", duration(started.elapsed().as_secs_f64()))),
+        Some(("time", duration(seconds))),
     ];
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// The samples of a run's end.
-struct SamplesAtEnd {
+/// The samples at the end of a training.
+struct DrawnSamples {
     count: usize,
-    /// Step of the weights that they are drawn from.
+    /// Steps of the checkpoint that they were drawn with.
     step: u64,
     remark: Option<Remark>,
 }
 
 /// Writes samples for the first held-out items to the run's folder: all of them or, if this process
 /// ends before they are drawn, none.
-fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<SamplesAtEnd, Error> {
+fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples, Error> {
     let path = checkpoint(&outcome.folder)?;
     let subject = systems.trained(&path, &[], Weights::Ema, None)?;
     let request = Request {
@@ -133,9 +191,9 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<SamplesAtEnd,
     let mut files = Files::silent(&unfinished);
     let remark = sampling::sample(systems, &subject, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
-    Ok(SamplesAtEnd {
+    Ok(DrawnSamples {
         count: files.written(),
-        step: State::read(&path)?.step,
+        step: subject.step,
         remark,
     })
 }

@@ -20,8 +20,6 @@ from .errors import UsageError
 
 __all__ = ["Run", "Sample", "StepReport", "train"]
 
-_Weights = Literal["ema", "model"]
-
 
 class StepReport(TypedDict):
     """One optimiser step of a training."""
@@ -93,10 +91,15 @@ class Sample:
             raise UsageError("the sample has no skeleton to write as BVH", None)
         return text
 
-    def save(self, prefix: PathArgument) -> list[Path]:
+    def save(self, prefix: PathArgument, *, overwrite: bool = False) -> list[Path]:
         """Writes the files that `kinegrad sample --out PREFIX` writes, and returns their paths:
-        `PREFIX.npy` and those beside it, `PREFIX-000.npy` for the first of several samples."""
-        return self._drawn.save(prefix)
+        `PREFIX.npy` and those beside it, `PREFIX-000.npy` for the first of several samples, with
+        the record as JSON.
+
+        Raises:
+            UsageError: If the file exists, unless `overwrite`.
+        """
+        return self._drawn.save(prefix, overwrite)
 
     def __repr__(self) -> str:
         shape = ", ".join(str(length) for length in self.motion.shape)
@@ -172,7 +175,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: _Weights = "ema",
+        weights: Literal["ema", "model"] = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> list[Sample]:
@@ -209,7 +212,7 @@ class Run:
         if goal is None:
             goals: list[PathArgument] = []
         elif isinstance(goal, (str, Path)) or hasattr(goal, "__fspath__"):
-            goals = [goal]  # type: ignore[list-item]
+            goals = [goal]
         else:
             goals = list(goal)
         wanted = {
@@ -240,7 +243,7 @@ class Run:
         steps: int | None = None,
         guidance_scale: float | None = None,
         settings: Mapping[str, Any] | Sequence[str] | None = None,
-        weights: _Weights = "ema",
+        weights: Literal["ema", "model"] = "ema",
         device: str | None = None,
         progress: ProgressArgument = None,
     ) -> dict[str, Any]:
@@ -278,7 +281,7 @@ class Run:
         settings: Mapping[str, Any] | Sequence[str] | None,
         steps: int | None,
         guidance_scale: float | None,
-        weights: _Weights,
+        weights: Literal["ema", "model"],
         device: str | None,
     ) -> dict[str, Any]:
         given = as_overrides(settings)

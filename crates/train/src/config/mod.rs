@@ -11,6 +11,7 @@ mod document;
 mod error;
 mod model;
 mod resume;
+mod resumed;
 mod steering;
 mod system_tables;
 mod tables;
@@ -24,6 +25,8 @@ pub(crate) use document::{
 pub use error::ConfigError;
 pub use model::{ModelTable, NetworkKind};
 pub use resume::{may_differ, must_continue, must_have_recipe};
+pub use resumed::Kept;
+pub(crate) use resumed::resumed;
 pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
 pub(crate) use tables::validate;

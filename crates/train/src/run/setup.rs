@@ -10,11 +10,13 @@ use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
 use super::folder::{UNFINISHED_SAMPLES, exists_already, has_begun, remove, write_config};
+use super::plan::{Plan, Planned};
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress};
 use crate::config::Config;
 use crate::denoising::HeldOut;
 use crate::error::Error;
 use crate::observer::{Observer, RunSummary};
+use crate::parameter_count::ParameterCount;
 use crate::recipe::{Recipe, RecipeInfo};
 use crate::telemetry::Environment;
 use crate::trainer::restore::check_moments;
@@ -33,6 +35,8 @@ pub struct Outcome {
     pub progress: Progress,
     /// The resolved config.
     pub config: Config,
+    /// What the run would take, if that was all that was asked.
+    pub plan: Option<Box<Plan>>,
     /// The run's lock: no other process continues the run or adds to its folder while this is held.
     pub lock: Option<Arc<File>>,
 }
@@ -45,11 +49,15 @@ pub struct Setup {
     pub recipe: &'static RecipeInfo,
     /// The run's folder.
     pub folder: PathBuf,
+    /// Whether the run is only planned: nothing is written.
+    pub dry_run: bool,
     /// Where a resumed run goes on.
     pub checkpoint: Option<Checkpoint>,
     /// The device, with gradients after [`with_gradients`](Self::with_gradients).
     pub device: Device,
     pub(super) device_name: String,
+    /// Bytes of main memory that training takes, roughly.
+    pub(super) memory: u64,
     /// Taken already where the run existed before.
     pub(super) lock: Option<Arc<File>>,
 }
@@ -102,6 +110,14 @@ impl Material {
             }),
         };
         Ok((material, HeldOut::new(held_out, &config.validation)))
+    }
+}
+
+/// Names that the parameters of a recipe's networks begin with; none for a single network.
+fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
+    match recipe.groups {
+        [_] => &[],
+        several => several,
     }
 }
 
@@ -167,6 +183,8 @@ impl Setup {
             checkpoint,
             device,
             device_name,
+            dry_run,
+            memory,
         } = self;
         let (step, progress) = match &checkpoint {
             Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
@@ -176,22 +194,57 @@ impl Setup {
             name: config.run.name.clone(),
             folder: folder.clone(),
             device: device_name,
-            parameters: parameters::count(&model),
+            parameters: {
+                let trained = parameters::trainable(&model);
+                let infos = parameters::infos(&model);
+                ParameterCount::of(&infos, networks_of(info), |index, _| trained[index])
+            },
             train_phrases: material.train,
             validation_phrases: material.validation,
             skipped: material.skipped,
             step,
             max_steps: config.train.max_steps,
         };
+        let patience = config.train.patience;
+        let stopped = patience > 0 && progress.validations_since_best >= patience;
+        let nothing_left = step > 0 && (step >= config.train.max_steps || stopped);
+        if dry_run {
+            let planned = Planned {
+                config: &config,
+                summary: &summary,
+                memory,
+                channels: material.statistics.channels(),
+                nothing_left,
+            };
+            let first_batch = step * config.train.gradient_accumulation_steps;
+            let parts = TrainerParts {
+                recipe,
+                groups: info.groups,
+                config: config.clone(),
+                statistics: material.statistics,
+                device,
+                loader: (material.loader)(&config, first_batch),
+                dataset: material.digest,
+                folder: folder.clone(),
+            };
+            let plan = Plan::measure(&planned, parts, model, checkpoint, observer)?;
+            return Ok(Outcome {
+                folder,
+                ending: None,
+                step,
+                progress,
+                config,
+                plan: Some(Box::new(plan)),
+                lock,
+            });
+        }
         let checkpoints = Checkpoints::of(&folder);
         if checkpoint.is_some() && checkpoints.best() != progress.best() {
             // All that is written before anything can be refused: a crash came between the
             // checkpoint and the record of its being the best.
             checkpoints.set_best(progress.best().as_ref())?;
         }
-        let patience = config.train.patience;
-        let stopped = patience > 0 && progress.validations_since_best >= patience;
-        if step > 0 && (step >= config.train.max_steps || stopped) {
+        if nothing_left {
             // What a kill after the last checkpoint left undone.
             checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
             observer.started(&summary);
@@ -201,6 +254,7 @@ impl Setup {
                 step,
                 progress,
                 config,
+                plan: None,
                 lock,
             });
         }
@@ -261,6 +315,7 @@ impl Setup {
             step,
             progress,
             config,
+            plan: None,
             lock: Some(lock),
         })
     }

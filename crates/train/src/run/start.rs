@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use kinegrad_data::file::read_text;
+use toml::Table;
+
 use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
 use super::setup::{Outcome, Setup};
 use crate::checkpoint::Checkpoints;
@@ -11,20 +14,34 @@ use crate::memory;
 use crate::observer::Observer;
 use crate::system::Systems;
 
+/// Which run to train.
+#[derive(Clone, Debug)]
+pub enum Target {
+    /// A new run of a config file.
+    New(PathBuf),
+    /// The run of a config file goes on.
+    Resumed(PathBuf),
+    /// The run in a folder goes on, with the config that is saved there.
+    Folder(PathBuf),
+}
+
 /// A request to train.
 #[derive(Clone, Debug)]
 pub struct TrainRequest {
-    /// The config file.
-    pub config: PathBuf,
+    /// Which run.
+    pub target: Target,
     /// `KEY=VALUE` overrides.
     pub overrides: Vec<String>,
-    /// Folder that contains the runs.
+    /// Folder that contains the runs; not asked of [`Target::Folder`].
     pub runs_dir: PathBuf,
-    /// Resume the run instead of starting it.
-    pub resume: bool,
+    /// Validate everything and measure a step, but write nothing: the [`Outcome`] has a plan.
+    pub dry_run: bool,
 }
 
 /// Trains a run with the system of `systems` that has the config's recipe.
+///
+/// A run that goes on takes its saved config, and what the overrides change. What the config file
+/// says otherwise of keys that [may differ](config::may_differ) is not taken, with a warning.
 ///
 /// # Errors
 /// If the request is invalid, before anything is written, or if the run fails.
@@ -33,14 +50,29 @@ pub fn train(
     request: &TrainRequest,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
-    let mut config = systems.load(&request.config, &request.overrides)?;
+    let overrides = &request.overrides;
+    let begin = |folder, resume| Begin {
+        folder,
+        resume,
+        dry_run: request.dry_run,
+    };
+    let path = match &request.target {
+        Target::New(path) | Target::Resumed(path) => path,
+        Target::Folder(folder) => {
+            let saved = saved_of(systems, folder)?;
+            let given = systems.parse(&config::to_toml(&saved), SAVED, overrides)?;
+            return train_in(systems, given, begin(folder.clone(), true), observer);
+        }
+    };
+    let resume = matches!(request.target, Target::Resumed(_));
+    let mut config = systems.load(path, overrides)?;
     if config.run.name.is_empty() {
-        let stem = request.config.file_stem().unwrap_or_default();
+        let stem = path.file_stem().unwrap_or_default();
         config.run.name = stem.to_string_lossy().into_owned();
     }
     let name = config.run.name.clone();
     let folder = request.runs_dir.join(&name);
-    let saved = match request.resume {
+    let saved = match resume {
         true => saved_config(systems, &folder)?,
         false => None,
     };
@@ -49,11 +81,62 @@ pub fn train(
     }
     let (system, _) = systems.of(&config)?;
     if let Some(beneath) = system.inherited(&config, saved.as_ref())? {
-        let (path, overrides) = (&request.config, &request.overrides);
         config = systems.load_over(path, overrides, &beneath)?;
         config.run.name = name;
     }
-    train_config(systems, config, &request.runs_dir, request.resume, observer)
+    if let Some(saved) = &saved {
+        let taken = system.moved(saved.clone(), &config, &folder)?;
+        config = resumed(systems, &taken, &config, path, overrides, observer)?;
+    }
+    train_in(systems, config, begin(folder, resume), observer)
+}
+
+/// What a resumed run goes on with, and warnings for what the file says otherwise.
+fn resumed(
+    systems: Systems<'_>,
+    saved: &Config,
+    given: &Config,
+    path: &Path,
+    overrides: &[String],
+    observer: &mut dyn Observer,
+) -> Result<Config, Error> {
+    let recipe = format!("[train]\nrecipe = \"{}\"", given.train.recipe);
+    let defaults = systems.parse(&recipe, "the defaults", &[])?;
+    let file = read_text(path).ok().and_then(|text| text.parse().ok());
+    let file: Table = file.unwrap_or_default();
+    let (table, kept) = config::resumed(saved, given, &defaults, &file, overrides);
+    for config::Kept { key, saved, given } in kept {
+        let (file, set) = (path.display(), given.trim_matches('"'));
+        observer.warning(&format!(
+            "`{key}` is {given} in {file} and {saved} in the run's saved config, which counts; \
+             `--set {key}={set}` takes the new value"
+        ));
+    }
+    let text = toml::to_string(&table).expect("a config is a table of plain values");
+    Ok(systems.parse(&text, SAVED, &[])?)
+}
+
+/// What stands for the saved config in errors.
+const SAVED: &str = "the run's saved config";
+
+/// The config of the run in `folder`, or of its newest good checkpoint.
+fn saved_of(systems: Systems<'_>, folder: &Path) -> Result<Config, Error> {
+    if let Some(saved) = saved_config(systems, folder)? {
+        return Ok(saved);
+    }
+    let checkpoint = match folder.is_dir() {
+        true => Checkpoints::of(folder).newest_good(|_| {})?,
+        false => None,
+    };
+    match checkpoint {
+        Some(checkpoint) => systems.completed(&checkpoint.state.config),
+        None => Err(Error::RunMissing {
+            path: folder.to_path_buf(),
+            hint: "give the folder of a run, such as runs/quickstart; a new run takes a config \
+                   file: `kinegrad train CONFIG`"
+                .into(),
+        }),
+    }
 }
 
 /// Reads a config with the values inherited from its initial checkpoints. If one is missing, calls
@@ -97,12 +180,37 @@ pub fn train_config(
     resume: bool,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
+    let begin = Begin {
+        folder: runs_dir.join(&config.run.name),
+        resume,
+        dry_run: false,
+    };
+    train_in(systems, config, begin, observer)
+}
+
+/// Where a run begins or goes on.
+struct Begin {
+    folder: PathBuf,
+    resume: bool,
+    dry_run: bool,
+}
+
+fn train_in(
+    systems: Systems<'_>,
+    config: Config,
+    begin: Begin,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, Error> {
+    let Begin {
+        folder,
+        resume,
+        dry_run,
+    } = begin;
     for warning in systems.validate(&config)? {
         observer.warning(&warning);
     }
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
-    let folder = runs_dir.join(&name);
     must_be_a_folder(&folder)?;
     let mut exists = has_begun(&folder)?;
     for stage in system.stages() {
@@ -116,7 +224,8 @@ pub fn train_config(
         }
         _ => {}
     }
-    let lock = exists.then(|| lock(&folder)).transpose()?;
+    // What writes nothing needs no lock.
+    let lock = (exists && !dry_run).then(|| lock(&folder)).transpose()?;
     let (checkpoint, saved) = match resume {
         false => (None, None),
         true => {
@@ -140,6 +249,7 @@ pub fn train_config(
 
     let (device, device_name) = crate::device::open(&config.run.device)?;
     let on_host = crate::device::is_host(&device_name);
+    log::debug!("device {device_name}; {}", crate::device::kernels());
     let needed = system.footprint(&config)?.of_training(&config, on_host);
     memory::must_fit(
         "training",
@@ -149,6 +259,8 @@ pub fn train_config(
          show` prints the estimate",
     )?;
     let setup = Setup {
+        dry_run,
+        memory: needed,
         recipe,
         device,
         device_name,

@@ -80,6 +80,40 @@ pub enum Contents {
     },
 }
 
+/// Names of the samples of a request: `count` for each of the stems, numbered if there are several.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Names {
+    /// What stands for a condition; empty if there is one.
+    pub stems: Vec<String>,
+    /// Samples of each.
+    pub count: usize,
+}
+
+impl Names {
+    /// The name of a sample of a stem, from 0.
+    pub fn of(&self, stem: &str, index: usize) -> String {
+        match self.count {
+            1 => stem.to_string(),
+            _ => format!("{stem}-{index:03}"),
+        }
+    }
+
+    /// Whether a sample has that name.
+    pub fn contains(&self, name: &str) -> bool {
+        self.stems.iter().any(|stem| {
+            let index = name.strip_prefix(stem.as_str());
+            match (self.count, index) {
+                (_, None) => false,
+                (1, Some(rest)) => rest.is_empty(),
+                (count, Some(rest)) => rest
+                    .strip_prefix('-')
+                    .and_then(|number| number.parse().ok())
+                    .is_some_and(|index: usize| index < count && self.of(stem, index) == name),
+            }
+        })
+    }
+}
+
 /// A summary of all samples of a request.
 #[derive(Clone, Debug)]
 pub enum Remark {
@@ -101,6 +135,16 @@ pub trait Receiver {
     /// If it cannot be stored; sampling stops then.
     fn drawn(&mut self, drawn: Drawn) -> Result<(), Error>;
 
+    /// Called before anything is drawn with the names of all samples and the extensions of their
+    /// files.
+    ///
+    /// # Errors
+    /// If they cannot be stored, for example because files of these names exist; nothing is drawn
+    /// then.
+    fn announced(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
+        Ok(())
+    }
+
     /// Called with what the user did not say and was decided.
     fn note(&mut self, _text: &str) {}
 
@@ -119,6 +163,32 @@ pub trait Receiver {
         match self.stop_requested() {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_numbered_where_there_are_several() {
+        let stems = || vec![String::new(), "-a".to_string()];
+        let one = Names {
+            stems: stems(),
+            count: 1,
+        };
+        assert_eq!(one.of("-a", 0), "-a");
+        assert!(one.contains("") && one.contains("-a"));
+        assert!(!one.contains("-a-000") && !one.contains("-b"));
+        let many = Names {
+            stems: stems(),
+            count: 1200,
+        };
+        assert_eq!(many.of("-a", 7), "-a-007");
+        assert!(many.contains("-a-007") && many.contains("-1199"));
+        for other in ["", "-a", "-a-7", "-1200", "-a-1200", "-a-0007", "-b-000"] {
+            assert!(!many.contains(other), "{other}");
         }
     }
 }

@@ -182,6 +182,8 @@ impl Systems<'_> {
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = crate::device::open(device.unwrap_or(&config.run.device))?;
+        log::debug!("checkpoint {}, step {}", path.display(), state.step);
+        log::debug!("device {name}; {}", crate::device::kernels());
         Ok(Subject {
             checkpoint: path.to_path_buf(),
             step: state.step,
@@ -194,6 +196,7 @@ impl Systems<'_> {
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
+    log::debug!("reading {}", path.display());
     read_text(path).map_err(|source| ConfigError::Read {
         path: path.to_path_buf(),
         source,

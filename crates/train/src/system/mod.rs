@@ -18,6 +18,7 @@ use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
@@ -97,6 +98,15 @@ pub trait System: Sync {
     /// # Errors
     /// If a network cannot be built.
     fn parameter_count(&self, config: &Config) -> Result<usize, Error>;
+
+    /// The parameters of the networks of `config` as it trains them, adapters included. By default
+    /// one network, all of which is trained.
+    ///
+    /// # Errors
+    /// If a network cannot be built.
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        Ok(ParameterCount::trained(self.parameter_count(config)?))
+    }
 
     /// What its networks take in training, for the estimate of memory. Activations count nothing
     /// where a system does not say.

@@ -35,6 +35,7 @@ use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
@@ -104,6 +105,10 @@ impl System for CcMotion {
             false => Ok(unet),
             true => Ok(unet + networks::decoder_parameters(config)?),
         }
+    }
+
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        networks::parameter_count(config)
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {

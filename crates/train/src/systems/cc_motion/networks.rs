@@ -6,6 +6,7 @@ use burn::module::Module;
 use burn::tensor::Device;
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
+use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::{Phrases, Statistics};
@@ -16,6 +17,10 @@ use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::memory::Footprint;
+use crate::parameter_count::{ParameterCount, is_adapter};
+
+/// Names of the networks of a model that has both.
+const NETWORKS: &[&str] = &["unet", "decoder"];
 
 /// Trained networks, adapters merged, and what is known of their training.
 pub struct Trained {
@@ -85,7 +90,39 @@ pub(crate) fn decoder(
 /// # Errors
 /// If it cannot be built.
 pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
-    // Parameters that are drawn are lazy: none is, and no memory taken.
+    Ok(parameters::count(&lazy_decoder(config)?))
+}
+
+/// The parameters of a config's networks as its recipe trains them.
+///
+/// # Errors
+/// If one cannot be built.
+pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> {
+    let unet = denoiser(config, &Device::flex())?;
+    let recipe = RecipeName::of(config)?;
+    if !recipe.trains_through_sampler() {
+        return Ok(ParameterCount::trained(parameters::count(&unet)));
+    }
+    let lora = CcMotionConfig::of(config)?.lora;
+    let unet = match &lora {
+        Some(lora) => unet.with_adapters(lora, &Initializer::new(0, &Device::flex()))?,
+        None => unet,
+    };
+    let decoder = lazy_decoder(config)?;
+    let infos = parameters::infos(&MotionModel { unet, decoder });
+    // As in `trainable`, without the weights that would be drawn to ask them.
+    let trains = |info: &ParameterInfo| match (&lora, recipe) {
+        (Some(_), _) => is_adapter(info),
+        (None, RecipeName::Decoder) => false,
+        (None, RecipeName::Diffusion | RecipeName::E2e) => true,
+    };
+    Ok(ParameterCount::of(&infos, NETWORKS, |_, info| {
+        !info.name.starts_with("unet.") || trains(info)
+    }))
+}
+
+/// The decoder of a config whose parameters are all lazy: none is drawn, and no memory taken.
+fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
     let random = DecoderConfig {
         init: DecoderInit::Random,
         ..CcMotionConfig::of(config)?.decoder
@@ -94,8 +131,7 @@ pub(super) fn decoder_parameters(config: &Config) -> Result<usize, Error> {
         mean: vec![0.0; CHANNELS],
         std: vec![1.0; CHANNELS],
     };
-    let decoder = random.init(unit, &Initializer::new(0, &Device::flex()))?;
-    Ok(parameters::count(&decoder))
+    Ok(random.init(unit, &Initializer::new(0, &Device::flex()))?)
 }
 
 /// What the networks of a config take in training.

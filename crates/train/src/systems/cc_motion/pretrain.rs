@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::recipe_name::RecipeName;
-use super::{CcMotion, CcMotionConfig, InitConfig};
+use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
 use crate::config::{Config, OptimConfig, RunConfig, SystemTables, TrainConfig};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -66,14 +66,7 @@ pub(super) fn run(
     folder: &Path,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
-    let pretrain = CcMotionConfig::of(config)?.init.pretrain;
-    observer.note(&format!(
-        "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
-         steps), in {}",
-        pretrain.diffusion_steps,
-        pretrain.decoder_steps,
-        folder.display()
-    ));
+    let pretrain = tell(config, folder, observer)?;
     if pretrain.diffusion_steps > 0 {
         must_have_base(folder)?;
     }
@@ -100,6 +93,23 @@ pub(super) fn run(
         }
     }
     Ok(Ok(init))
+}
+
+/// Says that both are trained first, and how long.
+pub(super) fn tell(
+    config: &Config,
+    folder: &Path,
+    observer: &mut dyn Observer,
+) -> Result<PretrainConfig, Error> {
+    let pretrain = CcMotionConfig::of(config)?.init.pretrain;
+    observer.note(&format!(
+        "`init.diffusion` is empty: a base model is trained first ({} steps), then a decoder ({} \
+         steps), in {}",
+        pretrain.diffusion_steps,
+        pretrain.decoder_steps,
+        folder.display()
+    ));
+    Ok(pretrain)
 }
 
 /// The config of one of the two: `config` with another recipe, starting from `init`.

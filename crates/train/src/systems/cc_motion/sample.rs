@@ -15,10 +15,20 @@ use super::generate::{Generator, Sample, must_fit};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, Receiver, Record, Remark, Request, Subject,
+    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
 };
 use crate::song::song_features;
 use crate::system::System as _;
+
+/// Extension of the post-processed motion.
+const MOTION: &str = ".npy";
+
+/// Extension of the raw model output.
+const RAW: &str = ".raw.npy";
+
+/// What to do where held-out samples do not fit into memory.
+const HELD_OUT_HINT: &str = "draw fewer at the end of training (`sampling.count_at_end`), or train \
+                             on shorter phrases (`data.target_frames`)";
 
 /// What to do where samples do not fit into memory.
 const HINT: &str = "draw shorter ones (`--frames`), or fewer";
@@ -48,14 +58,20 @@ pub(super) fn sample(
         lengths.max().unwrap_or_default(),
         HINT,
     )?;
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let several = conditions.len() > 1;
+    let stem = |heard: &Heard| match several {
+        true => format!("-{}", heard.name),
+        false => String::new(),
+    };
+    let names = Names {
+        stems: conditions.iter().map(stem).collect(),
+        count: request.count,
+    };
+    receiver.announced(&names, &[MOTION, RAW])?;
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     for heard in conditions {
         let mut index = 0;
-        let stem = match several {
-            true => format!("-{}", heard.name),
-            false => String::new(),
-        };
+        let stem = stem(&heard);
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
             repeat_n(heard.audio, request.count),
@@ -63,10 +79,7 @@ pub(super) fn sample(
             phrase_seed(request.seed, &heard.name),
             &mut |done, all| receiver.borrow_mut().advance("", done, all),
             &mut |sample| {
-                let name = match request.count {
-                    1 => stem.clone(),
-                    _ => format!("{stem}-{index:03}"),
-                };
+                let name = names.of(&stem, index);
                 let record = Record {
                     index,
                     condition: heard.condition.clone(),
@@ -91,7 +104,7 @@ fn for_held_out(
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
     let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
-    must_fit(subject, chosen.len(), frames, HINT)?;
+    must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;
@@ -155,10 +168,7 @@ fn drawn(name: String, sample: Sample, record: Record) -> Drawn {
     };
     Drawn {
         name,
-        files: vec![
-            (".npy", array(sample.motion)),
-            (".raw.npy", array(sample.raw)),
-        ],
+        files: vec![(MOTION, array(sample.motion)), (RAW, array(sample.raw))],
         record,
     }
 }

@@ -29,11 +29,18 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     }
     setup.same_dataset(dataset.digest)?;
     let recipe = RecipeName::of(&config)?;
-    let starts = match recipe.trains_through_sampler() && setup.checkpoint.is_none() {
+    let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
+    if setup.dry_run && pretrains {
+        pretrain::tell(&config, &setup.folder, observer)?;
+        observer.note("these two are not planned: the plan is of the last training alone");
+    }
+    let planned = setup.dry_run && pretrains;
+    let starts_anew = setup.checkpoint.is_none() && !planned;
+    let starts = match recipe.trains_through_sampler() && starts_anew {
         false => None,
         true => {
             let mut init = own.init.clone();
-            if recipe == RecipeName::E2e && init.diffusion.as_os_str().is_empty() {
+            if pretrains {
                 init = match pretrain::run(&config, &setup.folder, observer)? {
                     Ok(trained) => trained,
                     Err(interrupted) => return Ok(*interrupted),

@@ -32,6 +32,7 @@ use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
@@ -97,6 +98,10 @@ impl System for Gmd {
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
         networks::parameter_count(config)
+    }
+
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        networks::parameters_in_space(config)
     }
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {

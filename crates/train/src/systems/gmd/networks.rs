@@ -15,6 +15,7 @@ use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::memory::Footprint;
+use crate::parameter_count::ParameterCount;
 use crate::start::{Start, must_agree};
 
 /// Parameter of the matrix of a projected space.
@@ -53,6 +54,18 @@ pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
     // Parameters are lazy: no weight is drawn and no memory taken.
     let denoiser = text_denoiser(config, channels_of(config)?, &Device::flex())?;
     Ok(parameters::count(&denoiser))
+}
+
+/// The parameters of a config's denoiser as it is trained: with the matrix of its space, which
+/// stays as it is.
+///
+/// # Errors
+/// If it cannot be built.
+pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Error> {
+    let infos = parameters::infos(&model_in_space(config, &Device::flex())?);
+    Ok(ParameterCount::of(&infos, &[], |_, info| {
+        info.name != MATRIX
+    }))
 }
 
 /// What the networks of a config take for clips of `frames` frames.

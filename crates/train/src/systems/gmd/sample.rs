@@ -20,9 +20,21 @@ use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    Condition, Contents, Drawn, Receiver, Record, Remark, Request, SamplerRecord, Subject,
+    Condition, Contents, Drawn, Names, Receiver, Record, Remark, Request, SamplerRecord, Subject,
 };
 use crate::system::System as _;
+
+/// Extension of joint positions, or of a path alone.
+const MOTION: &str = ".npy";
+
+/// Extension of joint features.
+const FEATURES: &str = ".features.npy";
+
+/// Extension of the animated skeleton.
+const BVH: &str = ".bvh";
+
+/// Extension of the ground path of the first stage.
+const PATH: &str = ".path.npy";
 
 /// Generates the requested clips as one batch: joints, features and BVH of a motion model, the path
 /// of a trajectory model. Returns how near the goals the clips have come.
@@ -65,6 +77,7 @@ pub(super) fn sample(
     if conditions.is_empty() {
         receiver.note("no condition given: drawing without a text and without a goal");
     }
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     let text = conditions.text_embedding.as_deref().map(read_embedding);
     let text = text.transpose()?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
@@ -72,7 +85,22 @@ pub(super) fn sample(
         None => request.frames.unwrap_or(subject.config.data.target_frames),
     };
     let clips = request.count.saturating_mul(goals.len().max(1));
-    must_fit_as_batch(subject, clips, frames, !goals.is_empty())?;
+    for (path, goal) in conditions.goals.iter().zip(&goals) {
+        for doubt in goal.doubts(skeleton.description().fps) {
+            receiver.warning(&format!("{}: {doubt}", path.display()));
+        }
+    }
+    let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
+    must_fit_as_batch(subject, clips, frames, !goals.is_empty(), hint)?;
+    let names = Names {
+        stems: vec![String::new()],
+        count: clips,
+    };
+    let extensions: &[&str] = match RecipeName::of(&subject.config)? {
+        RecipeName::Trajectory => &[MOTION],
+        RecipeName::Motion => &[MOTION, FEATURES, BVH, PATH],
+    };
+    receiver.announced(&names, extensions)?;
     let requests = requests(request.count, &goals, text.as_deref());
     let load =
         |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
@@ -91,12 +119,8 @@ pub(super) fn sample(
         request.seed,
         &mut |stage, done, all| receiver.advance(stage, done, all),
     )?;
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     for (index, (sample, clip)) in samples.iter().zip(&requests).enumerate() {
-        let name = match samples.len() {
-            1 => String::new(),
-            _ => format!("-{index:03}"),
-        };
+        let name = names.of("", index);
         let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
         let steered = clip.goal.is_some();
         let record = record(subject, request.seed, index, frames, &skeleton);
@@ -135,7 +159,9 @@ fn for_held_out(
     };
     let requests: Vec<ClipRequest> = chosen.iter().map(request).collect();
     let (frames, sampling) = (config.data.target_frames, &config.sampling);
-    must_fit_as_batch(subject, requests.len(), frames, false)?;
+    let hint = "all are drawn as one batch: draw fewer at the end of training \
+                (`sampling.count_at_end`), or train on shorter clips (`data.target_frames`)";
+    must_fit_as_batch(subject, requests.len(), frames, false, hint)?;
     let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let mut told = |stage, done, all| receiver.advance(stage, done, all);
     let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
@@ -160,12 +186,13 @@ fn must_fit_as_batch(
     clips: usize,
     frames: usize,
     guided: bool,
+    hint: &str,
 ) -> Result<(), Error> {
     let networks = footprint(&subject.config, frames)?;
     must_fit(
         &format!("drawing {clips} clips of {frames} frames"),
         networks.of_sampling(clips, guided, subject.on_host),
-        "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter",
+        hint,
     )
 }
 
@@ -223,7 +250,7 @@ fn record(
 fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Record) -> Drawn {
     let frames = record.frames;
     let Some(features) = &sample.features else {
-        let files = vec![(".npy", path(&sample.ground[..frames]))];
+        let files = vec![(MOTION, path(&sample.ground[..frames]))];
         return Drawn {
             name,
             files,
@@ -234,21 +261,21 @@ fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Reco
     let joints = features.joints();
     let mut files = vec![
         (
-            ".npy",
+            MOTION,
             Contents::Array {
                 shape: vec![joints.frames(), joints.joints(), 3],
                 values: joints.to_f32(),
             },
         ),
         (
-            ".features.npy",
+            FEATURES,
             Contents::Array {
                 shape: vec![features.frames(), features.layout().channels()],
                 values: features.into_vec(),
             },
         ),
         (
-            ".bvh",
+            BVH,
             Contents::Figure {
                 joints,
                 skeleton: Box::new(skeleton.clone()),
@@ -256,7 +283,7 @@ fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Reco
         ),
     ];
     if let Some(drawn) = &sample.path {
-        files.push((".path.npy", path(&drawn[..frames])));
+        files.push((PATH, path(&drawn[..frames])));
     }
     Drawn {
         name,

@@ -70,6 +70,11 @@ pub fn prepare<'a>(
         sampling: subject.config.sampling.clone(),
         seed: request.seed,
     };
+    // The two are compared: neither replaces the other's report.
+    let report = match trajectory {
+        Some(_) => "eval-goals-two-stage",
+        None => "eval-goals",
+    };
     Ok(Box::new(move |on_step| {
         let load = |path: &Path| ClipGenerator::load(path, subject.weights, &subject.device);
         let generator = load(&subject.checkpoint)?;
@@ -88,7 +93,7 @@ pub fn prepare<'a>(
         }
         Ok(Evaluated {
             run: evaluation.run.clone(),
-            report: "eval-goals",
+            report,
             json: to_value(&evaluation).expect("plain data"),
             drawn: column(Some(evaluation.step), &evaluation.drawn),
             real: column(None, &evaluation.real),

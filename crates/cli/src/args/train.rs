@@ -1,0 +1,91 @@
+//! `kinegrad train`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use kinegrad_train::Error;
+use kinegrad_train::run::Target;
+
+use crate::commands::init::default_config;
+
+/// The run is written to RUNS_DIR/NAME: the resolved config, metrics.jsonl, TensorBoard events and
+/// checkpoints. Ctrl-C writes a checkpoint before exiting; `--resume` continues bit for bit.
+///
+/// A resumed run goes on with the config that is saved in its folder. Only `--set` changes that; a
+/// config file that says otherwise draws a warning.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad init && kinegrad train
+  kinegrad train phrases.toml --set data.source=phrases --set train.max_steps=100
+  kinegrad train phrases.toml --set data.source=phrases --dry-run
+  kinegrad train --resume runs/phrases
+  kinegrad train --resume runs/phrases --set train.max_steps=2000")]
+pub struct TrainArguments {
+    /// The config file [default: kinegrad.toml, as `kinegrad init` writes it]
+    pub config: Option<PathBuf>,
+    /// Override a config key, for example optim.learning_rate=2e-4
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Name of the run [default: `run.name`, else the config file's name]
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Folder that contains the runs [default: runs]
+    #[arg(long, value_name = "DIR")]
+    pub runs_dir: Option<PathBuf>,
+    /// Device to train on, see `kinegrad devices` [default: `run.device`]
+    #[arg(long)]
+    pub device: Option<String>,
+    /// Resume a run from its latest valid checkpoint: the run in the folder RUN, which needs no
+    /// config file, or without RUN that of the config file
+    #[arg(long, value_name = "RUN", num_args = 0..=1)]
+    pub resume: Option<Option<PathBuf>>,
+    /// Validate everything, time a few steps, and print what the run would take: parameters,
+    /// memory, time, disk; writes nothing
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Print the summary as one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl TrainArguments {
+    /// Which run is asked for.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for options that contradict each other.
+    pub fn target(&self) -> Result<Target, Error> {
+        match (&self.config, &self.resume) {
+            (Some(config), None) => Ok(Target::New(config.clone())),
+            (Some(config), Some(None)) => Ok(Target::Resumed(config.clone())),
+            // `--resume` before a config file.
+            (None, Some(Some(file))) if file.is_file() => Ok(Target::Resumed(file.clone())),
+            (None, Some(Some(folder))) => {
+                for (option, given) in [
+                    ("--name", self.name.is_some()),
+                    ("--runs-dir", self.runs_dir.is_some()),
+                ] {
+                    if given {
+                        return Err(Error::usage(
+                            format!("`{option}` with `--resume {}`", folder.display()),
+                            "the folder says which run it is: leave the option out",
+                        ));
+                    }
+                }
+                Ok(Target::Folder(folder.clone()))
+            }
+            (Some(config), Some(Some(folder))) => {
+                let (config, folder) = (config.display(), folder.display());
+                Err(Error::usage(
+                    format!("`--resume {folder}` together with the config file {config}"),
+                    format!(
+                        "the run has its own config: `kinegrad train --resume {folder}`; change \
+                         it with `--set KEY=VALUE`"
+                    ),
+                ))
+            }
+            (None, None) => Ok(Target::New(default_config()?)),
+            (None, Some(None)) => Ok(Target::Resumed(default_config()?)),
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! The files of samples.
+
+use std::fs;
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+
+use kinegrad_capture::Bvh;
+use kinegrad_data::{write_values, write_whole};
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_train::Error;
+use kinegrad_train::sampling::{Contents, Drawn, Names, Receiver, Record};
+use serde::Serialize;
+
+use crate::interrupt;
+use crate::output::unusable;
+use crate::progress::Denoising;
+
+/// Units of a BVH file in a metre.
+const CENTIMETRES: f64 = 100.0;
+
+/// Extension of a sample's record.
+const RECORD: &str = ".json";
+
+/// A sample that was written.
+#[derive(Serialize)]
+pub struct Written {
+    /// Its files, the motion first and the record last.
+    pub files: Vec<PathBuf>,
+    /// How it was made.
+    pub record: Record,
+}
+
+/// What is done with files that exist.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// Nothing is drawn.
+    Refused,
+    /// They are replaced.
+    Replaced,
+}
+
+/// Writes motion to files of one stem, and a record beside each.
+pub struct Files {
+    stem: String,
+    existing: Existing,
+    bar: Option<Denoising>,
+    /// What is done with each sample that was written.
+    tell: fn(&Written),
+    keeps: bool,
+    kept: Vec<Written>,
+    written: usize,
+}
+
+impl Files {
+    /// Files with the prefix `out`; each is printed.
+    ///
+    /// # Errors
+    /// If `out` names a folder: the files would have no name.
+    pub fn new(out: &Path, existing: Existing) -> Result<Self, Error> {
+        let text = out.to_string_lossy();
+        let stem = text.strip_suffix(".npy").unwrap_or(&text);
+        let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
+        if matches!(name, None | Some("" | "." | "..")) {
+            let folder = match stem {
+                "" => "./",
+                folder => folder,
+            };
+            return Err(Error::usage(
+                format!(
+                    "`--out {text}` names no file: it is the beginning of a path, such as dances/one"
+                ),
+                format!(
+                    "for files in that folder: `--out {}`",
+                    Path::new(folder).join("sample").display()
+                ),
+            ));
+        }
+        Ok(Self {
+            stem: stem.to_string(),
+            existing,
+            tell: |written| {
+                for file in &written.files {
+                    say!("{}", file.display());
+                }
+            },
+            ..Self::silent(Path::new(""))
+        })
+    }
+
+    /// The same, not printed but [kept](Self::kept).
+    #[must_use]
+    pub fn keeping(self) -> Self {
+        Self {
+            tell: |_| {},
+            keeps: true,
+            ..self
+        }
+    }
+
+    /// Files in `folder` that are not printed.
+    pub fn silent(folder: &Path) -> Self {
+        Self {
+            stem: format!("{}/", folder.display()),
+            existing: Existing::Replaced,
+            bar: None,
+            tell: |_| {},
+            keeps: false,
+            kept: Vec::new(),
+            written: 0,
+        }
+    }
+
+    /// Motions written so far.
+    pub fn written(&self) -> usize {
+        self.written
+    }
+
+    /// The samples that were written, if they are kept.
+    pub fn kept(self) -> Vec<Written> {
+        self.kept
+    }
+
+    fn path(&self, name: &str, extension: &str) -> PathBuf {
+        PathBuf::from(format!("{}{name}{extension}", self.stem))
+    }
+
+    /// Where the motion of a sample is written.
+    pub fn motion_path(&self, drawn: &Drawn) -> PathBuf {
+        let extension = drawn.files.first().map_or("", |(extension, _)| extension);
+        self.path(&drawn.name, extension)
+    }
+
+    /// Writes all files of a sample and returns them, the motion first and the record last; or
+    /// removes those that were written.
+    ///
+    /// # Errors
+    /// If one cannot be written.
+    pub fn write(&self, drawn: &Drawn) -> Result<Vec<PathBuf>, Error> {
+        let mut files = Vec::with_capacity(drawn.files.len() + 1);
+        let mut write = || {
+            for (extension, contents) in &drawn.files {
+                let path = self.path(&drawn.name, extension);
+                write_contents(&path, contents)?;
+                files.push(path);
+            }
+            let path = self.path(&drawn.name, RECORD);
+            let record = serde_json::to_string_pretty(&drawn.record).expect("plain data") + "\n";
+            write_whole(&path, record.as_bytes())?;
+            files.push(path);
+            Ok(())
+        };
+        match write() {
+            Ok(()) => Ok(files),
+            Err(error) => {
+                for file in files {
+                    let _ = fs::remove_file(file);
+                }
+                Err(error)
+            }
+        }
+    }
+}
+
+fn write_contents(path: &Path, contents: &Contents) -> Result<(), Error> {
+    match contents {
+        Contents::Array { shape, values } => write_values(path, shape, values)?,
+        Contents::Figure { joints, skeleton } => {
+            write_whole(path, bvh_text(joints, skeleton)?.as_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+/// Rejects a motion whose numbers are not finite; `stem` begins the names of its files.
+///
+/// # Errors
+/// Names the first file.
+pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
+    for (extension, contents) in &drawn.files {
+        if let Contents::Array { values, .. } = contents
+            && !values.iter().all(|value| value.is_finite())
+        {
+            let sample = format!("{stem}{}{extension}", drawn.name);
+            return Err(Error::SampleNotFinite { sample });
+        }
+    }
+    Ok(())
+}
+
+/// The text of the BVH file of joint positions, in centimetres.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
+    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
+    Ok(bvh.to_text())
+}
+
+impl Receiver for Files {
+    fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
+        let bar = self.bar.get_or_insert_with(|| Denoising::of(""));
+        bar.show(stage, done, all);
+    }
+
+    fn announced(&mut self, names: &Names, extensions: &[&str]) -> Result<(), Error> {
+        if self.existing == Existing::Replaced {
+            return Ok(());
+        }
+        let stem = Path::new(&self.stem);
+        let (Some(start), Some(folder)) = (stem.file_name(), stem.parent()) else {
+            return Ok(());
+        };
+        let start = start.to_string_lossy();
+        let folder = match folder.as_os_str().is_empty() {
+            true => Path::new("."),
+            false => folder,
+        };
+        // Names may be a billion: what is there is compared with them, not they with what is there.
+        let mut taken: Vec<String> = fs::read_dir(folder)
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .filter(|file| {
+                let extensions = extensions.iter().chain([&RECORD]);
+                let rest = file.strip_prefix(&*start);
+                extensions
+                    .filter_map(|extension| rest?.strip_suffix(extension))
+                    .any(|name| names.contains(name))
+            })
+            .collect();
+        taken.sort();
+        let Some(first) = taken.first().map(|file| stem.with_file_name(file)) else {
+            return Ok(());
+        };
+        let exist = match taken.len() {
+            1 => "exists".to_string(),
+            all => format!("and {} more of its files exist", all - 1),
+        };
+        Err(Error::usage(
+            format!("{} {exist} already: nothing was drawn", first.display()),
+            "`--overwrite` replaces what is there; or choose another `--out`",
+        ))
+    }
+
+    fn drawn(&mut self, drawn: Drawn) -> Result<(), Error> {
+        if let Some(bar) = self.bar.take() {
+            bar.finish();
+        }
+        must_be_finite(&drawn, &self.stem)?;
+        let files = interrupt::not_during(|| self.write(&drawn))?;
+        self.written += 1;
+        let written = Written {
+            files,
+            record: drawn.record,
+        };
+        (self.tell)(&written);
+        if self.keeps {
+            self.kept.push(written);
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, text: &str) {
+        tell!("{text}");
+    }
+
+    fn warning(&mut self, text: &str) {
+        tell!("warning: {text}");
+    }
+}

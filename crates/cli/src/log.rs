@@ -1,0 +1,28 @@
+//! What goes on inside, for those who ask: `--verbose`, RUST_LOG.
+
+use std::io::Write as _;
+
+use crate::args::TalkArguments;
+use crate::output;
+
+/// Variable of the environment with levels by module, such as `kinegrad_train=debug`.
+const VARIABLE: &str = "RUST_LOG";
+
+/// Sets what is printed to standard error from now on.
+pub fn start(talk: TalkArguments) {
+    if talk.quiet {
+        output::be_quiet();
+    }
+    let default = match talk.verbose {
+        true => "kinegrad=debug,kinegrad_train=debug,kinegrad_data=debug,kinegrad_cli=debug",
+        false => "off",
+    };
+    let environment = env_logger::Env::default().filter_or(VARIABLE, default);
+    // Fails only if there is a logger already, as in a program of several command lines.
+    let _ = env_logger::Builder::from_env(environment)
+        .format(|out, record| {
+            let level = record.level().as_str().to_lowercase();
+            writeln!(out, "{level}: {}", record.args())
+        })
+        .try_init();
+}

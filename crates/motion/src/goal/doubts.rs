@@ -1,0 +1,184 @@
+//! Goals that no body can reach.
+
+use super::{Goal, Obstacle};
+
+/// Speed that a sprinter reaches, metres per second.
+const FASTEST: f64 = 12.0;
+
+/// A position that the root is to have.
+struct Stop {
+    name: String,
+    frame: usize,
+    position: [f64; 2],
+}
+
+impl Goal {
+    /// What is impossible about a valid goal in a clip of `fps` frames per second, in words: ways
+    /// that are too far for the time, positions inside an obstacle. Empty for a goal that a body
+    /// can reach.
+    pub fn doubts(&self, fps: f64) -> Vec<String> {
+        let stops = self.stops();
+        let too_fast = match self.trajectory {
+            // Each of many points would be a line.
+            Some(_) => fastest(&stops, fps).into_iter().collect(),
+            None => ways(&stops, fps).map(|(_, text)| text).collect(),
+        };
+        let mut doubts: Vec<String> = too_fast;
+        doubts.extend(self.inside_obstacles(&stops));
+        doubts
+    }
+
+    /// Where the root is to be, by frame. A clip begins at the origin.
+    fn stops(&self) -> Vec<Stop> {
+        let mut stops: Vec<Stop> = match &self.trajectory {
+            Some(trajectory) => {
+                let points = trajectory.points.iter().enumerate();
+                let stop = |(index, &position)| Stop {
+                    name: format!("trajectory.points[{index}]"),
+                    frame: trajectory.first_frame + index,
+                    position,
+                };
+                points.map(stop).collect()
+            }
+            None => {
+                let keyframes = self.keyframes.iter().enumerate();
+                let stop = |(index, keyframe): (usize, &super::Keyframe)| Stop {
+                    name: format!("keyframe[{index}]"),
+                    frame: keyframe.frame,
+                    position: keyframe.position(),
+                };
+                keyframes.map(stop).collect()
+            }
+        };
+        stops.sort_by_key(|stop| stop.frame);
+        if stops.first().is_some_and(|first| first.frame > 0) {
+            let start = Stop {
+                name: "the start".into(),
+                frame: 0,
+                position: [0.0; 2],
+            };
+            stops.insert(0, start);
+        }
+        stops
+    }
+
+    fn inside_obstacles(&self, stops: &[Stop]) -> Vec<String> {
+        let mut doubts = Vec::new();
+        for (index, obstacle) in self.obstacles.iter().enumerate() {
+            let depth = |stop: &Stop| -Obstacle::signed_distance(obstacle, stop.position);
+            let inside = || stops.iter().filter(|stop| depth(stop) > 0.0);
+            let deepest = inside().max_by(|a, b| depth(a).total_cmp(&depth(b)));
+            let Some(deepest) = deepest else { continue };
+            let Stop { name, frame, .. } = deepest;
+            let more = match inside().count() {
+                1 => String::new(),
+                all => format!(", and {} more positions are inside it", all - 1),
+            };
+            doubts.push(format!(
+                "{name} (frame {frame}) is {:.2} m inside obstacle[{index}]{more}: the goal \
+                 contradicts itself",
+                depth(deepest)
+            ));
+        }
+        doubts
+    }
+}
+
+/// The ways between neighbouring stops that take more than a sprinter, with their speed.
+fn ways(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
+    stops.windows(2).filter_map(move |pair| {
+        let [from, to] = pair else { return None };
+        let metres = (to.position[0] - from.position[0]).hypot(to.position[1] - from.position[1]);
+        let seconds = (to.frame - from.frame) as f64 / fps;
+        let speed = metres / seconds;
+        let text = format!(
+            "from {} (frame {}) to {} (frame {}) it is {metres:.1} m in {seconds:.2} s, {speed:.1} \
+             m/s: no body runs faster than {FASTEST} m/s, so the goal will be missed",
+            from.name, from.frame, to.name, to.frame
+        );
+        (speed > FASTEST).then_some((speed, text))
+    })
+}
+
+/// The fastest of them, and how many there are beside it.
+fn fastest(stops: &[Stop], fps: f64) -> Option<String> {
+    let all = ways(stops, fps).count();
+    let (_, text) = ways(stops, fps).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(match all {
+        1 => text,
+        all => format!("{text}; {} other steps are too fast too", all - 1),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Keyframe, Trajectory};
+    use super::*;
+
+    fn goal(keyframes: &[(usize, f64, f64)]) -> Goal {
+        let keyframe = |&(frame, x, z): &(usize, f64, f64)| Keyframe { frame, x, z };
+        Goal {
+            keyframes: keyframes.iter().map(keyframe).collect(),
+            ..Goal::new(120)
+        }
+    }
+
+    #[test]
+    fn a_way_that_no_body_runs_is_named_with_distance_time_and_speed() {
+        let doubts = goal(&[(30, 0.0, 100.0)]).doubts(20.0);
+        assert_eq!(doubts.len(), 1);
+        for part in [
+            "the start (frame 0)",
+            "keyframe[0] (frame 30)",
+            "100.0 m in 1.50 s",
+            "66.7 m/s",
+        ] {
+            assert!(doubts[0].contains(part), "{doubts:?}");
+        }
+        // Keyframes in any order; only the second way is too far.
+        let doubts = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).doubts(20.0);
+        assert_eq!(doubts.len(), 1, "{doubts:?}");
+        assert!(doubts[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));
+    }
+
+    #[test]
+    fn what_a_body_can_run_draws_no_word() {
+        assert!(goal(&[(20, 0.0, 11.9)]).doubts(20.0).is_empty());
+        assert!(
+            goal(&[(0, 5.0, 5.0), (20, 5.0, 6.0)])
+                .doubts(20.0)
+                .is_empty()
+        );
+        assert!(Goal::new(10).doubts(20.0).is_empty());
+    }
+
+    #[test]
+    fn of_a_trajectory_the_fastest_step_is_named() {
+        let mut goal = Goal::new(10);
+        let points = vec![[0.0, 0.0], [0.0, 0.7], [0.0, 2.7], [0.0, 2.8]];
+        goal.trajectory = Some(Trajectory {
+            first_frame: 0,
+            points,
+        });
+        let doubts = goal.doubts(20.0);
+        assert_eq!(doubts.len(), 1, "{doubts:?}");
+        assert!(doubts[0].contains("trajectory.points[1] (frame 1) to trajectory.points[2]"));
+        assert!(
+            doubts[0].ends_with("; 1 other steps are too fast too"),
+            "{doubts:?}"
+        );
+    }
+
+    #[test]
+    fn a_keyframe_inside_an_obstacle_contradicts_the_goal() {
+        let mut goal = goal(&[(60, 1.0, 1.0)]);
+        goal.obstacles = vec![Obstacle::Disc {
+            x: 1.0,
+            z: 1.25,
+            radius: 0.5,
+        }];
+        let doubts = goal.doubts(20.0);
+        assert_eq!(doubts.len(), 1, "{doubts:?}");
+        assert!(doubts[0].starts_with("keyframe[0] (frame 60) is 0.25 m inside obstacle[0]"));
+    }
+}

@@ -1,0 +1,152 @@
+//! The config of a run that goes on: what was saved, and what the command line changes.
+
+use toml::{Table, Value};
+
+use super::{Config, PLAIN, difference, may_differ};
+
+/// A key of the given file that a resumed run does not take.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kept {
+    /// Dotted key.
+    pub key: String,
+    /// Its value in the run's saved config, as JSON.
+    pub saved: String,
+    /// Its value in the given file, as JSON.
+    pub given: String,
+}
+
+/// What a resumed run goes on with: the `saved` config, with what the `overrides` of the command
+/// line set, as it stands in `given`, the file with these overrides. `defaults` is the config of
+/// neither.
+///
+/// Keys that [may differ](may_differ) and stand in the file alone are not taken, and returned:
+/// a run that was started with overrides goes on as it was, without them. Other keys that the file
+/// changes are taken, so that they can be [refused](super::must_continue).
+pub(crate) fn resumed(
+    saved: &Config,
+    given: &Config,
+    defaults: &Config,
+    file: &Table,
+    overrides: &[String],
+) -> (Table, Vec<Kept>) {
+    let set: Vec<&str> = overrides
+        .iter()
+        .filter_map(|argument| Some(argument.split_once('=')?.0.trim()))
+        .collect();
+    let is_set = |key: &str| set.iter().any(|set| is_of(key, set));
+    let not_default: Vec<String> = difference(defaults, given)
+        .into_iter()
+        .map(|difference| difference.key)
+        .collect();
+    let is_in_file = |key: &str| stands_in(file, key);
+    let mut kept = Vec::new();
+    let mut taken = Vec::new();
+    for difference in difference(saved, given) {
+        let key = &difference.key;
+        if is_set(key) || (!may_differ(key) && (is_in_file(key) || not_default.contains(key))) {
+            taken.push(difference.key);
+        } else if may_differ(key) && is_in_file(key) {
+            kept.push(Kept {
+                key: difference.key,
+                saved: difference.left,
+                given: difference.right,
+            });
+        }
+    }
+    let [mut table, given] = [saved, given].map(|config| Table::try_from(config).expect(PLAIN));
+    for key in &taken {
+        take(&mut table, &given, key);
+    }
+    (table, kept)
+}
+
+/// Whether a dotted key is `table`, or lies in it.
+fn is_of(key: &str, table: &str) -> bool {
+    let rest = key.strip_prefix(table);
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
+fn stands_in(table: &Table, key: &str) -> bool {
+    match key.split_once('.') {
+        None => table.contains_key(key),
+        Some((name, rest)) => match table.get(name) {
+            Some(Value::Table(inner)) => stands_in(inner, rest),
+            Some(_) | None => false,
+        },
+    }
+}
+
+/// Sets `key` of `table` to what it is in `from`, or to nothing where it has none.
+fn take(table: &mut Table, from: &Table, key: &str) {
+    match key.split_once('.') {
+        None => match from.get(key) {
+            Some(value) => drop(table.insert(key.into(), value.clone())),
+            None => drop(table.remove(key)),
+        },
+        Some((name, rest)) => {
+            let entry = table
+                .entry(name.to_string())
+                .or_insert_with(|| Value::Table(Table::new()));
+            let empty = Table::new();
+            let from = from.get(name).and_then(Value::as_table).unwrap_or(&empty);
+            match entry {
+                Value::Table(inner) => take(inner, from, rest),
+                other => *other = Value::Table(from.clone()),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::systems::BUILT_IN;
+
+    fn config(text: &str, overrides: &[&str]) -> Config {
+        let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+        BUILT_IN
+            .parse(text, "c.toml", &overrides)
+            .expect("a config")
+    }
+
+    fn resume(file: &str, started_with: &[&str], overrides: &[&str]) -> (Config, Vec<String>) {
+        let saved = config(file, started_with);
+        let given = config(file, overrides);
+        let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+        let table: Table = file.parse().expect("TOML");
+        let (resumed, kept) = resumed(&saved, &given, &config("", &[]), &table, &overrides);
+        let text = toml::to_string(&resumed).expect("plain");
+        let kept = kept.into_iter().map(|kept| kept.key).collect();
+        (config(&text, &[]), kept)
+    }
+
+    const FILE: &str = "[train]\nmax_steps = 600\n[run]\nname = \"a\"";
+
+    #[test]
+    fn what_a_run_was_started_with_stays_and_the_file_is_named() {
+        let (config, kept) = resume(FILE, &["train.max_steps=300"], &[]);
+        assert_eq!(config.train.max_steps, 300);
+        assert_eq!(kept, ["train.max_steps"]);
+        // A key that does not stand in the file draws no word.
+        let (config, kept) = resume(FILE, &["checkpoint.keep_last=7"], &[]);
+        assert_eq!(config.checkpoint.keep_last, 7);
+        assert!(kept.is_empty(), "{kept:?}");
+    }
+
+    #[test]
+    fn the_command_line_extends_a_run() {
+        let (config, kept) = resume(FILE, &["train.max_steps=300"], &["train.max_steps=600"]);
+        assert_eq!((config.train.max_steps, kept), (600, Vec::new()));
+        let (config, _) = resume(FILE, &[], &["data.source=elsewhere"]);
+        assert_eq!(config.data.source.as_deref(), Some("elsewhere"));
+    }
+
+    #[test]
+    fn other_keys_of_the_command_line_stay_too_and_those_of_the_file_are_taken() {
+        let (config, kept) = resume(FILE, &["optim.learning_rate=0.5"], &[]);
+        assert_eq!((config.optim.learning_rate, kept), (0.5, Vec::new()));
+        let file = "[optim]\nlearning_rate = 0.25";
+        let (config, kept) = resume(file, &["optim.learning_rate=0.5"], &[]);
+        assert_eq!((config.optim.learning_rate, kept), (0.25, Vec::new()));
+    }
+}

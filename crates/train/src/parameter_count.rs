@@ -1,0 +1,63 @@
+//! What the number of parameters of a model counts.
+
+use kinegrad_models::parameters::ParameterInfo;
+use serde::Serialize;
+
+/// Parameters of the networks of a run, as it trains them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ParameterCount {
+    /// All of them: trained, frozen and adapters.
+    pub all: usize,
+    /// Those that training changes.
+    pub trained: usize,
+    /// Those of low-rank adapters.
+    pub adapters: usize,
+    /// All of them by network, where there are several.
+    pub networks: Vec<(String, usize)>,
+}
+
+impl ParameterCount {
+    /// A single network, all of which is trained.
+    pub fn trained(all: usize) -> Self {
+        Self {
+            all,
+            trained: all,
+            ..Self::default()
+        }
+    }
+
+    /// The count of parameters by their names, each with whether it is trained. Parameters of
+    /// `networks` begin with their name and a dot.
+    pub fn of(
+        infos: &[ParameterInfo],
+        networks: &[&str],
+        is_trained: impl Fn(usize, &ParameterInfo) -> bool,
+    ) -> Self {
+        let mut count = Self::default();
+        fn network(info: &ParameterInfo) -> &str {
+            info.name.split('.').next().unwrap_or_default()
+        }
+        for (index, info) in infos.iter().enumerate() {
+            count.all += info.len();
+            count.trained += if is_trained(index, info) {
+                info.len()
+            } else {
+                0
+            };
+            count.adapters += if is_adapter(info) { info.len() } else { 0 };
+        }
+        for &name in networks {
+            let own = infos.iter().filter(|info| network(info) == name);
+            let own = own.map(ParameterInfo::len).sum();
+            if own > 0 {
+                count.networks.push((name.to_string(), own));
+            }
+        }
+        count
+    }
+}
+
+/// Whether a parameter is one of a low-rank adapter.
+pub(crate) fn is_adapter(info: &ParameterInfo) -> bool {
+    info.name.split('.').any(|part| part == "lora")
+}
