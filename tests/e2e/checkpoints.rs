@@ -237,7 +237,7 @@ fn a_checkpoint_stands_alone() {
             .iter()
             .filter(|name| name.starts_with("s-"))
             .count(),
-        4
+        6
     );
 }
 

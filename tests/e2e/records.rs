@@ -8,7 +8,8 @@ use serde_json::Value;
 fn trained(config: &str, settings: &str) -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", config);
-    let train = format!("train c.toml --set train.max_steps=2 {settings}");
+    let train =
+        format!("train c.toml --set train.max_steps=2 --set optim.warmup_steps=1 {settings}");
     sandbox.run(&train).succeeded();
     sandbox
 }
@@ -228,7 +229,7 @@ fn a_dry_run_says_what_a_run_would_take_and_writes_nothing() {
     let before = contents(&sandbox.path("."));
     let plan = sandbox.run("train c.toml --dry-run").succeeded();
     for part in [
-        "parameters",
+        "113,593 parameters",
         "memory",
         "time for a step",
         "time for all",
@@ -243,7 +244,7 @@ fn a_dry_run_says_what_a_run_would_take_and_writes_nothing() {
     assert_eq!(plan["train_items"], 10);
     // A base model and a decoder come before: the last training is planned all the same.
     let e2e = "train c.toml --dry-run --json --set train.recipe=e2e --set data.target_frames=16 \
-               --set rollout.num_inference_steps=2 --set lora.rank=2";
+               --set rollout.steps=2 --set lora.rank=2";
     let plan = sandbox.run(e2e).succeeded();
     assert!(
         plan.stderr.contains("a base model is trained first"),
@@ -284,7 +285,7 @@ fn all_counts_of_parameters_agree() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST);
     sandbox.write("walks.toml", SMALLEST_WALKS);
-    let tuned = "--set train.recipe=e2e --set rollout.num_inference_steps=2";
+    let tuned = "--set train.recipe=e2e --set rollout.steps=2";
     for arguments in [
         "c.toml".to_string(),
         "walks.toml".to_string(),
@@ -294,7 +295,7 @@ fn all_counts_of_parameters_agree() {
     ] {
         let shown = sandbox.run(&format!("config show {arguments}")).succeeded();
         let first = shown.stdout.lines().next().unwrap_or_default();
-        let count = first.strip_prefix("# parameters: ").expect("a count");
+        let count = first.strip_prefix("# model: ").expect("a count");
         let plan = sandbox
             .run(&format!("train {arguments} --dry-run"))
             .succeeded();
@@ -311,7 +312,7 @@ fn a_quiet_command_prints_results_and_a_verbose_one_what_it_reads() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST);
     let quiet = sandbox
-        .run("train c.toml --set train.max_steps=2 --quiet")
+        .run("train c.toml --set train.max_steps=2 --set optim.warmup_steps=1 --quiet")
         .succeeded();
     assert_eq!(quiet.stderr, "");
     assert!(quiet.stdout.contains("finished"), "{}", quiet.stdout);

@@ -236,7 +236,7 @@ fn a_longer_run_continues_a_finished_one() {
         finished.stdout
     );
     sandbox
-        .run(&format!("train c.toml {constant} --runs-dir a --resume"))
+        .run("train --resume a/smallest --set train.max_steps=40")
         .succeeded();
     sandbox
         .run(&format!("train c.toml {constant} --runs-dir b"))

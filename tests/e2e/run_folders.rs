@@ -128,7 +128,7 @@ fn a_signal_while_samples_are_drawn_ends_the_run_and_resuming_draws_them() {
     assert!(!sandbox.path("runs/smallest/samples").exists());
 
     sandbox.run(&resume).succeeded();
-    assert_eq!(samples(&sandbox).len(), 2);
+    assert_eq!(samples(&sandbox).len(), 3);
     assert!(!sandbox.path("runs/smallest/.writing-samples").exists());
 }
 
@@ -139,7 +139,8 @@ fn samples_are_added_to_what_the_folder_holds() {
                  --set sampling.sampler.num_inference_steps=2 --set train.max_steps";
     sandbox.run(&format!("{train}=2")).succeeded();
     let drawn = samples(&sandbox);
-    let bytes = || fs::read(sandbox.path("runs/smallest/samples").join(&drawn[0])).expect("bytes");
+    let bytes = || fs::read(sandbox.path("runs/smallest/samples").join(&drawn[1])).expect("bytes");
+    // The motion: its record stands first.
     let before = bytes();
     let mine = sandbox.write("runs/smallest/samples/notes.txt", "mine");
     sandbox.run(&format!("{train}=4 --resume")).succeeded();
@@ -174,7 +175,7 @@ fn samples_need_a_name() {
     sandbox
         .run("sample runs/smallest --steps 2 --out made/one.npy")
         .succeeded();
-    assert_eq!(sandbox.list("made"), ["one.npy", "one.raw.npy"]);
+    assert_eq!(sandbox.list("made"), ["one.json", "one.npy", "one.raw.npy"]);
 }
 
 #[test]

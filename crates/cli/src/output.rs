@@ -82,8 +82,8 @@ pub fn parameters(count: &ParameterCount) -> String {
         ));
     }
     match parts.is_empty() {
-        true => grouped(count.all),
-        false => format!("{} ({})", grouped(count.all), parts.join(", ")),
+        true => format!("{} parameters", grouped(count.all)),
+        false => format!("{} parameters ({})", grouped(count.all), parts.join(", ")),
     }
 }
 

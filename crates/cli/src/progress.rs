@@ -77,7 +77,7 @@ impl Observer for TrainProgress<'_> {
     fn started(&mut self, summary: &RunSummary) {
         self.trains.store(true, Ordering::SeqCst);
         tell!(
-            "run {}: parameters {}, on {}, {} phrases to train on, {} held out",
+            "run {}: {} on {}, {} phrases to train on, {} held out",
             summary.name,
             output::parameters(&summary.parameters),
             summary.device,

@@ -24,7 +24,7 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     }
     let (system, _) = systems.of(&config)?;
     let parameters = output::parameters(&system.parameters(&config)?);
-    say!("# parameters: {parameters}");
+    say!("# model: {parameters}");
     let needed = system.footprint(&config)?.of_training(&config, true);
     say!(
         "# memory: about {} to train it on the CPU",

@@ -53,7 +53,7 @@ pub fn print(plan: &Plan, json: bool) {
         ("run", plan.folder.display().to_string()),
         ("recipe", plan.recipe.clone()),
         ("device", plan.device.clone()),
-        ("parameters", output::parameters(&plan.parameters)),
+        ("model", output::parameters(&plan.parameters)),
         ("dataset", items),
         ("batch", batch),
         ("memory", memory),

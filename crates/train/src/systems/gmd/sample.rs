@@ -5,11 +5,9 @@ use std::sync::Arc;
 
 use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, read_embedding};
-use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
-use kinegrad_settings::{Refused, in_range};
 
 use super::Gmd;
 use super::evaluate::embedding;
@@ -54,9 +52,6 @@ pub(super) fn sample(
     )?;
     if let Some(count) = conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver);
-    }
-    if let Some(frames) = request.frames {
-        in_range("--frames", frames, 1..=MAX_FRAMES).hint("20 frames are one second")?;
     }
     let goals: Vec<Goal> = conditions
         .goals
