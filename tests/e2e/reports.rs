@@ -133,7 +133,12 @@ fn a_page_is_made_of_any_run() {
     let merged = page(&sandbox, "runs/merged", "runs/merged/report.html");
     holds(
         &merged,
-        &["weights only", "There are no metrics", "not recorded"],
+        &[
+            "<h1>merged</h1>",
+            "weights only",
+            "There are no metrics",
+            "not recorded",
+        ],
     );
 
     // Stopped in a stage, before its own folder holds anything.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
-use kinegrad_report::page::{Block, Cell, Page, Section, Tone, csv_table, html};
+use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, config};
@@ -121,15 +121,12 @@ fn records(run: &Run) -> Vec<Record> {
     read_metrics(&run.folder, warn).unwrap_or_default()
 }
 
+/// The folder's name, which is the run's.
 fn title(run: &Run) -> String {
-    let named = run.config.as_ref().map(|config| config.run.name.clone());
     let folder = run.folder.canonicalize();
     let folder = folder.unwrap_or_else(|_| run.folder.clone());
-    let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    // What was imported has no name of its own.
-    named
-        .filter(|name| !name.is_empty())
-        .unwrap_or_else(|| name.into_owned())
+    let name = folder.file_name().unwrap_or(folder.as_os_str());
+    name.to_string_lossy().into_owned()
 }
 
 fn subtitle(run: &Run) -> String {
@@ -189,7 +186,13 @@ fn evaluation(run: &Path) -> Section {
         match csv_table(&text).filter(|table| is_csv && !table.rows.is_empty()) {
             Some(table) => {
                 section.add(Block::Heading(name.into_owned()));
-                section.add(Block::Table(table));
+                let chief = chief(&table);
+                let whole = chief.rows.len() == table.rows.len();
+                section.add(Block::Table(chief));
+                if !whole {
+                    let title = "every measure".into();
+                    section.add(Block::Folded { title, table });
+                }
             }
             None if is_csv => {
                 section.add(Block::Warning(format!("{} is no table", path.display())));
@@ -201,6 +204,19 @@ fn evaluation(run: &Path) -> Section {
         }
     }
     section
+}
+
+/// What is looked at first: measures that are no part of another, and shares of all checks.
+fn chief(table: &Table) -> Table {
+    let is_chief = |row: &&Vec<Cell>| {
+        let name = row.first().map_or("", |cell| &cell.text);
+        let parts = name.split('.').count();
+        row.len() == 1 || parts == 1 || parts == 2 && name.ends_with("pass_rate")
+    };
+    Table {
+        header: table.header.clone(),
+        rows: table.rows.iter().filter(is_chief).cloned().collect(),
+    }
 }
 
 /// The resolved config.

@@ -8,6 +8,9 @@ use super::{Cell, Table};
 pub fn csv_table(text: &str) -> Option<Table> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().ok()?.clone();
+    if header.len() < 2 {
+        return None;
+    }
     let mut rows = Vec::new();
     let mut group = String::new();
     for record in reader.records() {
@@ -60,6 +63,7 @@ mod tests {
     #[test]
     fn what_is_no_csv_is_no_table() {
         assert_eq!(csv_table("a,b\n1\n"), None);
+        assert_eq!(csv_table("a\n1\n"), None);
         assert_eq!(csv_table("a,b\n").expect("empty").rows.len(), 0);
     }
 }

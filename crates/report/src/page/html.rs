@@ -140,6 +140,11 @@ fn block(out: &mut String, block: &Block) {
             embedded.for_each(|scene| *out += &scene);
             writeln!(out, "</div>")
         }
+        Block::Folded { title, table } => {
+            let _ = write!(out, "<details><summary>{}</summary>", escape(title));
+            self::table(out, table);
+            writeln!(out, "</details>")
+        }
         Block::Source { title, text } => writeln!(
             out,
             "<details><summary>{}</summary><pre>{}</pre></details>",
@@ -207,7 +212,11 @@ mod tests {
             Block::Text(bad()),
             Block::Warning(bad()),
             Block::Facts(vec![(bad(), bad())]),
-            Block::Table(table),
+            Block::Table(table.clone()),
+            Block::Folded {
+                title: bad(),
+                table,
+            },
             Block::Charts(vec![chart]),
             Block::Source {
                 title: bad(),

@@ -51,6 +51,13 @@ pub enum Block {
     Charts(Vec<Chart>),
     /// Moving figures beside one another.
     Scenes(Vec<Scene>),
+    /// A long table, folded away below its title.
+    Folded {
+        /// Title.
+        title: String,
+        /// The table.
+        table: Table,
+    },
     /// Text as it stands, folded away below its title.
     Source {
         /// Title.
@@ -121,7 +128,7 @@ impl Section {
     pub fn add(&mut self, block: Block) {
         let is_empty = match &block {
             Block::Facts(facts) => facts.is_empty(),
-            Block::Table(table) => table.rows.is_empty(),
+            Block::Table(table) | Block::Folded { table, .. } => table.rows.is_empty(),
             Block::Charts(charts) => charts.iter().all(Chart::is_empty),
             Block::Scenes(scenes) => scenes.is_empty(),
             Block::Heading(text) | Block::Text(text) | Block::Warning(text) => text.is_empty(),
