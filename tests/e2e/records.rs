@@ -7,9 +7,10 @@ use serde_json::Value;
 /// A sandbox with a trained run.
 fn trained(config: &str, settings: &str) -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    // As short as the trainings are.
+    let config = config.replace("warmup_steps = 5", "warmup_steps = 1");
     sandbox.write("c.toml", config);
-    let train =
-        format!("train c.toml --set train.max_steps=2 --set optim.warmup_steps=1 {settings}");
+    let train = format!("train c.toml --set train.max_steps=2 {settings}");
     sandbox.run(&train).succeeded();
     sandbox
 }
@@ -183,6 +184,13 @@ fn the_saved_config_wins_on_resume() {
         resumed.stdout
     );
     assert_eq!(metrics(), before);
+    // What must not change is refused, and the way without the file is named.
+    sandbox
+        .run("train c.toml --resume --set optim.warmup_steps=2")
+        .failed(
+            2,
+            &["`optim.warmup_steps` is 2", "kinegrad train --resume RUN"],
+        );
     // Without a config, from any folder.
     std::fs::remove_file(sandbox.path("c.toml")).expect("the config");
     let resumed = sandbox.run("train --resume runs/smallest -q").succeeded();
