@@ -14,6 +14,7 @@ fn help() {
         "check",
         "eval",
         "plot",
+        "view",
         "data",
         "data synth",
         "data prepare",

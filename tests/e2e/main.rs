@@ -16,3 +16,4 @@ mod run_folders;
 mod sizes;
 mod stages;
 mod train;
+mod view;
