@@ -304,6 +304,27 @@ def test_points_of_no_skeleton_and_paths_on_the_ground_are_shown(kinegrad, show,
     assert joints(page, 1, 3)[0] == pytest.approx([0.6, 0.0, 0.7], abs=1e-3)
 
 
+def test_thumbnails_move_while_they_are_seen(kinegrad, show, tmp_path):
+    write_npy(tmp_path / "walk.npy", (60, 22, 3), walk(60))
+    kinegrad("view", "walk.npy", cwd=tmp_path)
+    page = (tmp_path / "walk.html").read_text()
+    start, end = page.index('<section class="kg"'), page.index("</section>") + len("</section>")
+    small = page[start:end].replace('class="kg"', 'class="kg kg-small"')
+    below = '<div style="height: 3000px"></div>'
+    (tmp_path / "small.html").write_text(page[:start] + 20 * small + below + small + page[end:])
+    page = show(tmp_path / "small.html")
+    until(page, f"{FIRST}.frame > 5")
+    assert page.locator(".kg-chart, input, select").count() == 0
+    last = "kinegrad.viewers[20]"
+    assert page.evaluate(f"{last}.scene === undefined")
+    page.locator("section").last.scroll_into_view_if_needed()
+    until(page, f"{last}.frame > 3")
+    page.wait_for_timeout(100)
+    shown = page.evaluate(f"{FIRST}.frame")
+    page.wait_for_timeout(300)
+    assert page.evaluate(f"{FIRST}.frame") == shown
+
+
 def test_long_motions_are_played_in_time(kinegrad, show, tmp_path):
     """20,000 frames of 22 joints, four times: the figure is printed, and judged by people."""
     for seed in range(4):
