@@ -16,6 +16,7 @@ fn help() {
         "plot",
         "report",
         "runs",
+        "view",
         "data",
         "data synth",
         "data prepare",

@@ -23,3 +23,4 @@ mod run_folders;
 mod sizes;
 mod stages;
 mod train;
+mod view;

@@ -143,18 +143,21 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
     })
 }
 
-/// A name for each file: its stem, with its folder's where stems are alike.
+/// A name for each file: its stem, that of its folder for the `ID/trajectory.npy` of datasets, and
+/// both where names are alike.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &Path| {
-        path.file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned()
+        let stem = path.file_stem().unwrap_or_default();
+        stem.to_string_lossy().into_owned()
     };
-    let different: HashSet<String> = paths.iter().map(|path| stem(path)).collect();
     let folder = |path: &Path| stem(path.parent().unwrap_or(Path::new("")));
+    let short = |path: &PathBuf| match stem(path) {
+        stem if stem == "trajectory" && !folder(path).is_empty() => folder(path),
+        stem => stem,
+    };
+    let different: HashSet<String> = paths.iter().map(short).collect();
     let name = |path: &PathBuf| match different.len() == paths.len() {
-        true => stem(path),
+        true => short(path),
         false => format!("{}/{}", folder(path), stem(path)),
     };
     paths.iter().map(name).collect()
@@ -291,6 +294,8 @@ mod tests {
         let paths = |names: [&str; 2]| names.map(PathBuf::from);
         assert_eq!(names(&paths(["x/a.npy", "x/b.raw.npy"])), ["a", "b.raw"]);
         assert_eq!(names(&paths(["x/a.npy", "y/a.npy"])), ["x/a", "y/a"]);
+        let of_dataset = paths(["d/motion/one/trajectory.npy", "d/motion/two/trajectory.npy"]);
+        assert_eq!(names(&of_dataset), ["one", "two"]);
     }
 
     #[test]

@@ -75,9 +75,9 @@ impl Camera {
         let mut extent = [[f32::INFINITY; 2], [f32::NEG_INFINITY; 2]];
         for point in points {
             let seen = self.see(*point)?;
-            for axis in 0..2 {
-                extent[0][axis] = extent[0][axis].min(seen.at[axis]);
-                extent[1][axis] = extent[1][axis].max(seen.at[axis]);
+            let [low, high] = &mut extent;
+            for ((low, high), at) in low.iter_mut().zip(high).zip(seen.at) {
+                (*low, *high) = (low.min(at), high.max(at));
             }
         }
         (!points.is_empty()).then_some(extent)

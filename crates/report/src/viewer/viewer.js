@@ -41,6 +41,9 @@ class Viewer {
     this.small = section.classList.contains("kg-small");
     this.frameTimes = [];
     this.shown = -1;
+    // Until the motion is unpacked.
+    this.frames = 1;
+    this.fps = 1;
     this.visible = !this.small;
     this.camera = new Camera();
     this.ready = this.small ? new Promise((done) => (this.wake = done)) : Promise.resolve();
@@ -96,19 +99,19 @@ class Viewer {
 
   // The frame at the finest rate of the figures.
   get frame() {
-    return Math.min(this.frames - 1, Math.floor(this.clock.time * this.fps + 1e-4));
+    return Math.min(this.frames - 1, Math.floor(this.time * this.fps + 1e-4));
   }
 
   get time() {
-    return this.clock.time;
+    return this.clock?.time ?? 0;
   }
 
   get playing() {
-    return this.clock.playing;
+    return this.clock?.playing ?? false;
   }
 
   get audio() {
-    return this.clock.audio;
+    return this.clock?.audio;
   }
 
   seek(frame) {
