@@ -4,8 +4,10 @@
 //! (2001), section 2.2, with what exporters make of it: any channel order, position channels on
 //! any joint, rotations before positions, joints without channels or End Site.
 
+mod convert;
 mod figure;
 mod parse;
+mod phrase;
 mod pose;
 #[cfg(test)]
 mod tests;
@@ -61,7 +63,7 @@ pub struct Joint {
 }
 
 /// A BVH file: the hierarchy and all frames. Read by [`Bvh::parse`] or made of a figure's rotations
-/// by [`Bvh::from_rotations`].
+/// by [`Bvh::from_rotations`], [`Bvh::from_joints`] and [`Bvh::from_phrase`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,

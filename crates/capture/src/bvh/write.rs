@@ -47,7 +47,9 @@ impl Bvh {
     /// `rotations` `[frames, joints]`, row by row, each within the parent.
     ///
     /// The joints come to stand in the order of the text, which is depth first. The root has six
-    /// channels, every other joint three, `Zrotation Xrotation Yrotation`.
+    /// channels, every other joint three, `Zrotation Xrotation Yrotation`. From one frame to the
+    /// next the angles change as little as they can, beyond half a turn too, so that programs which
+    /// interpolate them do not spin.
     ///
     /// # Errors
     /// [`Error::Setting`] for a frame time that is not positive, joints that make no
@@ -80,13 +82,13 @@ impl Bvh {
             joints.push(joint);
         }
         let mut values = Vec::with_capacity(root.len() * first_channel);
+        let mut angles = vec![[0.0; 3]; figure.len()];
         for (root, rotations) in root.iter().zip(rotations.chunks_exact(figure.len())) {
             values.extend(root);
-            values.extend(
-                order
-                    .iter()
-                    .flat_map(|&joint| zxy_degrees(rotations[joint])),
-            );
+            for &joint in &order {
+                angles[joint] = zxy_degrees(rotations[joint], angles[joint]);
+                values.extend(angles[joint]);
+            }
         }
         Ok(Self {
             joints,
@@ -186,22 +188,38 @@ fn depth_first(figure: &[Joint]) -> Vec<usize> {
     order
 }
 
-/// The angles (z, x, y) in degrees of `Rz Rx Ry`, for a quaternion of any norm but zero.
-fn zxy_degrees(rotation: Quaternion) -> [f64; 3] {
+/// The angles (z, x, y) in degrees of `Rz Rx Ry`, for a quaternion of any norm but zero: of all that
+/// make the same rotation those nearest to `before`.
+fn zxy_degrees(rotation: Quaternion, before: [f64; 3]) -> [f64; 3] {
     let rotation = rotation.normalised();
     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
     let entry = |row: usize, column: usize| columns[column][row];
     let sine = entry(2, 1).clamp(-1.0, 1.0);
-    // A quarter turn about x leaves the other two on one axis: all of it goes to z.
-    let (z, y) = if sine.abs() > 1.0 - 1e-12 {
-        (entry(1, 0).atan2(entry(0, 0)), 0.0)
-    } else {
-        (
-            (-entry(0, 1)).atan2(entry(1, 1)),
-            (-entry(2, 0)).atan2(entry(2, 2)),
-        )
+    if sine.abs() > 1.0 - 1e-12 {
+        // A quarter turn about x leaves the other two on one axis: y stays and z does the rest.
+        let both = entry(1, 0).atan2(entry(0, 0)).to_degrees();
+        let z = both - before[2] * sine.signum();
+        return nearest([z, sine.asin().to_degrees(), before[2]], before);
+    }
+    let z = (-entry(0, 1)).atan2(entry(1, 1)).to_degrees();
+    let x = sine.asin().to_degrees();
+    let y = (-entry(2, 0)).atan2(entry(2, 2)).to_degrees();
+    // The same rotation by way of the other side.
+    let [one, other] = [[z, x, y], [z + 180.0, 180.0 - x, y + 180.0]].map(|a| nearest(a, before));
+    let distance = |angles: [f64; 3]| -> f64 {
+        let apart = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
+        apart.sum()
     };
-    [z, sine.asin(), y].map(f64::to_degrees)
+    if distance(other) < distance(one) {
+        other
+    } else {
+        one
+    }
+}
+
+/// Angles in degrees, each by whole turns as near as it can be to that before.
+fn nearest(angles: [f64; 3], before: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| angles[i] - 360.0 * ((angles[i] - before[i]) / 360.0).round())
 }
 
 fn line(text: &mut String, depth: usize, content: &str) {
@@ -263,9 +281,10 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_about_x_keeps_its_heading() {
-        let turns = [[0.0, 0.7, 0.0], [90f64.to_radians(), 0.0, 0.0]];
+        let turns = [[0.0, 0.0, 0.7], [90f64.to_radians(), 0.0, 0.0]];
         let [yaw, pitch] = turns.map(Quaternion::from_rotation_vector);
-        let [z, x, y] = zxy_degrees(yaw * pitch).map(|angle| angle.to_radians());
+        let [z, x, y] = zxy_degrees(yaw * pitch, [0.0, 0.0, 25.0]).map(f64::to_radians);
+        assert!((y - 25f64.to_radians()).abs() < 1e-9);
         let about = |axis: usize, angle: f64| {
             let mut turn = [0.0; 3];
             turn[axis] = angle;
@@ -273,6 +292,36 @@ mod tests {
         };
         let back = about(2, z) * about(0, x) * about(1, y);
         assert!((back.dot(yaw * pitch).abs() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn angles_go_on_beyond_half_a_turn_and_over_the_poles() {
+        let about = |axis: usize, angle: f64| {
+            let mut turn = [0.0; 3];
+            turn[axis] = angle.to_radians();
+            Quaternion::from_rotation_vector(turn)
+        };
+        // Three turns about each axis in steps of 7 degrees, with the others at an angle.
+        for axis in 0..3 {
+            let mut before = [0.0; 3];
+            for step in 0..155 {
+                let turn = about(axis, 7.0 * f64::from(step));
+                let rotation = about(2, 0.3) * turn * about((axis + 1) % 3, 0.2);
+                let angles = zxy_degrees(rotation, before);
+                let most = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
+                let most = most.fold(0.0, f64::max);
+                assert!(
+                    most < 16.0,
+                    "axis {axis}, step {step}: {before:?} {angles:?}"
+                );
+                let [z, x, y] = angles;
+                let back = about(2, z) * about(0, x) * about(1, y);
+                assert!((back.dot(rotation).abs() - 1.0).abs() < 1e-9);
+                before = angles;
+            }
+            let named = [1, 2, 0][axis];
+            assert!((before[named] - 1078.0).abs() < 3.0, "{before:?}");
+        }
     }
 
     proptest! {

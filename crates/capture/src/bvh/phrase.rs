@@ -1,0 +1,98 @@
+//! Phrases, and other lone roots, as BVH.
+
+use kinegrad_motion::phrase::POSITION;
+use kinegrad_motion::{FPS, Motion, Quaternion};
+
+use super::{Bvh, Joint};
+use crate::Error;
+use crate::error::require_positive;
+
+/// Name of the joint of a file with one.
+const ROOT: &str = "root";
+/// Where the bone of a lone root ends, in metres: in front of it, so that programs which draw bones
+/// show where it faces.
+const FRONT: [f64; 3] = [0.0, 0.0, 0.3];
+
+impl Bvh {
+    /// A phrase as a file of one joint, `root`, that moves and turns, at 30 frames per second:
+    /// `units_per_metre` of the file's units to the metre, 100 for the centimetres of most files.
+    ///
+    /// The quaternion becomes the joint's rotation, whose identity faces +z. Velocities, phase and
+    /// style have no place in BVH. [`root_track`](Self::root_track) with the inverse scale, or a
+    /// plan of `data prepare` with it as `metres_per_unit`, reads place and rotation back.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] if `units_per_metre` is not positive or the phrase is not finite.
+    pub fn from_phrase(phrase: &Motion, units_per_metre: f64) -> Result<Self, Error> {
+        let frames = 0..phrase.frames();
+        let positions: Vec<[f64; 3]> = frames.clone().map(|t| phrase.vector(t, POSITION)).collect();
+        let turns: Vec<Quaternion> = frames.map(|t| phrase.quaternion(t)).collect();
+        Self::from_root(&positions, &turns, FPS, units_per_metre)
+    }
+
+    /// [`from_phrase`](Self::from_phrase) of `positions` `[frames, 3]` in metres, +y up, and
+    /// `orientations` `[frames]` at `fps` frames per second.
+    ///
+    /// # Errors
+    /// As there; also for no frames, another number of orientations than positions, and a rate that
+    /// is not positive.
+    pub fn from_root(
+        positions: &[[f64; 3]],
+        orientations: &[Quaternion],
+        fps: f64,
+        units_per_metre: f64,
+    ) -> Result<Self, Error> {
+        let allowed = "a positive number: 1 for metres, 100 for centimetres";
+        require_positive("units_per_metre", units_per_metre, allowed)?;
+        require_positive("fps", fps, "a positive number of frames per second")?;
+        let front = FRONT.map(|value| value * units_per_metre);
+        let root = Joint::new(ROOT.to_string(), None, [0.0; 3], Some(front));
+        let places: Vec<[f64; 3]> = positions
+            .iter()
+            .map(|place| place.map(|value| value * units_per_metre))
+            .collect();
+        Self::from_rotations(&[root], 1.0 / fps, &places, orientations)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::synthetic;
+
+    use super::*;
+    use crate::{RootSource, UpAxis};
+
+    #[test]
+    fn a_written_phrase_is_read_back_by_the_reader_of_plans() {
+        let phrase = synthetic::phrase(3, 150, 1).motion;
+        for scale in [1.0, 100.0] {
+            let text = Bvh::from_phrase(&phrase, scale).unwrap().to_text();
+            let read = Bvh::parse(text.as_bytes(), "phrase.bvh").unwrap();
+            let track = read.root_track(1.0 / scale, UpAxis::Y).unwrap();
+            // The rate of phrases exactly: nothing is resampled.
+            assert_eq!((track.frames(), track.rate()), (150, FPS));
+            for t in 0..150 {
+                let pose = track.pose(t).unwrap();
+                let known = phrase.vector(t, POSITION);
+                let apart = |axis: usize| (pose.position[axis] - known[axis]).abs();
+                assert!((0..3).all(|axis| apart(axis) < 1e-6), "frame {t}");
+                let dot = pose.orientation.dot(phrase.quaternion(t).normalised());
+                assert!(1.0 - dot.abs() < 1e-9, "frame {t}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_named() {
+        let phrase = synthetic::phrase(3, 4, 1).motion;
+        let error = Bvh::from_phrase(&phrase, -1.0).unwrap_err().to_string();
+        assert!(error.contains("`units_per_metre` is -1"), "{error}");
+        let mut broken = phrase.clone();
+        broken.frame_mut(2)[1] = f32::NAN;
+        let error = Bvh::from_phrase(&broken, 1.0).unwrap_err().to_string();
+        assert!(error.contains("`root`"), "{error}");
+        let turns = [Quaternion::IDENTITY];
+        assert!(Bvh::from_root(&[[0.0; 3]], &turns, 0.0, 1.0).is_err());
+        assert!(Bvh::from_root(&[], &[], 30.0, 1.0).is_err());
+    }
+}
