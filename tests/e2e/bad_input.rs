@@ -45,7 +45,11 @@ fn wrong_types_and_choices_name_the_key() {
     let cases: [(&str, &[&str]); 4] = [
         (
             "--set train.max_steps=many",
-            &["--set train.max_steps=many", "`train.max_steps`", "u64"],
+            &[
+                "--set train.max_steps=many",
+                "`train.max_steps`",
+                "a whole number",
+            ],
         ),
         ("--set train.max_steps=-1", &["`train.max_steps`"]),
         (

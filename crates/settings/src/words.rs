@@ -7,6 +7,9 @@ pub fn in_words(message: &str) -> String {
     if let Some(rest) = message.strip_prefix("missing field `") {
         return format!("the key `{} is missing", rest.trim_end());
     }
+    if message.ends_with("value was too large") {
+        return "the whole number is too large".to_owned();
+    }
     let named = |start: &str| {
         let texts = message.strip_prefix(start)?.split('`').skip(1).step_by(2);
         let texts: Vec<&str> = texts.collect();

@@ -5,7 +5,7 @@ use serde_json::Value as Json;
 use toml::{Table, Value};
 
 use super::Systems;
-use crate::config::{Config, ConfigError, PLAIN, TrainConfig, apply, not_among};
+use crate::config::{Config, PLAIN, apply};
 use crate::error::Error;
 
 /// A key of the configs of some recipes.
@@ -209,104 +209,6 @@ impl Systems<'_> {
         }
         variants
     }
-
-    /// `error` of the config `given` with what is known of its key.
-    pub(super) fn guided(self, error: ConfigError, given: &Table) -> ConfigError {
-        let named = given.get("train").and_then(|train| train.get("recipe"));
-        let recipe = named.and_then(Value::as_str).map(str::to_owned);
-        let recipe = recipe.unwrap_or(TrainConfig::default().recipe);
-        match error {
-            ConfigError::UnknownKey {
-                place,
-                key,
-                allowed,
-                hint,
-            } => ConfigError::UnknownKey {
-                hint: self.suggestion(&key, &recipe).unwrap_or(hint),
-                place,
-                key,
-                allowed,
-            },
-            ConfigError::Value {
-                place,
-                key,
-                message,
-                hint,
-            } if message.starts_with("expected") => {
-                let described = self.described();
-                let above = |known: &Key| {
-                    let below = key.strip_prefix(&known.name);
-                    below.is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
-                };
-                let mine = described
-                    .iter()
-                    .filter(|(known, recipes)| above(known) && recipes.contains(&recipe.as_str()));
-                let Some((known, _)) = mine.max_by_key(|(known, _)| known.name.len()) else {
-                    return ConfigError::Value {
-                        place,
-                        key,
-                        message,
-                        hint,
-                    };
-                };
-                // A list that is no list has no name in the place of one.
-                let is_name = matches!(known.values, Values::Names(_)) || key.ends_with(']');
-                let names = known.values.names().iter();
-                let names: Vec<&str> = names.map(|name| name.name.as_str()).collect();
-                match value_at(given, &key) {
-                    Some(found) if is_name && !names.is_empty() => {
-                        not_among(place, &key, &found.to_string(), &names)
-                    }
-                    _ => ConfigError::Value {
-                        hint: format!(
-                            "`kinegrad config explain {}` says what it means",
-                            known.name
-                        ),
-                        place,
-                        key,
-                        message,
-                    },
-                }
-            }
-            other => other,
-        }
-    }
-
-    /// What may have been meant by the unknown `key` in a config of `recipe`, of other tables.
-    pub(super) fn suggestion(self, key: &str, recipe: &str) -> Option<String> {
-        let last = last(key);
-        let described = self.described();
-        let others = || {
-            described
-                .iter()
-                .filter(|(known, _)| !known.name.contains("[]"))
-        };
-        if let Some((known, recipes)) = others().find(|(known, _)| known.name == key) {
-            return match (&known.only_with, recipes.contains(&recipe)) {
-                (Some(with), true) => Some(format!("it is a key of `{with}`")),
-                (None, true) => None,
-                (_, false) => Some(format!(
-                    "it is a key of recipe {}; `train.recipe` is \"{recipe}\"",
-                    recipes.join(", ")
-                )),
-            };
-        }
-        let mut same: Vec<String> = others()
-            .filter(|(known, recipes)| known.name.ends_with(last) && recipes.contains(&recipe))
-            .filter(|(known, _)| self::last(&known.name) == last && !known.values.is_table())
-            .map(|(known, _)| format!("`{}`", known.name))
-            .collect();
-        same.dedup();
-        match same.split_last()? {
-            (one, []) => Some(format!("did you mean {one}?")),
-            (one, more) => Some(format!("did you mean {} or {one}?", more.join(", "))),
-        }
-    }
-}
-
-/// The last part of a dotted key.
-fn last(key: &str) -> &str {
-    key.rsplit('.').next().unwrap_or(key)
 }
 
 /// These names as what a key may hold.
@@ -361,7 +263,7 @@ fn written(value: &Value) -> String {
 }
 
 /// The value of a dotted key, or of an element of a list: `lora.targets[1]`.
-fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+pub(super) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     if let Some((name, rest)) = key.split_once('.') {
         return value_at(table.get(name)?.as_table()?, rest);
     }

@@ -1,5 +1,6 @@
 //! What a system is to the entry points, and how they find it.
 
+mod guide;
 mod keys;
 mod load;
 

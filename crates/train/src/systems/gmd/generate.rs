@@ -347,7 +347,10 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
     let text = read_text(path).map_err(|error| refused(&error))?;
     let no_goal = |error: toml::de::Error| {
         let line = error.span().map_or(1, |span| line_of(&text, span.start));
-        refused(&format!("line {line}: {}", in_words(error.message())))
+        let written = text.lines().nth(line - 1).unwrap_or_default();
+        let written: String = written.trim().chars().take(60).collect();
+        let problem = in_words(error.message());
+        refused(&format!("line {line}, `{written}`: {problem}"))
     };
     let given: Table = text.parse().map_err(no_goal)?;
     let goal: Goal = toml::from_str(&text).map_err(no_goal)?;
