@@ -6,7 +6,7 @@ pub mod config;
 pub mod data;
 pub mod devices;
 pub mod eval;
-mod files;
+pub mod files;
 pub mod import;
 pub mod merge;
 mod plan;
