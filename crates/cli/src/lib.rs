@@ -21,7 +21,6 @@ mod output;
 
 mod args;
 mod commands;
-mod figure;
 mod interrupt;
 mod log;
 mod preview;

@@ -7,11 +7,11 @@ use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{Panel, body_panels, draw_png, viewer};
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::preview_page;
-use kinegrad_train::sampling::{Conditions, Contents, Drawn, Receiver, Request};
+use kinegrad_train::sampling::{self, Conditions, Contents, Drawn, Receiver, Request};
 use kinegrad_train::systems::Systems;
 use kinegrad_train::{Error, Preview};
 
-use crate::figure;
+use crate::scene;
 
 /// Items that previews are drawn for: those that the samples at the end begin with.
 const COUNT: usize = 4;
@@ -29,7 +29,6 @@ const CURVES: usize = 3;
 /// If they cannot be drawn or written; no page is left then.
 pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let subject = systems.trained(checkpoint, &[], Weights::Ema, None)?;
-    let (system, _) = systems.of(&subject.config)?;
     let request = Request {
         conditions: Conditions {
             held_out: Some(COUNT),
@@ -46,7 +45,7 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
             ..Scene::default()
         },
     };
-    system.sample(&subject, &request, &mut drawn)?;
+    sampling::sample(systems, &subject, &request, &mut drawn)?;
     let run = checkpoint.parent().and_then(Path::parent);
     write(&preview_page(run.unwrap_or(checkpoint), step), &drawn.scene)?;
     let previews = drawn.scene.figures.iter().filter_map(|figure| {
@@ -98,7 +97,7 @@ impl Receiver for Scenes<'_> {
         };
         let path = Path::new(&drawn.name);
         let representation = self.systems.representation_of(path, shape, values)?;
-        let figure = figure::of(&drawn.name, &*representation, values);
+        let figure = scene::of(&*representation, values, drawn.name.clone());
         self.scene
             .figures
             .push(figure.ok_or(Error::SampleNotFinite { sample: drawn.name })?);

@@ -20,6 +20,7 @@ use kinegrad_train::systems::Systems;
 use kinegrad_train::systems::gmd::read_goal;
 
 pub use body::figure as body;
+pub use bvh::as_bvh;
 pub use music::{Music, song};
 
 /// Most figures of a scene: more can neither be told apart nor drawn in time.
@@ -170,10 +171,7 @@ fn figure(
     name: String,
     reading: &Reading,
 ) -> Result<Figure, Error> {
-    if path
-        .extension()
-        .is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
-    {
+    if is_bvh(path) {
         return bvh::figure(path, name, reading);
     }
     let array = read_array(path)?;
@@ -185,12 +183,19 @@ fn figure(
         }
         (Err(error), _) => return Err(error),
     };
-    figure.ok_or_else(|| {
-        Error::usage(
-            format!("{}: a position is not finite", path.display()),
-            "`kinegrad check` says what is wrong with a motion",
-        )
-    })
+    figure.ok_or_else(|| not_finite(path))
+}
+
+fn is_bvh(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
+}
+
+fn not_finite(path: &Path) -> Error {
+    Error::usage(
+        format!("{}: a position is not finite", path.display()),
+        "`kinegrad check` says what is wrong with a motion",
+    )
 }
 
 /// The figure of finite rows of a representation; none if a position is not finite.
@@ -214,10 +219,8 @@ pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Op
             name,
             fps,
             positions: joints.to_f32(),
-            joint_names: (0..joints.joints())
-                .map(|joint| format!("joint_{joint}"))
-                .collect(),
-            parents: vec![None; joints.joints()],
+            joint_names: vec!["root".to_string()],
+            parents: vec![None],
             orientations: is_phrase.then(|| orientations(rows)),
             curves,
             ..Figure::default()

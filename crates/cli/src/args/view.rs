@@ -11,14 +11,16 @@ use super::named;
 /// Writes one HTML file that needs no network: the figures move in 3D beside one another, with
 /// their curves, and with the song in step. Motions are what `kinegrad sample` writes (phrases
 /// `[T, 25]`, joint features, joint positions `[T, J, 3]`, ground paths `[T, 2]`) and BVH files of
-/// any skeleton. docs/viewing.md describes the page.
+/// any skeleton. docs/viewing.md describes the page. The same motions are written as animated
+/// pictures, videos and files for other programs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad view dance.npy --audio song.mp3 --start 30
   kinegrad view walk.npy --goal goal.toml --raw
   kinegrad view drawn.npy real.npy --title 'Drawn beside real' --out both.html
-  kinegrad view capture.bvh --units cmu")]
+  kinegrad view capture.bvh --units cmu
+  kinegrad view dance.npy --audio song.mp3 --mp4 dance.mp4 --glb dance.glb --bvh dance.bvh")]
 pub struct ViewArguments {
     /// Motion files (.npy or .bvh), or folders of them
     #[arg(required = true, value_name = "MOTION")]
@@ -54,10 +56,23 @@ pub struct ViewArguments {
     /// Title of the page [default: the names of the motions]
     #[arg(long)]
     pub title: Option<String>,
-    /// Page to write [default: beside the first motion, with its name]
+    /// Page to write [default: beside the first motion, with its name; none if another file is
+    /// asked for]
     #[arg(long, value_name = "PAGE.html")]
     pub out: Option<PathBuf>,
-    /// Write the page even if there is a file of its name
+    /// Write an animated picture
+    #[arg(long, value_name = "FILE.gif")]
+    pub gif: Option<PathBuf>,
+    /// Write a video with the song, by ffmpeg
+    #[arg(long, value_name = "FILE.mp4")]
+    pub mp4: Option<PathBuf>,
+    /// Write an animated skeleton as binary glTF, for Blender, game engines and web viewers
+    #[arg(long, value_name = "FILE.glb")]
+    pub glb: Option<PathBuf>,
+    /// Write the motion as BVH in centimetres with +y up; of one motion
+    #[arg(long, value_name = "FILE.bvh")]
+    pub bvh: Option<PathBuf>,
+    /// Write over files that are there
     #[arg(long)]
     pub overwrite: bool,
 }

@@ -15,7 +15,7 @@ use crate::output::unusable;
 use crate::progress::Denoising;
 
 /// Units of a BVH file in a metre.
-const CENTIMETRES: f64 = 100.0;
+pub const CENTIMETRES: f64 = 100.0;
 
 /// Extension of a sample's record.
 const RECORD: &str = ".json";

@@ -6,12 +6,8 @@ pub mod config;
 pub mod data;
 pub mod devices;
 pub mod eval;
-<<<<<<< HEAD
 pub mod explain;
-mod files;
-=======
 pub mod files;
->>>>>>> w-python
 pub mod import;
 pub mod init;
 pub mod merge;

@@ -14,8 +14,8 @@ use kinegrad_train::systems::gmd::read_goal;
 use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
-use crate::figure;
 use crate::output::{draw, unusable};
+use crate::scene;
 
 /// Plots a motion file or a run.
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
@@ -69,7 +69,7 @@ fn motion_panels(
     goal: Option<&Goal>,
 ) -> Vec<Panel> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let figure = figure::of(&name, representation, rows);
+    let figure = scene::of(representation, rows, name.to_string());
     let floor = goal.map(floor).unwrap_or_default();
     let body = figure.map(|figure| body_panels(&figure, &floor));
     let fps = representation.fps();

@@ -4,17 +4,42 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_report::viewer;
+use kinegrad_report::scene::Scene;
+use kinegrad_report::{gif, glb, mp4, viewer};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use crate::args::ViewArguments;
+use crate::output::unusable;
 use crate::scene::{self, Music, Reading};
+
+/// What is written of a scene.
+#[derive(Clone, Copy, Eq, PartialEq)]
+enum Kind {
+    Page,
+    Gif,
+    Mp4,
+    Glb,
+    Bvh,
+}
+
+impl Kind {
+    /// The option that asks for it and the ending of its files.
+    fn names(self) -> [&'static str; 2] {
+        match self {
+            Self::Page => ["--out", "html"],
+            Self::Gif => ["--gif", "gif"],
+            Self::Mp4 => ["--mp4", "mp4"],
+            Self::Glb => ["--glb", "glb"],
+            Self::Bvh => ["--bvh", "bvh"],
+        }
+    }
+}
 
 /// Reads the motions as one scene and writes what is asked for of it.
 pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, Error> {
     let motions = scene::motions(&arguments.motions, arguments.raw)?;
-    let page = page_path(&arguments, &motions[0])?;
+    let outputs = outputs(&arguments, &motions)?;
     let reading = Reading {
         units: arguments.units,
         up: arguments.up,
@@ -27,48 +52,90 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         }),
     };
     let scene = scene::read(systems, &motions, &reading)?;
-    write(&page, viewer::page(&scene).as_bytes())?;
-    say!("{}", page.display());
+    for (kind, path) in outputs {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+        }
+        match kind {
+            Kind::Bvh => {
+                let bvh = scene::as_bvh(systems, &motions[0], &reading)?;
+                write(&path, bvh.to_text().as_bytes())?;
+            }
+            _ => export(kind, &scene, &path)?,
+        }
+        say!("{}", path.display());
+    }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Where the page goes.
-fn page_path(arguments: &ViewArguments, first: &Path) -> Result<PathBuf, Error> {
-    let page = match &arguments.out {
-        Some(out) => out.clone(),
-        None => first.with_extension("html"),
-    };
-    if !page
-        .extension()
-        .is_some_and(|ending| ending.eq_ignore_ascii_case("html"))
-    {
+fn export(kind: Kind, scene: &Scene, path: &Path) -> Result<(), Error> {
+    match kind {
+        Kind::Page | Kind::Bvh => write(path, viewer::page(scene).as_bytes()),
+        Kind::Gif => gif::write(scene, path).map_err(unusable),
+        Kind::Mp4 => mp4::write(scene, path).map_err(unusable),
+        Kind::Glb => glb::write(scene, path).map_err(unusable),
+    }
+}
+
+/// The files to write, none of which is there unless it may be replaced.
+fn outputs(arguments: &ViewArguments, motions: &[PathBuf]) -> Result<Vec<(Kind, PathBuf)>, Error> {
+    let asked = [
+        (Kind::Page, &arguments.out),
+        (Kind::Gif, &arguments.gif),
+        (Kind::Mp4, &arguments.mp4),
+        (Kind::Glb, &arguments.glb),
+        (Kind::Bvh, &arguments.bvh),
+    ];
+    let asked = asked.into_iter();
+    let mut outputs: Vec<(Kind, PathBuf)> = asked
+        .filter_map(|(kind, path)| Some((kind, path.clone()?)))
+        .collect();
+    if outputs.is_empty() {
+        outputs.push((Kind::Page, motions[0].with_extension("html")));
+    }
+    for (kind, path) in &outputs {
+        must_be_writable(*kind, path, arguments.overwrite)?;
+        if motions.contains(path) {
+            return Err(Error::usage(
+                format!("{} is the motion itself", path.display()),
+                "name another file",
+            ));
+        }
+    }
+    let bvh = outputs.iter().any(|(kind, _)| *kind == Kind::Bvh);
+    if bvh && motions.len() > 1 {
         return Err(Error::usage(
-            format!("`--out {}` does not end in .html", page.display()),
-            format!(
-                "the page is HTML: `--out {}`",
-                page.with_extension("html").display()
-            ),
+            format!("`--bvh` with {} motions", motions.len()),
+            "a BVH file holds one motion: write one at a time",
         ));
     }
-    if page.exists() && !arguments.overwrite {
+    Ok(outputs)
+}
+
+fn must_be_writable(kind: Kind, path: &Path, overwrite: bool) -> Result<(), Error> {
+    let [option, ending] = kind.names();
+    let found = path.extension();
+    if !found.is_some_and(|found| found.eq_ignore_ascii_case(ending)) {
         return Err(Error::usage(
-            format!("{} exists already", page.display()),
-            "replace it with `--overwrite`, or name another page with `--out`",
+            format!("`{option} {}` does not end in .{ending}", path.display()),
+            format!("`{option} {}`", path.with_extension(ending).display()),
         ));
     }
-    Ok(page)
+    if path.exists() && !overwrite {
+        return Err(Error::usage(
+            format!("{} exists already", path.display()),
+            format!("replace it with `--overwrite`, or name another file with `{option}`"),
+        ));
+    }
+    Ok(())
 }
 
 /// Writes a file whole or not at all.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let failed = |error| Error::io("write", path)(error);
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).map_err(failed)?;
-    }
     let temporary = path.with_added_extension(format!("{}.tmp", std::process::id()));
     let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
     written.map_err(|error| {
         let _ = fs::remove_file(&temporary);
-        failed(error)
+        Error::io("write", path)(error)
     })
 }

@@ -5,12 +5,15 @@ use std::path::Path;
 use kinegrad_capture::prepare::Units;
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
+use kinegrad_data::read_array;
 use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::{Motion, Phrases, Representation};
 use kinegrad_report::scene::Figure;
 use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
 
-use super::Reading;
-use super::body;
+use super::{Reading, body, is_bvh, not_finite};
+use crate::commands::files::CENTIMETRES;
 use crate::output::unusable;
 
 /// Largest file that is read, bytes.
@@ -19,18 +22,20 @@ const LARGEST: u64 = 1 << 30;
 /// Height of a person's joints, metres: what the unit is guessed by.
 const PERSON: f64 = 1.6;
 
-/// The figure of a BVH file.
-pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Error> {
+/// A BVH file, the metres of its unit, and its vertical.
+struct Capture {
+    bvh: Bvh,
+    metres: f64,
+    up: UpAxis,
+}
+
+/// Reads a BVH file; says how it is understood where that is a guess.
+fn open(path: &Path, reading: &Reading) -> Result<Capture, Error> {
     let bytes = read_file(path, LARGEST).map_err(Error::io("read", path))?;
     let bvh = Bvh::parse(&bytes, &path.display().to_string()).map_err(unusable)?;
-    let names: Vec<String> = bvh
-        .joints()
-        .iter()
-        .map(|joint| joint.name.clone())
-        .collect();
     let first = bvh.world(0).into_iter().map(|pose| pose.position);
     let first: Vec<[f64; 3]> = first.collect();
-    let up = reading.up.unwrap_or_else(|| guess_up(&names, &first));
+    let up = reading.up.unwrap_or_else(|| guess_up(&names(&bvh), &first));
     let units = reading.units.unwrap_or_else(|| guess_units(&first, up));
     if reading.units.is_none() || reading.up.is_none() {
         let axis = if up == UpAxis::Y { "y" } else { "z" };
@@ -41,12 +46,57 @@ pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Er
         );
     }
     let metres = units.metres();
+    Ok(Capture { bvh, metres, up })
+}
+
+fn names(bvh: &Bvh) -> Vec<String> {
+    let joints = bvh.joints().iter();
+    joints.map(|joint| joint.name.clone()).collect()
+}
+
+/// The figure of a BVH file.
+pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Error> {
+    let Capture { bvh, metres, up } = open(path, reading)?;
     let places = (0..bvh.frames()).flat_map(|t| bvh.world(t));
     let places = places.map(|pose| up.to_y_up(pose.position.map(|value| value * metres)));
-    let joints = Joints::new(places.collect(), names.len())?;
+    let joints = Joints::new(places.collect(), bvh.joints().len())?;
     let parents = bvh.joints().iter().map(|joint| joint.parent).collect();
     let fps = 1.0 / bvh.frame_time();
-    Ok(body(name, fps, &joints, names, parents, None))
+    Ok(body(name, fps, &joints, names(&bvh), parents, None))
+}
+
+/// A motion as BVH in centimetres with +y up.
+///
+/// # Errors
+/// If it cannot be read, or its skeleton is not known.
+pub fn as_bvh(systems: Systems<'_>, path: &Path, reading: &Reading) -> Result<Bvh, Error> {
+    if is_bvh(path) {
+        let Capture { bvh, metres, up } = open(path, reading)?;
+        return bvh.converted(CENTIMETRES * metres, up).map_err(unusable);
+    }
+    let array = read_array(path)?;
+    let representation = systems.representation_of(path, &array.shape, &array.values)?;
+    if representation.name() == Phrases.name() {
+        let phrase = Motion::new(array.values)?;
+        return Bvh::from_phrase(&phrase, CENTIMETRES).map_err(unusable);
+    }
+    match (
+        representation.joints(&array.values),
+        representation.skeleton(),
+    ) {
+        (Some(joints), Some(skeleton)) => {
+            Bvh::from_joints(&joints, skeleton, CENTIMETRES).map_err(unusable)
+        }
+        (None, _) => Err(not_finite(path)),
+        (_, None) => Err(Error::usage(
+            format!(
+                "{}: a {} has no skeleton",
+                path.display(),
+                representation.name()
+            ),
+            "phrases, joint features and joint positions of 22 or 21 joints are written as BVH",
+        )),
+    }
 }
 
 /// The axis along which feet are further below the root; y where no joint is named as a foot.

@@ -281,7 +281,7 @@ impl Setup {
         }
         let environment = Environment {
             step,
-            parameters: summary.parameters,
+            parameters: summary.parameters.all,
             train_items: summary.train_phrases,
             validation_items: summary.validation_phrases,
             skipped_items: summary.skipped.len(),

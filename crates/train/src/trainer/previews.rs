@@ -31,7 +31,11 @@ impl<R: Recipe> Trainer<R> {
         }
         let checkpoint = self.checkpoints.step_path(self.step);
         match observer.preview(&checkpoint, self.step) {
-            Ok(previews) => self.metrics.write_previews(self.step, &previews)?,
+            Ok(previews) => {
+                if let Some((metrics, _)) = &mut self.record {
+                    metrics.write_previews(self.step, &previews)?;
+                }
+            }
             Err(error) => {
                 let step = self.step;
                 observer.warning(&format!("no preview of step {step}: {error}"));

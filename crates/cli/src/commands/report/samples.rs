@@ -11,8 +11,8 @@ use kinegrad_train::run::SAMPLES;
 use kinegrad_train::systems::Systems;
 
 use super::files_in;
-use crate::figure;
 use crate::runs::Run;
+use crate::scene;
 
 /// Most samples that are checked, and that move.
 const CHECKED: usize = 200;
@@ -66,7 +66,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let array = read_array(path)?;
     let representation = systems.representation_of(path, &array.shape, &array.values)?;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let figure = figure::of(&name, &*representation, &array.values).ok_or_else(|| {
+    let figure = scene::of(&*representation, &array.values, name.to_string()).ok_or_else(|| {
         let sample = path.display().to_string();
         Error::SampleNotFinite { sample }
     })?;
