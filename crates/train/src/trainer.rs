@@ -198,15 +198,12 @@ impl<R: Recipe> Trainer<R> {
                     None => break Ending::Interrupted,
                 },
             };
-            if self
-                .step
-                .is_multiple_of(self.parts.config.train.log_every_steps)
-                || self.step == max_steps
+            let every = self.parts.config.train.log_every_steps;
+            if (self.step.is_multiple_of(every) || self.step == max_steps)
+                && let Some((metrics, loader_log)) = &mut self.record
             {
-                if let Some((metrics, loader_log)) = &mut self.record {
-                    metrics.write(&record)?;
-                    loader_log.write(self.step, self.parts.loader.report())?;
-                }
+                metrics.write(&record)?;
+                loader_log.write(self.step, self.parts.loader.report())?;
             }
             let best =
                 self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
