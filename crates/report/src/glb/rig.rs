@@ -88,8 +88,7 @@ impl Rig {
         // Where each node is and how it lies, as a reader of the file finds it: rounding in a node
         // is made up for by the next.
         let mut world: Vec<([f64; 3], Turn)> = Vec::with_capacity(self.nodes.len());
-        for index in 0..self.nodes.len() {
-            let node = &self.nodes[index];
+        for (node, before) in self.nodes.iter_mut().zip(before) {
             let (origin, above) = node
                 .parent
                 .map_or(([0.0; 3], Turn::IDENTITY), |parent| world[parent]);
@@ -112,15 +111,14 @@ impl Rig {
                 let pairs: Vec<_> = ends
                     .map(|end| (bone(0, node.at, *end), bone(frame, node.at, *end)))
                     .collect();
-                above.inverse().times(Turn::fitting(&pairs, before[index]))
+                above.inverse().times(Turn::fitting(&pairs, *before))
             };
             let last = node.rotations.last().copied();
             let local = local.after(last.unwrap_or(Turn::IDENTITY)).rounded();
-            before[index] = above.times(local);
+            *before = above.times(local);
             let moved = above.rotate(translation.map(f64::from));
             let arrived = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);
-            world.push((arrived, before[index]));
-            let node = &mut self.nodes[index];
+            world.push((arrived, *before));
             node.translations.push(translation);
             node.rotations.push(local);
         }

@@ -54,11 +54,14 @@ fn walker(frames: usize) -> Figure {
     }
 }
 
+/// Moments and values.
+type Track = (Vec<f32>, Vec<[f32; 4]>);
+
 /// A file as a program reads it that knows nothing of how it was made.
 struct Reader {
     gltf: Gltf,
     /// Moments and values by node and whether it is a rotation.
-    tracks: HashMap<(usize, bool), (Vec<f32>, Vec<[f32; 4]>)>,
+    tracks: HashMap<(usize, bool), Track>,
 }
 
 impl Reader {

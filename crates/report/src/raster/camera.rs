@@ -75,10 +75,11 @@ impl Camera {
         let mut extent = [[f32::INFINITY; 2], [f32::NEG_INFINITY; 2]];
         for point in points {
             let seen = self.see(*point)?;
-            for axis in 0..2 {
-                extent[0][axis] = extent[0][axis].min(seen.at[axis]);
-                extent[1][axis] = extent[1][axis].max(seen.at[axis]);
-            }
+            let [low, high] = extent;
+            extent = [
+                [0, 1].map(|axis| low[axis].min(seen.at[axis])),
+                [0, 1].map(|axis| high[axis].max(seen.at[axis])),
+            ];
         }
         (!points.is_empty()).then_some(extent)
     }
