@@ -31,7 +31,7 @@ pub struct Dataset {
 /// The items of a side.
 enum Items {
     Phrases(ItemSet<Phrase>),
-    Clips(kinegrad_data::Dataset<Clip>, ItemSet<Clip>),
+    Clips(Box<kinegrad_data::Dataset<Clip>>, ItemSet<Clip>),
 }
 
 #[pymethods]

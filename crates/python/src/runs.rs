@@ -26,9 +26,12 @@ pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String
     })
 }
 
+/// A step, and its scalars by name.
+type Line = (u64, Vec<(String, f64)>);
+
 /// The metrics of the run in `folder`: each line's step, and its scalars by name.
 #[pyfunction]
-pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<(u64, Vec<(String, f64)>)>> {
+pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<Line>> {
     let records = call(py, || telemetry::read_metrics(&folder, &mut |_| {}))?;
     let line = |record: &telemetry::Record| (record.step, record.scalars().to_vec());
     Ok(records.iter().map(line).collect())

@@ -57,6 +57,9 @@ impl Wanted {
 #[pyclass(frozen, module = "kinegrad._kinegrad")]
 pub struct Drawn(Arc<sampling::Drawn>);
 
+/// The ending of an array's file, and the array.
+type NamedArray<'a, 'py> = (&'a str, Bound<'py, PyArrayDyn<f32>>);
+
 #[pymethods]
 impl Drawn {
     /// What tells it from the other samples of its call.
@@ -72,7 +75,7 @@ impl Drawn {
     }
 
     /// Its arrays by the ending of their files; the motion itself is `.npy`.
-    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<(&str, Bound<'py, PyArrayDyn<f32>>)>> {
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<NamedArray<'_, 'py>>> {
         let arrays = self.0.files.iter().filter_map(|(ending, contents)| {
             let Contents::Array { shape, values } = contents else {
                 return None;

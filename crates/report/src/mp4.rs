@@ -262,7 +262,7 @@ mod tests {
             };
             let (width, height) = crate::gif::size(&scene);
             let size = Painter::new(&scene, (SCALE * width, SCALE * height)).size();
-            let even = size.0.is_multiple_of(2) && size.1.is_multiple_of(2);
+            let even = [size.0, size.1].iter().all(|side| side.is_multiple_of(2));
             assert!(even, "{count}: {size:?}");
         }
     }

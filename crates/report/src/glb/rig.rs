@@ -88,8 +88,7 @@ impl Rig {
         // Where each node is and how it lies, as a reader of the file finds it: rounding in a node
         // is made up for by the next.
         let mut world: Vec<([f64; 3], Turn)> = Vec::with_capacity(self.nodes.len());
-        for (index, before) in before.iter_mut().enumerate() {
-            let node = &self.nodes[index];
+        for (node, before) in self.nodes.iter_mut().zip(before) {
             let (origin, above) = node
                 .parent
                 .map_or(([0.0; 3], Turn::IDENTITY), |parent| world[parent]);
@@ -120,7 +119,6 @@ impl Rig {
             let moved = above.rotate(translation.map(f64::from));
             let arrived = [0, 1, 2].map(|axis| origin[axis] + moved[axis]);
             world.push((arrived, *before));
-            let node = &mut self.nodes[index];
             node.translations.push(translation);
             node.rotations.push(local);
         }

@@ -75,10 +75,11 @@ impl Camera {
         let mut extent = [[f32::INFINITY; 2], [f32::NEG_INFINITY; 2]];
         for point in points {
             let seen = self.see(*point)?;
-            let [low, high] = &mut extent;
-            for ((low, high), at) in low.iter_mut().zip(high).zip(seen.at) {
-                (*low, *high) = (low.min(at), high.max(at));
-            }
+            let [low, high] = extent;
+            extent = [
+                [0, 1].map(|axis| low[axis].min(seen.at[axis])),
+                [0, 1].map(|axis| high[axis].max(seen.at[axis])),
+            ];
         }
         (!points.is_empty()).then_some(extent)
     }
