@@ -196,7 +196,7 @@ impl Dataset {
                     config,
                     statistics,
                     warnings: dataset.warnings.clone(),
-                    items: Items::Clips(dataset, items),
+                    items: Items::Clips(Box::new(dataset), items),
                 })
             }
         }
