@@ -14,7 +14,7 @@ import numpy as np
 import gltf
 from readers import READERS, by_bvhio, by_pymotion
 
-BINARY = pathlib.Path(os.environ["KINEGRAD"]).resolve()
+BINARY = pathlib.Path(os.environ["KINEGRAD_BINARY"]).resolve()
 CENTIMETRES = 100
 NAMES = """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3
 left_foot right_foot neck left_collar right_collar head left_shoulder right_shoulder left_elbow

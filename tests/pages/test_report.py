@@ -1,28 +1,15 @@
-"""The page of `kinegrad report` in a real browser.
+"""The page of `kinegrad report` in a browser."""
 
-    KINEGRAD=target/debug/kinegrad CHROMIUM=/usr/bin/chromium pytest tests/pages/test_report.py
-"""
-
-import os
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import sync_playwright
 
 CONFIG = Path(__file__).parents[2] / "configs" / "quickstart.toml"
-CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
-KINEGRAD = os.environ.get("KINEGRAD") or shutil.which("kinegrad")
 STEPS = 80
-
-pytestmark = pytest.mark.skipif(
-    not (CHROMIUM and KINEGRAD), reason="needs chromium and kinegrad ($CHROMIUM, $KINEGRAD)"
-)
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
+def report(kinegrad, tmp_path_factory):
     """A run with previews, its page, and the page of one preview."""
     folder = tmp_path_factory.mktemp("report")
     settings = {
@@ -34,18 +21,9 @@ def report(tmp_path_factory):
     }
     overrides = [f"--set={key}={value}" for key, value in settings.items()]
     run = folder / "runs" / "quickstart"
-    kinegrad = str(Path(KINEGRAD).resolve())
-    for command in (["train", str(CONFIG), *overrides], ["report", str(run)]):
-        subprocess.run([kinegrad, *command], cwd=folder, check=True, capture_output=True)
+    kinegrad("train", CONFIG, *overrides, cwd=folder)
+    kinegrad("report", run, cwd=folder)
     return run / "report.html", run / "previews" / "step-00000040.html"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
