@@ -1,6 +1,6 @@
 """Files for other programs, read by programs that are not ours: `scripts/test_bvh` runs this.
 
-KINEGRAD is the binary. Every length is compared in metres.
+KINEGRAD_BINARY is the binary. Every length is compared in metres.
 """
 
 import os

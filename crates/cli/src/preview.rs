@@ -1,8 +1,8 @@
 //! Samples that are looked at while a run is trained.
 
-use std::fs;
 use std::path::Path;
 
+use kinegrad_data::write_whole;
 use kinegrad_report::scene::{Floor, Scene};
 use kinegrad_report::{Panel, body_panels, draw_png, viewer};
 use kinegrad_train::checkpoint::Weights;
@@ -47,7 +47,8 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
     };
     sampling::sample(systems, &subject, &request, &mut drawn)?;
     let run = checkpoint.parent().and_then(Path::parent);
-    write(&preview_page(run.unwrap_or(checkpoint), step), &drawn.scene)?;
+    let page = preview_page(run.unwrap_or(checkpoint), step);
+    write_whole(&page, viewer::page(&drawn.scene).as_bytes())?;
     let previews = drawn.scene.figures.iter().filter_map(|figure| {
         let curves = figure.curves.iter().map(|curves| {
             let series = curves.series.iter().map(|(name, values)| {
@@ -70,15 +71,6 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
         })
     });
     Ok(previews.collect())
-}
-
-/// Writes the page under another name first, so that one that is there is whole.
-fn write(page: &Path, scene: &Scene) -> Result<(), Error> {
-    let folder = page.parent().unwrap_or(page);
-    fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-    let temporary = page.with_extension("partial");
-    fs::write(&temporary, viewer::page(scene)).map_err(Error::io("write", &temporary))?;
-    fs::rename(&temporary, page).map_err(Error::io("rename", &temporary))
 }
 
 /// Takes samples as figures.

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use kinegrad_data::write_whole;
 use kinegrad_report::scene::Scene;
 use kinegrad_report::{gif, glb, mp4, viewer};
 use kinegrad_train::Error;
@@ -59,7 +60,7 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         match kind {
             Kind::Bvh => {
                 let bvh = scene::as_bvh(systems, &motions[0], &reading)?;
-                write(&path, bvh.to_text().as_bytes())?;
+                write_whole(&path, bvh.to_text().as_bytes())?;
             }
             _ => export(kind, &scene, &path)?,
         }
@@ -70,11 +71,12 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
 
 fn export(kind: Kind, scene: &Scene, path: &Path) -> Result<(), Error> {
     match kind {
-        Kind::Page | Kind::Bvh => write(path, viewer::page(scene).as_bytes()),
-        Kind::Gif => gif::write(scene, path).map_err(unusable),
-        Kind::Mp4 => mp4::write(scene, path).map_err(unusable),
-        Kind::Glb => glb::write(scene, path).map_err(unusable),
+        Kind::Page | Kind::Bvh => write_whole(path, viewer::page(scene).as_bytes())?,
+        Kind::Gif => gif::write(scene, path).map_err(unusable)?,
+        Kind::Mp4 => mp4::write(scene, path).map_err(unusable)?,
+        Kind::Glb => glb::write(scene, path).map_err(unusable)?,
     }
+    Ok(())
 }
 
 /// The files to write, none of which is there unless it may be replaced.
@@ -128,14 +130,4 @@ fn must_be_writable(kind: Kind, path: &Path, overwrite: bool) -> Result<(), Erro
         ));
     }
     Ok(())
-}
-
-/// Writes a file whole or not at all.
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let temporary = path.with_added_extension(format!("{}.tmp", std::process::id()));
-    let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
-    written.map_err(|error| {
-        let _ = fs::remove_file(&temporary);
-        Error::io("write", path)(error)
-    })
 }

@@ -12,6 +12,7 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
+use crate::page::escape;
 use crate::scene::{Contact, Figure, Floor, Scene, Song};
 
 /// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
@@ -46,14 +47,14 @@ pub fn embed(scene: &Scene, small: bool) -> String {
     format!(
         "<section class=\"kg{size}\" aria-label=\"{}\"><script type=\"application/json\">{}\
          </script><noscript>JavaScript shows the motion.</noscript></section>",
-        escaped(&scene.title),
+        escape(&scene.title),
         inert(&scene_json(scene, small)),
     )
 }
 
 /// A page of the scene.
 pub fn page(scene: &Scene) -> String {
-    let title = escaped(&scene.title);
+    let title = escape(&scene.title);
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"{CONTENT_SECURITY_POLICY}\">\n\
@@ -65,22 +66,6 @@ pub fn page(scene: &Scene) -> String {
         embed(scene, false),
         script(),
     )
-}
-
-/// Text as it may stand in an element or an attribute.
-fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            '\'' => safe.push_str("&#39;"),
-            letter => safe.push(letter),
-        }
-    }
-    safe
 }
 
 /// JSON that ends no script: `<` only stands in its strings.
