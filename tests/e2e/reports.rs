@@ -20,8 +20,10 @@ fn page(sandbox: &Sandbox, arguments: &str, out: &str) -> String {
     assert_eq!(written.stdout.trim(), out);
     let page = fs::read_to_string(sandbox.path(out)).expect("a page");
     assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+    // The name of a format is no address that is asked.
+    let named = page.replace("http://www.w3.org/2000/svg", "");
     for outside in ["http://", "https://", "src=\"", "@import"] {
-        assert!(!page.contains(outside), "{outside}");
+        assert!(!named.contains(outside), "{outside}");
     }
     page
 }

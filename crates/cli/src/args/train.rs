@@ -85,7 +85,12 @@ impl TrainArguments {
                 ))
             }
             (None, None) => Ok(Target::New(default_config()?)),
-            (None, Some(None)) => Ok(Target::Resumed(default_config()?)),
+            (None, Some(None)) => default_config().map(Target::Resumed).map_err(|_| {
+                Error::usage(
+                    "`--resume` without a run",
+                    "name its folder: `kinegrad train --resume runs/quickstart`",
+                )
+            }),
         }
     }
 }
