@@ -3,7 +3,7 @@
 //! Each commutes with derivation: the derivatives of the changed pose are the changed derivatives.
 //! Phase and style describe speed, extent and timing, which none of them alters.
 
-use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, VELOCITY};
+use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use crate::{Motion, Quaternion};
 
 /// Turns the whole phrase about +y by `angle` radians (+z towards +x).
@@ -35,6 +35,20 @@ pub fn mirror(motion: &mut Motion) {
     }
 }
 
+/// The channels that [`mirror`] negates.
+pub fn mirrored_channels() -> [usize; 7] {
+    let [rotation, quaternion] = [ANGULAR_VELOCITY.start, QUATERNION.start];
+    [
+        POSITION.start,
+        VELOCITY.start,
+        ACCELERATION.start,
+        rotation + 1,
+        rotation + 2,
+        quaternion + 2,
+        quaternion + 3,
+    ]
+}
+
 /// Moves the phrase on the floor so that its first frame stands at x = z = 0 (metres). Height and
 /// every other channel stay; a crop from the middle of a phrase then begins like a whole one.
 pub fn anchor_floor(motion: &mut Motion) {
@@ -51,7 +65,7 @@ mod tests {
 
     use super::*;
     use crate::kinematics::rederive;
-    use crate::phrase::{PHASE, QUATERNION};
+    use crate::phrase::PHASE;
     use crate::wandering::wandering;
     use crate::{CHANNELS, Profile, channel_name, check};
 
@@ -162,6 +176,26 @@ mod tests {
             let [x, y, z] = motion.vector(0, POSITION);
             prop_assert_eq!((x, z), (0.0, 0.0));
             prop_assert_eq!(y, original.vector(0, POSITION)[1]);
+        }
+    }
+
+    #[test]
+    fn mirroring_negates_the_channels_that_it_names() {
+        let original = wandering(3, 10);
+        let mut mirrored = original.clone();
+        mirror(&mut mirrored);
+        for (t, channel) in (0..10).flat_map(|t| (0..CHANNELS).map(move |c| (t, c))) {
+            let sign = match mirrored_channels().contains(&channel) {
+                true => -1.0,
+                false => 1.0,
+            };
+            let expected = sign * original.frame(t)[channel];
+            assert_eq!(
+                mirrored.frame(t)[channel],
+                expected,
+                "{}",
+                channel_name(channel)
+            );
         }
     }
 }

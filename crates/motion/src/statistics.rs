@@ -167,6 +167,17 @@ impl Statistics {
         }
     }
 
+    /// Widens the range of `channels` to be symmetric about zero: augmentation negates them.
+    pub fn widen_range_for_signs(&mut self, channels: impl IntoIterator<Item = usize>) {
+        let Some([min, max]) = &mut self.range else {
+            return;
+        };
+        for channel in channels {
+            let reach = min[channel].abs().max(max[channel].abs());
+            (min[channel], max[channel]) = (-reach, reach);
+        }
+    }
+
     fn checked(self) -> Result<Self, Error> {
         let invalid = |reason: String| Err(Error::InvalidStatistics { reason });
         let channels = self.channels();

@@ -1,6 +1,7 @@
 //! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
 use burn::tensor::Device;
+use kinegrad_data::AugmentConfig;
 use kinegrad_models::{MotionModel, parameters};
 use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_settings::{Refused, require};
@@ -51,12 +52,14 @@ impl Starts {
         Ok(tables)
     }
 
-    /// The statistics that the denoiser's data were normalised by.
+    /// The statistics that the denoiser's data were normalised by, and how they were augmented.
     ///
     /// # Errors
     /// If the checkpoint is damaged.
-    pub fn statistics(&self) -> Result<Statistics, Error> {
-        Ok(self.diffusion.state()?.statistics_of(&Phrases)?.clone())
+    pub fn statistics(&self) -> Result<(Statistics, AugmentConfig), Error> {
+        let state = self.diffusion.state()?;
+        let statistics = state.statistics_of(&Phrases)?.clone();
+        Ok((statistics, state.config.data.augment.clone()))
     }
 
     /// The networks with the start's averaged weights on an autodiff device.

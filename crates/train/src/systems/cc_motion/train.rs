@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::{Dataset, Phrase, PhraseSamples};
+use kinegrad_data::{AugmentConfig, Dataset, Phrase, PhraseSamples};
 use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_motion::augment::mirrored_channels;
 use kinegrad_motion::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use kinegrad_motion::{Phrases, Statistics};
 use kinegrad_settings::InvalidSetting;
@@ -56,8 +57,15 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let statistics = match (&setup.checkpoint, &starts) {
         (Some(checkpoint), _) => checkpoint.state.statistics_of(&Phrases)?.clone(),
-        (None, Some(starts)) => starts.statistics()?,
-        (None, None) => statistics_of(&dataset, &config)?,
+        (None, Some(starts)) => {
+            let (statistics, augmented) = starts.statistics()?;
+            widened(statistics, &config.data.augment, &augmented)
+        }
+        (None, None) => widened(
+            dataset.statistics()?,
+            &config.data.augment,
+            &AugmentConfig::default(),
+        ),
     };
     let normalized = Arc::new(statistics.clone());
     let shared = normalized.clone();
@@ -94,14 +102,90 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     }
 }
 
-/// Statistics of the training phrases as stored; augmentation widens their ranges only.
-fn statistics_of(dataset: &Dataset<Phrase>, config: &Config) -> Result<Statistics, Error> {
-    let mut statistics = dataset.statistics()?;
-    if config.data.augment.rotate_yaw {
+/// The statistics with the range that augmented phrases reach, which predicted ones are clipped to;
+/// `before` is the augmentation that the range takes in already.
+fn widened(
+    mut statistics: Statistics,
+    augment: &AugmentConfig,
+    before: &AugmentConfig,
+) -> Statistics {
+    if augment.mirror {
+        statistics.widen_range_for_signs(mirrored_channels());
+    }
+    if augment.flip_quaternion {
+        statistics.widen_range_for_signs(QUATERNION);
+    }
+    if augment.rotate_yaw && !before.rotate_yaw {
         statistics.widen_range_for_yaw(
             &[POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY],
             QUATERNION,
         );
     }
-    Ok(statistics)
+    statistics
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::{CHANNELS, phrase_statistics, rotate_yaw};
+    use kinegrad_motion::{Motion, mirror};
+
+    use super::*;
+
+    /// Phrases that lie to one side in every channel.
+    fn phrases() -> Vec<Motion> {
+        let value = |i: usize| 0.2 + ((i * 7919) % 101) as f32 / 200.0;
+        let phrase = |shift: usize| (0..20 * CHANNELS).map(|i| value(i + shift)).collect();
+        (0..3)
+            .map(|n| Motion::new(phrase(n)).expect("whole frames"))
+            .collect()
+    }
+
+    /// Channels in which a changed phrase leaves the range of the statistics.
+    fn cut(statistics: &Statistics, change: impl Fn(&mut Motion)) -> Vec<usize> {
+        let [low, high] = statistics.normalized_range().expect("measured");
+        let mut cut = Vec::new();
+        for mut phrase in phrases() {
+            change(&mut phrase);
+            let values = statistics.normalize(phrase.as_slice());
+            for (channel, row) in values.chunks(20).enumerate() {
+                let within = |v: &f32| (low[channel] - 1e-5..=high[channel] + 1e-5).contains(v);
+                if !row.iter().all(within) && !cut.contains(&channel) {
+                    cut.push(channel);
+                }
+            }
+        }
+        cut
+    }
+
+    fn flip(phrase: &mut Motion) {
+        (0..20).for_each(|t| phrase.set_quaternion(t, phrase.quaternion(t).scale(-1.0)));
+    }
+
+    #[test]
+    fn each_augmentation_alone_stays_within_the_range_that_it_widens() {
+        let measured = phrase_statistics(&phrases()).expect("phrases");
+        let none = AugmentConfig::default();
+        let with = |set: fn(&mut AugmentConfig)| {
+            let mut augment = none.clone();
+            set(&mut augment);
+            widened(measured.clone(), &augment, &none)
+        };
+        assert!(!cut(&measured, mirror).is_empty() && !cut(&measured, flip).is_empty());
+        let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
+        assert!(!cut(&measured, turn).is_empty());
+        assert_eq!(cut(&with(|a| a.mirror = true), mirror), []);
+        assert_eq!(cut(&with(|a| a.flip_quaternion = true), flip), []);
+        assert_eq!(cut(&with(|a| a.rotate_yaw = true), turn), []);
+        // Nothing else is widened.
+        assert!(!cut(&with(|a| a.mirror = true), turn).is_empty());
+    }
+
+    #[test]
+    fn a_range_that_takes_in_rotation_is_not_widened_again() {
+        let measured = phrase_statistics(&phrases()).expect("phrases");
+        let mut turned = AugmentConfig::default();
+        turned.rotate_yaw = true;
+        let once = widened(measured, &turned, &AugmentConfig::default());
+        assert_eq!(widened(once.clone(), &turned, &turned), once);
+    }
 }
