@@ -9,7 +9,9 @@ from judge import INVALID, SUCCESS
 from runs import last_differs
 
 KINDS = ["bit", "bit", "bit", "cut", "zeros", "removed", "empty", "longer"]
-NOT_NEEDED = ["metrics.jsonl", "loader.jsonl", "events.out.tfevents.kinegrad", "best.json", "lock"]
+NOT_NEEDED = [
+    "metrics.jsonl", "loader.jsonl", "environment.jsonl", "events.out.tfevents.kinegrad", "best.json", "lock",
+]
 """Files of a run without which it goes on."""
 
 
@@ -37,7 +39,7 @@ class Flips(RunAttack):
         case.label = f"{recipe.name} {path.name} {kind}"
         case.history.append(f"# {name}: {kind}")
 
-        sampled = case.run("sample", "runs/small", "--steps", 1, "--out", "sample")
+        sampled = case.run("sample", "runs/small", "--steps", 1, "--out", "sample", "--overwrite")
         resumed = case.run(*self.training(case, recipe), limits=TRAINING)
         of_checkpoint = path.parent.name.startswith("step-")
         if resumed.code == SUCCESS:

@@ -17,7 +17,7 @@ from runs import SEAL, checkpoints, resealed, sealed
 
 Damage = Callable[[random.Random, bytes, list[bytes]], bytes]
 
-ONE_STEP = ["--steps", "1", "--out", "out"]
+ONE_STEP = ["--steps", "1", "--out", "out", "--overwrite"]
 RUN = "{run}"
 """Stands for the run of a recipe, in a command that is tried with each."""
 

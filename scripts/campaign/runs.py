@@ -6,7 +6,7 @@ from pathlib import Path
 
 CLOCK = ("time", "elapsed_seconds", "steps_per_second")
 """What the clock writes into metrics (docs/training.md)."""
-OF_THE_CLOCK = ("loader.jsonl", "lock")
+OF_THE_CLOCK = ("environment.jsonl", "loader.jsonl", "lock")
 """Files that hold times, or nothing."""
 SEAL = ',\n  "state_sha256": "'
 UNFINISHED = ".writing-"

@@ -110,7 +110,7 @@ class Sweep(Attack):
         resumed = case.run(*train, "--resume", limits=limits)
         self.must(case, key, "resume", resumed)
         run = runs[0].relative_to(case.folder)
-        sample = ["sample", run, "--steps", 1, "--out", "sample"]
+        sample = ["sample", run, "--steps", 1, "--out", "sample", "--overwrite"]
         sampled = case.run(*sample, limits=limits)
         self.must(case, key, "sample", sampled)
         case.must_be_finite(sampled, "sample*.npy")
