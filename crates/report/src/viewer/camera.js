@@ -1,6 +1,27 @@
 // An eye that orbits a target, and the projection onto a part of the canvas.
 
 const VIEW_ANGLE = (36 * Math.PI) / 180;
+// The part of the picture that figures take.
+const MARGIN = 0.9;
+
+// How far above the horizon the eye is at first.
+const FIRST_PITCH = 0.28;
+
+// The distance from which an eye at the first pitch sees all of `points`, `[reach, rise]` from the
+// axis through the target and above it, wherever around that axis they and the eye are; `aspect`
+// is the width of a picture whose height is one.
+const distanceFor = (points, aspect) => {
+  const [sp, cp] = [Math.sin(FIRST_PITCH), Math.cos(FIRST_PITCH)];
+  const half = MARGIN * Math.tan(VIEW_ANGLE / 2);
+  let far = 0;
+  for (const [reach, rise] of points) {
+    const before = Math.abs(rise * cp - reach * sp) / half + reach * cp;
+    const behind = Math.abs(rise * cp + reach * sp) / half - reach * cp;
+    const beside = reach * Math.hypot(1 / (half * aspect), cp);
+    far = Math.max(far, Math.max(before, behind, beside) + rise * sp);
+  }
+  return far;
+};
 
 class Camera {
   constructor() {
@@ -9,7 +30,7 @@ class Camera {
 
   reset() {
     this.yaw = 0.6;
-    this.pitch = 0.28;
+    this.pitch = FIRST_PITCH;
     this.zoom = 1;
     this.pan = [0, 0, 0];
   }

@@ -1,7 +1,9 @@
 // Curves under the view, with a cursor that follows.
 
 const SERIES_COLOURS = ["#4a86e0", "#e58037", "#2fa37a", "#d0515f", "#b263c9", "#8f8a2f", "#3aa7bf", "#8c8c8c"];
-const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
+const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3], [12, 3], [4, 2, 1, 2, 1, 2], [1, 5], [12, 3, 3, 3]];
+// Figures that dashes alone tell apart.
+const FEW = 4;
 
 const element = (name, attributes = {}, text = "") => {
   const made = document.createElement(name);
@@ -32,6 +34,17 @@ const chartsOf = (scene) => {
   return [...charts.values()];
 };
 
+// A piece of a curve, for legends.
+const stroke = ({ colour, dash }) => {
+  const make = (name) => document.createElementNS("http://www.w3.org/2000/svg", name);
+  const [svg, line] = [make("svg"), make("line")];
+  const set = (node, attributes) => Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+  set(svg, { viewBox: "0 0 26 4", width: 26, height: 4, "aria-hidden": "true" });
+  set(line, { x1: 0, x2: 26, y1: 2, y2: 2, stroke: colour, "stroke-width": 2, "stroke-dasharray": dash.join(" ") });
+  svg.append(line);
+  return svg;
+};
+
 class Chart {
   constructor(chart, scene, seek) {
     Object.assign(this, chart);
@@ -56,35 +69,42 @@ class Chart {
     });
   }
 
-  // With several figures a single curve has the colour of its figure, and several have its dashes.
+  // With several figures a single curve has the colour of its figure; several curves have colours
+  // of their own and the dashes of their figure or, with many figures, the other way round.
   look({ figure, name }) {
-    const several = this.scene.figures.length > 1;
-    if (several && this.names.length === 1) return { colour: colourOf(figure), dash: [] };
-    const colour = SERIES_COLOURS[this.names.indexOf(name) % SERIES_COLOURS.length];
-    return { colour, dash: several ? DASHES[figure % DASHES.length] : [] };
+    const series = this.names.indexOf(name);
+    const dash = DASHES[(this.byFigure ? series : figure) % DASHES.length];
+    const colour = this.byFigure ? colourOf(figure) : SERIES_COLOURS[series % SERIES_COLOURS.length];
+    return { colour, dash: this.scene.figures.length > 1 ? dash : [] };
+  }
+
+  // Whether colours stand for figures.
+  get byFigure() {
+    const figures = this.scene.figures.length;
+    return figures > FEW || (figures > 1 && this.names.length === 1);
   }
 
   legend() {
     const legend = element("ul", { class: "kg-legend" });
     const several = this.scene.figures.length > 1;
-    const add = (text, { colour, dash }) => {
+    const add = (text, look) => {
       const item = element("li", {}, text);
-      const sample = element("span");
-      sample.style.borderTopColor = colour;
-      sample.style.borderTopStyle = dash.length === 0 ? "solid" : dash[0] > 2 ? "dashed" : "dotted";
-      item.prepend(sample);
+      item.prepend(stroke(look));
       legend.append(item);
     };
+    const plain = { colour: "currentColor", dash: [] };
     if (several && this.names.length === 1) {
       for (const line of this.lines) add(this.scene.figures[line.figure].name, this.look(line));
       return legend;
     }
     this.names.forEach((name, i) => {
-      add(name, { colour: SERIES_COLOURS[i % SERIES_COLOURS.length], dash: [] });
+      const look = this.look({ figure: 0, name });
+      add(name, this.byFigure ? { ...plain, dash: DASHES[i % DASHES.length] } : { ...look, dash: [] });
     });
     if (several) {
-      this.scene.figures.forEach(({ name }, i) => {
-        add(name, { colour: "currentColor", dash: DASHES[i % DASHES.length] });
+      this.scene.figures.forEach(({ name }, figure) => {
+        const look = this.look({ figure, name: this.names[0] });
+        add(name, this.byFigure ? { ...look, dash: [] } : { ...look, colour: "currentColor" });
       });
     }
     return legend;

@@ -155,13 +155,42 @@ const measure = (figure, parents) => {
   const tops = figure.bones.filter(({ parent, joint }) => parent === figure.head && /end|top/i.test(figure.joints[joint]));
   figure.top = tops.length === 1 ? tops[0].joint : figure.head;
   figure.bones = figure.bones.filter((bone) => !tops.includes(bone) || tops.length > 1);
-  figure.reach = 0;
-  for (const frame of sampled) {
-    for (let j = 0; j < count; j++) {
-      figure.reach = Math.max(figure.reach, apart(frame, j, figure.root));
+  figure.way = smoothed(figure, Math.round(0.5 * figure.fps));
+  figure.middle = [(low[0] + high[0]) / 2, (low[2] + high[2]) / 2];
+  figure.around = {
+    way: outline(figure, (frame) => [figure.way[2 * frame], figure.way[2 * frame + 1]]),
+    middle: outline(figure, () => figure.middle),
+  };
+};
+
+// Layers of a figure's outline.
+const LAYERS = 24;
+// What is drawn around joints, as a part of the height; a lone root's body with its arrow, metres.
+const FLESH = 0.05;
+const LONE = 0.5;
+
+// How far from an upright axis, which `axis` gives for each frame, what is drawn reaches in all
+// frames: `[reach, height]`, metres, of the lower and upper border of each layer.
+const outline = (figure, axis) => {
+  const { positions, count, frames, bones, low, high, height } = figure;
+  const drawn = bones.length > 0 ? [...new Set(bones.flatMap(({ parent, joint }) => [parent, joint]))] : [...Array(count).keys()];
+  const flesh = count === 1 ? LONE : FLESH * height;
+  const [from, to] = [low[1] - flesh, Math.max(high[1] + flesh, low[1] + (count === 1 ? 1 : 0))];
+  const thick = (to - from) / LAYERS || 1;
+  const reaches = new Array(LAYERS).fill(-1);
+  for (let t = 0; t < frames; t++) {
+    const [x, z] = axis(t);
+    for (const joint of drawn) {
+      const at = 3 * (t * count + joint);
+      const reach = Math.hypot(positions[at] - x, positions[at + 2] - z) + flesh;
+      const y = positions[at + 1];
+      for (const side of [y - flesh, y + flesh]) {
+        const layer = Math.min(LAYERS - 1, Math.floor((side - from) / thick));
+        if (reach > reaches[layer]) reaches[layer] = reach;
+      }
     }
   }
-  figure.way = smoothed(figure, Math.round(0.5 * figure.fps));
+  return reaches.flatMap((reach, i) => (reach < 0 ? [] : [[reach, from + i * thick], [reach, from + (i + 1) * thick]]));
 };
 
 // The root's place on the ground, `[frames, 2]`, averaged over `half` frames before and after: what

@@ -8,7 +8,11 @@ const mixed = (from, to, part) => {
   return `#${channels.join("")}`;
 };
 
-const FIGURE_COLOURS = ["#4a86e0", "#e58037", "#2fa37a", "#b263c9", "#d0515f", "#8f8a2f"];
+// As many as a scene has figures.
+const FIGURE_COLOURS = [
+  "#4a86e0", "#e58037", "#2fa37a", "#b263c9", "#d0515f", "#8f8a2f", "#17a9c9", "#8a5a3c",
+  "#e273b5", "#6a6f7d", "#86bf2c", "#3b4fb8", "#d4a90f", "#0e6b5c", "#a02a6b", "#f0938a",
+];
 const colourOf = (index) => FIGURE_COLOURS[index % FIGURE_COLOURS.length];
 
 // Corners of a lone root's body and the faces they make, seen from outside; its front is +z.
@@ -43,6 +47,7 @@ class Painter {
   pane(pane, view, frameOf, ratio) {
     const { context } = this;
     this.view = view;
+    this.level = pane.ground;
     this.ratio = ratio;
     context.save();
     context.beginPath();
@@ -71,7 +76,8 @@ class Painter {
       context.fillRect(pane.x + 10 * ratio, y + 1.5 * ratio, 9 * ratio, 9 * ratio);
       context.fillStyle = this.ink;
       const { name } = this.scene.figures[index];
-      context.fillText(name, pane.x + 25 * ratio, y, Math.max(1, pane.width - 34 * ratio));
+      const level = pane.ground === this.scene.ground ? "" : ` · ground at ${pane.ground.toFixed(2)} m`;
+      context.fillText(name + level, pane.x + 25 * ratio, y, Math.max(1, pane.width - 34 * ratio));
       y += 17 * ratio;
     }
   }
@@ -124,7 +130,7 @@ class Painter {
     const cell = 10 ** Math.round(Math.log10(scene.size / 2.5));
     const reach = Math.ceil((1.1 * view.far) / cell / 2) * cell;
     const [cx, cz] = [view.at[0], view.at[2]].map((value) => Math.round(value / cell) * cell);
-    const y = scene.ground;
+    const y = this.level;
     context.beginPath();
     for (let i = -reach; i <= reach + cell / 2; i += cell) {
       const half = Math.sqrt(Math.max(0, reach * reach - i * i));
@@ -141,7 +147,7 @@ class Painter {
     for (let i = 0; i < 28; i++) {
       const angle = (i * Math.PI) / 14;
       const [dx, dz] = [radius * Math.cos(angle), radius * Math.sin(angle)];
-      points.push([x + dx, this.scene.ground, z + dz]);
+      points.push([x + dx, this.level, z + dz]);
     }
     return points;
   }
@@ -154,7 +160,7 @@ class Painter {
     const { positions, count, frames, root, fps } = figure;
     const place = (t) => {
       const at = 3 * (t * count + root);
-      return [positions[at], scene.ground, positions[at + 2]];
+      return [positions[at], this.level, positions[at + 2]];
     };
     const way = (from, to, most) => {
       const step = Math.max(1, Math.ceil((to - from) / most));
@@ -179,7 +185,7 @@ class Painter {
   goals(frame) {
     const { context, scene, ratio } = this;
     const { path, keyframes, obstacles, polygons } = scene.floor;
-    const standing = ([x, z]) => [x, scene.ground, z];
+    const standing = ([x, z]) => [x, this.level, z];
     const shapes = obstacles.map(([centre, radius]) => this.circle(centre, radius));
     shapes.push(...polygons.map((corners) => corners.map(standing)));
     context.lineWidth = 1.5 * ratio;
@@ -212,7 +218,7 @@ class Painter {
       context.globalAlpha = 1;
       context.lineWidth = (near ? 3 : 1.8) * ratio;
       context.stroke();
-      const centre = seen(this.view, place[0], scene.ground, place[1]);
+      const centre = seen(this.view, place[0], this.level, place[1]);
       if (centre[2] < this.view.near) continue;
       const [x, y] = onScreen(this.view, centre);
       context.fillStyle = this.ink;
@@ -248,11 +254,11 @@ class Painter {
   }
 
   shadow(figure, base) {
-    const { context, view, scene, ratio } = this;
+    const { context, view, ratio } = this;
     const { positions, bones } = figure;
     const flat = (joint) => {
       const at = base + 3 * joint;
-      return [positions[at], scene.ground, positions[at + 2]];
+      return [positions[at], this.level, positions[at + 2]];
     };
     context.beginPath();
     for (const { parent, joint } of bones) this.line([flat(parent), flat(joint)]);
@@ -334,11 +340,11 @@ class Painter {
   // A lone root: a body with an arrow to its front where its orientation is known, else a ball; and
   // a plumb line to the ground.
   root(figure, frame, colour, pieces) {
-    const { context, view, scene, ratio } = this;
+    const { context, view, ratio } = this;
     const at = [0, 1, 2].map((axis) => figure.positions[3 * frame + axis]);
     const depth = figure.spots[2];
     if (depth < view.near) return;
-    const foot = [at[0], scene.ground, at[2]];
+    const foot = [at[0], this.level, at[2]];
     this.area(this.circle([at[0], at[2]], 0.11));
     context.globalAlpha = 0.16;
     context.fillStyle = this.ink;

@@ -80,6 +80,11 @@ class Viewer {
     const lone = figures.every((figure) => figure.count === 1);
     // Feet stand at 0, unless the file puts its origin elsewhere.
     const ground = lone || Math.abs(lowest) < 0.3 * size ? 0 : lowest;
+    // What is further above than it is tall comes from another origin.
+    for (const figure of figures) {
+      const above = figure.low[1] - ground;
+      figure.ground = figure.count > 1 && above > figure.height ? figure.low[1] : ground;
+    }
     this.scene = { ...data, figures, seconds, size, ground };
     // The last frame lasts as long as any other, but no time lies beyond its beginning.
     this.clock = new Clock(seconds, data.song);
@@ -201,7 +206,7 @@ class Viewer {
   panes() {
     const indices = this.scene.figures.map((_, index) => index);
     const { width, height } = this;
-    if (!this.sideBySide) return [{ x: 0, y: 0, width, height, figures: indices }];
+    if (!this.sideBySide) return [{ x: 0, y: 0, width, height, figures: indices, ground: this.scene.ground }];
     let best = 0;
     let columns = 1;
     for (let tried = 1; tried <= indices.length; tried++) {
@@ -217,46 +222,39 @@ class Viewer {
       width: Math.round(w - gap),
       height: Math.round(h - gap),
       figures: [index],
+      ground: this.scene.figures[index].ground,
     }));
   }
 
-  // What the camera looks at, and from how far.
+  // What the camera looks at, and from how far: all that is drawn of the figures, and the ground.
   framing(pane) {
-    const figures = pane.figures.map((index) => this.scene.figures[index]);
-    const { ground, floor } = this.scene;
-    const tall = Math.max(...figures.map((figure) => figure.height));
-    let [x0, x1, z0, z1] = [Infinity, -Infinity, Infinity, -Infinity];
-    const include = (x, z) => {
-      [x0, x1] = [Math.min(x0, x), Math.max(x1, x)];
-      [z0, z1] = [Math.min(z0, z), Math.max(z1, z)];
-    };
-    let reach = 0;
-    pane.figures.forEach((index, i) => {
-      const figure = figures[i];
-      reach = Math.max(reach, figure.reach);
-      if (this.following) {
-        const t = this.frameOf(index);
-        include(figure.way[2 * t], figure.way[2 * t + 1]);
-      } else {
-        include(figure.low[0], figure.low[2]);
-        include(figure.high[0], figure.high[2]);
-      }
+    const { ground, width, height } = pane;
+    const goals = this.following ? [] : this.goalPlaces();
+    const figures = pane.figures.map((index) => {
+      const { way, middle, around } = this.scene.figures[index];
+      const t = this.frameOf(index);
+      const axis = this.following ? [way[2 * t], way[2 * t + 1]] : middle;
+      return { axis, outline: this.following ? around.way : around.middle };
     });
-    if (!this.following) {
-      for (const [, [x, z]] of floor.keyframes) include(x, z);
-      for (const [x, z] of floor.path) include(x, z);
-      for (const [[x, z], r] of floor.obstacles) {
-        include(x - r, z - r);
-        include(x + r, z + r);
-      }
-      for (const [x, z] of floor.polygons.flat()) include(x, z);
-    }
-    const spread = Math.hypot(x1 - x0, z1 - z0) / 2;
-    const wide = spread + (this.following ? reach : 0.25 * tall);
-    const high = 0.62 * tall + 0.35 * spread;
-    const half = Math.tan(VIEW_ANGLE / 2);
-    const distance = Math.max(high / half, wide / ((half * pane.width) / pane.height)) + 0.25 * spread;
-    return [[(x0 + x1) / 2, ground + 0.5 * tall, (z0 + z1) / 2], distance];
+    const places = [...figures.map(({ axis }) => axis), ...goals];
+    const [x, z] = [0, 1].map((axis) => {
+      const values = places.map((place) => place[axis]);
+      return (Math.min(...values) + Math.max(...values)) / 2;
+    });
+    const off = (place) => Math.hypot(place[0] - x, place[1] - z);
+    const points = figures.flatMap(({ axis, outline }) => outline.map(([reach, y]) => [reach + off(axis), y]));
+    points.push(...places.map((place) => [off(place), ground]));
+    const heights = points.map(([, y]) => y);
+    const y = (Math.min(...heights) + Math.max(...heights)) / 2;
+    const distance = distanceFor(points.map(([reach, height]) => [reach, height - y]), width / height);
+    return [[x, y, z], distance];
+  }
+
+  // Corners of what a goal puts on the ground.
+  goalPlaces() {
+    const { path, keyframes, obstacles, polygons } = this.scene.floor;
+    const discs = obstacles.flatMap(([[x, z], r]) => [[x - r, z - r], [x + r, z + r]]);
+    return [...keyframes.map(([, place]) => place), ...path, ...discs, ...polygons.flat()];
   }
 
   resize() {
