@@ -2,15 +2,20 @@
 
 mod config;
 mod data;
+mod reading;
 mod reports;
 mod talk;
 mod train;
 mod view;
 
+use std::any::TypeId;
+use std::fmt::Display;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Args, Parser, Subcommand};
+use clap::{ArgAction, Args, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
+use kinegrad_capture::prepare::Units;
 use kinegrad_motion::sanity::Profile;
 use kinegrad_train::Error;
 use serde::de::value::Error as ValueError;
@@ -22,6 +27,7 @@ pub use data::{
     SynthArguments,
 };
 
+pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 pub use talk::TalkArguments;
 pub use train::TrainArguments;
@@ -241,8 +247,9 @@ pub struct MergeArguments {
 /// PATH is a motion file, or a folder that is searched for motion files, each sample once: without
 /// its raw model output (PATH.raw.npy, see `--raw`), and without joint features and ground path
 /// (PATH.features.npy, PATH.path.npy) beside joint positions. The representation is
-/// recognised from the array: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, or joint
-/// positions `[T, J, 3]`. The `strict` profile compares with statistics of training motion: pass
+/// recognised from the array: phrases `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint
+/// positions `[T, 22, 3]` or `[T, 21, 3]`, or ground paths `[T, 2]`. BVH files and joints of other
+/// skeletons cannot be checked; `kinegrad view` and `kinegrad plot` show them. The `strict` profile compares with statistics of training motion: pass
 /// the run (`--run`) or the dataset (`--source`).
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -252,7 +259,7 @@ Examples:
   kinegrad check dance.npy --json")]
 pub struct CheckArguments {
     /// Motion files (.npy), or folders of them: phrases `[T, 25]`, joint features `[T, 263]` or
-    /// `[T, 251]`, or joint positions `[T, J, 3]`
+    /// `[T, 251]`, joint positions `[T, 22, 3]` or `[T, 21, 3]`, or ground paths `[T, 2]`
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     /// Which checks to run: `document`, for phrases CC-MotionGen's five checks on means over all
@@ -333,6 +340,54 @@ pub struct ShowArguments {
     pub overrides: Vec<String>,
 }
 
+impl Arguments {
+    /// Reads a command line.
+    ///
+    /// # Errors
+    /// What clap says of it.
+    pub fn read<T>(line: impl IntoIterator<Item = T>) -> Result<Self, clap::Error>
+    where
+        T: Into<std::ffi::OsString> + Clone,
+    {
+        let mut command = with_numbers(Self::command());
+        let found = command.try_get_matches_from_mut(line)?;
+        Self::from_arg_matches(&found).map_err(|error| error.format(&mut command))
+    }
+}
+
+/// The same command, where `-1` behind an option for a number is its value and no option of its own,
+/// and what is no such number is refused in words.
+fn with_numbers(command: Line) -> Line {
+    let command = command.mut_args(|argument| {
+        if !matches!(argument.get_action(), ArgAction::Set | ArgAction::Append) {
+            return argument;
+        }
+        let kind = argument.get_value_parser().type_id();
+        let argument = match () {
+            () if kind == TypeId::of::<usize>() => argument.value_parser(number::<usize>),
+            () if kind == TypeId::of::<u64>() => argument.value_parser(number::<u64>),
+            () if kind == TypeId::of::<f64>() => argument.value_parser(number::<f64>),
+            () if kind == TypeId::of::<Units>() => argument,
+            () => return argument,
+        };
+        argument.allow_negative_numbers(true)
+    });
+    command.mut_subcommands(with_numbers)
+}
+
+/// A number from the command line.
+fn number<N: FromStr + 'static>(text: &str) -> Result<N, String>
+where
+    N::Err: Display,
+{
+    let is_whole = TypeId::of::<N>() != TypeId::of::<f64>();
+    text.parse().map_err(|error: N::Err| match is_whole {
+        true if text.parse::<u128>().is_ok() => format!("{error}, allowed: at most {}", u64::MAX),
+        true => "allowed: a whole number, 0 or more".to_string(),
+        false => "allowed: a number, such as 1.5".to_string(),
+    })
+}
+
 /// Former options of `kinegrad sample` and `kinegrad eval`, and the config keys that replace them.
 const REPLACED: [(&str, &str); 18] = [
     ("--seeds", "evaluation.seeds=N"),
@@ -377,4 +432,47 @@ pub fn replaced(command: &str, error: &clap::Error) -> Option<Error> {
 /// Parses a config enum by its serde name.
 fn named<T: DeserializeOwned>(name: &str) -> Result<T, ValueError> {
     T::deserialize(name.into_deserializer())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(line: &str) -> String {
+        let line = line.split_whitespace();
+        Arguments::read(line).expect_err("refused").to_string()
+    }
+
+    #[test]
+    fn a_number_below_zero_is_the_value_of_its_option() {
+        for line in [
+            "kinegrad view a.npy --fps -1",
+            "kinegrad view a.npy --audio a.mp3 --start -5",
+            "kinegrad plot a.npy --out a.svg --fps -2.5",
+            "kinegrad audio features a.mp3 --out a --start -5 --duration -1",
+            "kinegrad sample run --out a --audio a.mp3 --start -5 --guidance-scale -1",
+        ] {
+            Arguments::read(line.split_whitespace()).expect(line);
+        }
+        for line in [
+            "kinegrad sample run --out a --count -1",
+            "kinegrad sample run --out a --frames -1",
+            "kinegrad sample run --out a --steps 1.5",
+            "kinegrad eval run --seed -1",
+            "kinegrad data synth --out a --phrases -1",
+            "kinegrad import a.pt --arch gmd_motion --out a --padded-frames -1",
+        ] {
+            let said = refused(line);
+            assert!(
+                said.contains("allowed: a whole number, 0 or more"),
+                "{said}"
+            );
+        }
+        let said = refused("kinegrad view a.npy --units -1");
+        assert!(said.contains("a positive number of metres"), "{said}");
+        let said = refused("kinegrad eval run --seed 99999999999999999999");
+        assert!(said.contains("at most 18446744073709551615"), "{said}");
+        let said = refused("kinegrad view a.npy -1");
+        assert!(said.contains("unexpected argument"), "{said}");
+    }
 }

@@ -35,7 +35,6 @@ mod scene;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::Parser;
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
@@ -48,7 +47,7 @@ pub fn run(
 ) -> ExitCode {
     kinegrad_kernels::memory::keep_freed();
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
-    let done = match Arguments::try_parse_from(&arguments) {
+    let done = match Arguments::read(&arguments) {
         Ok(arguments) => {
             log::start(arguments.talk);
             execute(systems, arguments.command)

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use kinegrad_data::write_whole;
 use kinegrad_report::scene::{Floor, Scene};
-use kinegrad_report::{Panel, body_panels, draw_png, viewer};
+use kinegrad_report::{body_panels, draw_png, viewer};
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::preview_page;
 use kinegrad_train::sampling::{self, Conditions, Contents, Drawn, Receiver, Request};
@@ -50,17 +50,10 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
     let page = preview_page(run.unwrap_or(checkpoint), step);
     write_whole(&page, viewer::page(&drawn.scene).as_bytes())?;
     let previews = drawn.scene.figures.iter().filter_map(|figure| {
-        let curves = figure.curves.iter().map(|curves| {
-            let series = curves.series.iter().map(|(name, values)| {
-                let values = values.iter().map(|&value| value.into()).collect();
-                (name.as_str(), values)
-            });
-            Panel::over_time(curves.title.clone(), figure.fps, series)
-        });
         let mut panels = body_panels(figure, &Floor::default());
         if panels.len() == 1 {
             // A path alone says little.
-            panels.extend(curves.take(CURVES));
+            panels.extend(scene::curve_panels(figure).take(CURVES));
         }
         let png = draw_png(&panels, 2, PANEL)?;
         Some(Preview {

@@ -1,5 +1,6 @@
 //! Run folders as they are found: what a run is, how far it has come, in which state it is.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -18,6 +19,9 @@ const DEPTH: usize = 6;
 
 /// How much of the end of `metrics.jsonl` is read for its last step.
 const TAIL: u64 = 16 << 10;
+
+/// How many of a run's problems are named.
+const NAMED: usize = 4;
 
 /// How a run stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,8 +72,8 @@ pub struct Run {
     pub system: Option<&'static str>,
     /// Names of the runs that its system trains before it.
     pub stages: &'static [&'static str],
-    /// Steps done.
-    pub step: u64,
+    /// Steps done; unknown where no checkpoint can be read.
+    pub step: Option<u64>,
     /// Its best validation.
     pub best: Option<Best>,
     /// The newest checkpoint whose state can be read, and that state.
@@ -89,16 +93,18 @@ impl Run {
             None
         });
         let checkpoints = Checkpoints::of(folder);
-        let (newest, damaged) = newest(&checkpoints);
+        let Found { newest, damaged } = found(&checkpoints);
         // With an older checkpoint it goes on.
-        let is_damaged = problem.is_some() || damaged.is_some() && newest.is_none();
-        if let Some(error) = damaged {
-            problem.get_or_insert(error.to_string());
-        }
+        let is_damaged = problem.is_some() || !damaged.is_empty() && newest.is_none();
+        let unknown = newest.is_none() && !damaged.is_empty();
+        problem = joined(problem.into_iter().chain(damaged));
         let saved = newest.as_ref().map(|(_, state)| &state.config);
         let config = config.or_else(|| systems.completed(saved?).ok());
         let system = config.as_ref().and_then(|config| systems.of(config).ok());
-        let step = newest.as_ref().map_or(0, |(_, state)| state.step);
+        let step = match &newest {
+            Some((_, state)) => Some(state.step),
+            None => (!unknown).then_some(0),
+        };
         let metrics = folder.join("metrics.jsonl");
         let in_use = is_in_use(folder);
         let standing = match &newest {
@@ -122,7 +128,7 @@ impl Run {
             stages: system.map_or(&[], |(system, _)| system.stages()),
             config,
             // A training is further than its checkpoints.
-            step: last_step(&metrics).filter(|_| in_use).unwrap_or(step),
+            step: last_step(&metrics).filter(|_| in_use).or(step),
             best: checkpoints.best(),
             newest,
             bytes: size_on_disk(folder, 0),
@@ -135,6 +141,15 @@ impl Run {
     pub fn recipe(&self) -> Option<&str> {
         let config = self.config.as_ref()?;
         Some(&config.train.recipe)
+    }
+
+    /// Steps done and steps in all, with `-` for what is not known.
+    pub fn steps(&self, number: impl Fn(u64) -> String) -> String {
+        let done = self.step.map_or("-".to_string(), &number);
+        match self.max_steps() {
+            Some(all) => format!("{done} of {}", number(all)),
+            None => done,
+        }
     }
 
     /// Steps in all, of a run that is trained.
@@ -152,36 +167,65 @@ fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, E
     Ok(config)
 }
 
-/// The newest checkpoint whose state can be read and whose files are there, and what is wrong with
-/// newer ones: resuming passes over them too.
-fn newest(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Option<Error>) {
+/// The checkpoints of a run.
+#[derive(Default)]
+struct Found {
+    /// The newest one whose state can be read and whose files are there.
+    newest: Option<(PathBuf, State)>,
+    /// What is wrong with each of the others, the newest first. Resuming passes over them.
+    damaged: Vec<String>,
+}
+
+fn found(checkpoints: &Checkpoints) -> Found {
     let steps = match checkpoints.steps() {
         Ok(steps) => steps,
-        Err(error) => return (None, Some(error)),
+        Err(error) => {
+            return Found {
+                damaged: vec![error.to_string()],
+                ..Found::default()
+            };
+        }
     };
-    let mut first = None;
+    let mut found = Found::default();
     for step in steps.into_iter().rev() {
         let path = checkpoints.step_path(step);
-        match State::read(&path) {
-            Ok(state) => match state
-                .checksums
-                .keys()
-                .find(|file| !path.join(file).exists())
-            {
-                None => return (Some((path, state)), first),
-                Some(file) => {
-                    let reason = format!("{file} is missing");
-                    first.get_or_insert(Error::CheckpointDamaged { path, reason });
-                }
-            },
+        match whole_state(&path) {
+            Ok(state) if found.newest.is_none() => found.newest = Some((path, state)),
+            Ok(_) => {}
             // A training has removed it meanwhile.
             Err(_) if !path.exists() => {}
-            Err(error) => {
-                first.get_or_insert(error);
-            }
+            Err(error) => found.damaged.push(error.to_string()),
         }
     }
-    (None, first)
+    found
+}
+
+/// The state of a checkpoint whose files are all there; what they hold is not read.
+///
+/// # Errors
+/// Says what is damaged.
+pub fn whole_state(checkpoint: &Path) -> Result<State, Error> {
+    let state = State::read(checkpoint)?;
+    let mut files = state.checksums.keys();
+    match files.find(|file| !checkpoint.join(file).exists()) {
+        None => Ok(state),
+        Some(file) => Err(Error::CheckpointDamaged {
+            path: checkpoint.to_path_buf(),
+            reason: format!("{file} is missing"),
+        }),
+    }
+}
+
+/// The first of these problems, and how many more there are where they are many.
+fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
+    let problems: Vec<String> = problems.collect();
+    let (named, more) = problems.split_at(problems.len().min(NAMED));
+    let named = named.join("; ");
+    match (named.is_empty(), more.len()) {
+        (true, _) => None,
+        (_, 0) => Some(named),
+        (_, more) => Some(format!("{named}; and {more} more")),
+    }
 }
 
 fn ended(state: &State, config: &Config) -> Standing {
@@ -223,10 +267,22 @@ fn size_on_disk(folder: &Path, depth: usize) -> u64 {
     sizes.sum()
 }
 
-/// Whether a folder is a run's: it holds what a training writes.
+/// Whether a folder is a run's: it holds what a training writes, or was left with its config alone.
 pub fn is_run(folder: &Path) -> bool {
     let written = ["checkpoints", "metrics.jsonl", "lock"];
-    written.iter().any(|name| folder.join(name).exists())
+    written.iter().any(|name| folder.join(name).exists()) || holds_a_config_alone(folder)
+}
+
+/// Many programs have a `config.toml`: one beside files that no training writes is theirs.
+fn holds_a_config_alone(folder: &Path) -> bool {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
+    let beside = ["config.toml", "reports", "report.html", SAMPLES, PREVIEWS];
+    names.iter().any(|name| name == "config.toml")
+        && names.iter().all(|name| {
+            let name = name.to_string_lossy();
+            beside.contains(&&*name) || name.starts_with('.')
+        })
 }
 
 /// The runs in a folder and below it, by path: the folder itself if it is one, and the stages that
@@ -274,12 +330,17 @@ mod tests {
         ] {
             fs::create_dir_all(root.path().join(folder)).expect("folders");
         }
+        for file in ["lost/config.toml", "other/config.toml", "other/main.rs"] {
+            let file = root.path().join(file);
+            fs::create_dir_all(file.parent().expect("a folder")).expect("folders");
+            fs::write(file, "= none").expect("written");
+        }
         let found = find(root.path());
         let names: Vec<_> = found
             .iter()
             .map(|path| path.strip_prefix(root.path()).expect("below").to_path_buf())
             .collect();
-        let expected = ["more/deep/two", "one", "one/base"];
+        let expected = ["lost", "more/deep/two", "one", "one/base"];
         assert_eq!(names, expected.map(PathBuf::from));
         assert_eq!(find(&root.path().join("one/base")).len(), 1);
     }
@@ -297,6 +358,38 @@ mod tests {
         let held = File::open(&lock).expect("the lock");
         held.try_lock().expect("locked");
         assert_eq!(standing(), Standing::Training);
+    }
+
+    #[test]
+    fn each_damaged_checkpoint_is_named_and_the_steps_are_not_known() {
+        let root = tempfile::tempdir().expect("a folder");
+        for step in 1..=6 {
+            let checkpoint = format!("checkpoints/step-0000000{step}");
+            fs::create_dir_all(root.path().join(checkpoint)).expect("folders");
+        }
+        let run = Run::read(BUILT_IN, root.path());
+        let problem = run.problem.as_deref().expect("a problem");
+        for step in 3..=6 {
+            assert!(
+                problem.contains(&format!("step-0000000{step}")),
+                "{problem}"
+            );
+        }
+        assert!(problem.ends_with("; and 2 more"), "{problem}");
+        assert_eq!(
+            (run.step, run.steps(|step| step.to_string())),
+            (None, "-".to_string())
+        );
+    }
+
+    #[test]
+    fn a_config_that_cannot_be_read_is_a_damaged_run() {
+        let root = tempfile::tempdir().expect("a folder");
+        fs::write(root.path().join("config.toml"), "= none").expect("written");
+        assert!(is_run(root.path()));
+        let run = Run::read(BUILT_IN, root.path());
+        assert_eq!(run.standing, Standing::Damaged);
+        assert!(run.problem.expect("a problem").contains("config.toml"));
     }
 
     #[test]

@@ -14,10 +14,13 @@ use kinegrad_motion::goal::{Goal, Obstacle};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
 use kinegrad_motion::{CHANNELS, Phrases, Representation};
+use kinegrad_report::Panel;
 use kinegrad_report::scene::{Curves, Figure, Floor, Scene};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 use kinegrad_train::systems::gmd::read_goal;
+
+use crate::args::ReadingArguments;
 
 pub use body::figure as body;
 pub use bvh::as_bvh;
@@ -41,6 +44,18 @@ pub struct Reading {
     pub goal: Option<PathBuf>,
     /// Song to play.
     pub music: Option<Music>,
+}
+
+impl Reading {
+    /// As options say.
+    pub fn of(arguments: &ReadingArguments) -> Self {
+        Self {
+            units: arguments.units,
+            up: arguments.up,
+            fps: arguments.fps,
+            ..Self::default()
+        }
+    }
 }
 
 impl Default for Reading {
@@ -165,7 +180,10 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
 }
 
 /// The figure in a file.
-fn figure(
+///
+/// # Errors
+/// If it cannot be shown.
+pub fn figure(
     systems: Systems<'_>,
     path: &Path,
     name: String,
@@ -186,7 +204,8 @@ fn figure(
     figure.ok_or_else(|| not_finite(path))
 }
 
-fn is_bvh(path: &Path) -> bool {
+/// Whether a file is a BVH file by its name.
+pub fn is_bvh(path: &Path) -> bool {
     let ending = path.extension();
     ending.is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"))
 }
@@ -231,6 +250,17 @@ pub fn of(representation: &dyn Representation, rows: &[f32], name: String) -> Op
     let joint_names = skeleton.description().joint_names.clone();
     let shown = body(name, fps, &joints, joint_names, parents, Some(&feet));
     Some(Figure { curves, ..shown })
+}
+
+/// The curves of a figure, each as a panel.
+pub fn curve_panels(figure: &Figure) -> impl Iterator<Item = Panel> {
+    figure.curves.iter().map(|curves| {
+        let series = curves.series.iter().map(|(name, values)| {
+            let values = values.iter().map(|&value| value.into()).collect();
+            (name.as_str(), values)
+        });
+        Panel::over_time(curves.title.clone(), figure.fps, series)
+    })
 }
 
 /// Unit quaternions of phrases; where there is none, that of the frame before.

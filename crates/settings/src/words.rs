@@ -10,6 +10,11 @@ pub fn in_words(message: &str) -> String {
     if message.ends_with("value was too large") {
         return "the whole number is too large".to_owned();
     }
+    if let Some(number) = message.strip_prefix("invalid type: integer `")
+        && let Some((number, _)) = number.split_once("` as i128")
+    {
+        return too_large(number);
+    }
     let named = |start: &str| {
         let texts = message.strip_prefix(start)?.split('`').skip(1).step_by(2);
         let texts: Vec<&str> = texts.collect();
@@ -31,6 +36,11 @@ pub fn in_words(message: &str) -> String {
         .iter()
         .find_map(|start| message.strip_prefix(start));
     match rest.and_then(|rest| rest.rsplit_once(", expected ")) {
+        Some((found, expected)) if long_number(found).is_some() => format!(
+            "expected {}, and {}",
+            expected_in_words(expected),
+            too_large(long_number(found).unwrap_or_default())
+        ),
         Some((found, expected)) => format!(
             "expected {}, found {}",
             expected_in_words(expected),
@@ -38,6 +48,24 @@ pub fn in_words(message: &str) -> String {
         ),
         None => message.to_owned(),
     }
+}
+
+/// The whole number that `found`, such as `string "99999999999999999999"`, holds if no whole number
+/// of a document is as large: it was taken for text.
+fn long_number(found: &str) -> Option<&str> {
+    let text = found.strip_prefix("string \"")?.strip_suffix('"')?;
+    let digits = text.strip_prefix(['+', '-']).unwrap_or(text);
+    let is_number = !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit() || b == b'_');
+    let fits = digits.replace('_', "").parse::<i64>().is_ok();
+    (is_number && !fits).then_some(text)
+}
+
+fn too_large(number: &str) -> String {
+    let (most, side) = match number.starts_with('-') {
+        true => (i64::MIN, "least"),
+        false => (i64::MAX, "most"),
+    };
+    format!("{number} is too large for a whole number: {most} at {side}")
 }
 
 fn expected_in_words(expected: &str) -> String {
@@ -123,6 +151,24 @@ mod tests {
                 "\"a\" is not among b, c",
             ),
             ("missing field `output`", "the key `output` is missing"),
+            (
+                "invalid type: string \"99999999999999999999\", expected u64",
+                "expected a whole number, 0 or more, and 99999999999999999999 is too large for a \
+                 whole number: 9223372036854775807 at most",
+            ),
+            (
+                "invalid type: string \"-99999999999999999999\", expected i64",
+                "expected a whole number, and -99999999999999999999 is too large for a whole \
+                 number: -9223372036854775808 at least",
+            ),
+            (
+                "invalid type: string \"600\", expected u64",
+                "expected a whole number, 0 or more, found the text \"600\"",
+            ),
+            (
+                "invalid type: integer `99999999999999999999` as i128, expected any valid TOML value",
+                "99999999999999999999 is too large for a whole number: 9223372036854775807 at most",
+            ),
             ("something else", "something else"),
         ] {
             assert_eq!(in_words(message), words);

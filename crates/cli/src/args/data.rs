@@ -64,6 +64,9 @@ pub struct FeaturesArguments {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Replace files that exist
+    #[arg(long)]
+    pub overwrite: bool,
     /// Position in the songs, in seconds, at which the features start; they are computed over the
     /// whole song, then cut
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]

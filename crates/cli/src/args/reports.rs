@@ -4,24 +4,30 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::reading::ReadingArguments;
+
 /// Motion files are plotted as the path from above and curves over time: all channels, quaternion
 /// norm and jerk of phrases `[T, 25]`; poses from the side, when the feet stand, root, feet and jerk
-/// of joint features `[T, 263]` or `[T, 251]` and of joint positions `[T, J, 3]`; place and speed of
-/// ground paths `[T, 2]`. Runs are plotted as loss curves.
+/// of joint features `[T, 263]` or `[T, 251]` and of joint positions `[T, 22, 3]` or `[T, 21, 3]`;
+/// height and speed of the root of joint positions `[T, J, 3]` of any other skeleton, drawn as
+/// points, and of BVH files; place and speed of ground paths `[T, 2]`. Runs are plotted as loss curves.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad plot dance.npy --out dance.svg
   kinegrad plot walk.npy --goal configs/goal.toml --out walk.png
+  kinegrad plot capture.bvh --units cm --out capture.svg
   kinegrad plot runs/quickstart --out losses.svg")]
 pub struct PlotArguments {
-    /// Motion file (.npy): phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint
-    /// positions `[T, J, 3]` or ground path `[T, 2]`; or the folder of a run
-    #[arg(value_name = "MOTION.npy|RUN")]
+    /// Motion file: phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
+    /// `[T, J, 3]` or ground path `[T, 2]` (.npy), or a capture (.bvh); or the folder of a run
+    #[arg(value_name = "MOTION|RUN")]
     pub input: PathBuf,
     /// Goal to draw on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
+    #[command(flatten)]
+    pub reading: ReadingArguments,
     /// Image to write
     #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub out: PathBuf,

@@ -3,10 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use kinegrad_capture::UpAxis;
-use kinegrad_capture::prepare::Units;
 
-use super::named;
+use super::reading::ReadingArguments;
 
 /// Writes one HTML file that needs no network: the figures move in 3D beside one another, with
 /// their curves, and with the song in step. Motions are what `kinegrad sample` writes (phrases
@@ -42,17 +40,8 @@ pub struct ViewArguments {
     /// Also show NAME.raw.npy, the raw model output, beside each NAME.npy
     #[arg(long)]
     pub raw: bool,
-    /// Length of a unit of the BVH files: m, cm, mm, inch, cmu, or a number of metres [default:
-    /// the unit that makes the figure most like a person]
-    #[arg(long, value_parser = units)]
-    pub units: Option<Units>,
-    /// Axis of the BVH files that points up: y or z [default: the one along which feet are below
-    /// the root]
-    #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
-    pub up: Option<UpAxis>,
-    /// Frames per second of joint positions whose skeleton is unknown
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
-    pub fps: f64,
+    #[command(flatten)]
+    pub reading: ReadingArguments,
     /// Title of the page [default: the names of the motions]
     #[arg(long)]
     pub title: Option<String>,
@@ -75,15 +64,4 @@ pub struct ViewArguments {
     /// Write over files that are there
     #[arg(long)]
     pub overwrite: bool,
-}
-
-/// Units by name or by their length.
-fn units(text: &str) -> Result<Units, String> {
-    match text.parse::<f64>() {
-        Ok(metres) if metres > 0.0 && metres.is_finite() => Ok(Units::Metres(metres)),
-        Ok(_) => Err("a length is a positive number of metres".to_string()),
-        Err(_) => named(text).map_err(|_| {
-            "allowed: m, cm, mm, inch, cmu, or a number of metres such as 0.05".to_string()
-        }),
-    }
 }

@@ -20,23 +20,36 @@ struct Song {
     folder: PathBuf,
 }
 
+impl Song {
+    fn features(&self) -> PathBuf {
+        self.folder.join("features.npz")
+    }
+
+    fn picture(&self) -> PathBuf {
+        self.folder.join("features.png")
+    }
+}
+
 /// Computes the features of each song and writes them; exit code 2 if a song cannot be used, after
 /// the others have been done.
 pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     let songs = songs(&arguments)?;
-    for (option, seconds, least) in [
-        ("--start", Some(arguments.start), "0"),
-        ("--duration", arguments.duration, "more than 0"),
+    for (option, seconds, allowed) in [
+        ("--start", Some(arguments.start), "0 seconds or more"),
+        ("--duration", arguments.duration, "more than 0 seconds"),
     ] {
-        let is_least = |seconds: &f64| *seconds > 0.0 || (*seconds == 0.0 && least == "0");
+        let is_least = |seconds: &f64| *seconds > 0.0 || (*seconds == 0.0 && option == "--start");
         if let Some(seconds) = seconds.filter(|seconds| !(seconds.is_finite() && is_least(seconds)))
         {
-            let message = format!("`{option}` is {seconds}, allowed: {least} seconds or more");
+            let message = format!("`{option}` is {seconds}, allowed: {allowed}");
             return Err(Error::usage(
                 message,
                 "for example `--start 30 --duration 10`",
             ));
         }
+    }
+    if !arguments.overwrite {
+        must_be_new(&songs, arguments.plot)?;
     }
     let each = songs.par_iter().map(|song| one(song, &arguments));
     let mut code = 0;
@@ -85,17 +98,32 @@ fn songs(arguments: &FeaturesArguments) -> Result<Vec<Song>, Error> {
     Ok(songs)
 }
 
+/// Rejects songs whose features are there already, before any is computed.
+fn must_be_new(songs: &[Song], plot: bool) -> Result<(), Error> {
+    let files = songs.iter().flat_map(|song| {
+        let picture = plot.then(|| song.picture());
+        [Some(song.features()), picture]
+    });
+    let exists = files.flatten().find(|file| file.exists());
+    exists.map_or(Ok(()), |file| {
+        Err(Error::usage(
+            format!("{} exists already", file.display()),
+            "replace it with `--overwrite`, or name another folder with `--out`",
+        ))
+    })
+}
+
 fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error> {
     let (waveform, features) = song_features(&song.path)?;
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
     let features = cut(features, song, arguments)?;
-    let target = song.folder.join("features.npz");
+    let target = song.features();
     let beats = features.beats();
     write_song_features(&target, &features)?;
     if arguments.plot {
-        picture(&features, &song.folder.join("features.png"))?;
+        picture(&features, &song.picture())?;
     }
     let whole = waveform.samples.len() as f64 / f64::from(kinegrad_audio::SAMPLE_RATE);
     let is_whole = arguments.start == 0.0 && arguments.duration.is_none();

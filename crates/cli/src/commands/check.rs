@@ -10,18 +10,29 @@ use kinegrad_report::table;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::systems::Systems;
+use miette::Diagnostic;
 use serde_json::json;
 
 use super::sample::checkpoint;
 use crate::args::CheckArguments;
 use crate::output;
+use crate::scene;
 
 /// Checks each file; exit code 1 if any fails.
 pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
     for path in motion_files(&arguments.paths, arguments.raw)? {
+        if scene::is_bvh(&path) {
+            return Err(Error::usage(
+                format!("{} is a BVH file, which cannot be checked", path.display()),
+                "motion arrays (.npy) are checked; `kinegrad view` and `kinegrad plot` show a BVH \
+                 file",
+            ));
+        }
         let array = read_array(&path)?;
-        let representation = systems.representation_of(&path, &array.shape, &array.values)?;
+        let representation = systems
+            .representation_of(&path, &array.shape, &array.values)
+            .map_err(|error| unknown(&path, &array.shape, error))?;
         let statistics = statistics(&arguments, &*representation)?;
         let report = representation
             .check(&array.values, arguments.profile, statistics.as_ref())
@@ -44,6 +55,24 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         }
     }
     Ok(ExitCode::from(u8::from(passed < reports.len())))
+}
+
+/// The error of an array of no known representation; that of joints says what can be done with them.
+fn unknown(path: &Path, shape: &[usize], error: Error) -> Error {
+    let &[_, joints, 3] = shape else {
+        return error;
+    };
+    let known = error.help().map(|hint| hint.to_string());
+    Error::usage(
+        format!(
+            "{}: {joints} joints of an unknown skeleton cannot be checked",
+            path.display()
+        ),
+        format!(
+            "{}; `kinegrad view` and `kinegrad plot` show joints of any skeleton",
+            known.unwrap_or_default()
+        ),
+    )
 }
 
 /// The error of a check; that of statistics which say too little names the run they are from.

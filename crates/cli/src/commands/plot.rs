@@ -5,7 +5,6 @@ use std::process::ExitCode;
 
 use kinegrad_data::read_array;
 use kinegrad_motion::Representation;
-use kinegrad_motion::goal::{Goal, Obstacle};
 use kinegrad_report::scene::Floor;
 use kinegrad_report::{Panel, Series, body_panels, check_ending};
 use kinegrad_train::Error;
@@ -15,11 +14,16 @@ use kinegrad_train::telemetry::{Record, read_metrics};
 
 use crate::args::PlotArguments;
 use crate::output::{draw, unusable};
-use crate::scene;
+use crate::scene::{self, Reading};
 
 /// Plots a motion file or a run.
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
-    let PlotArguments { input, goal, out } = arguments;
+    let PlotArguments {
+        input,
+        goal,
+        reading,
+        out,
+    } = arguments;
     check_ending(&out).map_err(unusable)?;
     let panels = if input.is_dir() && goal.is_some() {
         return Err(Error::usage(
@@ -38,9 +42,8 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
         loss_panels(&records)
     } else if input.is_file() {
         let goal = goal.as_deref().map(read_goal).transpose()?;
-        let array = read_array(&input)?;
-        let representation = systems.representation_of(&input, &array.shape, &array.values)?;
-        motion_panels(&input, &*representation, &array.values, goal.as_ref())
+        let floor = goal.as_ref().map(scene::floor).unwrap_or_default();
+        motion_panels(systems, &input, &Reading::of(&reading), &floor)?
     } else if input.join("config.toml").exists() || input.join("checkpoints").exists() {
         return Err(Error::usage(
             format!("the run {} has no metrics.jsonl to plot", input.display()),
@@ -51,8 +54,8 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
             "there is neither a motion file nor a run at {}",
             input.display()
         );
-        let hint = "give a .npy file such as `kinegrad sample` writes, or a folder such as \
-                    runs/quickstart";
+        let hint = "give a .npy file such as `kinegrad sample` writes, a .bvh file, or a folder \
+                    such as runs/quickstart";
         return Err(Error::usage(message, hint));
     };
     draw(&panels, 2, (520, 250), &out)?;
@@ -60,18 +63,36 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
+/// The motion in a file: of a known representation, a BVH file, or joints of any skeleton.
+fn motion_panels(
+    systems: Systems<'_>,
+    path: &Path,
+    reading: &Reading,
+    floor: &Floor,
+) -> Result<Vec<Panel>, Error> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    if !scene::is_bvh(path) {
+        let array = read_array(path)?;
+        let known = systems.representation_of(path, &array.shape, &array.values);
+        if let Ok(representation) = known {
+            return Ok(known_panels(&*representation, &array.values, &name, floor));
+        }
+    }
+    let figure = scene::figure(systems, path, name.into_owned(), reading)?;
+    let body = body_panels(&figure, floor).into_iter();
+    Ok(body.chain(scene::curve_panels(&figure)).collect())
+}
+
 /// The body along its path with the goal on the floor, and what the representation says is worth
 /// drawing.
-fn motion_panels(
-    path: &Path,
+fn known_panels(
     representation: &dyn Representation,
     rows: &[f32],
-    goal: Option<&Goal>,
+    name: &str,
+    floor: &Floor,
 ) -> Vec<Panel> {
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let figure = scene::of(representation, rows, name.to_string());
-    let floor = goal.map(floor).unwrap_or_default();
-    let body = figure.map(|figure| body_panels(&figure, &floor));
+    let body = figure.map(|figure| body_panels(&figure, floor));
     let fps = representation.fps();
     let curves = representation.curves(rows).into_iter().map(|curves| {
         let series = curves.series.iter();
@@ -79,32 +100,6 @@ fn motion_panels(
         Panel::over_time(curves.title.clone(), fps, tracks)
     });
     body.into_iter().flatten().chain(curves).collect()
-}
-
-/// What a goal puts on the floor.
-fn floor(goal: &Goal) -> Floor {
-    let near = |[x, z]: [f64; 2]| [x as f32, z as f32];
-    let keyframes = goal.keyframes.iter();
-    let path = goal.trajectory.iter().flat_map(|path| &path.points);
-    let mut floor = Floor {
-        path: path.map(|&point| near(point)).collect(),
-        keyframes: keyframes
-            .map(|keyframe| (keyframe.frame, near(keyframe.position())))
-            .collect(),
-        ..Floor::default()
-    };
-    for obstacle in &goal.obstacles {
-        match obstacle {
-            &Obstacle::Disc { x, z, radius } => {
-                floor.obstacles.push((near([x, z]), radius as f32));
-            }
-            Obstacle::Polygon { vertices } => {
-                let corners = vertices.iter().map(|&vertex| near(vertex));
-                floor.polygons.push(corners.collect());
-            }
-        }
-    }
-    floor
 }
 
 fn loss_panels(records: &[Record]) -> Vec<Panel> {

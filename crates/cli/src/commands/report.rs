@@ -2,6 +2,7 @@
 
 mod curves;
 mod facts;
+mod previews;
 mod samples;
 
 use std::fs;
@@ -87,7 +88,11 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
     }
     overview.add(Block::Charts(curves::charts(&records)));
     sections.push(overview);
-    sections.push(samples::section(systems, run));
+    let samples = samples::section(systems, run);
+    if samples.blocks.is_empty() {
+        sections.push(previews::section(run));
+    }
+    sections.push(samples);
     sections.push(evaluation(&run.folder));
     for stage in stages {
         sections.push(stage_section(stage));

@@ -74,10 +74,6 @@ fn row(run: &Run, folder: &Path) -> [String; 7] {
         (Some(system), Some(recipe)) => format!("{system}/{recipe}"),
         _ => missing(),
     };
-    let step = match run.max_steps() {
-        Some(max_steps) => format!("{} of {max_steps}", run.step),
-        None => run.step.to_string(),
-    };
     let best = run.best.as_ref().map(|best| {
         let (loss, step) = (best.val_loss, best.step);
         format!("{loss:.5} at {step}")
@@ -87,7 +83,7 @@ fn row(run: &Run, folder: &Path) -> [String; 7] {
         name(run, folder),
         recipe,
         run.standing.name().into(),
-        step,
+        run.steps(|step| step.to_string()),
         best.unwrap_or_else(missing),
         size(run.bytes),
         age.map_or_else(missing, |age| age_of(age.as_secs_f64())),

@@ -157,7 +157,10 @@ fn summarise(outcome: &Outcome, seconds: f64) {
         Some(("ended", ending)),
         Some(("steps", outcome.step.to_string())),
         best,
-        Some(("time", duration(seconds))),
+        Some((
+            "time",
+            format!("{} in all, with preparation", duration(seconds)),
+        )),
     ];
     say!("{}", facts(rows.into_iter().flatten()));
 }

@@ -42,15 +42,13 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     let motions = scene::motions(&arguments.motions, arguments.raw)?;
     let outputs = outputs(&arguments, &motions)?;
     let reading = Reading {
-        units: arguments.units,
-        up: arguments.up,
-        fps: arguments.fps,
         title: arguments.title,
         goal: arguments.goal,
         music: arguments.audio.map(|song| Music {
             song,
             start: arguments.start,
         }),
+        ..Reading::of(&arguments.reading)
     };
     let scene = scene::read(systems, &motions, &reading)?;
     for (kind, path) in outputs {

@@ -136,8 +136,7 @@ fn block(out: &mut String, block: &Block) {
         }
         Block::Scenes(scenes) => {
             *out += "<div class=scenes>\n";
-            let embedded = scenes.iter().map(|scene| viewer::embed(scene, true));
-            embedded.for_each(|scene| *out += &scene);
+            scenes.iter().for_each(|scene| *out += &scene.html());
             writeln!(out, "</div>")
         }
         Block::Folded { title, table } => {

@@ -4,7 +4,7 @@ mod chart;
 mod csv;
 mod html;
 
-use crate::scene::Scene;
+use crate::viewer::Thumbnail;
 
 pub use chart::{Chart, Line};
 pub use csv::csv_table;
@@ -50,7 +50,7 @@ pub enum Block {
     /// Charts beside one another.
     Charts(Vec<Chart>),
     /// Moving figures beside one another.
-    Scenes(Vec<Scene>),
+    Scenes(Vec<Thumbnail>),
     /// A long table, folded away below its title.
     Folded {
         /// Title.

@@ -87,6 +87,9 @@ fn poses(figure: &Figure) -> Option<Panel> {
         false => BESIDE,
     };
     let count = count.min(frames);
+    let loose: Vec<usize> = (0..figure.joints())
+        .filter(|joint| figure.parents[*joint].is_none() && !figure.parents.contains(&Some(*joint)))
+        .collect();
     let moment = |index: usize| index * (frames - 1) / (count - 1).max(1);
     let poses = (0..count).map(|index| {
         let frame = moment(index);
@@ -101,11 +104,13 @@ fn poses(figure: &Figure) -> Option<Panel> {
         let bones = figure.parents.iter().enumerate();
         let bones =
             bones.filter_map(|(joint, parent)| parent.map(|parent| [place(parent), place(joint)]));
+        let joints = loose.iter().map(|&joint| place(joint));
         let heights = (0..figure.joints()).map(|joint| place(joint).1);
         Pose {
             label: format!("{:.1} s", frame as f64 / figure.fps),
             top: (place(0).0, super::axes::extremes(heights).1 + 0.1),
             bones: bones.collect(),
+            joints: joints.collect(),
         }
     });
     let title = match goes {

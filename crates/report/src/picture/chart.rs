@@ -184,6 +184,8 @@ where
         let style = RGBColor(r, g, b).stroke_width(stroke);
         let bones = pose.bones.iter();
         chart.draw_series(bones.map(|ends| PathElement::new(ends.to_vec(), style)))?;
+        let joints = pose.joints.iter();
+        chart.draw_series(joints.map(|place| Circle::new(*place, 2, style.filled())))?;
         let (x, y) = pixel(chart, area, pose.top);
         let above = Pos::new(HPos::Center, VPos::Bottom);
         let style = ("sans-serif", 10).into_text_style(area).pos(above);

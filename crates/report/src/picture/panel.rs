@@ -16,6 +16,8 @@ pub struct Pose {
     pub top: (f64, f64),
     /// Both ends of each bone, metres.
     pub bones: Vec<[(f64, f64); 2]>,
+    /// Joints that no bone leads to or from, metres.
+    pub joints: Vec<(f64, f64)>,
 }
 
 /// One chart.
@@ -206,7 +208,7 @@ impl Panel {
         };
         let poses = poses.iter().flat_map(|pose| {
             let ends = pose.bones.iter().flatten().copied();
-            ends.chain([pose.top])
+            ends.chain(pose.joints.iter().copied()).chain([pose.top])
         });
         series
             .chain(named)

@@ -7,6 +7,9 @@
 mod encode;
 #[cfg(test)]
 mod tests;
+mod thumbnail;
+
+pub use thumbnail::Thumbnail;
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -40,15 +43,21 @@ pub fn script() -> &'static str {
     )
 }
 
-/// The scene as an element of a page that has [`style`] and [`script`]. A `small` one is a moving
-/// thumbnail: it loops while it is on the screen, and has neither curves nor song.
-pub fn embed(scene: &Scene, small: bool) -> String {
-    let size = if small { " kg-small" } else { "" };
+/// Where the data of a viewer begin and end in its element.
+const DATA: [&str; 2] = ["<script type=\"application/json\">", "</script>"];
+
+/// The scene as an element of a page that has [`style`] and [`script`].
+pub fn embed(scene: &Scene) -> String {
+    element(&scene.title, &scene_json(scene, false), "kg")
+}
+
+fn element(title: &str, data: &Value, class: &str) -> String {
+    let [begin, end] = DATA;
     format!(
-        "<section class=\"kg{size}\" aria-label=\"{}\"><script type=\"application/json\">{}\
-         </script><noscript>JavaScript shows the motion.</noscript></section>",
-        escape(&scene.title),
-        inert(&scene_json(scene, small)),
+        "<section class=\"{class}\" aria-label=\"{}\">{begin}{}{end}<noscript>JavaScript shows \
+         the motion.</noscript></section>",
+        escape(title),
+        inert(data),
     )
 }
 
@@ -63,7 +72,7 @@ pub fn page(scene: &Scene) -> String {
          <title>{title}</title>\n<style>\n{}</style>\n</head>\n<body class=\"kg-page\">\n\
          <h1>{title}</h1>\n{}\n<script>\n{}</script>\n</body>\n</html>\n",
         style(),
-        embed(scene, false),
+        embed(scene),
         script(),
     )
 }

@@ -5,7 +5,7 @@ use serde_json::Value as Json;
 use toml::{Table, Value};
 
 use super::Systems;
-use crate::config::{Config, PLAIN, apply};
+use crate::config::{Config, PLAIN, TrainConfig, apply};
 use crate::error::Error;
 
 /// A key of the configs of some recipes.
@@ -21,6 +21,10 @@ pub struct ConfigKey {
     /// What numbers are accepted, in words, if not all; [`Systems::find_ranges`] fills it in.
     pub range: Option<String>,
 }
+
+/// The key that says which recipe a config is of, and the one that says which kind of network.
+const RECIPE: &str = "train.recipe";
+const KIND: &str = "model.kind";
 
 /// What a default is called where there is none.
 const NOT_SET: &str = "not set";
@@ -50,7 +54,7 @@ impl Systems<'_> {
         let every: Vec<&'static str> = self.recipes().map(|recipe| recipe.name).collect();
         let mut described: Vec<(Key, Vec<&'static str>)> = Vec::new();
         for mut key in keys_of::<Config>() {
-            if key.name == "train.recipe" {
+            if key.name == RECIPE {
                 key.values = names(&every);
             }
             described.push((key, every.clone()));
@@ -185,12 +189,12 @@ impl Systems<'_> {
         for recipe in self.recipes().map(|recipe| recipe.name) {
             let kinds = described
                 .iter()
-                .find(|(key, recipes)| key.name == "model.kind" && recipes.contains(&recipe));
+                .find(|(key, recipes)| key.name == KIND && recipes.contains(&recipe));
             let kinds = kinds.map(|(key, _)| key.values.names()).unwrap_or_default();
-            let plain = format!("train.recipe = \"{recipe}\"\n");
+            let plain = format!("{RECIPE} = \"{recipe}\"\n");
             let others = kinds
                 .iter()
-                .map(|kind| format!("{plain}model.kind = \"{}\"", kind.name));
+                .map(|kind| format!("{plain}{KIND} = \"{}\"", kind.name));
             for text in [plain.clone()].into_iter().chain(others) {
                 let given: Table = text.parse().expect("TOML of this file");
                 let Ok(config) = self.read(&given, &|_| String::new()) else {
@@ -229,7 +233,15 @@ fn defaults(
     if key.values.is_table() {
         return defaults;
     }
+    if key.name == RECIPE {
+        let recipe = Value::from(TrainConfig::default().recipe);
+        return vec![(recipes.to_vec(), written(&recipe))];
+    }
     for variant in variants {
+        // A kind that is asked for is no default.
+        if key.name == KIND && value_at(&variant.given, KIND).is_some() {
+            continue;
+        }
         if !recipes.contains(&variant.recipe) || !variant.has(key.only_with.as_deref()) {
             continue;
         }
@@ -343,6 +355,16 @@ mod tests {
         assert_eq!(of("run.seed")[0].1, "42");
         assert_eq!(of("data.source")[0].1, "not set");
         assert_eq!(of("lora.rank")[0].1, "8");
+        assert_eq!(of("train.recipe").len(), 1);
+        assert_eq!(of("train.recipe")[0].1, "\"diffusion\"");
+        let kinds = keys.iter().filter(|key| key.key.name == "model.kind");
+        let kinds: Vec<_> = kinds.map(|key| key.defaults.as_slice()).collect();
+        let gmd = [(vec!["gmd_motion", "gmd_trajectory"], "\"gmd_unet\"".into())];
+        assert!(kinds.contains(&&gmd[..]), "{kinds:?}");
+        assert!(
+            kinds.iter().all(|defaults| defaults.len() == 1),
+            "{kinds:?}"
+        );
         let steps = of("train.max_steps");
         assert!(
             steps.contains(&(vec!["gmd_trajectory"], "62500".into())),

@@ -7,6 +7,7 @@ use toml::{Table, Value};
 
 use super::Systems;
 use kinegrad_data::file::read_text;
+use kinegrad_settings::in_words;
 
 use crate::checkpoint::{State, Weights};
 use crate::config::{
@@ -63,7 +64,11 @@ impl Systems<'_> {
             let line = error.span().map(|span| line_of(text, span.start));
             ConfigError::Syntax {
                 place: config::place(origin, line),
-                message: error.message().to_string(),
+                message: match error.message() {
+                    // Of a number that no whole number holds.
+                    message if message.starts_with("invalid type") => in_words(message),
+                    message => message.to_string(),
+                },
             }
         };
         let spans = DeTable::parse(text).map_err(no_toml)?;
@@ -255,6 +260,7 @@ mod tests {
         for number in ["99999999999999999999", "18446744073709551615"] {
             let text = error(&format!("[run]\nname = \"x\"\nseed = {number}\n"), &[]);
             assert!(text.starts_with("c.toml:3"), "{text}");
+            assert!(text.contains("too large"), "{text}");
         }
     }
 

@@ -5,14 +5,14 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::grouped;
 use kinegrad_report::page::{Cell, Table, Tone};
-use kinegrad_train::checkpoint::{Checkpoints, State};
+use kinegrad_train::checkpoint::Checkpoints;
 use kinegrad_train::memory::size;
 use kinegrad_train::run::{PREVIEWS, SAMPLES};
 use kinegrad_train::telemetry::{Environment, Record};
 
 use super::curves::training_seconds;
 use crate::progress::duration;
-use crate::runs::{Run, Standing};
+use crate::runs::{Run, Standing, whole_state};
 
 type Fact = (String, String);
 
@@ -23,11 +23,7 @@ fn fact(name: &str, value: impl Into<String>) -> Fact {
 /// What matters most.
 pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> Vec<Fact> {
     let mut facts = Vec::new();
-    let step = grouped(run.step as usize);
-    facts.push(match run.max_steps() {
-        Some(all) => fact("steps", format!("{step} of {}", grouped(all as usize))),
-        None => fact("steps", step),
-    });
+    facts.push(fact("steps", run.steps(|step| grouped(step as usize))));
     if let Some(best) = &run.best {
         let value = format!("{:.4} at {}", best.val_loss, grouped(best.step as usize));
         facts.push(fact("best validation loss", value));
@@ -36,11 +32,12 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
     }
     let seconds = training_seconds(records);
     if seconds > 0.0 {
-        facts.push(fact("time of training", duration(seconds)));
+        facts.push(fact("from first to last step", duration(seconds)));
         let speed = records.iter().rev();
         let speed = speed.filter_map(|r| r.get("steps_per_second")).next();
         if let (Some(speed), true) = (speed, run.standing == Standing::Training) {
-            let left = run.max_steps().unwrap_or(run.step).saturating_sub(run.step);
+            let done = run.step.unwrap_or(0);
+            let left = run.max_steps().map_or(0, |all| all.saturating_sub(done));
             facts.push(fact("time left", duration(left as f64 / speed.max(1e-9))));
         }
     }
@@ -148,7 +145,7 @@ pub fn checkpoints(run: &Run) -> Table {
     let best = run.best.as_ref().map(|best| best.step);
     let row = |step: u64| {
         let path = checkpoints.step_path(step);
-        let state = State::read(&path);
+        let state = whole_state(&path);
         if state.is_err() && !path.exists() {
             return None;
         }

@@ -6,6 +6,7 @@ use kinegrad_data::read_array;
 use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::page::{Block, Cell, Section, Table, Tone};
 use kinegrad_report::scene::Scene;
+use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::Error;
 use kinegrad_train::run::SAMPLES;
 use kinegrad_train::systems::Systems;
@@ -25,7 +26,8 @@ const BESIDE: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
 struct Sample {
     name: String,
     seconds: f64,
-    scene: Scene,
+    /// None where a position is not finite.
+    scene: Option<Scene>,
     document: Option<Report>,
     strict: Option<Report>,
 }
@@ -47,10 +49,9 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
             Err(error) => section.add(Block::Warning(error.to_string())),
         }
     }
-    let moving = samples.iter().take(MOVING);
-    section.add(Block::Scenes(
-        moving.map(|sample| sample.scene.clone()).collect(),
-    ));
+    let moving = samples.iter().filter_map(|sample| sample.scene.clone());
+    let scenes = moving.take(MOVING).map(Thumbnail::from);
+    section.add(Block::Scenes(scenes.collect()));
     section.add(Block::Table(table(&samples)));
     if files.len() > MOVING {
         let checked = files.len().min(CHECKED);
@@ -66,10 +67,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let array = read_array(path)?;
     let representation = systems.representation_of(path, &array.shape, &array.values)?;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let figure = scene::of(&*representation, &array.values, name.to_string()).ok_or_else(|| {
-        let sample = path.display().to_string();
-        Error::SampleNotFinite { sample }
-    })?;
+    let figure = scene::of(&*representation, &array.values, name.to_string());
     let statistics = statistics(run, &*representation);
     let check = |profile| {
         let report = representation.check(&array.values, profile, statistics);
@@ -77,14 +75,14 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
         report.ok()
     };
     Ok(Sample {
-        seconds: figure.seconds(),
+        seconds: array.shape[0] as f64 / representation.fps(),
         document: check(Profile::Document),
         strict: statistics.and_then(|_| check(Profile::Strict)),
-        scene: Scene {
+        scene: figure.map(|figure| Scene {
             title: name.to_string(),
             figures: vec![figure],
             ..Scene::default()
-        },
+        }),
         name: name.into_owned(),
     })
 }

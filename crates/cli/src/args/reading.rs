@@ -1,0 +1,34 @@
+//! Options of the commands that draw motion of any kind.
+
+use clap::Args;
+use kinegrad_capture::UpAxis;
+use kinegrad_capture::prepare::Units;
+
+use super::named;
+
+/// What files do not say of themselves.
+#[derive(Debug, Args)]
+pub struct ReadingArguments {
+    /// Length of a unit of the BVH files: m, cm, mm, inch, cmu, or a number of metres [default:
+    /// the unit that makes the figure most like a person]
+    #[arg(long, value_parser = units)]
+    pub units: Option<Units>,
+    /// Axis of the BVH files that points up: y or z [default: the one along which feet are below
+    /// the root]
+    #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
+    pub up: Option<UpAxis>,
+    /// Frames per second of joint positions whose skeleton is unknown
+    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    pub fps: f64,
+}
+
+/// Units by name or by their length.
+fn units(text: &str) -> Result<Units, String> {
+    match text.parse::<f64>() {
+        Ok(metres) if metres > 0.0 && metres.is_finite() => Ok(Units::Metres(metres)),
+        Ok(_) => Err("a length is a positive number of metres".to_string()),
+        Err(_) => named(text).map_err(|_| {
+            "allowed: m, cm, mm, inch, cmu, or a number of metres such as 0.05".to_string()
+        }),
+    }
+}

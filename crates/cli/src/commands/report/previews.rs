@@ -1,0 +1,40 @@
+//! What was drawn while a run was trained, for runs that have no samples.
+
+use kinegrad_data::file::read_text;
+use kinegrad_report::page::{Block, Section};
+use kinegrad_report::viewer::Thumbnail;
+use kinegrad_train::run::PREVIEWS;
+
+use super::files_in;
+use crate::runs::Run;
+
+/// The previews of the last step that has any, as moving thumbnails.
+pub fn section(run: &Run) -> Section {
+    let mut section = Section::new("Previews");
+    let pages = files_in(&run.folder.join(PREVIEWS), &["html"]);
+    for page in pages.iter().rev() {
+        let thumbnails = match read_text(page) {
+            Ok(text) => Thumbnail::of_page(&text),
+            Err(error) => {
+                section.add(Block::Warning(format!("{}: {error}", page.display())));
+                continue;
+            }
+        };
+        if thumbnails.is_empty() {
+            let text = format!("{} shows no motion", page.display());
+            section.add(Block::Warning(text));
+            continue;
+        }
+        let step = page.file_stem().unwrap_or_default().to_string_lossy();
+        let step = step.trim_start_matches("step-").trim_start_matches('0');
+        let step = if step.is_empty() { "0" } else { step };
+        let all = match pages.len() {
+            1 => String::new(),
+            pages => format!(" The folder {PREVIEWS} has a page for each of {pages} steps."),
+        };
+        section.add(Block::Text(format!("Drawn after step {step}.{all}")));
+        section.add(Block::Scenes(thumbnails));
+        break;
+    }
+    section
+}

@@ -1,0 +1,98 @@
+//! Small viewers, made of a scene or taken from a page that was written before.
+
+use serde_json::{Value, json};
+
+use super::{DATA, element, scene_json};
+use crate::scene::Scene;
+
+/// A figure or several as a small viewer: it loops while it is on the screen, and has neither curves
+/// nor song.
+#[derive(Clone, Debug)]
+pub struct Thumbnail {
+    title: String,
+    data: Value,
+}
+
+impl From<Scene> for Thumbnail {
+    fn from(scene: Scene) -> Self {
+        Self {
+            data: scene_json(&scene, true),
+            title: scene.title,
+        }
+    }
+}
+
+impl Thumbnail {
+    /// A thumbnail of each figure in a [page](super::page); none where the text is no such page.
+    pub fn of_page(page: &str) -> Vec<Self> {
+        let data = || {
+            let [begin, end] = DATA;
+            let (_, data) = page.split_once(begin)?;
+            let (data, _) = data.split_once(end)?;
+            serde_json::from_str::<Value>(data).ok()
+        };
+        let Some(mut scene) = data() else {
+            return Vec::new();
+        };
+        let figures = scene.get_mut("figures").and_then(Value::as_array_mut).map(std::mem::take);
+        let floor = scene.get_mut("floor").map(Value::take);
+        let thumbnails = figures.unwrap_or_default().into_iter();
+        let thumbnails = thumbnails.filter(Value::is_object).map(|mut figure| {
+            let title = figure["name"].as_str().unwrap_or_default().to_owned();
+            // What a small viewer does not show.
+            let frames = figure["frames"].as_u64().unwrap_or_default() as usize;
+            figure["charts"] = json!([]);
+            figure["curves"] = super::encode::curves(&[], frames);
+            Self {
+                data: json!({
+                    "title": title,
+                    "figures": [figure],
+                    "floor": floor,
+                    "song": null,
+                }),
+                title,
+            }
+        });
+        thumbnails.collect()
+    }
+
+    /// As an element of a page that has [`style`](super::style) and [`script`](super::script).
+    pub fn html(&self) -> String {
+        element(&self.title, &self.data, "kg kg-small")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Figure;
+    use crate::scene::tests::{body, dancer};
+    use crate::viewer::page;
+
+    #[test]
+    fn a_page_gives_the_thumbnails_of_its_figures() {
+        let figures = [body(12), dancer(20, 0.5)];
+        let scene = |figures: &[Figure]| Scene {
+            title: figures[0].name.clone(),
+            figures: figures.to_vec(),
+            ..Scene::default()
+        };
+        let found = Thumbnail::of_page(&page(&scene(&figures)));
+        let found: Vec<String> = found.iter().map(Thumbnail::html).collect();
+        let each = figures.map(|figure| Thumbnail::from(scene(&[figure])).html());
+        assert_eq!(found, each);
+    }
+
+    #[test]
+    fn what_is_no_page_gives_none_and_nothing_becomes_markup() {
+        for page in ["", "<p>", "<script type=\"application/json\">{</script>"] {
+            assert!(Thumbnail::of_page(page).is_empty());
+        }
+        let [begin, end] = DATA;
+        let odd = "{\"figures\": [{\"name\": \"\\u003c/script>\"}, 3]}";
+        for thumbnail in Thumbnail::of_page(&format!("{begin}{odd}{end}")) {
+            let html = thumbnail.html();
+            assert_eq!(html.matches(end).count(), 1, "{html}");
+        }
+    }
+}
