@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::goal::Goal;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 
@@ -29,8 +30,9 @@ pub struct Record {
     pub recipe: String,
     /// Seed of the noise.
     pub seed: u64,
-    /// Number of the sample among those of one condition (phrases) or of one batch (clips), from 0:
-    /// its noise depends on `seed` and this number.
+    /// Number of the sample among those of one condition (phrases) or of one batch (clips), from 0.
+    /// The noise of a phrase depends on `seed`, the name of its condition and this number, that of a
+    /// clip on `seed` and this number.
     pub index: usize,
     /// Length in frames.
     pub frames: usize,
@@ -80,6 +82,9 @@ pub struct Condition {
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,
+    /// What the goal file said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal_content: Option<Goal>,
     /// Checkpoint of the trajectory model that generated the ground path.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<PathBuf>,

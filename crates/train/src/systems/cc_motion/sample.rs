@@ -1,7 +1,7 @@
 //! Sampling phrases conditioned on audio.
 
 use std::cell::RefCell;
-use std::iter::repeat_n;
+use std::iter::{once, repeat_n};
 use std::path::Path;
 
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
@@ -27,8 +27,8 @@ const MOTION: &str = ".npy";
 const RAW: &str = ".raw.npy";
 
 /// What to do where held-out samples do not fit into memory.
-const HELD_OUT_HINT: &str = "draw fewer at the end of training (`sampling.count_at_end`), or train \
-                             on shorter phrases (`data.target_frames`)";
+const HELD_OUT_HINT: &str = "draw none at the end of training (`sampling.count_at_end = 0`), or \
+                             prepare shorter phrases";
 
 /// What to do where samples do not fit into memory.
 const HINT: &str = "draw shorter ones (`--frames`), or fewer";
@@ -94,7 +94,8 @@ pub(super) fn sample(
 }
 
 /// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
-/// are held out, and checks them.
+/// are held out, and checks them. They are those that `kinegrad sample --phrase` generates with the
+/// same seed.
 fn for_held_out(
     subject: &Subject,
     count: usize,
@@ -103,24 +104,31 @@ fn for_held_out(
 ) -> Result<Remark, Error> {
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
     let chosen = dataset.held_out().first(count)?;
-    let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
-    must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
+    let longest = chosen.iter().map(|phrase| phrase.audio.frames()).max();
+    must_fit(subject, 1, longest.unwrap_or(0), HELD_OUT_HINT)?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
-    let sampling = &subject.config.sampling;
-    let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {
-        receiver.advance("", done, all)
-    })?;
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
-    for (index, (phrase, sample)) in chosen.iter().zip(samples).enumerate() {
-        rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
-        let record = Record {
-            index,
-            condition: of_item(&phrase.id, &subject.config.data),
-            ..record(subject, seed, &sample)
-        };
-        receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
+    let receiver = RefCell::new(receiver);
+    for (position, phrase) in chosen.iter().enumerate() {
+        generator.sample_each(
+            once(phrase.audio.clone()),
+            &subject.config.sampling,
+            phrase_seed(seed, &phrase.id),
+            &mut |done, all| {
+                let (done, all) = (position * all + done, chosen.len() * all);
+                receiver.borrow_mut().advance("", done, all)
+            },
+            &mut |sample| {
+                rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
+                let record = Record {
+                    condition: of_item(&phrase.id, &subject.config.data),
+                    ..record(subject, seed, &sample)
+                };
+                let drawn = drawn(phrase.id.clone(), sample, record);
+                receiver.borrow_mut().drawn(drawn)
+            },
+        )?;
     }
     Ok(Remark::Table(rows))
 }

@@ -126,6 +126,7 @@ pub(super) fn sample(
             },
             condition: Condition {
                 goal: conditions.goals.get(index / request.count).cloned(),
+                goal_content: goals.get(index / request.count).cloned(),
                 trajectory: conditions.trajectory.clone(),
                 text_embedding: conditions.text_embedding.clone(),
                 ..Condition::default()
