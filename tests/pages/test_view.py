@@ -340,3 +340,85 @@ def test_long_motions_are_played_in_time(kinegrad, show, tmp_path):
           f"95th percentile {times[len(times) * 95 // 100]:.1f} ms, page {size / 1e6:.1f} MB")
     # Every frame that is due is shown, however late.
     assert page.evaluate(f"{FIRST}.frame") > 20
+
+
+def lift(values, by, scale=1.0):
+    """Joints scaled, and higher by `by` metres."""
+    lifted = array.array("f", (scale * value for value in values))
+    for at in range(1, len(lifted), 3):
+        lifted[at] += by
+    return lifted
+
+
+def spots(page, inside=0.0):
+    """For each pane its name, and how far its figure's joints lie within the pane at this frame."""
+    return page.evaluate(f"""(() => {{
+      const viewer = {FIRST};
+      viewer.show();
+      return viewer.panes().map((pane) => {{
+        const [target, distance] = viewer.framing(pane);
+        const view = viewer.camera.view(target, distance, pane);
+        const places = pane.figures.flatMap((index) => viewer.joints(index, viewer.frameOf(index)));
+        const seenAt = places.map(([x, y, z]) => onScreen(view, seen(view, x, y, z)));
+        const [xs, ys] = [0, 1].map((axis) => seenAt.map((spot) => spot[axis]));
+        return {{
+          left: Math.min(...xs) - pane.x, right: pane.x + pane.width - Math.max(...xs),
+          top: Math.min(...ys) - pane.y, bottom: pane.y + pane.height - Math.max(...ys),
+          tall: (Math.max(...ys) - Math.min(...ys)) / pane.height, ground: pane.ground,
+        }};
+      }});
+    }})()""")
+
+
+def test_figures_of_any_size_and_height_are_seen_whole(kinegrad, show, tmp_path):
+    body = walk(50)
+    figures = {"plain": body, "high": lift(body, 5), "small_and_high": lift(body, 3, 0.3),
+               "giant": lift(body, 0, 4), "floating": lift(body, 0.6)}
+    for name, values in figures.items():
+        write_npy(tmp_path / f"{name}.npy", (50, 22, 3), values)
+    names = [f"{name}.npy" for name in figures]
+    kinegrad("view", *names, "--out", "all.html", cwd=tmp_path)
+    page = show(tmp_path / "all.html", width=1300, height=900)
+    for following in (False, True):
+        page.evaluate(f"{FIRST}.following = {str(following).lower()}")
+        for frame in (0, 20, 49):
+            page.evaluate(f"{FIRST}.seek({frame})")
+            for name, seen in zip(figures, spots(page), strict=True):
+                assert min(seen[side] for side in ("left", "right", "top", "bottom")) > 0, (name, frame, seen)
+                assert not following or seen["tall"] > 0.3, (name, frame, seen)
+    # Only what comes from another origin has a ground of its own; nothing is moved.
+    grounds = [seen["ground"] for seen in spots(page)]
+    lowest = min(figures["high"][1::3])
+    assert grounds[0] == grounds[3] == grounds[4] == 0 and grounds[1] == pytest.approx(lowest, abs=1e-3)
+    for index, (name, values) in enumerate(figures.items()):
+        for frame in (0, 33):
+            expected = [values[3 * (22 * frame + j):3 * (22 * frame + j) + 3] for j in range(22)]
+            assert apart(joints(page, index, frame), expected) < 2e-3, name
+    page.evaluate(f"{FIRST}.sideBySide = false")
+    [seen] = spots(page)
+    assert min(seen[side] for side in ("left", "right", "top", "bottom")) > 0, seen
+
+
+def test_sixteen_figures_have_curves_that_are_told_apart(kinegrad, show, tmp_path):
+    for seed in range(16):
+        write_npy(tmp_path / f"walk{seed:02}.npy", (20, 22, 3), walk(20, seed=seed))
+    kinegrad("view", ".", "--out", "page.html", cwd=tmp_path)
+    page = show(tmp_path / "page.html")
+    charts = page.evaluate(f"""{FIRST}.charts.filter(({{ lines }}) => lines.length).map((chart) => ({{
+      looks: chart.lines.map((line) => chart.look(line)), names: chart.names.length,
+      legend: [...chart.element.querySelectorAll(".kg-legend line")].map((line) => [
+        line.getAttribute("stroke"), line.getAttribute("stroke-dasharray")]),
+    }}))""")
+    assert charts
+    for chart in charts:
+        looks = [(look["colour"], tuple(look["dash"])) for look in chart["looks"]]
+        assert len(set(looks)) == len(looks) >= 16
+        strokes = [(colour, tuple(map(int, dash.split()))) for colour, dash in chart["legend"]]
+        if chart["names"] == 1:
+            assert strokes == looks
+        else:
+            assert {colour for colour, _ in looks} <= {colour for colour, _ in strokes}
+    colours = page.evaluate("FIGURE_COLOURS")
+    parts = [[int(colour[at:at + 2], 16) for at in (1, 3, 5)] for colour in colours]
+    for i, a in enumerate(parts):
+        assert all(math.dist(a, b) > 40 for b in parts[:i]), colours[i]

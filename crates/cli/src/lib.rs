@@ -21,6 +21,7 @@ mod output;
 
 mod args;
 mod commands;
+mod folder;
 mod interrupt;
 mod log;
 mod preview;

@@ -10,6 +10,8 @@ use kinegrad_train::{Error, ParameterCount};
 use miette::Diagnostic;
 use serde::Serialize;
 
+use crate::folder;
+
 /// Prints a line of results to standard output.
 ///
 /// Unlike `println!`, it does not panic where nobody reads on, as in `kinegrad ... | head`.
@@ -102,6 +104,7 @@ pub fn failure(error: &Error) {
 
 /// Plots the panels to `out`, `columns` side by side, each of `size` pixels.
 pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> Result<(), Error> {
+    folder::make_for(out)?;
     kinegrad_report::draw(panels, columns, size, out).map_err(unusable)
 }
 

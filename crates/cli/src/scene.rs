@@ -90,6 +90,7 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
         }
     }
     if raw {
+        warn_of_no_raw(&files);
         files = files
             .into_iter()
             .flat_map(|file| {
@@ -110,6 +111,28 @@ pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
         ));
     }
     Ok(files)
+}
+
+/// Says for which motions there is no raw model output.
+fn warn_of_no_raw(files: &[PathBuf]) {
+    let is_raw = |file: &Path| file.to_string_lossy().ends_with(".raw.npy");
+    let without = files
+        .iter()
+        .filter(|file| !is_raw(file) && !file.with_extension("raw.npy").is_file());
+    let without: Vec<&PathBuf> = without.collect();
+    let Some(first) = without.first() else {
+        return;
+    };
+    let others = match without.len() {
+        1 => String::new(),
+        all => format!(", nor beside {} others", all - 1),
+    };
+    tell!(
+        "warning: `--raw`: there is no {} beside {}{others}; `kinegrad sample` writes raw output of \
+         phrases, not of clips",
+        first.with_extension("raw.npy").display(),
+        first.display()
+    );
 }
 
 fn collect(path: &Path, files: &mut Vec<PathBuf>) {

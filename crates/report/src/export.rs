@@ -19,6 +19,27 @@ pub enum ExportError {
         /// What is wrong.
         problem: String,
     },
+    /// Joints are points: nothing says which bones connect them.
+    #[error("{}: the skeleton of `{figure}` is not known", out.display())]
+    #[diagnostic(help(
+        "GIF, MP4 and GLB files show bones, and nothing says which of its {joints} joints a bone \
+         connects: give a BVH file, or joint positions of a known skeleton (22 joints of HumanML3D, 21 \
+         of KIT-ML); the page that `--out PAGE.html` writes shows any joints, as points"
+    ))]
+    NoSkeleton {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// Name of the figure.
+        figure: String,
+        /// Number of its joints.
+        joints: usize,
+    },
+    /// It was asked to stop.
+    #[error("{}: interrupted, nothing is written", out.display())]
+    Interrupted {
+        /// The file that was to be written.
+        out: PathBuf,
+    },
     /// The file cannot be written.
     #[error("cannot write {}: {reason}", path.display())]
     #[diagnostic(help("check that its folder exists and can be written"))]
@@ -58,8 +79,12 @@ pub enum ExportError {
     },
 }
 
-/// Refuses a scene that has no frame, or numbers that cannot be shown.
-pub(crate) fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
+/// Refuses a scene that cannot be written to `out` as a GIF, MP4 or GLB file.
+///
+/// # Errors
+/// [`ExportError::Scene`] without frames or with numbers that are not finite,
+/// [`ExportError::NoSkeleton`] for joints that hang from none.
+pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     let refused = |problem: String| ExportError::Scene {
         out: out.to_path_buf(),
         problem,
@@ -81,7 +106,11 @@ pub(crate) fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
         let hang = figure.parents.iter().enumerate();
         let (mut hang, joints) = (hang.skip(1), figure.joints());
         if !hang.all(|(joint, parent)| parent.is_some_and(|p| p < joints && p != joint)) {
-            return Err(refused(format!("`{name}` has joints that hang from none")));
+            return Err(ExportError::NoSkeleton {
+                out: out.to_path_buf(),
+                figure: name.clone(),
+                joints,
+            });
         }
         let turns = figure.orientations.iter().flatten().flatten();
         let mut numbers = figure.positions.iter().chain(turns);

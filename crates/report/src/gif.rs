@@ -19,16 +19,19 @@ const BESIDE: (u32, u32) = (320, 340);
 
 /// Writes a scene as a GIF that is repeated without end. Each picture holds only what changed, and
 /// the whole lasts as long as the motion: delays are whole hundredths of a second, so what one is
-/// too short the next is longer.
+/// too short the next is longer. `stop` is asked before each picture.
 ///
 /// # Errors
-/// [`ExportError::Scene`] for a scene without frames or with numbers that are not finite;
-/// [`ExportError::Write`].
-pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
+/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
+/// [`ExportError::Interrupted`] once `stop` says so.
+pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     export::check(scene, out)?;
-    let bytes = encode(scene, size(scene)).map_err(|reason| ExportError::Write {
+    let encoded = encode(scene, size(scene), stop).map_err(|reason| ExportError::Write {
         path: out.to_path_buf(),
         reason: reason.to_string(),
+    })?;
+    let bytes = encoded.ok_or_else(|| ExportError::Interrupted {
+        out: out.to_path_buf(),
     })?;
     export::write(out, &bytes)
 }
@@ -67,7 +70,12 @@ fn timing(scene: &Scene) -> Vec<(f64, u16)> {
         .collect()
 }
 
-fn encode(scene: &Scene, size: (u32, u32)) -> Result<Vec<u8>, gif::EncodingError> {
+/// The file; none if it was stopped.
+fn encode(
+    scene: &Scene,
+    size: (u32, u32),
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Vec<u8>>, gif::EncodingError> {
     let painter = Painter::new(scene, size);
     let (width, height) = painter.size();
     let [width, height] = [width, height].map(|side| side.min(u32::from(u16::MAX)) as u16);
@@ -78,6 +86,9 @@ fn encode(scene: &Scene, size: (u32, u32)) -> Result<Vec<u8>, gif::EncodingError
     let mut before: Option<Vec<u8>> = None;
     let mut waiting: Option<Frame<'static>> = None;
     for (moment, delay) in timing(scene) {
+        if stop() {
+            return Ok(None);
+        }
         let now = palette.indices(&painter.at(moment));
         let changed = match &before {
             None => Some(whole(&now, width, height)),
@@ -100,7 +111,7 @@ fn encode(scene: &Scene, size: (u32, u32)) -> Result<Vec<u8>, gif::EncodingError
         encoder.write_frame(&last)?;
     }
     drop(encoder);
-    Ok(bytes)
+    Ok(Some(bytes))
 }
 
 /// The first picture.
@@ -231,10 +242,16 @@ mod tests {
         (pictures, delays)
     }
 
+    fn encoded(scene: &Scene, size: (u32, u32)) -> Vec<u8> {
+        encode(scene, size, &|| false)
+            .unwrap()
+            .expect("not stopped")
+    }
+
     #[test]
     fn a_file_shows_each_picture_of_the_motion() {
         let scene = scene(vec![body(12)]);
-        let (pictures, delays) = decode(&encode(&scene, (120, 100)).unwrap());
+        let (pictures, delays) = decode(&encoded(&scene, (120, 100)));
         assert_eq!((pictures.len(), delays), (12, vec![5; 12]));
         let painter = Painter::new(&scene, (120, 100));
         for (frame, picture) in pictures.iter().enumerate() {
@@ -272,7 +289,7 @@ mod tests {
         let mut figure = body(1);
         figure.positions = figure.positions.repeat(60);
         figure.contacts.clear();
-        let (pictures, delays) = decode(&encode(&scene(vec![figure]), (80, 80)).unwrap());
+        let (pictures, delays) = decode(&encoded(&scene(vec![figure]), (80, 80)));
         assert_eq!((pictures.len(), delays), (1, vec![300]));
     }
 
@@ -280,7 +297,7 @@ mod tests {
     fn thirteen_seconds_take_less_than_a_megabyte() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.gif");
-        write(&scene(vec![dancer(390, 0.0)]), &out).unwrap();
+        write(&scene(vec![dancer(390, 0.0)]), &out, &|| false).unwrap();
         let size = std::fs::metadata(&out).unwrap().len();
         assert!(size < 1_000_000, "{size} bytes");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
@@ -297,14 +314,18 @@ mod tests {
             (vec![body(0)], "`body` has no frames"),
             (vec![broken], "`body` is not finite"),
         ] {
-            let error = write(&scene(figures), &out).unwrap_err().to_string();
+            let error = write(&scene(figures), &out, &|| false)
+                .unwrap_err()
+                .to_string();
             assert!(
                 error.contains(reason) && error.contains("dance.gif"),
                 "{error}"
             );
         }
+        let error = write(&scene(vec![body(2)]), &out, &|| true).unwrap_err();
+        assert!(matches!(error, ExportError::Interrupted { .. }), "{error}");
         let missing = folder.path().join("no/dance.gif");
-        let error = write(&scene(vec![body(2)]), &missing).unwrap_err();
+        let error = write(&scene(vec![body(2)]), &missing, &|| false).unwrap_err();
         assert!(error.to_string().starts_with("cannot write"), "{error}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

@@ -13,7 +13,7 @@ mod table;
 pub mod viewer;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
-pub use export::ExportError;
+pub use export::{ExportError, check as must_be_exportable};
 pub use picture::{
     Panel, PictureError, Png, Pose, Series, body_panels, check_ending, draw, draw_png,
 };

@@ -11,6 +11,8 @@ use crate::export::{self, ExportError};
 use crate::raster::Painter;
 use crate::scene::{Scene, Song};
 
+/// The program.
+const ENCODER: &str = "ffmpeg";
 /// Pictures per second.
 const FPS: u32 = 30;
 /// How often a film has the pixels of a GIF, along each side.
@@ -20,17 +22,43 @@ const LAST_LINES: usize = 4;
 
 /// Writes a scene as an MP4 file (H.264, and AAC where there is a song) by the `ffmpeg` on the
 /// PATH. The song starts where the scene says; where it is shorter than the motion, silence follows.
+/// `stop` is asked before each picture.
 ///
 /// # Errors
-/// [`ExportError::Scene`] for a scene without frames or with numbers that are not finite;
+/// Those of [`must_be_exportable`](crate::must_be_exportable);
 /// [`ExportError::NoEncoder`] where there is no ffmpeg, [`ExportError::Encoder`] where it fails;
-/// [`ExportError::Write`].
-pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
-    write_by(OsStr::new("ffmpeg"), scene, out)
+/// [`ExportError::Write`]; [`ExportError::Interrupted`] once `stop` says so.
+pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
+    write_by(OsStr::new(ENCODER), scene, out, stop)
+}
+
+/// Refuses to write `out` where there is no ffmpeg on the PATH.
+///
+/// # Errors
+/// [`ExportError::NoEncoder`].
+pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
+    let started = Command::new(ENCODER)
+        .arg("-version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
+    started
+        .map(|_| ())
+        .map_err(|reason| ExportError::NoEncoder {
+            out: out.to_path_buf(),
+            program: ENCODER.to_string(),
+            reason: reason.to_string(),
+        })
 }
 
 /// [`write`] by another program that takes the same arguments.
-fn write_by(program: &OsStr, scene: &Scene, out: &Path) -> Result<(), ExportError> {
+fn write_by(
+    program: &OsStr,
+    scene: &Scene,
+    out: &Path,
+    stop: &dyn Fn() -> bool,
+) -> Result<(), ExportError> {
     export::check(scene, out)?;
     let failed = |reason: std::io::Error| ExportError::Write {
         path: out.to_path_buf(),
@@ -47,7 +75,7 @@ fn write_by(program: &OsStr, scene: &Scene, out: &Path) -> Result<(), ExportErro
         })?;
     }
     let given = scene.song.as_ref().map(|given| (given, song.as_path()));
-    let encoded = encode(program, scene, given, &film, out);
+    let encoded = encode(program, scene, given, &film, out, stop);
     let _ = fs::remove_file(&song);
     let written = encoded.and_then(|()| fs::rename(&film, out).map_err(failed));
     if written.is_err() {
@@ -62,24 +90,33 @@ fn encode(
     song: Option<(&Song, &Path)>,
     film: &Path,
     out: &Path,
+    stop: &dyn Fn() -> bool,
 ) -> Result<(), ExportError> {
     let (width, height) = crate::gif::size(scene);
     let painter = Painter::new(scene, (SCALE * width, SCALE * height));
     let size = painter.size();
     let count = ((scene.seconds() * f64::from(FPS)).round() as usize).max(1);
     let seconds = count as f64 / f64::from(FPS);
-    let started = Command::new(program)
+    let mut command = Command::new(program);
+    command
         .args(arguments(size, seconds, song, film))
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn();
-    let mut child = started.map_err(|reason| ExportError::NoEncoder {
+        .stderr(Stdio::piped());
+    // A Ctrl-C is for this process alone, which then ends the other one.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let mut child = command.spawn().map_err(|reason| ExportError::NoEncoder {
         out: out.to_path_buf(),
         program: program.display().to_string(),
         reason: reason.to_string(),
     })?;
-    let (status, said, taken) = feed(&mut child, &painter, count);
+    let (status, said, taken) = feed(&mut child, &painter, count, stop);
+    if stop() {
+        return Err(ExportError::Interrupted {
+            out: out.to_path_buf(),
+        });
+    }
     let status = match status {
         // A program that does not take all pictures says why when it ends.
         Ok(status) if status.success() && taken && film.exists() => return Ok(()),
@@ -98,6 +135,7 @@ fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
     count: usize,
+    stop: &dyn Fn() -> bool,
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
@@ -109,9 +147,12 @@ fn feed(
     });
     let taken = (0..count).all(|picture| {
         let image = painter.at(picture as f64 / f64::from(FPS));
-        pictures.write_all(&image.rgb).is_ok()
+        !stop() && pictures.write_all(&image.rgb).is_ok()
     });
     drop(pictures);
+    if stop() {
+        let _ = child.kill();
+    }
     let status = child.wait();
     (status, said.join().unwrap_or_default(), taken)
 }
@@ -212,16 +253,17 @@ mod tests {
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
-        write_by(program.as_os_str(), &scene(true), &out).unwrap();
+        write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
-        let told = fs::read_to_string(&out).unwrap();
+        let told = fs::read_to_string(&out, &|| false).unwrap();
         let lines: Vec<&str> = told.lines().collect();
         assert!(lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -i file:"));
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
         assert_eq!(lines[2].trim(), (30 * 3 * 800 * 720).to_string());
-        write_by(program.as_os_str(), &scene(false), &out).unwrap_or_else(|e| panic!("{e}"));
-        assert!(!fs::read_to_string(&out).unwrap().contains("-ss"));
+        write_by(program.as_os_str(), &scene(false), &out, &|| false)
+            .unwrap_or_else(|e| panic!("{e}"));
+        assert!(!fs::read_to_string(&out, &|| false).unwrap().contains("-ss"));
     }
 
     #[test]
@@ -238,19 +280,43 @@ mod tests {
             ("cat > /dev/null", "it said nothing"),
         ] {
             let program = stand_in(folder.path(), script);
-            let error = write_by(program.as_os_str(), &scene(true), &out).unwrap_err();
+            let error = write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap_err();
             assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
             assert!(error.to_string().contains(said), "{error}");
             assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         }
-        let error = write_by(OsStr::new("no-such-encoder"), &scene(true), &out).unwrap_err();
+        let error =
+            write_by(OsStr::new("no-such-encoder"), &scene(true), &out, &|| false).unwrap_err();
         assert!(
             error
                 .to_string()
                 .contains("`no-such-encoder` cannot be started")
         );
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
-        assert_eq!(fs::read_to_string(&out).unwrap(), "an older film");
+        assert_eq!(
+            fs::read_to_string(&out, &|| false).unwrap(),
+            "an older film"
+        );
+    }
+
+    #[test]
+    fn what_is_stopped_leaves_nothing_behind_and_no_encoder() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.mp4");
+        // It takes pictures as long as there are any, and goes on for a minute.
+        let script =
+            "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
+        let program = stand_in(folder.path(), script);
+        let asked = std::cell::Cell::new(0);
+        let stop = || {
+            asked.set(asked.get() + 1);
+            asked.get() > 5
+        };
+        let began = std::time::Instant::now();
+        let error = write_by(program.as_os_str(), &scene(true), &out, &stop).unwrap_err();
+        assert!(matches!(error, ExportError::Interrupted { .. }), "{error}");
+        assert!(began.elapsed().as_secs() < 30);
+        assert_eq!(files(folder.path()), ["encoder"]);
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! any joint, rotations before positions, joints without channels or End Site.
 
 mod convert;
+mod deviation;
 mod figure;
 mod parse;
 mod phrase;
@@ -12,6 +13,8 @@ mod pose;
 #[cfg(test)]
 mod tests;
 mod write;
+
+pub use deviation::Deviation;
 
 /// An axis of the file's coordinate system.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]

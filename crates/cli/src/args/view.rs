@@ -15,7 +15,8 @@ use super::reading::ReadingArguments;
 #[command(after_help = "\
 Examples:
   kinegrad view dance.npy --audio song.mp3 --start 30
-  kinegrad view walk.npy --goal goal.toml --raw
+  kinegrad view walk.npy --goal goal.toml
+  kinegrad view dance.npy --raw
   kinegrad view drawn.npy real.npy --title 'Drawn beside real' --out both.html
   kinegrad view capture.bvh --units cmu
   kinegrad view dance.npy --audio song.mp3 --mp4 dance.mp4 --glb dance.glb --bvh dance.bvh")]

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use kinegrad_data::humanml::{SkeletonName, write_walks};
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
-    ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, Problem, Store, StoreConfig,
-    synthetic,
+    ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, MOTION_FILE, Problem, Store,
+    StoreConfig, synthetic,
 };
 use kinegrad_report::{Panel, facts, grouped, table};
 use kinegrad_train::Error;
@@ -57,13 +57,35 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
             config.humanml3d.min_frames = KIT_MIN_FRAMES;
         }
     }
-    let inspection = kinegrad_data::inspect(&config, &*reading())?;
+    let inspection = kinegrad_data::inspect(&config, &*reading());
+    let inspection = inspection.map_err(|error| match error {
+        kinegrad_data::Error::MissingFolder { path } if path.ends_with(MOTION_FILE.0) => {
+            no_dataset(&arguments.source)
+        }
+        error => error.into(),
+    })?;
     if arguments.json {
         output::json(&inspection);
     } else {
         print(&inspection, &config);
     }
     Ok(ExitCode::from(u8::from(inspection.bad_items > 0)))
+}
+
+/// The error of a source that has no layout that is known.
+fn no_dataset(source: &str) -> Error {
+    let message = match source.contains("://") || Path::new(source).is_dir() {
+        true => format!(
+            "{source} holds no dataset: it has no folder `{}`, of phrases, and no list `train.txt` or folder `new_joint_vecs`, of clips",
+            MOTION_FILE.0
+        ),
+        false => format!("there is no folder {source}"),
+    };
+    let hint = "phrases are motion/ID/trajectory.npy and audio_features/ID/features.npz; clips of \
+                HumanML3D or KIT-ML are new_joint_vecs/ID.npy and texts/ID.txt with train.txt and \
+                val.txt; `kinegrad data synth --out DIR` makes phrases to try, with `--walks` clips, \
+                and `kinegrad data prepare` makes phrases of captures (BVH, C3D) with their songs";
+    Error::usage(message, hint)
 }
 
 /// Lists or plots the rows of a dataset's manifest.

@@ -44,7 +44,9 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         Some(out) => vec![out],
         None => subjects.iter().map(own).collect(),
     };
-    folders.iter().try_for_each(|folder| make_folder(folder))?;
+    folders
+        .iter()
+        .try_for_each(|folder| crate::folder::make(folder))?;
 
     let mut evaluated = Vec::with_capacity(subjects.len());
     for (subject, evaluate) in subjects.iter().zip(evaluations) {
@@ -100,16 +102,6 @@ fn run_folder(checkpoint: &Path) -> &Path {
         .parent()
         .filter(|folder| folder.ends_with("checkpoints"));
     inside.and_then(Path::parent).unwrap_or(checkpoint)
-}
-
-fn make_folder(folder: &Path) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|error| {
-        let message = format!("cannot create the folder {}: {error}", folder.display());
-        Error::usage(
-            message,
-            "give a folder that can be written with `--out DIR`",
-        )
-    })
 }
 
 /// Writes the report in both forms and returns where.

@@ -46,6 +46,8 @@ pub struct Files {
     /// What is done with each sample that was written.
     tell: fn(&Written),
     keeps: bool,
+    /// Whether it is said where a file is not exact.
+    notes: bool,
     kept: Vec<Written>,
     written: usize,
 }
@@ -77,6 +79,7 @@ impl Files {
         Ok(Self {
             stem: stem.to_string(),
             existing,
+            notes: true,
             tell: |written| {
                 for file in &written.files {
                     say!("{}", file.display());
@@ -104,6 +107,7 @@ impl Files {
             bar: None,
             tell: |_| {},
             keeps: false,
+            notes: false,
             kept: Vec::new(),
             written: 0,
         }
@@ -139,7 +143,7 @@ impl Files {
         let mut write = || {
             for (extension, contents) in &drawn.files {
                 let path = self.path(&drawn.name, extension);
-                write_contents(&path, contents)?;
+                write_contents(&path, contents, self.notes)?;
                 files.push(path);
             }
             let path = self.path(&drawn.name, RECORD);
@@ -160,11 +164,15 @@ impl Files {
     }
 }
 
-fn write_contents(path: &Path, contents: &Contents) -> Result<(), Error> {
+fn write_contents(path: &Path, contents: &Contents, notes: bool) -> Result<(), Error> {
     match contents {
         Contents::Array { shape, values } => write_values(path, shape, values)?,
         Contents::Figure { joints, skeleton } => {
-            write_whole(path, bvh_text(joints, skeleton)?.as_bytes())?;
+            let bvh = bvh(joints, skeleton)?;
+            write_whole(path, bvh.to_text().as_bytes())?;
+            if notes {
+                note_deviation(path, &bvh, joints, skeleton);
+            }
         }
     }
     Ok(())
@@ -191,8 +199,34 @@ pub fn must_be_finite(drawn: &Drawn, stem: &str) -> Result<(), Error> {
 /// # Errors
 /// If they cannot be written as BVH.
 pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
-    let bvh = Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)?;
-    Ok(bvh.to_text())
+    Ok(bvh(joints, skeleton)?.to_text())
+}
+
+/// Joint positions as BVH, in centimetres.
+///
+/// # Errors
+/// If they cannot be written as BVH.
+pub fn bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
+    Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
+}
+
+/// What a BVH file may differ from its clip without a word, metres.
+const EXACT: f64 = 1e-3;
+
+/// Says how far the joints of a BVH file are from those it was made of, where that is noticeable.
+pub fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) {
+    let deviation = bvh.deviation(joints, skeleton, CENTIMETRES);
+    if let Some(worst) = deviation.filter(|worst| worst.metres > EXACT) {
+        tell!(
+            "note: {}: joints are up to {:.3} m from the motion's (`{}` in frame {}), as its bones \
+             change their lengths, which BVH cannot hold; `kinegrad view MOTION.npy --glb FILE.glb` \
+             writes them exactly",
+            path.display(),
+            worst.metres,
+            worst.joint,
+            worst.frame
+        );
+    }
 }
 
 impl Receiver for Files {

@@ -9,6 +9,7 @@ use kinegrad_train::Error;
 
 use super::nearest;
 use crate::args::InitArguments;
+use crate::folder;
 
 /// The config of a `kinegrad train` that names none.
 pub const DEFAULT_CONFIG: &str = "kinegrad.toml";
@@ -134,6 +135,7 @@ fn find(name: &str) -> Result<&'static Template, Error> {
 
 /// Writes a file that must not be there yet.
 fn write_new(file: &Path, text: &str) -> Result<(), Error> {
+    folder::make_for(file)?;
     let opened = OpenOptions::new().write(true).create_new(true).open(file);
     let mut new = opened.map_err(|error| match error.kind() {
         ErrorKind::AlreadyExists => Error::usage(

@@ -16,6 +16,7 @@ use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, config};
 
 use crate::args::ReportArguments;
+use crate::folder;
 use crate::runs::{Run, Standing, is_run};
 
 /// Gathers everything about a run in one page.
@@ -46,6 +47,7 @@ fn write(out: &Path, text: &str) -> Result<(), Error> {
         );
         return Err(Error::usage(message, hint));
     }
+    folder::make_for(out)?;
     let temporary = out.with_extension("partial");
     let written = fs::write(&temporary, text).and_then(|()| fs::rename(&temporary, out));
     written.map_err(|error| {

@@ -16,7 +16,7 @@ use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
-    interrupt::end_between_samples();
+    interrupt::end_between_files();
     while_it_is_trained(|| draw(systems, arguments.clone()))
 }
 

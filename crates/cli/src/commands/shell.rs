@@ -6,6 +6,7 @@ use clap::CommandFactory;
 use kinegrad_train::Error;
 
 use crate::args::{Arguments, CompletionsArguments, ManArguments};
+use crate::folder;
 
 /// The program, as shells know it.
 const PROGRAM: &str = "kinegrad";
@@ -26,7 +27,7 @@ pub fn completions(arguments: CompletionsArguments) -> Result<ExitCode, Error> {
 /// Writes the manual pages.
 pub fn man(arguments: ManArguments) -> Result<ExitCode, Error> {
     let out = arguments.out;
-    std::fs::create_dir_all(&out).map_err(Error::io("create", &out))?;
+    folder::make(&out)?;
     clap_mangen::generate_to(Arguments::command(), &out).map_err(Error::io("write", &out))?;
     say!("{}", out.join(format!("{PROGRAM}.1")).display());
     Ok(ExitCode::SUCCESS)

@@ -1,18 +1,17 @@
 //! `kinegrad view`
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_data::write_whole;
-use kinegrad_report::scene::Scene;
-use kinegrad_report::{gif, glb, mp4, viewer};
+use kinegrad_report::{ExportError, gif, glb, mp4, must_be_exportable, viewer};
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use crate::args::ViewArguments;
 use crate::output::unusable;
 use crate::scene::{self, Music, Reading};
+use crate::{folder, interrupt};
 
 /// What is written of a scene.
 #[derive(Clone, Copy, Eq, PartialEq)]
@@ -39,6 +38,7 @@ impl Kind {
 
 /// Reads the motions as one scene and writes what is asked for of it.
 pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, Error> {
+    interrupt::end_between_files();
     let motions = scene::motions(&arguments.motions, arguments.raw)?;
     let outputs = outputs(&arguments, &motions)?;
     let reading = Reading {
@@ -51,30 +51,51 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         ..Reading::of(&arguments.reading)
     };
     let scene = scene::read(systems, &motions, &reading)?;
-    for (kind, path) in outputs {
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-        }
-        match kind {
-            Kind::Bvh => {
-                let bvh = scene::as_bvh(systems, &motions[0], &reading)?;
-                write_whole(&path, bvh.to_text().as_bytes())?;
+    // All of them can be written, or none is.
+    for (kind, path) in &outputs {
+        let refused = match kind {
+            Kind::Page | Kind::Bvh => Ok(()),
+            Kind::Gif | Kind::Glb => must_be_exportable(&scene, path),
+            Kind::Mp4 => {
+                must_be_exportable(&scene, path).and_then(|()| mp4::must_have_encoder(path))
             }
-            _ => export(kind, &scene, &path)?,
+        };
+        refused.map_err(unusable)?;
+    }
+    let bvh = outputs.iter().find(|(kind, _)| *kind == Kind::Bvh);
+    let bvh = bvh.map(|(_, out)| scene::as_bvh(systems, &motions[0], &reading, out));
+    let bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
+    outputs
+        .iter()
+        .try_for_each(|(_, path)| folder::must_take(path))?;
+    for (kind, path) in outputs {
+        let written = match kind {
+            Kind::Page => {
+                let page = viewer::page(&scene);
+                Ok(interrupt::not_during(|| {
+                    write_whole(&path, page.as_bytes())
+                })?)
+            }
+            Kind::Bvh => {
+                let text = bvh.as_deref().unwrap_or_default();
+                Ok(interrupt::not_during(|| {
+                    write_whole(&path, text.as_bytes())
+                })?)
+            }
+            Kind::Gif => interrupt::stoppable(|stop| gif::write(&scene, &path, stop)),
+            Kind::Mp4 => interrupt::stoppable(|stop| mp4::write(&scene, &path, stop)),
+            Kind::Glb => interrupt::not_during(|| glb::write(&scene, &path)),
+        };
+        match written {
+            Err(ExportError::Interrupted { .. }) => {
+                tell!("\ninterrupted");
+                return Ok(ExitCode::from(130));
+            }
+            written => written.map_err(unusable)?,
         }
         say!("{}", path.display());
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn export(kind: Kind, scene: &Scene, path: &Path) -> Result<(), Error> {
-    match kind {
-        Kind::Page | Kind::Bvh => write_whole(path, viewer::page(scene).as_bytes())?,
-        Kind::Gif => gif::write(scene, path).map_err(unusable)?,
-        Kind::Mp4 => mp4::write(scene, path).map_err(unusable)?,
-        Kind::Glb => glb::write(scene, path).map_err(unusable)?,
-    }
-    Ok(())
 }
 
 /// The files to write, none of which is there unless it may be replaced.

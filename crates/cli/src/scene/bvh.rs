@@ -13,7 +13,7 @@ use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
 use super::{Reading, body, is_bvh, not_finite};
-use crate::commands::files::CENTIMETRES;
+use crate::commands::files::{self, CENTIMETRES};
 use crate::output::unusable;
 
 /// Largest file that is read, bytes.
@@ -65,11 +65,16 @@ pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Er
     Ok(body(name, fps, &joints, names(&bvh), parents, None))
 }
 
-/// A motion as BVH in centimetres with +y up.
+/// A motion as BVH in centimetres with +y up, which will be at `out`: what it cannot hold is said.
 ///
 /// # Errors
 /// If it cannot be read, or its skeleton is not known.
-pub fn as_bvh(systems: Systems<'_>, path: &Path, reading: &Reading) -> Result<Bvh, Error> {
+pub fn as_bvh(
+    systems: Systems<'_>,
+    path: &Path,
+    reading: &Reading,
+    out: &Path,
+) -> Result<Bvh, Error> {
     if is_bvh(path) {
         let Capture { bvh, metres, up } = open(path, reading)?;
         return bvh.converted(CENTIMETRES * metres, up).map_err(unusable);
@@ -85,7 +90,9 @@ pub fn as_bvh(systems: Systems<'_>, path: &Path, reading: &Reading) -> Result<Bv
         representation.skeleton(),
     ) {
         (Some(joints), Some(skeleton)) => {
-            Bvh::from_joints(&joints, skeleton, CENTIMETRES).map_err(unusable)
+            let bvh = files::bvh(&joints, skeleton)?;
+            files::note_deviation(out, &bvh, &joints, skeleton);
+            Ok(bvh)
         }
         (None, _) => Err(not_finite(path)),
         (_, None) => Err(Error::usage(
@@ -116,11 +123,11 @@ fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     }
 }
 
-/// The unit in which the figure is most nearly as tall as a person.
+/// The unit in which the figure is most nearly as tall as a person. It stands on the ground, at 0,
+/// unless it reaches below: one without legs is as tall as it reaches above.
 fn guess_units(places: &[[f64; 3]], up: UpAxis) -> Units {
     let heights = || places.iter().map(|place| up.to_y_up(*place)[1]);
-    let tall =
-        heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(f64::INFINITY, f64::min);
+    let tall = heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(0.0, f64::min);
     let off = |units: &Units| (tall * units.metres() / PERSON).ln().abs();
     let known = [Units::Cm, Units::M, Units::Mm, Units::Inch, Units::Cmu];
     let best = known.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
@@ -163,5 +170,11 @@ mod tests {
             }
         }
         assert_eq!(guess_units(&[[0.0; 3]], UpAxis::Y), Units::Cm);
+        // Hips and head alone, in centimetres.
+        let bust = [[0.0, 90.0, 0.0], [0.0, 102.0, 0.0]];
+        assert_eq!(guess_units(&bust, UpAxis::Y), Units::Cm);
+        // The hips are the origin, and feet are below.
+        let hung = [[0.0; 3], [0.0, 24.0, 0.0], [0.0, -37.0, 0.0]];
+        assert_eq!(guess_units(&hung, UpAxis::Y), Units::Inch);
     }
 }

@@ -40,8 +40,7 @@ const APART: f32 = 1.0;
 /// Writes a scene as a binary glTF file.
 ///
 /// # Errors
-/// [`ExportError::Scene`] for a scene without frames or with numbers that are not finite;
-/// [`ExportError::Write`].
+/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`].
 pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     export::check(scene, out)?;
     export::write(out, &encode(scene))

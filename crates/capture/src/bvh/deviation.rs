@@ -1,0 +1,82 @@
+//! How far the joints of a file are from those of the clip it was made of.
+
+use kinegrad_motion::humanml::kinematics::minus;
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_motion::rotation::length;
+
+use super::Bvh;
+
+/// The joint that is furthest from where a clip has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Deviation {
+    /// How far it is, metres.
+    pub metres: f64,
+    /// Its name.
+    pub joint: String,
+    /// The frame.
+    pub frame: usize,
+}
+
+impl Bvh {
+    /// How far the joints are from those of the clip that [`Bvh::from_joints`] made the file of,
+    /// at most: bones that change their length in the clip have one length here. None if a frame or
+    /// a joint is missing.
+    pub fn deviation(
+        &self,
+        clip: &Joints,
+        skeleton: &Skeleton,
+        units_per_metre: f64,
+    ) -> Option<Deviation> {
+        let names = &skeleton.description().joint_names;
+        let places: Option<Vec<usize>> = names.iter().map(|name| self.joint(name)).collect();
+        let places = places?;
+        let mut worst: Option<Deviation> = None;
+        for frame in 0..clip.frames().min(self.frames()) {
+            let world = self.world(frame);
+            for (joint, &place) in places.iter().enumerate() {
+                let found = world[place].position.map(|value| value / units_per_metre);
+                let metres = length(minus(found, clip.frame(frame)[joint]));
+                if worst.as_ref().is_none_or(|worst| metres > worst.metres) {
+                    let joint = names[joint].clone();
+                    worst = Some(Deviation {
+                        metres,
+                        joint,
+                        frame,
+                    });
+                }
+            }
+        }
+        worst.filter(|_| clip.frames() == self.frames())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bone_that_grows_in_a_frame_is_named() {
+        let skeleton = Skeleton::humanml3d();
+        let rest = &skeleton.description().rest_offsets;
+        let mut frame = vec![[0.0, 0.95, 0.0]; rest.len()];
+        for [start, end] in skeleton.chains().flatten() {
+            frame[end] = [0, 1, 2].map(|axis| frame[start][axis] + rest[end][axis]);
+        }
+        let mut places: Vec<[f64; 3]> = (0..4).flat_map(|_| frame.clone()).collect();
+        let deviation = |places: &[[f64; 3]]| {
+            let clip = Joints::new(places.to_vec(), rest.len()).unwrap();
+            let bvh = Bvh::from_joints(&clip, &skeleton, 100.0).unwrap();
+            bvh.deviation(&clip, &skeleton, 100.0).unwrap()
+        };
+        assert!(deviation(&places).metres < 1e-6);
+        // The left wrist, the end of a chain, goes on by 40 cm along its bone in one of four frames;
+        // the bone is 10 cm too long in the others, and 30 cm too short in this one.
+        let (wrist, elbow) = (20, 18);
+        let bone = minus(frame[wrist], frame[elbow]);
+        let at = 2 * rest.len() + wrist;
+        places[at] = [0, 1, 2].map(|axis| frame[wrist][axis] + 0.4 * bone[axis] / length(bone));
+        let found = deviation(&places);
+        assert!((found.metres - 0.3).abs() < 1e-4, "{found:?}");
+        assert_eq!((found.joint.as_str(), found.frame), ("left_wrist", 2));
+    }
+}

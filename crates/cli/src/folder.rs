@@ -1,0 +1,75 @@
+//! Folders of what is written: whatever a command writes where it is told to, the folders above it
+//! are made.
+
+use std::fs::{self, File};
+use std::path::Path;
+
+use kinegrad_train::Error;
+
+/// Makes a folder, and those above it.
+///
+/// # Errors
+/// If it cannot be made.
+pub fn make(folder: &Path) -> Result<(), Error> {
+    // A file in the folder where the command runs has an empty one.
+    if folder.as_os_str().is_empty() {
+        return Ok(());
+    }
+    fs::create_dir_all(folder).map_err(|error| {
+        Error::usage(
+            format!("cannot create the folder {}: {error}", folder.display()),
+            "name a place below a folder that can be written",
+        )
+    })
+}
+
+/// Makes the folder of a file.
+///
+/// # Errors
+/// As [`make`].
+pub fn make_for(file: &Path) -> Result<(), Error> {
+    file.parent().map_or(Ok(()), make)
+}
+
+/// [`make_for`], and tries whether a file can be written there.
+///
+/// # Errors
+/// As [`make`]; if `file` is a folder, or its folder takes no file.
+pub fn must_take(file: &Path) -> Result<(), Error> {
+    make_for(file)?;
+    if file.is_dir() {
+        return Err(Error::usage(
+            format!("{} is a folder", file.display()),
+            "name a file",
+        ));
+    }
+    let tried = file.with_added_extension(format!("{}.try.tmp", std::process::id()));
+    let made = File::create(&tried).and_then(|_| fs::remove_file(&tried));
+    made.map_err(|error| {
+        Error::usage(
+            format!("cannot write {}: {error}", file.display()),
+            "name a file in a folder that can be written",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_are_made_and_what_takes_no_file_is_named() {
+        let top = tempfile::tempdir().unwrap();
+        let file = top.path().join("a/b/file");
+        must_take(&file).unwrap();
+        assert!(!file.exists() && top.path().join("a/b").is_dir());
+        assert_eq!(fs::read_dir(top.path().join("a/b")).unwrap().count(), 0);
+        fs::write(&file, "").unwrap();
+        let error = must_take(&file.join("c/d")).unwrap_err().to_string();
+        assert!(error.contains("file/c"), "{error}");
+        assert_eq!(must_take(&file).ok(), Some(()));
+        let error = must_take(&top.path().join("a")).unwrap_err().to_string();
+        assert!(error.contains("is a folder"), "{error}");
+        make_for(Path::new("alone")).unwrap();
+    }
+}
