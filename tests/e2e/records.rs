@@ -22,7 +22,7 @@ fn record(sandbox: &Sandbox, file: &str) -> Value {
 
 #[test]
 fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
-    let sandbox = trained(SMALLEST, "--set sampling.count_at_end=1");
+    let sandbox = trained(SMALLEST, "--set sampling.count_at_end=2");
     let drawn = sandbox
         .run("sample runs/smallest --out d --steps 3 --seed 7 --guidance-scale 1.5")
         .succeeded();
@@ -62,12 +62,28 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     assert_eq!(again.stderr, "");
     let [one, other] = ["d.npy", "again.npy"].map(|file| std::fs::read(sandbox.path(file)));
     assert_eq!(one.expect("a file"), other.expect("a file"));
-    // The samples at the end of training have records too.
+    // The samples at the end of training have records too, by which they are drawn again.
     let held_out = sandbox.list("runs/smallest/samples");
-    let json = held_out.iter().find(|name| name.ends_with(".json"));
-    let json = json.unwrap_or_else(|| panic!("no record: {held_out:?}"));
-    let record = self::record(&sandbox, &format!("runs/smallest/samples/{json}"));
-    assert_eq!(record["condition"]["item"], json.trim_end_matches(".json"));
+    let records = held_out.iter().filter_map(|name| name.strip_suffix(".json"));
+    let mut compared = 0;
+    for stem in records {
+        let file = format!("runs/smallest/samples/{stem}");
+        let record = self::record(&sandbox, &format!("{file}.json"));
+        assert_eq!(record["condition"]["item"], stem);
+        assert_eq!(record["index"], 0);
+        let again = format!(
+            "sample {} --phrase {stem} --out again-{stem} --steps {} --seed {}",
+            record["checkpoint"].as_str().expect("a path"),
+            record["sampler"]["num_inference_steps"],
+            record["seed"],
+        );
+        sandbox.run(&again).succeeded();
+        let [one, other] = [format!("{file}.npy"), format!("again-{stem}.npy")]
+            .map(|file| std::fs::read(sandbox.path(&file)).expect("a file"));
+        assert_eq!(one, other, "{stem}");
+        compared += 1;
+    }
+    assert_eq!(compared, 2, "{held_out:?}");
 }
 
 #[test]
