@@ -50,7 +50,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use assemble::{Assembly, Moment, Segment, assemble};
-pub use bvh::{Axis, Bvh, Channel, Joint};
+pub use bvh::{Axis, Bvh, Channel, Deviation, Joint};
 pub use c3d::{C3d, Processor};
 pub use error::Error;
 pub use join::{Joining, join};
