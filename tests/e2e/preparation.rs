@@ -267,12 +267,35 @@ fn songs_become_features_pictures_and_motion() {
     assert_eq!(read("cut/a/features.npz"), whole.slice(45..105));
     for (wrong, found) in [
         ("--start 60", "6.0 seconds"),
-        ("--duration 0", "more than 0"),
+        ("--start -5", "`--start` is -5, allowed: 0 seconds or more"),
+        (
+            "--duration 0",
+            "`--duration` is 0, allowed: more than 0 seconds\n",
+        ),
+        ("--duration -1", "`--duration` is -1, allowed: more than 0"),
     ] {
         let line = format!("audio features songs/a.wav {wrong} --out wrong");
         sandbox.run(&line).failed(2, &[found, "hint:"]);
     }
     assert!(!sandbox.path("wrong").exists());
+    // What is there stays, unless it is to be replaced; with two songs too.
+    let kept = fs::read(sandbox.path("cut/a/features.npz")).expect("features");
+    sandbox.write("songs/b.wav", wav(3));
+    let again = "audio features songs/b.wav songs/a.wav --out cut";
+    sandbox
+        .run(again)
+        .failed(2, &["cut/a/features.npz exists already", "`--overwrite`"]);
+    assert_eq!(sandbox.list("cut"), ["a"]);
+    assert!(kept == fs::read(sandbox.path("cut/a/features.npz")).expect("features"));
+    fs::remove_file(sandbox.path("features/a/features.npz")).expect("removed");
+    sandbox
+        .run("audio features songs/a.wav --out features --plot")
+        .failed(2, &["features/a/features.png exists already"]);
+    sandbox
+        .run("audio features songs/a.wav --out features --plot --overwrite")
+        .succeeded();
+    sandbox.run(&format!("{again} --overwrite")).succeeded();
+    assert_eq!(read("cut/a/features.npz"), whole);
     for name in ["a", "tones"] {
         let picture = fs::read(sandbox.path(format!("features/{name}/features.png")));
         assert!(picture.expect("a picture").starts_with(b"\x89PNG"));

@@ -80,6 +80,28 @@ fn a_page_gathers_what_a_run_holds() {
     assert_eq!(starts[0]["device"], "cpu");
     assert!(starts[0]["cores"].as_u64() > Some(0));
 
+    // One whose positions are not finite fails, and those beside it move.
+    let samples = sandbox.list("runs/smallest/samples");
+    let is_motion = |name: &&String| name.ends_with(".npy") && !name.ends_with(".raw.npy");
+    let name = samples.iter().find(is_motion).expect("a sample").clone();
+    let path = sandbox.path("runs/smallest/samples").join(&name);
+    let kept = fs::read(&path).expect("a sample");
+    let mut bytes = kept.clone();
+    let last = bytes.len() - 25 * 4;
+    bytes[last..last + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    fs::write(&path, bytes).expect("written");
+    let spoiled = self::page(&sandbox, "runs/smallest --out made.html", "made.html");
+    let rows: Vec<&str> = spoiled
+        .lines()
+        .filter(|line| line.contains("finite 1 "))
+        .collect();
+    assert_eq!(rows.len(), 1, "{name}");
+    assert!(rows[0].contains(">fail</td>") && rows[0].contains(name.trim_end_matches(".npy")));
+    assert!(!spoiled.contains("is not written"));
+    let scenes = |page: &str| page.matches("kg kg-small").count();
+    assert_eq!(scenes(&spoiled) + 1, scenes(&page));
+    fs::write(&path, kept).expect("written");
+
     // A sample that is none is named, and the rest is there.
     sandbox.write("runs/smallest/samples/bad<b>.npy", "none");
     fs::write(sandbox.path("runs/smallest/reports/broken.csv"), "a,b\n1\n").expect("written");
@@ -153,6 +175,44 @@ fn a_page_is_made_of_any_run() {
         &stopped,
         &["<h1>whole</h1>", "never begun", "<h2>Stage base</h2>"],
     );
+}
+
+#[test]
+fn previews_move_where_there_are_no_samples() {
+    let sandbox = sandbox();
+    for (config, item) in [("c", "synthetic_"), ("w", "walk_")] {
+        let train = format!(
+            "train {config}.toml --name {config} --set sampling.count_at_end=0 \
+             --set sampling.sampler.num_inference_steps=2 --set sampling.preview_every_steps=2 \
+             --set train.max_steps=5"
+        );
+        sandbox.run(&train).succeeded();
+        let (run, out) = (
+            format!("runs/{config}"),
+            format!("runs/{config}/report.html"),
+        );
+        let whole = page(&sandbox, &run, &out);
+        holds(
+            &whole,
+            &[
+                "<h2>Previews</h2>",
+                "Drawn after step 4.",
+                "each of 2 steps",
+                item,
+            ],
+        );
+        let moving = whole.matches("class=\"kg kg-small\"").count();
+        assert!((1..=4).contains(&moving), "{moving}");
+        assert!(!whole.contains("<h2>Samples</h2>"));
+        // One that is none is named, and the one before it is shown.
+        sandbox.write(&format!("{run}/previews/step-00000004.html"), "<p>mine");
+        let older = page(&sandbox, &run, &out);
+        holds(
+            &older,
+            &["step-00000004.html shows no motion", "Drawn after step 2."],
+        );
+        assert!(!older.contains("<p>mine"));
+    }
 }
 
 #[test]
@@ -234,6 +294,8 @@ fn runs_are_listed_with_their_states() {
     let text = fs::read_to_string(&config).expect("a config");
     fs::write(&config, text.replace("max_steps = 4", "max_steps = 9")).expect("written");
     sandbox.write("runs/new/lock", "");
+    // Nothing but a config that cannot be read.
+    sandbox.write("runs/lost/config.toml", "[train\n");
     sandbox.write("runs/notes.txt", "mine");
 
     let listed = sandbox.run("runs").succeeded();
@@ -241,8 +303,9 @@ fn runs_are_listed_with_their_states() {
         ["done", "cc_motion/diffusion", "finished", "4 of 4"],
         ["more/nested", "cc_motion/diffusion", "finished", "4 of 4"],
         ["half", "cc_motion/diffusion", "stopped", "4 of 9"],
-        ["damaged", "cc_motion/diffusion", "damaged", "of 4"],
+        ["damaged", "cc_motion/diffusion", "damaged", "- of 4"],
         ["new", "-", "never begun", "0"],
+        ["lost", "-", "damaged", "0"],
     ] {
         let line = |line: &&str| texts.iter().all(|text| line.contains(text));
         assert!(
@@ -251,14 +314,29 @@ fn runs_are_listed_with_their_states() {
             listed.stdout
         );
     }
-    let warned = "warning: damaged: ";
-    assert!(listed.stderr.contains(warned), "{}", listed.stderr);
+    let line = |name: &str| {
+        let start = format!("warning: {name}: ");
+        let mut lines = listed.stderr.lines();
+        let line = lines.find(|line| line.starts_with(&start));
+        line.unwrap_or_else(|| panic!("{name}: {}", listed.stderr))
+    };
+    let damaged = line("damaged");
+    holds(damaged, &["step-00000002", "step-00000004"]);
+    holds(line("lost"), &["lost/config.toml:1"]);
+    let lost = page(&sandbox, "runs/lost", "runs/lost/report.html");
+    holds(&lost, &[">damaged</span>", "lost/config.toml:1"]);
+    let bad = page(&sandbox, "runs/damaged", "runs/damaged/report.html");
+    holds(&bad, &["<dd>- of 4</dd>", ">damaged</td>"]);
 
     let json = sandbox.run("runs --json").succeeded().stdout;
     let json: Value = serde_json::from_str(&json).expect("JSON");
     let runs = json["runs"].as_array().expect("a list");
     let names: Vec<_> = runs.iter().filter_map(|run| run["name"].as_str()).collect();
-    assert_eq!(names, ["damaged", "done", "half", "more/nested", "new"]);
+    assert_eq!(
+        names,
+        ["damaged", "done", "half", "lost", "more/nested", "new"]
+    );
+    assert!(runs[0]["step"].is_null());
     assert!(runs[0]["problem"].is_string() && runs[1]["problem"].is_null());
     assert_eq!(runs[1]["step"], 4);
     assert!(runs[1]["best_val_loss"].is_number());
@@ -328,4 +406,51 @@ fn every_representation_is_plotted() {
         .run("plot body.npy --goal c.toml --out q.svg")
         .failed(2, &["c.toml", "goals.md"]);
     assert!(!sandbox.path("q.svg").exists());
+}
+
+#[test]
+fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
+    let sandbox = sandbox();
+    let plot = |arguments: &str| {
+        let plot = format!("plot {arguments} --out p.svg");
+        let said = sandbox.run(&plot).succeeded().stderr;
+        let picture = fs::read_to_string(sandbox.path("p.svg")).expect("a picture");
+        (picture, said)
+    };
+    for (frames, joints) in [(1, 1), (20, 1), (1, 5), (20, 5), (12, 70)] {
+        let values = wandering(frames * joints * 3);
+        write_values(&sandbox.path("joints.npy"), &[frames, joints, 3], &values).expect("written");
+        let (picture, _) = plot("joints.npy --fps 10");
+        holds(&picture, &["path from above", "height (m)"]);
+        assert!(!picture.contains("on the ground\n"), "no foot is known");
+        assert_eq!(picture.contains("poses "), joints > 1, "{joints} joints");
+        // A dot for each joint of each pose, beside those of the path.
+        let dots = picture.matches("<circle").count() - 2;
+        assert!(
+            dots.is_multiple_of(joints) && (dots > 0) == (joints > 1),
+            "{dots}"
+        );
+        let known = ["[T, 22, 3]", "[T, 21, 3]", "`kinegrad plot`"];
+        let said = format!("{joints} joints of an unknown skeleton cannot be checked");
+        let checked = sandbox.run("check joints.npy");
+        checked.failed(2, &[&[said.as_str()][..], &known].concat());
+    }
+    sandbox
+        .run("plot joints.npy --fps -2 --out q.svg")
+        .failed(2, &["`--fps` is -2", "positive"]);
+    sandbox.write("walk.bvh", kinegrad_tests::captures::bvh(12));
+    let (picture, said) = plot("walk.bvh");
+    holds(&picture, &["poses ", "path from above", "height (m)"]);
+    assert!(said.contains("--units"), "{said}");
+    let (metres, said) = plot("walk.bvh --units m --up y");
+    assert!(said.is_empty(), "{said}");
+    assert!(metres.contains("poses "));
+    sandbox.run("check walk.bvh").failed(
+        2,
+        &[
+            "walk.bvh is a BVH file",
+            "`kinegrad view`",
+            "`kinegrad plot`",
+        ],
+    );
 }

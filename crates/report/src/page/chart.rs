@@ -202,9 +202,15 @@ fn ticks(range: &Range<f64>, about: f64) -> (f64, Vec<f64>) {
     (step, numbers.collect())
 }
 
-/// Powers of ten within the range of exponents.
+/// Powers of ten within the range of exponents; where there are few, two and five times them too.
 fn powers(range: &Range<f64>) -> Vec<f64> {
     let (first, last) = (range.start.ceil() as i64, range.end.floor() as i64);
+    if last - first < 2 {
+        // Too few to read values off.
+        let numbers = (first - 1..=last)
+            .flat_map(|power| [1.0f64, 2.0, 5.0].map(|n| n.log10() + power as f64));
+        return numbers.filter(|number| range.contains(number)).collect();
+    }
     let apart = ((last - first) / 5 + 1).max(1) as usize;
     let powers = (first..=last).step_by(apart);
     powers.map(|power| power as f64).collect()
@@ -327,6 +333,14 @@ mod tests {
                 html.replace("0.001", "1e-3").contains(number),
                 "{number}: {html}"
             );
+        }
+    }
+
+    #[test]
+    fn a_logarithmic_axis_has_more_than_one_number() {
+        let html = chart([(0.0, 2.4e-5), (1.0, 9e-4)]).html();
+        for number in [">5e-5<", ">1e-4<", ">2e-4<", ">5e-4<"] {
+            assert!(html.contains(number), "{number}: {html}");
         }
     }
 

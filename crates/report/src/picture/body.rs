@@ -90,6 +90,11 @@ fn poses(figure: &Figure) -> Option<Panel> {
     let loose: Vec<usize> = (0..figure.joints())
         .filter(|joint| figure.parents[*joint].is_none() && !figure.parents.contains(&Some(*joint)))
         .collect();
+    let digits = if count as f64 > 10.0 * figure.seconds() {
+        2
+    } else {
+        1
+    };
     let moment = |index: usize| index * (frames - 1) / (count - 1).max(1);
     let poses = (0..count).map(|index| {
         let frame = moment(index);
@@ -107,7 +112,7 @@ fn poses(figure: &Figure) -> Option<Panel> {
         let joints = loose.iter().map(|&joint| place(joint));
         let heights = (0..figure.joints()).map(|joint| place(joint).1);
         Pose {
-            label: format!("{:.1} s", frame as f64 / figure.fps),
+            label: format!("{:.*} s", digits, frame as f64 / figure.fps),
             top: (place(0).0, super::axes::extremes(heights).1 + 0.1),
             bones: bones.collect(),
             joints: joints.collect(),

@@ -57,8 +57,13 @@ where
         .y_label_area_size(left)
         .build_cartesian_2d(x.clone(), y.clone())?;
     // A map has z downwards, and shows it as it is.
-    let downwards = |value: &f64| short(if *value == 0.0 { 0.0 } else { -value });
-    let upwards = |value: &f64| short(*value);
+    // Ticks are sums of steps: zero does not come out even.
+    let near = |value: f64| {
+        let least = 1e-9 * (x.end - x.start).min(y.end - y.start);
+        if value.abs() < least { 0.0 } else { value }
+    };
+    let downwards = |value: &f64| short(-near(*value));
+    let upwards = |value: &f64| short(near(*value));
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE)
         .bold_line_style(BLACK.mix(0.1))

@@ -74,7 +74,11 @@ fn contacts_are_ranges_and_thumbnails_leave_curves_and_song_out() {
     let small = scene_json(&scene, true);
     assert_eq!(small["figures"][0]["charts"], json!([]));
     assert!(small["song"].is_null());
-    assert!(Thumbnail::from(scene.clone()).html().contains("class=\"kg kg-small\""));
+    assert!(
+        Thumbnail::from(scene.clone())
+            .html()
+            .contains("class=\"kg kg-small\"")
+    );
 }
 
 #[test]

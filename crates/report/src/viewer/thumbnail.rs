@@ -34,7 +34,10 @@ impl Thumbnail {
         let Some(mut scene) = data() else {
             return Vec::new();
         };
-        let figures = scene.get_mut("figures").and_then(Value::as_array_mut).map(std::mem::take);
+        let figures = scene
+            .get_mut("figures")
+            .and_then(Value::as_array_mut)
+            .map(std::mem::take);
         let floor = scene.get_mut("floor").map(Value::take);
         let thumbnails = figures.unwrap_or_default().into_iter();
         let thumbnails = thumbnails.filter(Value::is_object).map(|mut figure| {

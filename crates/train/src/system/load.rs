@@ -262,6 +262,11 @@ mod tests {
             assert!(text.starts_with("c.toml:3"), "{text}");
             assert!(text.contains("too large"), "{text}");
         }
+        let text = error("", &["data.batch_size=99999999999999999999999"]);
+        assert!(
+            text.contains("99999999999999999999999 is too large") && !text.contains("the text"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -6,6 +6,12 @@ use kinegrad_train::telemetry::Record;
 /// Numbers of the clock.
 const CLOCK: [&str; 2] = ["time", "elapsed_seconds"];
 
+/// How fast it goes.
+const SPEED: &str = "steps_per_second";
+
+/// What comes first, in this order.
+const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
+
 /// Everything that was measured over steps, what belongs together in one chart. Terms are shown
 /// where there are several: one alone is the loss.
 pub fn charts(records: &[Record]) -> Vec<Chart> {
@@ -15,10 +21,13 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
             names.push(name);
         }
     }
+    // A validation counts the steps of the same time again, that at the start none.
+    let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
     let line = |name: &str, shown: &str| Line {
         name: shown.to_string(),
         points: records
             .iter()
+            .filter(|record| counts(record, name))
             .filter_map(|record| Some((record.step as f64, record.get(name)?)))
             .collect(),
     };
@@ -29,6 +38,12 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
     };
     let mut taken = Vec::new();
     let mut charts = Vec::new();
+    // Each in its own colour and at its own place, whichever was measured first.
+    let order = |name: &&str| {
+        let place = ORDER.iter().position(|known| known == name);
+        place.unwrap_or(ORDER.len())
+    };
+    names.sort_by_key(order);
     let loss: Vec<&str> = names
         .iter()
         .copied()
@@ -58,7 +73,7 @@ pub fn charts(records: &[Record]) -> Vec<Chart> {
     let titles = [
         ("lr", "learning rate"),
         ("grad_norm", "gradient norm"),
-        ("steps_per_second", "steps per second"),
+        (SPEED, "steps per second"),
     ];
     for name in names.iter().filter(|name| !taken.contains(name)) {
         let title = titles.iter().find(|(known, _)| known == name);
@@ -116,6 +131,22 @@ mod tests {
             ("mine", vec!["mine"]),
         ];
         assert_eq!(shown, expected);
+    }
+
+    #[test]
+    fn a_validation_before_the_first_step_changes_neither_order_nor_speed() {
+        let validation = |step| {
+            let record = Record::new(step).with("val_loss", 2.5);
+            record.with("steps_per_second", 0.0)
+        };
+        let step = Record::new(1)
+            .with("loss", 2.0)
+            .with("steps_per_second", 3.0);
+        let charts = charts(&[validation(0), step.with("grad_norm", 1.0), validation(1)]);
+        let titles: Vec<&str> = charts.iter().map(|chart| chart.title.as_str()).collect();
+        assert_eq!(titles, ["loss", "gradient norm", "steps per second"]);
+        assert_eq!(charts[0].lines[0].name, "loss");
+        assert_eq!(charts[2].lines[0].points, [(1.0, 3.0)]);
     }
 
     #[test]
