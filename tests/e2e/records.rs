@@ -64,7 +64,9 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
     assert_eq!(one.expect("a file"), other.expect("a file"));
     // The samples at the end of training have records too, by which they are drawn again.
     let held_out = sandbox.list("runs/smallest/samples");
-    let records = held_out.iter().filter_map(|name| name.strip_suffix(".json"));
+    let records = held_out
+        .iter()
+        .filter_map(|name| name.strip_suffix(".json"));
     let mut compared = 0;
     for stem in records {
         let file = format!("runs/smallest/samples/{stem}");
