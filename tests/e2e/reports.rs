@@ -444,9 +444,24 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
     sandbox
         .run("plot joints.npy --fps -2 --out q.svg")
         .failed(2, &["`--fps` is -2", "positive"]);
-    sandbox.write("walk.bvh", kinegrad_tests::captures::bvh(12));
+    let frames = (0..12).map(|t| format!("{t} 90 0 0 0 0 0 0 0\n"));
+    let capture = "HIERARCHY\nROOT Hips\n{\n OFFSET 0 90 0\n CHANNELS 6 Xposition Yposition \
+        Zposition Zrotation Xrotation Yrotation\n JOINT LeftFoot\n {\n  OFFSET 0 -85 0\n  \
+        CHANNELS 3 Zrotation Xrotation Yrotation\n  End Site\n  {\n   OFFSET 0 0 5\n  }\n }\n}\n\
+        MOTION\nFrames: 12\nFrame Time: 0.1\n";
+    let capture = capture.to_string() + &frames.collect::<String>();
+    sandbox.write("walk.bvh", capture);
     let (picture, said) = plot("walk.bvh");
-    holds(&picture, &["poses ", "path from above", "height (m)"]);
+    holds(
+        &picture,
+        &[
+            "poses ",
+            "path from above",
+            "on the ground",
+            "LeftFoot",
+            "height (m)",
+        ],
+    );
     assert!(said.contains("--units"), "{said}");
     let (metres, said) = plot("walk.bvh --units m --up y");
     assert!(said.is_empty(), "{said}");

@@ -1,5 +1,6 @@
 """The page of `kinegrad report` in a browser."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,39 @@ def test_no_screen_is_too_narrow(report, opened, width, colors):
 def test_a_preview_is_a_page(report, opened):
     page = opened(report[1])
     assert "step 40" in page.title() or "synthetic_" in page.content()
+
+
+@pytest.fixture(scope="module")
+def watched(kinegrad, report, tmp_path_factory):
+    """The page of the same run without its samples."""
+    run = tmp_path_factory.mktemp("watched") / "quickstart"
+    shutil.copytree(report[0].parent, run)
+    shutil.rmtree(run / "samples")
+    kinegrad("report", run, cwd=run.parent)
+    return run / "report.html"
+
+
+def test_previews_move_where_there_are_no_samples(watched, opened):
+    page = opened(watched)
+    titles = page.locator("main > section > h2").all_inner_texts()
+    assert titles[:2] == ["Training", "Previews"]
+    assert page.locator(".kg-small").count() == 4
+    page.locator(".kg-small").first.scroll_into_view_if_needed()
+    # The policy of the page forbids the polling of wait_for_function.
+    seen = set()
+    for _ in range(50):
+        page.wait_for_timeout(100)
+        seen.add(page.evaluate("kinegrad.viewers[0].frame"))
+    assert len(seen) > 5, seen
+    assert page.evaluate("kinegrad.viewers.map(viewer => viewer.frames > 1)") == [True] * 4
+
+
+def test_what_samples_fail_is_read_on_a_narrow_screen(report, opened):
+    page = opened(report[0], 400)
+    words = page.locator("section:has(h2:text-is('Samples')) td.words")
+    assert words.count() == 2
+    table = page.locator("section:has(h2:text-is('Samples')) .tables").bounding_box()
+    for cell in words.all():
+        box = cell.bounding_box()
+        assert box["width"] > 300
+        assert box["x"] + box["width"] <= table["x"] + table["width"] + 1
