@@ -190,7 +190,7 @@ fn a_page_needs_a_run_and_a_place() {
         .succeeded();
     for (out, text) in [
         ("empty", "`--out empty/report.html`"),
-        ("no/such/page.html", "cannot write no/such/page.html"),
+        ("c.toml/page.html", "cannot create the folder c.toml"),
     ] {
         sandbox
             .run(&format!("report runs/smallest --out {out}"))

@@ -18,7 +18,7 @@ pub fn make(folder: &Path) -> Result<(), Error> {
     fs::create_dir_all(folder).map_err(|error| {
         Error::usage(
             format!("cannot create the folder {}: {error}", folder.display()),
-            "name a place below a folder that can be written",
+            "give a place that can be written, as with `--out`",
         )
     })
 }
@@ -48,7 +48,7 @@ pub fn must_take(file: &Path) -> Result<(), Error> {
     made.map_err(|error| {
         Error::usage(
             format!("cannot write {}: {error}", file.display()),
-            "name a file in a folder that can be written",
+            "give a file in a folder that can be written, as with `--out`",
         )
     })
 }
