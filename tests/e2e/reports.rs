@@ -188,15 +188,21 @@ fn a_page_needs_a_run_and_a_place() {
     sandbox
         .run("train c.toml --set train.max_steps=2")
         .succeeded();
+    sandbox.write("file", "");
     for (out, text) in [
         ("empty", "`--out empty/report.html`"),
-        ("c.toml/page.html", "cannot create the folder c.toml"),
+        ("file/page.html", "cannot create the folder file"),
     ] {
         sandbox
             .run(&format!("report runs/smallest --out {out}"))
             .failed(2, &[text]);
     }
     assert!(sandbox.list("empty").is_empty());
+    // A folder that is not there is made.
+    sandbox
+        .run("report runs/smallest --out no/such/page.html")
+        .succeeded();
+    assert!(sandbox.path("no/such/page.html").exists());
 }
 
 #[test]

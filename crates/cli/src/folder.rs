@@ -18,7 +18,7 @@ pub fn make(folder: &Path) -> Result<(), Error> {
     fs::create_dir_all(folder).map_err(|error| {
         Error::usage(
             format!("cannot create the folder {}: {error}", folder.display()),
-            "give a place that can be written, as with `--out`",
+            "name a place below a folder that can be written (`--out`)",
         )
     })
 }
