@@ -48,6 +48,9 @@ fn two_stages_lead_to_a_goal_in_four_files() {
     let bvh = fs::read(sandbox.path("walk.bvh")).expect("a file");
     let bvh = Bvh::parse(&bvh, "walk.bvh").expect("what was written can be read");
     assert_eq!(bvh.frames(), 16);
+    // The bones of an untrained network's bodies keep no length.
+    let note = "note: walk.bvh: joints are up to ";
+    assert!(said.stderr.contains(note), "{}", said.stderr);
 
     sandbox.run(&format!("{sample} --out again")).succeeded();
     let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");

@@ -350,7 +350,7 @@ def lift(values, by, scale=1.0):
     return lifted
 
 
-def spots(page, inside=0.0):
+def spots(page):
     """For each pane its name, and how far its figure's joints lie within the pane at this frame."""
     return page.evaluate(f"""(() => {{
       const viewer = {FIRST};
@@ -359,7 +359,12 @@ def spots(page, inside=0.0):
         const [target, distance] = viewer.framing(pane);
         const view = viewer.camera.view(target, distance, pane);
         const places = pane.figures.flatMap((index) => viewer.joints(index, viewer.frameOf(index)));
-        const seenAt = places.map(([x, y, z]) => onScreen(view, seen(view, x, y, z)));
+        const along = (axis, place) => axis.reduce((sum, part, i) => sum + part * (place[i] - view.eye[i]), 0);
+        const seenAt = places.map((place) => {{
+          const far = along(view.ahead, place);
+          return [view.x + (along(view.right, place) * view.scale) / far,
+                  view.y - (along(view.up, place) * view.scale) / far];
+        }});
         const [xs, ys] = [0, 1].map((axis) => seenAt.map((spot) => spot[axis]));
         return {{
           left: Math.min(...xs) - pane.x, right: pane.x + pane.width - Math.max(...xs),
@@ -418,7 +423,8 @@ def test_sixteen_figures_have_curves_that_are_told_apart(kinegrad, show, tmp_pat
             assert strokes == looks
         else:
             assert {colour for colour, _ in looks} <= {colour for colour, _ in strokes}
-    colours = page.evaluate("FIGURE_COLOURS")
+    colours = sorted({look["colour"] for look in charts[0]["looks"]})
+    assert len(colours) == 16
     parts = [[int(colour[at:at + 2], 16) for at in (1, 3, 5)] for colour in colours]
     for i, a in enumerate(parts):
         assert all(math.dist(a, b) > 40 for b in parts[:i]), colours[i]

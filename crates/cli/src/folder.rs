@@ -48,7 +48,7 @@ pub fn must_take(file: &Path) -> Result<(), Error> {
     made.map_err(|error| {
         Error::usage(
             format!("cannot write {}: {error}", file.display()),
-            "name a file in a folder that can be written",
+            "give a file in a folder that can be written, as with `--out`",
         )
     })
 }
