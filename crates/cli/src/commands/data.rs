@@ -57,7 +57,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
             config.humanml3d.min_frames = KIT_MIN_FRAMES;
         }
     }
-    let inspection = kinegrad_data::inspect(&config, &*reading())?;
+    let inspection = kinegrad_data::inspect(&config, &*reading(Default::default()))?;
     if arguments.json {
         output::json(&inspection);
     } else {

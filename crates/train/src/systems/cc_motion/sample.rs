@@ -10,12 +10,12 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
 
 use super::CcMotion;
-use super::evaluate::phrase_seed;
-use super::generate::{Generator, Sample, must_fit};
+use super::generate::{Generator, Sample, keys, must_fit};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
     Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
+    item_seed,
 };
 use crate::song::song_features;
 use crate::system::System as _;
@@ -71,12 +71,12 @@ pub(super) fn sample(
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     for heard in conditions {
         let mut index = 0;
+        let seed = item_seed(request.seed, &heard.name);
         let stem = stem(&heard);
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
-            repeat_n(heard.audio, request.count),
+            repeat_n(heard.audio, request.count).zip(keys(seed, request.count)),
             &subject.config.sampling,
-            phrase_seed(request.seed, &heard.name),
             &mut |done, all| receiver.borrow_mut().advance("", done, all),
             &mut |sample| {
                 let name = names.of(&stem, index);
@@ -101,22 +101,35 @@ fn for_held_out(
     seed: u64,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
-    let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
+    let dataset =
+        Dataset::<Phrase>::open_with_progress(&subject.config.data, &*receiver.reading())?;
     let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
     must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
-    let sampling = &subject.config.sampling;
-    let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {
-        receiver.advance("", done, all)
-    })?;
+    // The first sample of each phrase, as if it were asked for by its name.
+    let conditions: Vec<_> = chosen
+        .iter()
+        .flat_map(|phrase| {
+            let keys = keys(item_seed(seed, &phrase.id), 1);
+            keys.map(|key| (phrase.audio.slice(0..frames), key))
+        })
+        .collect();
+    let mut samples = Vec::with_capacity(chosen.len());
+    generator.sample_each(
+        conditions.into_iter(),
+        &subject.config.sampling,
+        &mut |done, all| receiver.advance("", done, all),
+        &mut |sample| {
+            samples.push(sample);
+            Ok(())
+        },
+    )?;
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
-    for (index, (phrase, sample)) in chosen.iter().zip(samples).enumerate() {
+    for (phrase, sample) in chosen.iter().zip(samples) {
         rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
         let record = Record {
-            index,
             condition: of_item(&phrase.id, &subject.config.data),
             ..record(subject, seed, &sample)
         };
@@ -267,7 +280,7 @@ fn of_phrases(
             return Err(Error::usage("`--source` without `--phrase`", hint));
         }
     }
-    let dataset = Dataset::<Phrase>::open(&data)?;
+    let dataset = Dataset::<Phrase>::open_with_progress(&data, &*receiver.reading())?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         match &conditions.item {
