@@ -64,6 +64,20 @@ fn previews_change_no_weight() {
 }
 
 #[test]
+fn as_many_are_previewed_as_are_drawn_at_the_end() {
+    let sandbox = sandbox();
+    for (count, expected) in [(0, 4), (2, 2), (6, 6)] {
+        let train = format!(
+            "train c.toml {FEW_STEPS} --set train.max_steps=2 --set data.synthetic.phrases=60 \
+             --set data.validation.fraction=0.2 --set sampling.preview_every_steps=2 \
+             --set sampling.count_at_end={count} --name run{count}"
+        );
+        sandbox.run(&train).succeeded();
+        assert_eq!(pictures(&sandbox, &format!("run{count}")), expected);
+    }
+}
+
+#[test]
 fn a_resumed_run_draws_what_is_missing_and_nothing_twice() {
     let sandbox = sandbox();
     let every = "--set sampling.preview_every_steps=4";

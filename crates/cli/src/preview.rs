@@ -13,7 +13,7 @@ use kinegrad_train::{Error, Preview};
 
 use crate::scene;
 
-/// Items that previews are drawn for: those that the samples at the end begin with.
+/// Items that previews are drawn for where no samples at the end say how many.
 const COUNT: usize = 4;
 
 /// Size of a panel in a picture, pixels.
@@ -29,9 +29,13 @@ const CURVES: usize = 3;
 /// If they cannot be drawn or written; no page is left then.
 pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let subject = systems.trained(checkpoint, &[], Weights::Ema, None)?;
+    let count = match subject.config.sampling.count_at_end {
+        0 => COUNT,
+        count => count,
+    };
     let request = Request {
         conditions: Conditions {
-            held_out: Some(COUNT),
+            held_out: Some(count),
             ..Conditions::default()
         },
         count: 1,

@@ -1,5 +1,6 @@
 //! Progress of training: a bar on a terminal, lines elsewhere.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,7 +9,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kinegrad_report::grouped;
 use kinegrad_train::systems::Systems;
-use kinegrad_train::{Error, Observer, Preview, RunSummary, StepReport};
+use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport};
 
 use crate::preview;
 
@@ -150,8 +151,8 @@ impl Observer for TrainProgress<'_> {
         self.line(&format!("warning: {text}"));
     }
 
-    fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
-        reading()
+    fn reading(&self) -> Box<Reading> {
+        reading(self.stop.clone())
     }
 
     fn stop_requested(&self) -> bool {
@@ -220,10 +221,16 @@ impl Count {
     }
 }
 
-/// What shows how many phrases or clips of a dataset have been read.
-pub fn reading() -> Box<dyn Fn(usize, usize) + Sync> {
+/// What shows how many phrases or clips of a dataset have been read, until a `stop` is asked for.
+pub fn reading(stop: Arc<AtomicBool>) -> Box<Reading> {
     let count = Count::new("phrases read");
-    Box::new(move |read, total| count.show(read, total))
+    Box::new(move |read, total| {
+        count.show(read, total);
+        match stop.load(Ordering::SeqCst) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    })
 }
 
 /// A bar for the drawing of samples. Shows nothing where standard error is no terminal.

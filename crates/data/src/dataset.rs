@@ -6,7 +6,7 @@ use kinegrad_motion::Statistics;
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
-use crate::survey::{Listable, OpenProgress};
+use crate::survey::{Listable, OpenProgress, unheard};
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Most odd items that are named one by one.
@@ -49,13 +49,13 @@ impl<T: Listable> Dataset<T> {
     /// not there, cannot be reached or has files that cannot be used; [`Error::BadItem`] for the
     /// first bad item by id; [`Error::NothingToTrainOn`].
     pub fn open(config: &DataConfig) -> Result<Self, Error> {
-        Self::open_with_progress(config, &|_, _| {})
+        Self::open_with_progress(config, &unheard)
     }
 
     /// [`open`](Self::open), telling `progress` how far it is.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// As [`open`](Self::open), and [`Error::Interrupted`] if `progress` says so.
     pub fn open_with_progress(config: &DataConfig, progress: OpenProgress) -> Result<Self, Error> {
         config.validate()?;
         let mut survey = T::survey(config)?;
@@ -152,10 +152,19 @@ impl<T: Item> Dataset<T> {
     /// # Errors
     /// As [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
+        self.statistics_with_progress(&unheard)
+    }
+
+    /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
+    ///
+    /// # Errors
+    /// As [`statistics`](Self::statistics), and [`Error::Interrupted`] if `progress` says so.
+    pub fn statistics_with_progress(&self, progress: OpenProgress) -> Result<Statistics, Error> {
         match &self.given {
             Some(given) => Ok(given.clone()),
             None => {
-                let statistics = self.train.statistics(&self.representation)?;
+                let train = &self.train;
+                let statistics = train.statistics_with_progress(&self.representation, progress)?;
                 Ok(statistics.expect("a dataset has an item to train on"))
             }
         }
@@ -192,7 +201,9 @@ mod tests {
     use crate::{DataKind, OnBadPhrase, Phrase, PhraseSet};
     use crate::{features_path, motion_path, synthetic};
     use std::fs;
+    use std::ops::ControlFlow;
     use std::path::Path;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn dataset(phrases: usize) -> (tempfile::TempDir, DataConfig) {
         let folder = tempfile::tempdir().unwrap();
@@ -291,6 +302,31 @@ mod tests {
             error.to_string().contains("left none of 4 phrases"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn opening_and_measuring_end_soon_when_they_are_interrupted() {
+        let (_folder, config) = dataset(40);
+        let after = |most: usize, read: &AtomicUsize| {
+            let read = read.fetch_add(1, Ordering::SeqCst) + 1;
+            match read < most {
+                true => ControlFlow::Continue(()),
+                false => ControlFlow::Break(()),
+            }
+        };
+        let read = AtomicUsize::new(0);
+        let opened =
+            Dataset::<Phrase>::open_with_progress(&config, &|_, _| after(3, &read)).unwrap_err();
+        assert!(matches!(opened, Error::Interrupted), "{opened}");
+        assert!(read.load(Ordering::SeqCst) < 39);
+
+        let dataset = Dataset::<Phrase>::open(&config).unwrap();
+        let read = AtomicUsize::new(0);
+        let measured = dataset.statistics_with_progress(&|_, _| after(3, &read));
+        assert!(matches!(measured, Err(Error::Interrupted)));
+        assert!(read.load(Ordering::SeqCst) < dataset.train.len());
+        let told = dataset.statistics_with_progress(&|_, _| ControlFlow::Continue(()));
+        assert_eq!(told.unwrap(), dataset.statistics().unwrap());
     }
 
     #[test]

@@ -34,6 +34,10 @@ pub enum FileError {
 /// Why a dataset could not be opened or written.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
+    /// A progress callback said to stop.
+    #[error("interrupted")]
+    #[diagnostic(help("nothing is left half-written; run it again"))]
+    Interrupted,
     /// A value of the `data` table is out of its range.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::humanml::Clip;
 use crate::item::Item;
-use crate::survey::{Gathered, Listable, OpenProgress};
+use crate::survey::{Gathered, Listable, OpenProgress, unheard};
 use crate::{DataConfig, DataKind, Dataset, Error, Phrase};
 
 /// The contents of a dataset. Numbers describe the items that can be used.
@@ -211,6 +211,7 @@ fn inspect_items<T: Listable>(
                 Some(all) => all.merge(contents),
                 None => all = Some(contents),
             },
+            &unheard,
         )?;
         let measured = || all.as_ref().map(|all| all.motion.clone());
         of_training = of_training.or_else(measured);
@@ -239,9 +240,8 @@ fn inspect_items<T: Listable>(
                 .map(|problem| (id.clone(), problem))
                 .collect::<Vec<_>>()
         };
-        side.measure(failed, |failed| {
-            problems.extend(failed.into_iter().map(problem(false)));
-        })?;
+        let take = |failed: Vec<_>| problems.extend(failed.into_iter().map(problem(false)));
+        side.measure(failed, take, &unheard)?;
     }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
     let frames: usize = lengths.iter().sum();

@@ -1,6 +1,7 @@
 //! Some of the items of a dataset.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_motion::{Measured, Statistics};
 use rayon::prelude::*;
@@ -8,6 +9,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::item::Item;
 use crate::library::Library;
+use crate::survey::{OpenProgress, go_on, unheard};
 
 /// Items that are measured at a time: enough for all cores, few enough for any memory.
 const CHUNK: usize = 256;
@@ -137,12 +139,25 @@ impl<T: Item> ItemSet<T> {
         &self,
         representation: &T::Representation,
     ) -> Result<Option<Statistics>, Error> {
+        self.statistics_with_progress(representation, &unheard)
+    }
+
+    /// [`statistics`](Self::statistics), telling `progress` how many items are measured.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
+    pub fn statistics_with_progress(
+        &self,
+        representation: &T::Representation,
+        progress: OpenProgress,
+    ) -> Result<Option<Statistics>, Error> {
         let measure = |item: &T| Measured::of(representation, &item.rows(representation));
         let mut all: Option<Measured> = None;
-        self.measure(measure, |measured| match &mut all {
+        let take = |measured| match &mut all {
             Some(all) => all.merge(measured),
             None => all = Some(measured),
-        })?;
+        };
+        self.measure(measure, take, progress)?;
         Ok(all.map(|all| all.statistics(representation)))
     }
 
@@ -150,17 +165,24 @@ impl<T: Item> ItemSet<T> {
     /// items' order.
     ///
     /// # Errors
-    /// As [`get`](Self::get).
+    /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
     pub(crate) fn measure<M: Send>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
         mut take: impl FnMut(M),
+        progress: OpenProgress,
     ) -> Result<(), Error> {
-        let positions: Vec<usize> = (0..self.len()).collect();
+        let (total, met) = (self.len(), AtomicUsize::new(0));
+        let positions: Vec<usize> = (0..total).collect();
         for chunk in positions.chunks(CHUNK) {
+            go_on(progress, met.load(Ordering::Relaxed), total)?;
             let measured: Vec<M> = chunk
                 .par_iter()
-                .map(|&position| Ok(measure(&*self.get(position)?)))
+                .map(|&position| {
+                    let measured = measure(&*self.get(position)?);
+                    go_on(progress, met.fetch_add(1, Ordering::Relaxed) + 1, total)?;
+                    Ok(measured)
+                })
                 .collect::<Result<_, Error>>()?;
             measured.into_iter().for_each(&mut take);
         }

@@ -1,5 +1,6 @@
 //! Meeting every item of a dataset once.
 
+use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -14,8 +15,25 @@ use crate::listing::Listed;
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Progress callback with the number of items read and in total; called from several threads.
-pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
+/// Progress callback with the number of items read and in total. Called from several threads and
+/// now and then from the one that opens the dataset. `Break` ends with [`Error::Interrupted`].
+pub type OpenProgress<'a> = &'a (dyn Fn(usize, usize) -> ControlFlow<()> + Sync);
+
+/// Items that are met between two calls of the progress callback on the thread that opens.
+const CHUNK: usize = 512;
+
+/// Progress that nobody hears of.
+pub(crate) fn unheard(_done: usize, _total: usize) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Asks whether to go on.
+pub(crate) fn go_on(progress: OpenProgress, done: usize, total: usize) -> Result<(), Error> {
+    match progress(done, total) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Interrupted),
+    }
+}
 
 /// A dataset whose items are known by name.
 pub(crate) struct Survey<T: Item> {
@@ -62,7 +80,8 @@ impl<T: Item> Survey<T> {
     /// too.
     ///
     /// # Errors
-    /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id.
+    /// [`Error::Store`] if the store itself fails; [`Error::BadItem`] for the first bad item by id;
+    /// [`Error::Interrupted`].
     pub fn gather(
         &self,
         config: &DataConfig,
@@ -79,7 +98,7 @@ impl<T: Item> Survey<T> {
             {
                 return Err(Error::Store(error.clone()));
             }
-            progress(met.fetch_add(1, Ordering::Relaxed) + 1, total);
+            go_on(progress, met.fetch_add(1, Ordering::Relaxed) + 1, total)?;
             Ok(outcome.map(|(entry, read)| {
                 if read.left_out.is_none() {
                     memory.put(number, read.item);
@@ -87,13 +106,21 @@ impl<T: Item> Survey<T> {
                 (entry, read.note, read.left_out)
             }))
         };
-        let all = || (0..total).into_par_iter().map(meet).collect();
+        let some = |numbers: Range<usize>| -> Result<Vec<_>, Error> {
+            numbers.into_par_iter().map(meet).collect()
+        };
         // Threads that wait for a network are not bound to the number of cores.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(concurrency);
-        let outcomes: Result<Vec<_>, Error> = match (concurrency > 0).then(|| pool.build()) {
-            Some(Ok(pool)) => pool.install(all),
-            _ => all(),
-        };
+        let pool = (concurrency > 0).then(|| pool.build().ok()).flatten();
+        let mut outcomes = Vec::with_capacity(total);
+        for start in (0..total).step_by(CHUNK) {
+            go_on(progress, start, total)?;
+            let numbers = start..(start + CHUNK).min(total);
+            outcomes.extend(match &pool {
+                Some(pool) => pool.install(|| some(numbers)),
+                None => some(numbers),
+            }?);
+        }
         let mut gathered = Gathered {
             entries: Vec::with_capacity(total),
             skipped: Vec::new(),
@@ -101,7 +128,7 @@ impl<T: Item> Survey<T> {
             notes: Vec::new(),
             memory,
         };
-        for (Listed { id, .. }, outcome) in self.listed.iter().zip(outcomes?) {
+        for (Listed { id, .. }, outcome) in self.listed.iter().zip(outcomes) {
             match outcome {
                 Ok((_, _, Some(reason))) => gathered.left_out.push((id.clone(), reason)),
                 Ok((entry, note, None)) => {

@@ -1,8 +1,9 @@
 //! Long calls: away from the interpreter's lock, with progress, ended by Ctrl-C.
 
 use std::ops::ControlFlow;
+use std::thread;
 
-use kinegrad_train::Error;
+use kinegrad_train::{Error, Reading};
 use pyo3::prelude::*;
 
 use crate::errors::exception;
@@ -18,6 +19,19 @@ pub fn call<T: Send>(
 ) -> PyResult<T> {
     py.detach(|| threads::run(work))
         .map_err(|error| exception(py, &error))
+}
+
+/// Progress of reading a dataset that nobody is told of; Ctrl-C ends it, as far as it is called on
+/// the thread that this is made on: Python handles signals on its main thread alone.
+pub fn until_interrupted() -> Box<Reading> {
+    let here = thread::current().id();
+    Box::new(move |_, _| {
+        let is_asked = thread::current().id() == here;
+        match is_asked && Python::attach(|py| py.check_signals()).is_err() {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    })
 }
 
 /// Tells a Python callable `progress(stage, done, total)` how far a computation is, and ends the

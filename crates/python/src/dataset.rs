@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::array;
-use crate::calls::{call, json};
+use crate::calls::{call, json, until_interrupted};
 
 /// One side of a dataset, which stays open.
 #[pyclass(frozen, module = "kinegrad._kinegrad")]
@@ -173,7 +173,10 @@ impl Dataset {
         };
         match config.data.kind {
             DataKind::Phrases | DataKind::Synthetic => {
-                let dataset = kinegrad_data::Dataset::<Phrase>::open(&config.data)?;
+                let dataset = kinegrad_data::Dataset::<Phrase>::open_with_progress(
+                    &config.data,
+                    &*until_interrupted(),
+                )?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 Ok(Self {
                     config,
@@ -186,7 +189,10 @@ impl Dataset {
                 })
             }
             DataKind::Humanml3d | DataKind::SyntheticWalks => {
-                let dataset = kinegrad_data::Dataset::<Clip>::open(&config.data)?;
+                let dataset = kinegrad_data::Dataset::<Clip>::open_with_progress(
+                    &config.data,
+                    &*until_interrupted(),
+                )?;
                 let statistics = statistics_of(&dataset, state.as_ref())?;
                 let items = match trains {
                     true => dataset.train.clone(),
@@ -236,7 +242,7 @@ fn statistics_of<T: Item>(
 ) -> Result<Arc<Statistics>, Error> {
     Ok(Arc::new(match state {
         Some(state) => state.statistics_of(&dataset.representation)?.clone(),
-        None => dataset.statistics()?,
+        None => dataset.statistics_with_progress(&*until_interrupted())?,
     }))
 }
 

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
-use kinegrad_train::Error;
 use kinegrad_train::sampling::{self, Conditions, Contents, Receiver, Request};
 use kinegrad_train::systems::BUILT_IN;
+use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
 use crate::arrays::array;
-use crate::calls::{Progress, call, call_with, json};
+use crate::calls::{Progress, call, call_with, json, until_interrupted};
 use crate::runs::{Model, optional_checkpoint};
 
 /// What a sample is conditioned on, and how many are drawn.
@@ -133,6 +133,10 @@ impl Receiver for Collector<'_> {
 
     fn warning(&mut self, text: &str) {
         self.ended |= self.progress.warn(text).is_break();
+    }
+
+    fn reading(&self) -> Box<Reading> {
+        until_interrupted()
     }
 
     fn stop_requested(&self) -> bool {

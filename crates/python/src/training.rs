@@ -5,12 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::systems::BUILT_IN;
-use kinegrad_train::{Ending, Observer, RunSummary, StepReport};
+use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::calls::call;
+use crate::calls::{call, until_interrupted};
 
 /// Tells a Python callable `event(kind, fields)` what happens, and asks the training to stop where
 /// that raises, or a signal handler does.
@@ -81,6 +81,10 @@ impl Observer for Events {
 
     fn warning(&mut self, text: &str) {
         self.tell("warning", |fields| fields.set_item("text", text));
+    }
+
+    fn reading(&self) -> Box<Reading> {
+        until_interrupted()
     }
 
     fn stop_requested(&self) -> bool {

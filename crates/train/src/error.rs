@@ -16,7 +16,7 @@ pub enum Error {
     /// The dataset is wrong.
     #[error(transparent)]
     #[diagnostic(transparent)]
-    Data(#[from] kinegrad_data::Error),
+    Data(kinegrad_data::Error),
     /// A file of data cannot be used.
     #[error(transparent)]
     #[diagnostic(transparent)]
@@ -190,6 +190,15 @@ fn io_hint(source: &std::io::Error) -> &'static str {
         ErrorKind::OutOfMemory => "free memory, or give this process more of it",
         ErrorKind::PermissionDenied => "check the folder's owner and rights",
         _ => "check that the path exists and can be written",
+    }
+}
+
+impl From<kinegrad_data::Error> for Error {
+    fn from(error: kinegrad_data::Error) -> Self {
+        match error {
+            kinegrad_data::Error::Interrupted => Self::Interrupted,
+            error => Self::Data(error),
+        }
     }
 }
 

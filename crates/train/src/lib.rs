@@ -53,7 +53,7 @@ mod trainer;
 
 pub use config::Config;
 pub use error::Error;
-pub use observer::{Observer, Preview, RunSummary, StepReport};
+pub use observer::{Observer, Preview, Reading, RunSummary, StepReport};
 pub use parameter_count::ParameterCount;
 pub use recipe::{Loss, Measured, Recipe, StepKey};
 pub use trainer::{Ending, Trainer, TrainerParts};

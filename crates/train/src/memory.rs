@@ -120,6 +120,29 @@ pub fn available() -> Option<u64> {
     free.into_iter().chain(group).chain(addresses).min()
 }
 
+/// Bytes of main memory that this process has taken at its most, code and stacks included, and that
+/// it takes now; nothing where the system does not tell.
+pub fn taken() -> Option<Taken> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kibibytes = |key: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(key))?;
+        line.split_whitespace().next()?.parse::<u64>().ok()
+    };
+    Some(Taken {
+        most: kibibytes("VmHWM:")? << 10,
+        now: kibibytes("VmRSS:")? << 10,
+    })
+}
+
+/// Bytes of main memory of this process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Taken {
+    /// At its most so far.
+    pub most: u64,
+    /// Now.
+    pub now: u64,
+}
+
 /// Work that is estimated to take no more than this is tried: an estimate is not that exact.
 const SMALL: u64 = 256 << 20;
 

@@ -1,9 +1,13 @@
 //! Progress callbacks of a training run.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
 use crate::parameter_count::ParameterCount;
+
+/// Progress callback of a dataset: items read and in total.
+pub type Reading = dyn Fn(usize, usize) -> ControlFlow<()> + Sync;
 
 /// Callbacks of a training run.
 pub trait Observer {
@@ -27,10 +31,11 @@ pub trait Observer {
     fn note(&mut self, text: &str);
     /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
-    /// Returns a callback for the progress of opening the dataset, called from several threads with
-    /// the number of items read and in total.
-    fn reading(&self) -> Box<dyn Fn(usize, usize) + Sync> {
-        Box::new(|_, _| {})
+    /// Returns a callback for the progress of opening the dataset and of measuring its statistics,
+    /// called from several threads, and now and then from this one, with the number of items read
+    /// and in total. `Break` ends the run with [`Error::Interrupted`].
+    fn reading(&self) -> Box<Reading> {
+        Box::new(|_, _| ControlFlow::Continue(()))
     }
     /// Whether the run should stop; it then writes a checkpoint.
     fn stop_requested(&self) -> bool;

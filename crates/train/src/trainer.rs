@@ -157,6 +157,21 @@ impl<R: Recipe> Trainer<R> {
         Ok(done.map(|_| began.elapsed()))
     }
 
+    /// Measures the held-out items, once, and says how long it took.
+    ///
+    /// # Errors
+    /// If a number stops being one.
+    pub(crate) fn time_validation(&mut self) -> Result<Duration, Error> {
+        let began = Instant::now();
+        self.measure()?;
+        Ok(began.elapsed())
+    }
+
+    /// Whether the held-out items are measured before the first step too.
+    pub(crate) fn measures_first(&self) -> bool {
+        self.parts.recipe.measures_first()
+    }
+
     /// Steps done.
     pub fn step(&self) -> u64 {
         self.step

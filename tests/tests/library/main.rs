@@ -1,6 +1,7 @@
 //! What is tested across crates without reference tensors of the golden set.
 
 mod gmd_fixtures;
+mod interrupted;
 mod parity;
 mod rollout;
 mod samplers;

@@ -57,7 +57,7 @@ pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
             config.humanml3d.min_frames = KIT_MIN_FRAMES;
         }
     }
-    let inspection = kinegrad_data::inspect(&config, &*reading());
+    let inspection = kinegrad_data::inspect(&config, &*reading(Default::default()));
     let inspection = inspection.map_err(|error| match error {
         kinegrad_data::Error::MissingFolder { path } if path.ends_with(MOTION_FILE.0) => {
             no_dataset(&arguments.source)

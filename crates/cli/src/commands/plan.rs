@@ -7,6 +7,19 @@ use kinegrad_train::run::Plan;
 use crate::output;
 use crate::progress::duration;
 
+/// What the time of a plan includes beside its steps.
+fn counted(plan: &Plan) -> String {
+    match (plan.validations, plan.validation_seconds) {
+        (0, _) => ", without checkpoints".to_string(),
+        (_, None) => ", without validations and checkpoints".to_string(),
+        (1, Some(seconds)) => format!(" and a validation of {seconds:.3} s, without checkpoints"),
+        (several, Some(seconds)) => {
+            let several = grouped(several as usize);
+            format!(" and {several} validations of {seconds:.3} s, without checkpoints")
+        }
+    }
+}
+
 /// Prints a plan, for people or as JSON.
 pub fn print(plan: &Plan, json: bool) {
     if json {
@@ -32,9 +45,10 @@ pub fn print(plan: &Plan, json: bool) {
         Some(seconds) => (
             format!("{seconds:.3} s (mean of {})", plan.measured_steps),
             format!(
-                "about {} for {} steps, without validations and checkpoints",
+                "about {} for {} steps{}",
                 duration(plan.training_seconds),
-                grouped(left as usize)
+                grouped(left as usize),
+                counted(plan)
             ),
         ),
         None => ("not measured".into(), "nothing left to train".into()),

@@ -12,6 +12,9 @@ pub enum NoiseKeys<'a> {
     /// One for each sample, which then draws the same noise wherever it stands in a batch: from
     /// `key.at(n).at(0)`.
     Samples(&'a [Key]),
+    /// One for each sample, with the number that it draws as in a [`Batch`](Self::Batch): from
+    /// `key.at(n).at(number)`.
+    Numbered(&'a [(Key, u64)]),
 }
 
 impl From<Key> for NoiseKeys<'_> {
@@ -31,6 +34,7 @@ impl NoiseKeys<'_> {
         let key = |sample: usize| match self {
             Self::Batch(key) => of_step(key).at(sample as u64),
             Self::Samples(keys) => of_step(keys[sample]).at(0),
+            Self::Numbered(keys) => of_step(keys[sample].0).at(keys[sample].1),
         };
         let values: Vec<f32> = (0..batch)
             .flat_map(|sample| key(sample).normals(channels * time))

@@ -182,8 +182,8 @@ class Run:
         """Generates motion; the same request as `kinegrad sample`, and the same arrays.
 
         Args:
-            phrase: Phrase of the dataset whose audio features are the condition; `*` matches any
-                text. By default the first held-out phrase.
+            phrase: Phrase of the dataset whose audio features are the condition, or clip whose first
+                caption is; `*` matches any text. By default the first held-out phrase.
             audio: Song to use as the condition.
             start: Position in the song, in seconds, at which the motion starts.
             audio_features: `features.npz` to use as the condition.

@@ -243,9 +243,9 @@ impl ClipSample {
 pub struct SamplingConfig {
     /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
-    /// Steps between previews: samples of the averaged weights for the first held-out items, as a
-    /// page in the run's folder and as TensorBoard images; 0 disables them. A checkpoint is written
-    /// at each of these steps too.
+    /// Steps between previews: samples of the averaged weights for the first held-out items, as many
+    /// as `count_at_end` says or 4 if it says 0, as a page in the run's folder and as TensorBoard
+    /// images; 0 disables them. A checkpoint is written at each of these steps too.
     pub preview_every_steps: u64,
     /// What the predicted clean motion is clipped to.
     pub clip: ClipSample,

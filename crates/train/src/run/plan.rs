@@ -50,7 +50,9 @@ pub struct Plan {
     pub step: u64,
     /// Steps in all.
     pub max_steps: u64,
-    /// Main memory that training takes, an estimate in bytes.
+    /// Main memory that the process takes at its most, in bytes: what it has taken for the steps
+    /// and the validation measured, code and stacks included, and estimates of checkpoints and of
+    /// the samples at the end. Where nothing is measured, an estimate of the training alone.
     pub memory_bytes: u64,
     /// Main memory that is free, where that can be told.
     pub free_memory_bytes: Option<u64>,
@@ -58,7 +60,13 @@ pub struct Plan {
     pub step_seconds: Option<f64>,
     /// Steps that it is the mean of.
     pub measured_steps: u32,
-    /// Time of the steps that are left. Validations and checkpoints are not counted.
+    /// Time of a validation; nothing where there is none, or where it would take so long that it is
+    /// not measured.
+    pub validation_seconds: Option<f64>,
+    /// Validations that are left.
+    pub validations: u64,
+    /// Time of the steps that are left, and of the validations if one was measured. Checkpoints are
+    /// not counted.
     pub training_seconds: f64,
     /// Size of a checkpoint.
     pub checkpoint_bytes: u64,
@@ -74,13 +82,16 @@ pub struct Plan {
 pub(super) struct Planned<'a> {
     pub config: &'a Config,
     pub summary: &'a RunSummary,
+    /// Estimate of what training takes.
     pub memory: u64,
+    /// Estimate of what the samples at the end take.
+    pub memory_of_samples: u64,
     pub channels: usize,
     pub nothing_left: bool,
 }
 
 impl Plan {
-    /// Measures some steps of a run.
+    /// Measures some steps of a run, and a validation.
     ///
     /// # Errors
     /// As a training step, and [`Error::Interrupted`].
@@ -95,10 +106,14 @@ impl Plan {
             config,
             summary,
             memory,
+            memory_of_samples,
             channels,
             nothing_left,
         } = *planned;
+        let before = memory::taken();
         let mut times = Vec::new();
+        let mut validation = None;
+        let mut validations = 0;
         if !nothing_left {
             let mut trainer = Trainer::unrecorded(parts, model, checkpoint);
             let began = Instant::now();
@@ -119,6 +134,20 @@ impl Plan {
             if times.is_empty() {
                 times.extend(first);
             }
+            let every = config.validation.every_steps;
+            if every > 0 && summary.validation_phrases > 0 {
+                let (done, all) = (summary.step, summary.max_steps);
+                // One in every so many steps, and one after the last.
+                validations = all / every - done / every + u64::from(!all.is_multiple_of(every));
+                validations += u64::from(done == 0 && trainer.measures_first());
+                // Forward passes of as many items.
+                let items = summary.validation_phrases * config.validation.draws;
+                let step = times.iter().sum::<Duration>() / times.len() as u32;
+                let expected = step * items.div_ceil(config.data.batch_size) as u32;
+                if expected < 2 * LONG_ENOUGH {
+                    validation = Some(trainer.time_validation()?);
+                }
+            }
         }
         let measured = times.len() as u32;
         let mean = (measured > 0).then(|| times.iter().sum::<Duration>() / measured);
@@ -130,6 +159,15 @@ impl Plan {
         let checkpoint_bytes = NUMBER * (2 * parameters.all + 2 * parameters.trained) as u64;
         let written = left.div_ceil(config.checkpoint.every_steps.max(1)) + 1;
         let checkpoints = (config.checkpoint.keep_last as u64 + best).min(written);
+        // A copy of the weights, and the bytes of the largest file.
+        let writing = 2 * NUMBER * (parameters.all + parameters.trained) as u64;
+        let memory = match (before, memory::taken()) {
+            (Some(before), Some(after)) if measured > 0 => {
+                (after.most + writing).max(before.now.saturating_add(memory_of_samples))
+            }
+            _ => memory,
+        };
+        let validation = validation.map(|time| time.as_secs_f64());
         let frames = config.data.target_frames;
         // The motion, and the raw output or the features beside it.
         let sample = 2 * NUMBER * (frames * channels) as u64;
@@ -151,7 +189,10 @@ impl Plan {
             free_memory_bytes: memory::available(),
             step_seconds,
             measured_steps: measured,
-            training_seconds: step_seconds.unwrap_or_default() * left as f64,
+            validation_seconds: validation,
+            validations,
+            training_seconds: step_seconds.unwrap_or_default() * left as f64
+                + validation.unwrap_or_default() * validations as f64,
             checkpoint_bytes,
             checkpoints,
             samples_bytes,

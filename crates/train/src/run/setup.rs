@@ -58,6 +58,8 @@ pub struct Setup {
     pub(super) device_name: String,
     /// Bytes of main memory that training takes, roughly.
     pub(super) memory: u64,
+    /// Bytes of main memory that the samples at the end take, roughly.
+    pub(super) memory_of_samples: u64,
     /// Taken already where the run existed before.
     pub(super) lock: Option<Arc<File>>,
 }
@@ -185,6 +187,7 @@ impl Setup {
             device_name,
             dry_run,
             memory,
+            memory_of_samples,
         } = self;
         let (step, progress) = match &checkpoint {
             Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
@@ -213,6 +216,7 @@ impl Setup {
                 config: &config,
                 summary: &summary,
                 memory,
+                memory_of_samples,
                 channels: material.statistics.channels(),
                 nothing_left,
             };

@@ -195,6 +195,9 @@ struct Begin {
     dry_run: bool,
 }
 
+/// Most samples that are drawn at a time where systems draw them in batches.
+const SAMPLES_AT_ONCE: usize = 32;
+
 fn train_in(
     systems: Systems<'_>,
     config: Config,
@@ -250,7 +253,12 @@ fn train_in(
     let (device, device_name) = crate::device::open(&config.run.device)?;
     let on_host = crate::device::is_host(&device_name);
     log::debug!("device {device_name}; {}", crate::device::kernels());
-    let needed = system.footprint(&config)?.of_training(&config, on_host);
+    let footprint = system.footprint(&config)?;
+    let needed = footprint.of_training(&config, on_host);
+    let memory_of_samples = match config.sampling.count_at_end {
+        0 => 0,
+        count => footprint.of_sampling(count.min(SAMPLES_AT_ONCE), false, on_host),
+    };
     memory::must_fit(
         "training",
         needed,
@@ -261,6 +269,7 @@ fn train_in(
     let setup = Setup {
         dry_run,
         memory: needed,
+        memory_of_samples,
         recipe,
         device,
         device_name,

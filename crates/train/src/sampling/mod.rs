@@ -2,6 +2,7 @@
 
 mod record;
 mod request;
+mod seed;
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -9,12 +10,14 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
-pub use record::{Condition, Record, SamplerRecord};
+pub use record::{BatchRecord, Condition, GoalRecord, Record, SamplerRecord};
 pub use request::{Conditions, Request};
+pub use seed::item_seed;
 
 use crate::checkpoint::Weights;
 use crate::config::Config;
 use crate::error::Error;
+use crate::observer::Reading;
 use crate::system::Systems;
 
 /// A trained model and the settings to sample it with.
@@ -150,6 +153,12 @@ pub trait Receiver {
 
     /// Called with what is doubtful about the request.
     fn warning(&mut self, _text: &str) {}
+
+    /// Returns a callback for the progress of opening a dataset, as
+    /// [`Observer::reading`](crate::Observer::reading).
+    fn reading(&self) -> Box<Reading> {
+        Box::new(|_, _| ControlFlow::Continue(()))
+    }
 
     /// Whether to stop, asked after each denoising step. Sampling ends with
     /// [`Error::Interrupted`] then.

@@ -30,9 +30,8 @@ pub struct Record {
     pub recipe: String,
     /// Seed of the noise.
     pub seed: u64,
-    /// Number of the sample among those of one condition (phrases) or of one batch (clips), from 0.
-    /// The noise of a phrase depends on `seed`, the name of its condition and this number, that of a
-    /// clip on `seed` and this number.
+    /// Number of the sample among those of one condition or, for clips that are guided to goals,
+    /// of one batch, from 0: its noise depends on `seed`, this number and the condition's name.
     pub index: usize,
     /// Length in frames.
     pub frames: usize,
@@ -45,6 +44,28 @@ pub struct Record {
     pub post_processing: Option<PostProcessConfig>,
     /// What the sample is conditioned on.
     pub condition: Condition,
+    /// What it was drawn together with; left out where that does not matter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub batch: Option<BatchRecord>,
+}
+
+/// A batch of clips that are guided to goals: the guidance of each depends on the keyframes of all,
+/// so that the whole batch is needed to draw one again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BatchRecord {
+    /// Clips for each goal.
+    pub count: usize,
+    /// The goals, in order.
+    pub goals: Vec<GoalRecord>,
+}
+
+/// A goal file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GoalRecord {
+    /// Its path, as given.
+    pub file: PathBuf,
+    /// SHA-256 of its contents.
+    pub sha256: String,
 }
 
 /// The sampler's settings.
@@ -85,6 +106,9 @@ pub struct Condition {
     /// What the goal file said.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal_content: Option<Goal>,
+    /// SHA-256 of the goal file's contents.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal_sha256: Option<String>,
     /// Checkpoint of the trajectory model that generated the ground path.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<PathBuf>,
@@ -117,6 +141,7 @@ impl Record {
             },
             post_processing: None,
             condition: Condition::default(),
+            batch: None,
         }
     }
 }

@@ -60,6 +60,12 @@ pub(super) fn must_fit(
     memory::must_fit(&work, needed, hint)
 }
 
+/// Keys of the noise of the first `count` samples of one condition.
+pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
+    let key = Key::new(seed, Purpose::Sampling);
+    (0..count).map(move |number| key.at(number as u64))
+}
+
 impl Generator {
     /// Loads the checkpoint in `path` onto `device`.
     ///
@@ -111,35 +117,31 @@ impl Generator {
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Vec<Sample>, Error> {
         let mut samples = Vec::with_capacity(conditions.len());
-        let conditions = conditions.iter().cloned();
-        self.sample_each(conditions, sampling, seed, on_step, &mut |sample| {
+        let conditions = conditions.iter().cloned().zip(keys(seed, conditions.len()));
+        self.sample_each(conditions, sampling, on_step, &mut |sample| {
             samples.push(sample);
             Ok(())
         })?;
         Ok(samples)
     }
 
-    /// [`sample`](Self::sample) of any number of conditions, of which one batch is in memory at a
-    /// time; `take` gets the samples in order.
+    /// [`sample`](Self::sample) of any number of conditions, each with its [key](keys), of which
+    /// one batch is in memory at a time; `take` gets the samples in order.
     ///
     /// # Errors
     /// As [`sample`](Self::sample), and of `take`, after which nothing more is drawn.
     pub fn sample_each(
         &self,
-        mut conditions: impl ExactSizeIterator<Item = AudioFeatures>,
+        mut conditions: impl ExactSizeIterator<Item = (AudioFeatures, Key)>,
         sampling: &SamplingConfig,
-        seed: u64,
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
         take: &mut dyn FnMut(Sample) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let key = Key::new(seed, Purpose::Sampling);
         let all = conditions.len().div_ceil(BATCH);
         for done in 0..all {
-            let conditions: Vec<AudioFeatures> = conditions.by_ref().take(BATCH).collect();
+            let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
+                conditions.by_ref().take(BATCH).unzip();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
-            let first = done * BATCH;
-            let numbers = (first..first + conditions.len()).map(|number| number as u64);
-            let keys: Vec<Key> = numbers.map(|number| key.at(number)).collect();
             let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)

@@ -10,12 +10,12 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
 
 use super::CcMotion;
-use super::evaluate::phrase_seed;
-use super::generate::{Generator, Sample, must_fit};
+use super::generate::{Generator, Sample, keys, must_fit};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
     Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
+    item_seed,
 };
 use crate::song::song_features;
 use crate::system::System as _;
@@ -71,12 +71,12 @@ pub(super) fn sample(
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     for heard in conditions {
         let mut index = 0;
+        let seed = item_seed(request.seed, &heard.name);
         let stem = stem(&heard);
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
-            repeat_n(heard.audio, request.count),
+            repeat_n(heard.audio, request.count).zip(keys(seed, request.count)),
             &subject.config.sampling,
-            phrase_seed(request.seed, &heard.name),
             &mut |done, all| receiver.borrow_mut().advance("", done, all),
             &mut |sample| {
                 let name = names.of(&stem, index);
@@ -102,33 +102,45 @@ fn for_held_out(
     seed: u64,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
-    let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
+    let dataset =
+        Dataset::<Phrase>::open_with_progress(&subject.config.data, &*receiver.reading())?;
     let chosen = dataset.held_out().first(count)?;
     let longest = chosen.iter().map(|phrase| phrase.audio.frames()).max();
-    must_fit(subject, 1, longest.unwrap_or(0), HELD_OUT_HINT)?;
+    must_fit(subject, chosen.len(), longest.unwrap_or(0), HELD_OUT_HINT)?;
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
-    let receiver = RefCell::new(receiver);
-    for (position, phrase) in chosen.iter().enumerate() {
+    let mut done_before = 0;
+    // Phrases of one length form a batch; each has the first sample that is drawn for its name.
+    for phrases in chosen.chunk_by(|a, b| a.audio.frames() == b.audio.frames()) {
+        let conditions: Vec<_> = phrases
+            .iter()
+            .flat_map(|phrase| {
+                keys(item_seed(seed, &phrase.id), 1).map(|key| (phrase.audio.clone(), key))
+            })
+            .collect();
+        let mut samples = Vec::with_capacity(phrases.len());
         generator.sample_each(
-            once(phrase.audio.clone()),
+            conditions.into_iter(),
             &subject.config.sampling,
-            phrase_seed(seed, &phrase.id),
             &mut |done, all| {
-                let (done, all) = (position * all + done, chosen.len() * all);
-                receiver.borrow_mut().advance("", done, all)
+                let steps = done_before * all + phrases.len() * done;
+                receiver.advance("", steps, chosen.len() * all)
             },
             &mut |sample| {
-                rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
-                let record = Record {
-                    condition: of_item(&phrase.id, &subject.config.data),
-                    ..record(subject, seed, &sample)
-                };
-                let drawn = drawn(phrase.id.clone(), sample, record);
-                receiver.borrow_mut().drawn(drawn)
+                samples.push(sample);
+                Ok(())
             },
         )?;
+        for (phrase, sample) in phrases.iter().zip(samples) {
+            rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
+            let record = Record {
+                condition: of_item(&phrase.id, &subject.config.data),
+                ..record(subject, seed, &sample)
+            };
+            receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
+        }
+        done_before += phrases.len();
     }
     Ok(Remark::Table(rows))
 }
@@ -275,7 +287,7 @@ fn of_phrases(
             return Err(Error::usage("`--source` without `--phrase`", hint));
         }
     }
-    let dataset = Dataset::<Phrase>::open(&data)?;
+    let dataset = Dataset::<Phrase>::open_with_progress(&data, &*receiver.reading())?;
     let mut found = Vec::new();
     for side in [&dataset.validation, &dataset.train] {
         match &conditions.item {

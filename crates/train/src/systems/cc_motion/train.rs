@@ -62,7 +62,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             widened(statistics, &config.data.augment, &augmented)
         }
         (None, None) => widened(
-            dataset.statistics()?,
+            dataset.statistics_with_progress(&*observer.reading())?,
             &config.data.augment,
             &AugmentConfig::default(),
         ),

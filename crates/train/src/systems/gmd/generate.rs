@@ -10,11 +10,13 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
 use kinegrad_diffusion::{
-    GaussianDiffusion, Guidance, Imputation, Networks, SamplerConfig, Steering, sample,
+    GaussianDiffusion, Guidance, Imputation, Networks, NoiseKeys, SamplerConfig, Steering, sample,
     steered_sample,
 };
+use kinegrad_kernels::batch_invariant;
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
@@ -30,6 +32,15 @@ use crate::checkpoint::{State, Weights};
 use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;
 use crate::evaluation::OnStep;
+
+/// The key of a clip's noise, and its number among the clips of that key.
+pub type NoiseKey = (Key, u64);
+
+/// Keys of the noise of the first `count` clips of one condition.
+pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
+    let key = Key::new(seed, Purpose::Sampling);
+    (0..count as u64).map(move |number| (key, number))
+}
 
 /// A request for one clip.
 #[derive(Clone, Debug)]
@@ -116,14 +127,10 @@ impl ClipGenerator {
         self.state.step
     }
 
-    /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
-    /// generates their ground paths first. Clip i depends on `seed`, i and its request, and, by
-    /// the published guidance's divisor, on how many keyframes the whole batch has. `on_step` is
-    /// called with the stage, `trajectory` or `motion`, and its steps done and in total.
+    /// [`sample_keyed`](Self::sample_keyed), where clip i depends on `seed`, i and its request.
     ///
     /// # Errors
-    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
-    /// of the models cannot follow goals.
+    /// As [`sample_keyed`](Self::sample_keyed).
     pub fn sample(
         &self,
         trajectory: Option<&Self>,
@@ -133,7 +140,28 @@ impl ClipGenerator {
         seed: u64,
         on_step: &mut OnStep<'_>,
     ) -> Result<Vec<GeneratedClip>, Error> {
-        let key = Key::new(seed, Purpose::Sampling);
+        let keys: Vec<NoiseKey> = keys(seed, requests.len()).collect();
+        self.sample_keyed(trajectory, requests, frames, sampling, &keys, on_step)
+    }
+
+    /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
+    /// generates their ground paths first. A clip depends on its key and its request alone, on the
+    /// CPU to the bit; one with a goal also on the rest of the batch: on how many keyframes it has,
+    /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
+    /// `motion`, and its steps done and in total.
+    ///
+    /// # Errors
+    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
+    /// of the models cannot follow goals.
+    pub fn sample_keyed(
+        &self,
+        trajectory: Option<&Self>,
+        requests: &[ClipRequest],
+        frames: usize,
+        sampling: &SamplingConfig,
+        keys: &[NoiseKey],
+        on_step: &mut OnStep<'_>,
+    ) -> Result<Vec<GeneratedClip>, Error> {
         let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
         let mut paths = None;
@@ -141,13 +169,14 @@ impl ClipGenerator {
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
             let mut told = |done, all| on_step("trajectory", done, all);
-            let key = key.named("trajectory");
+            let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
+            let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
             // The first stage is clipped as its own run says.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
                 ..sampling.clone()
             };
-            let x = model.draw(&texts, &goals, frames, &first, key, &mut told)?;
+            let x = model.draw(&texts, &goals, frames, &first, &keys, &mut told)?;
             let drawn = model.paths(x);
             for (goal, path) in goals.iter_mut().zip(&drawn) {
                 *goal = on_path(goal, path);
@@ -155,7 +184,7 @@ impl ClipGenerator {
             paths = Some(drawn);
         }
         let mut told = |done, all| on_step("motion", done, all);
-        let x = self.draw(&texts, &goals, frames, sampling, key, &mut told)?;
+        let x = self.draw(&texts, &goals, frames, sampling, keys, &mut told)?;
         if RecipeName::of(self.config())? == RecipeName::Trajectory {
             let of_path = |ground| GeneratedClip {
                 features: None,
@@ -197,7 +226,7 @@ impl ClipGenerator {
         goals: &[Goal],
         frames: usize,
         sampling: &SamplingConfig,
-        key: Key,
+        keys: &[NoiseKey],
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<Tensor<3>, Error> {
         if let Some(most) = self.longest {
@@ -207,8 +236,9 @@ impl ClipGenerator {
             )?;
         }
         let (batch, channels) = (texts.len(), self.channels);
-        let values: Vec<f32> = (0..batch as u64)
-            .flat_map(|index| key.named("start").at(index).normals(channels * frames))
+        let values: Vec<f32> = keys
+            .iter()
+            .flat_map(|(key, number)| key.named("start").at(*number).normals(channels * frames))
             .collect();
         let data = TensorData::new(values, [batch, channels, frames]);
         let start = Tensor::from_data(data, &self.device);
@@ -230,17 +260,19 @@ impl ClipGenerator {
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
         if goals.is_empty() {
-            let plain = &self.plain;
-            let x = sample(
-                &self.diffusion,
-                plain,
-                start,
-                &cond,
-                &sampler,
-                &clip,
-                key,
-                &mut told,
-            )?;
+            // Each clip as if it were drawn alone, to the bit.
+            let x = batch_invariant(batch, || {
+                sample(
+                    &self.diffusion,
+                    &self.plain,
+                    start,
+                    &cond,
+                    &sampler,
+                    &clip,
+                    NoiseKeys::Numbered(keys),
+                    &mut told,
+                )
+            })?;
             return Ok(x);
         }
         require(
@@ -283,7 +315,7 @@ impl ClipGenerator {
             &sampler,
             &clip,
             &at,
-            key,
+            NoiseKeys::Numbered(keys),
             &mut told,
         )?;
         Ok(x)
@@ -340,6 +372,14 @@ impl ClipGenerator {
 /// # Errors
 /// Names the file, the key, what was found and what is allowed.
 pub fn read_goal(path: &Path) -> Result<Goal, Error> {
+    Ok(read_goal_and_digest(path)?.0)
+}
+
+/// Reads a goal, with the checksum of its file.
+///
+/// # Errors
+/// As [`read_goal`].
+pub(super) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error> {
     let refused = |reason: &dyn Display| {
         let message = format!("{}: {reason}", path.display());
         Error::usage(message, "docs/goals.md describes goals")
@@ -359,7 +399,7 @@ pub fn read_goal(path: &Path) -> Result<Goal, Error> {
         .and_then(|()| must_be_tables(&given, &read))
         .map_err(|unfit| refused(&unfit))?;
     goal.validate().map_err(|error| refused(&error))?;
-    Ok(goal)
+    Ok((goal, Digest::of(text.as_bytes())))
 }
 
 /// The goal of a second stage: the whole path of the first.

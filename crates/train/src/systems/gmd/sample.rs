@@ -1,24 +1,24 @@
 //! Sampling clips conditioned on text, with or without goals.
 
-use std::path::Path;
-use std::sync::Arc;
+mod items;
 
-use kinegrad_data::Dataset;
-use kinegrad_data::humanml::{Clip, read_embedding};
+use std::path::Path;
+
+use kinegrad_data::humanml::read_embedding;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::Gmd;
-use super::evaluate::embedding;
-use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal};
+use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal_and_digest};
 use super::networks::footprint;
 use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    Condition, Contents, Drawn, Names, Receiver, Record, Remark, Request, SamplerRecord, Subject,
+    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record, Remark, Request,
+    SamplerRecord, Subject,
 };
 use crate::system::System as _;
 
@@ -46,18 +46,26 @@ pub(super) fn sample(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--source", "--phrase", "--cond", "--audio"],
+        &["--cond", "--audio"],
         "a run on clips of joint features",
-        "its condition is a text: `--text-embedding FILE#KEY`",
+        "its condition is a text: `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's caption",
     )?;
     if let Some(count) = conditions.held_out {
-        return for_held_out(subject, count, request.seed, receiver);
+        return items::for_held_out(subject, count, request.seed, receiver);
     }
-    let goals: Vec<Goal> = conditions
-        .goals
-        .iter()
-        .map(|path| read_goal(path))
-        .collect::<Result<_, _>>()?;
+    if conditions.item.is_some() || conditions.source.is_some() {
+        return items::for_items(subject, request, receiver);
+    }
+    let mut goals = Vec::with_capacity(conditions.goals.len());
+    let mut files = Vec::with_capacity(conditions.goals.len());
+    for path in &conditions.goals {
+        let (goal, digest) = read_goal_and_digest(path)?;
+        goals.push(goal);
+        files.push(GoalRecord {
+            file: path.clone(),
+            sha256: digest.to_string(),
+        });
+    }
     if goals.is_empty() && conditions.trajectory.is_some() {
         let hint = "the first stage generates a path for a goal: pass `--goal GOAL.toml` too";
         return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
@@ -118,6 +126,7 @@ pub(super) fn sample(
         let name = names.of("", index);
         let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
         let steered = clip.goal.is_some();
+        let goal = files.get(index / request.count);
         let record = record(subject, request.seed, index, frames, &skeleton);
         let record = Record {
             sampler: SamplerRecord {
@@ -125,55 +134,22 @@ pub(super) fn sample(
                 ..record.sampler
             },
             condition: Condition {
-                goal: conditions.goals.get(index / request.count).cloned(),
-                goal_content: goals.get(index / request.count).cloned(),
+                goal: goal.map(|goal| goal.file.clone()),
+                goal_content: clip.goal.clone(),
+                goal_sha256: goal.map(|goal| goal.sha256.clone()),
                 trajectory: conditions.trajectory.clone(),
                 text_embedding: conditions.text_embedding.clone(),
                 ..Condition::default()
             },
+            batch: steered.then(|| BatchRecord {
+                count: request.count,
+                goals: files.clone(),
+            }),
             ..record
         };
         receiver.drawn(drawn(name, sample, &skeleton, record))?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
-}
-
-/// Generates one clip for each of the first `count` held-out clips, or training clips if none are
-/// held out, conditioned on its first caption.
-fn for_held_out(
-    subject: &Subject,
-    count: usize,
-    seed: u64,
-    receiver: &mut dyn Receiver,
-) -> Result<Option<Remark>, Error> {
-    let config = &subject.config;
-    let dataset = Dataset::<Clip>::open(&config.data)?;
-    let chosen = dataset.held_out().first(count)?;
-    let request = |clip: &Arc<Clip>| ClipRequest {
-        goal: None,
-        text: embedding(clip),
-    };
-    let requests: Vec<ClipRequest> = chosen.iter().map(request).collect();
-    let (frames, sampling) = (config.data.target_frames, &config.sampling);
-    let hint = "all are drawn as one batch: draw fewer at the end of training \
-                (`sampling.count_at_end`), or train on shorter clips (`data.target_frames`)";
-    must_fit_as_batch(subject, requests.len(), frames, false, hint)?;
-    let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    let mut told = |stage, done, all| receiver.advance(stage, done, all);
-    let samples = generator.sample(None, &requests, frames, sampling, seed, &mut told)?;
-    for (index, (clip, sample)) in chosen.iter().zip(&samples).enumerate() {
-        let skeleton = &dataset.representation.skeleton;
-        let record = Record {
-            condition: Condition {
-                item: Some(clip.id.clone()),
-                source: config.data.source.clone(),
-                ..Condition::default()
-            },
-            ..record(subject, seed, index, frames, skeleton)
-        };
-        receiver.drawn(drawn(clip.id.clone(), sample, skeleton, record))?;
-    }
-    Ok(None)
 }
 
 /// Rejects clips that take more memory than is free as one batch.

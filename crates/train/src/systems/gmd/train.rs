@@ -32,7 +32,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let statistics = match (&setup.checkpoint, &start) {
         (Some(checkpoint), _) => statistics_in(&checkpoint.state)?.clone(),
         (None, Some(start)) => statistics_in(&start.state()?)?.clone(),
-        (None, None) => dataset.statistics()?,
+        (None, None) => dataset.statistics_with_progress(&*observer.reading())?,
     };
     let channels = channels_of(&config)?;
     let model = match start {

@@ -1,0 +1,23 @@
+//! The seed of what is drawn for one item.
+
+use kinegrad_random::{Key, Purpose};
+
+/// The seed of the samples for the item `id`, whichever way it is asked for: by its name, among
+/// the held-out items, in a preview or an evaluation. Samples of one call differ in noise by their
+/// number alone, so items drawn for in calls of their own would share it under one seed.
+pub fn item_seed(seed: u64, id: &str) -> u64 {
+    Key::new(seed, Purpose::PhraseSeed).named(id).seed()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn items_and_seeds_have_their_own_noise() {
+        let seeds = [(0, "a"), (0, "b"), (1, "a"), (1, "b")].map(|(seed, id)| item_seed(seed, id));
+        for (index, seed) in seeds.iter().enumerate() {
+            assert!(!seeds[index + 1..].contains(seed));
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Sampling clips for the captions of a dataset's items.
+
+use std::iter::repeat_n;
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataConfig, DataKind, Dataset};
+
+use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
+use crate::error::Error;
+use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subject, item_seed};
+use crate::systems::gmd::evaluate::embedding;
+use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
+use crate::systems::gmd::recipe_name::RecipeName;
+
+/// Generates one clip for each of the first `count` held-out clips, or training clips if none are
+/// held out, conditioned on its first caption.
+pub(super) fn for_held_out(
+    subject: &Subject,
+    count: usize,
+    seed: u64,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let config = &subject.config;
+    let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*receiver.reading())?;
+    let chosen = dataset.held_out().first(count)?;
+    let hint = "all are drawn as one batch: draw fewer at the end of training \
+                (`sampling.count_at_end`), or train on shorter clips (`data.target_frames`)";
+    let items = Items {
+        clips: &chosen,
+        count: 1,
+        frames: config.data.target_frames,
+        data: &config.data,
+    };
+    items.must_fit(subject, hint)?;
+    let name = |clip: &Clip, _| clip.id.clone();
+    items.draw(subject, seed, receiver, &name)
+}
+
+/// Generates the requested clips for captions of items of a dataset.
+pub(super) fn for_items(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let conditions = &request.conditions;
+    conditions.refuse(
+        &["--goal", "--trajectory-run", "--text-embedding"],
+        "`--phrase` and a run on clips of joint features",
+        "`--phrase` alone stands for the clip's first caption; beside a goal, name the caption with \
+         `--text-embedding FILE#KEY`",
+    )?;
+    let Some(pattern) = &conditions.item else {
+        let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
+        return Err(Error::usage("`--source` without `--phrase`", hint));
+    };
+    let mut data = subject.config.data.clone();
+    if let Some(source) = &conditions.source {
+        data.kind = DataKind::Humanml3d;
+        data.source = Some(source.clone());
+    }
+    let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
+    let mut chosen = Vec::new();
+    for side in [&dataset.validation, &dataset.train] {
+        let side = side.filter(|id| kinegrad_data::matches(pattern, id));
+        chosen.extend(side.load()?);
+    }
+    if chosen.is_empty() {
+        let message = format!("the dataset has no clip `{pattern}`");
+        let hint = "`kinegrad data inspect URI` lists the clips";
+        return Err(Error::usage(message, hint));
+    }
+    let items = Items {
+        clips: &chosen,
+        count: request.count,
+        frames: request.frames.unwrap_or(data.target_frames),
+        data: &data,
+    };
+    let hint = "all are drawn as one batch: name fewer (`--phrase`), ask for fewer (`--count`), or \
+                shorter (`--frames`)";
+    items.must_fit(subject, hint)?;
+    let stem = |clip: &Clip| match chosen.len() {
+        1 => String::new(),
+        _ => format!("-{}", clip.id),
+    };
+    let names = Names {
+        stems: chosen.iter().map(|clip| stem(clip)).collect(),
+        count: request.count,
+    };
+    let extensions: &[&str] = match RecipeName::of(&subject.config)? {
+        RecipeName::Trajectory => &[MOTION],
+        RecipeName::Motion => &[MOTION, FEATURES, BVH],
+    };
+    receiver.announced(&names, extensions)?;
+    let name = |clip: &Clip, index| names.of(&stem(clip), index);
+    items.draw(subject, request.seed, receiver, &name)
+}
+
+/// Clips whose first captions are conditions.
+struct Items<'a> {
+    clips: &'a [Arc<Clip>],
+    /// Samples for each.
+    count: usize,
+    frames: usize,
+    /// The dataset that they are of.
+    data: &'a DataConfig,
+}
+
+impl Items<'_> {
+    fn must_fit(&self, subject: &Subject, hint: &str) -> Result<(), Error> {
+        let clips = self.clips.len().saturating_mul(self.count);
+        must_fit_as_batch(subject, clips, self.frames, false, hint)
+    }
+
+    /// Draws them as one batch. Sample k of a clip depends on the seed, the clip's id and k alone.
+    fn draw(
+        &self,
+        subject: &Subject,
+        seed: u64,
+        receiver: &mut dyn Receiver,
+        name: &dyn Fn(&Clip, usize) -> String,
+    ) -> Result<Option<Remark>, Error> {
+        let mut requests = Vec::new();
+        let mut noise = Vec::new();
+        for clip in self.clips {
+            let request = ClipRequest {
+                goal: None,
+                text: embedding(clip),
+            };
+            requests.extend(repeat_n(request, self.count));
+            noise.extend(keys(item_seed(seed, &clip.id), self.count));
+        }
+        let generator = ClipGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let samples = generator.sample_keyed(
+            None,
+            &requests,
+            self.frames,
+            &subject.config.sampling,
+            &noise,
+            &mut |stage, done, all| receiver.advance(stage, done, all),
+        )?;
+        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+        for (clip, samples) in self.clips.iter().zip(samples.chunks(self.count)) {
+            for (index, sample) in samples.iter().enumerate() {
+                let record = Record {
+                    condition: Condition {
+                        item: Some(clip.id.clone()),
+                        source: self.data.source.clone(),
+                        ..Condition::default()
+                    },
+                    ..record(subject, seed, index, self.frames, &skeleton)
+                };
+                receiver.drawn(drawn(name(clip, index), sample, &skeleton, record))?;
+            }
+        }
+        Ok(None)
+    }
+}

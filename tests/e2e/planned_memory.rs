@@ -1,0 +1,94 @@
+//! What `kinegrad train --dry-run` says of memory and time, held against trainings.
+
+use std::thread::sleep;
+use std::time::Duration;
+
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+use serde_json::Value;
+
+/// Bytes of main memory that a command takes at its most.
+fn most_memory(sandbox: &Sandbox, arguments: &str) -> u64 {
+    let mut child = sandbox.start(arguments);
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0;
+    loop {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let number = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+        most = most.max(number.unwrap_or(0) << 10);
+        if let Some(status) = child.try_wait().expect("a status") {
+            assert!(status.success(), "{arguments}: {status}");
+            return most;
+        }
+        sleep(Duration::from_millis(1));
+    }
+}
+
+fn plan(sandbox: &Sandbox, train: &str) -> Value {
+    let plan = sandbox
+        .run(&format!("{train} --dry-run --json"))
+        .succeeded();
+    serde_json::from_str(&plan.stdout).expect("one line of JSON")
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_dry_run_states_the_memory_that_a_training_takes() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.write("w.toml", SMALLEST_WALKS);
+    for (name, train) in [
+        ("least", "train c.toml"),
+        (
+            "batches",
+            "train c.toml --set data.batch_size=48 --set data.synthetic.phrases=200 \
+             --set validation.batch_size=40",
+        ),
+        (
+            "wide",
+            "train c.toml --set model.model_channels=96 --set data.target_frames=40",
+        ),
+        ("walks", "train w.toml"),
+    ] {
+        let train = format!(
+            "{train} --name {name} --set train.max_steps=8 --set sampling.count_at_end=3 \
+             --set sampling.sampler.num_inference_steps=3"
+        );
+        let planned = plan(&sandbox, &train)["memory_bytes"]
+            .as_u64()
+            .expect("a size");
+        let taken = most_memory(&sandbox, &train);
+        let share = planned as f64 / taken as f64;
+        assert!(
+            (share - 1.0).abs() < 0.15,
+            "{name}: {} KiB planned, {} KiB taken",
+            planned >> 10,
+            taken >> 10
+        );
+    }
+}
+
+#[test]
+fn a_dry_run_counts_validations() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    for (settings, validations) in [
+        ("--set validation.every_steps=10", 4),
+        ("--set validation.every_steps=9", 5),
+        ("--set validation.every_steps=0", 0),
+    ] {
+        let plan = plan(&sandbox, &format!("train c.toml {settings}"));
+        assert_eq!(plan["validations"], validations);
+        let seconds = |key: &str| plan[key].as_f64().unwrap_or_default();
+        assert_eq!(seconds("validation_seconds") > 0.0, validations > 0);
+        let all =
+            40.0 * seconds("step_seconds") + f64::from(validations) * seconds("validation_seconds");
+        assert!((seconds("training_seconds") - all).abs() < 1e-9, "{plan}");
+    }
+    let said = sandbox.run("train c.toml --dry-run").succeeded();
+    assert!(
+        said.stdout.contains("for 40 steps and 4 validations of"),
+        "{}",
+        said.stdout
+    );
+}
