@@ -1,7 +1,7 @@
 //! Sampling phrases conditioned on audio.
 
 use std::cell::RefCell;
-use std::iter::{once, repeat_n};
+use std::iter::repeat_n;
 use std::path::Path;
 
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
