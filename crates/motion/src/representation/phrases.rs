@@ -7,7 +7,8 @@ use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION,
 use crate::rotation::length;
 use crate::statistics::percentile;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, Motion, Profile, Report, Statistics, channel_name, sanity,
+    CHANNELS, ChannelMoments, Error, FPS, Motion, Movement, Profile, Report, Statistics,
+    channel_name, sanity,
 };
 
 /// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
@@ -64,6 +65,14 @@ impl Representation for Phrases {
 
     fn mean_jerk(&self, rows: &[f32]) -> f64 {
         mean_jerk_norm(&motion(rows))
+    }
+
+    fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
+        let motion = motion(rows);
+        let measures = Movement::ALL.into_iter();
+        measures
+            .filter_map(|measure| Some((measure.name(), measure.of(&motion)?)))
+            .collect()
     }
 
     /// The root alone.

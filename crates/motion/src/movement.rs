@@ -1,0 +1,213 @@
+//! How a phrase moves, measured on its positions and rotations.
+//!
+//! The channels for velocity, acceleration and angular velocity are a phrase's own account of its
+//! movement, which generated phrases get wrong: here nothing but positions, quaternions and phase is
+//! looked at. All measures are means over frames, so that phrases of different lengths compare.
+
+use crate::kinematics::{angular_velocity, differences, mean_norm};
+use crate::phrase::{PHASE, POSITION};
+use crate::rotation::length;
+use crate::{FPS, Motion, Quaternion};
+
+/// A measure of how a phrase moves.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Movement {
+    /// Mean speed of the root along its path, metres per second.
+    PathSpeed,
+    /// Mean norm of the second difference of the positions, metres per second squared.
+    PathAcceleration,
+    /// Mean norm of the third difference of the positions, metres per second cubed.
+    PathJerk,
+    /// Mean angle between the orientations of neighbouring frames, degrees per second.
+    TurnRate,
+    /// Mean norm of the change of the angular velocity, degrees per second squared.
+    TurnAcceleration,
+    /// Largest angle between the orientations of neighbouring frames, degrees.
+    LargestTurn,
+    /// Mean advance of the phase, bars per second; steps are taken the short way around.
+    PhaseRate,
+}
+
+impl Movement {
+    /// All measures.
+    pub const ALL: [Self; 7] = [
+        Self::PathSpeed,
+        Self::PathAcceleration,
+        Self::PathJerk,
+        Self::TurnRate,
+        Self::TurnAcceleration,
+        Self::LargestTurn,
+        Self::PhaseRate,
+    ];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "path_speed",
+            Self::PathAcceleration => "path_acceleration",
+            Self::PathJerk => "path_jerk",
+            Self::TurnRate => "turn_rate",
+            Self::TurnAcceleration => "turn_acceleration",
+            Self::LargestTurn => "largest_turn",
+            Self::PhaseRate => "phase_rate",
+        }
+    }
+
+    /// What it measures, in words.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "mean speed along the path",
+            Self::PathAcceleration => "mean acceleration of the path",
+            Self::PathJerk => "mean jerk of the path",
+            Self::TurnRate => "mean turn rate",
+            Self::TurnAcceleration => "mean change of the turn rate",
+            Self::LargestTurn => "largest turn from one frame to the next",
+            Self::PhaseRate => "mean advance of the phase",
+        }
+    }
+
+    /// Its unit.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "m/s",
+            Self::PathAcceleration => "m/s^2",
+            Self::PathJerk => "m/s^3",
+            Self::TurnRate => "degrees/s",
+            Self::TurnAcceleration => "degrees/s^2",
+            Self::LargestTurn => "degrees",
+            Self::PhaseRate => "bars/s",
+        }
+    }
+
+    /// Its value; `None` where the phrase has too few frames for it.
+    pub fn of(self, motion: &Motion) -> Option<f64> {
+        let frames = motion.frames();
+        let positions =
+            || -> Vec<[f64; 3]> { (0..frames).map(|t| motion.vector(t, POSITION)).collect() };
+        let nth = |order: usize| {
+            let mut values = positions();
+            for _ in 0..order {
+                values = differences(&values, FPS);
+            }
+            (!values.is_empty()).then(|| mean_norm(&values))
+        };
+        match self {
+            Self::PathSpeed => nth(1),
+            Self::PathAcceleration => nth(2),
+            Self::PathJerk => nth(3),
+            Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
+            Self::TurnAcceleration => {
+                let changes = differences(&rates(motion), FPS);
+                (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
+            }
+            Self::LargestTurn => turns(motion).into_iter().reduce(f64::max),
+            Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
+        }
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Angular velocity between neighbouring frames from the quaternions, radians per second,
+/// `[frames - 1, 3]`.
+pub fn rates(motion: &Motion) -> Vec<[f64; 3]> {
+    let frames = 0..motion.frames();
+    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t).normalised()).collect();
+    let mut rates = angular_velocity(&quaternions, FPS);
+    // The last one repeats the one before.
+    rates.pop();
+    rates
+}
+
+/// Angles between neighbouring frames, degrees, `[frames - 1]`.
+fn turns(motion: &Motion) -> Vec<f64> {
+    let rates = rates(motion).into_iter();
+    rates
+        .map(|rate| (length(rate) / FPS).to_degrees())
+        .collect()
+}
+
+/// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
+pub fn phase_steps(motion: &Motion) -> Vec<f64> {
+    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+    let steps = (1..motion.frames()).map(|t| phase(t) - phase(t - 1));
+    steps.map(|step| step - step.round()).collect()
+}
+
+/// How often the phase passes from the end of a bar to the beginning of the next.
+pub fn phase_wraps(motion: &Motion) -> usize {
+    let phase = |t: usize| motion.frame(t)[PHASE];
+    (1..motion.frames())
+        .filter(|&t| phase(t) - phase(t - 1) < -0.5)
+        .count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::derive;
+
+    /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
+    /// second, half a bar a second.
+    fn steady(frames: usize) -> Motion {
+        let seconds = |t: usize| t as f64 / FPS;
+        let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
+        let turn = |t: usize| [0.0, std::f64::consts::FRAC_PI_2 * seconds(t), 0.0];
+        let quaternions: Vec<_> = (0..frames)
+            .map(|t| Quaternion::from_rotation_vector(turn(t)))
+            .collect();
+        let phase: Vec<_> = (0..frames).map(|t| (0.5 * seconds(t)).fract()).collect();
+        derive(&positions, &quaternions, &phase, &vec![[0.0; 8]; frames]).unwrap()
+    }
+
+    #[test]
+    fn steady_motion_has_the_values_it_was_made_with() {
+        let motion = steady(121);
+        let expected = [0.6, 0.0, 0.0, 90.0, 0.0, 3.0, 0.5];
+        for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
+            let value = measure.of(&motion).unwrap();
+            // Third differences of values rounded to single precision.
+            let tolerance = match measure {
+                Movement::PathJerk | Movement::TurnAcceleration => 0.05,
+                _ => 1e-3,
+            };
+            assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
+        }
+        assert_eq!(phase_wraps(&motion), 2);
+    }
+
+    #[test]
+    fn channels_that_speak_of_the_movement_are_not_asked() {
+        let mut motion = steady(60);
+        let before = Movement::ALL.map(|measure| measure.of(&motion));
+        for t in 0..60 {
+            motion.frame_mut(t)[crate::phrase::VELOCITY].fill(9.0);
+            motion.frame_mut(t)[crate::phrase::ACCELERATION].fill(-9.0);
+            motion.frame_mut(t)[crate::phrase::ANGULAR_VELOCITY].fill(5.0);
+        }
+        assert_eq!(Movement::ALL.map(|measure| measure.of(&motion)), before);
+    }
+
+    #[test]
+    fn the_sign_of_a_quaternion_is_no_turn() {
+        let mut motion = steady(60);
+        let before = Movement::TurnRate.of(&motion);
+        motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));
+        let after = Movement::TurnRate.of(&motion);
+        assert!((before.unwrap() - after.unwrap()).abs() < 1e-3);
+    }
+
+    #[test]
+    fn too_few_frames_have_no_value() {
+        let known = |frames| {
+            let motion = steady(frames);
+            Movement::ALL.map(|measure| measure.of(&motion).is_some())
+        };
+        assert_eq!(known(1), [false; 7]);
+        assert_eq!(known(2), [true, false, false, true, false, true, true]);
+        assert_eq!(known(3), [true, true, false, true, true, true, true]);
+        assert_eq!(known(4), [true; 7]);
+    }
+}
