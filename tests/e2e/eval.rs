@@ -55,6 +55,11 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
                 let loss = losses.iter().find(|each| each["name"] == name);
                 &loss.expect(name)["value"]
             }
+            ["movement", name, what] => {
+                let movement = evaluation[part]["movement"].as_array().expect("movement");
+                let spread = movement.iter().find(|each| each["name"] == name);
+                &spread.expect(name)[what]
+            }
             [profile, rate] => &evaluation[part][profile][rate],
             [profile, check, what] => {
                 let checks = evaluation[part][profile]["checks"].as_array();
@@ -79,7 +84,14 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
 fn a_run_is_measured_beside_the_real_phrases() {
     let sandbox = trained();
     let finished = sandbox.run("eval runs/smallest --steps 4").succeeded();
-    for text in ["smallest", "real", "diversity", "Fréchet", "strict: jerk"] {
+    for text in [
+        "smallest",
+        "real",
+        "diversity",
+        "Fréchet",
+        "strict: jerk",
+        "movement: mean jerk of the path",
+    ] {
         assert!(finished.stdout.contains(text), "{}", finished.stdout);
     }
     assert!(finished.stdout.contains("eval.json"), "{}", finished.stdout);

@@ -116,7 +116,8 @@ pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
     errors(motion, VELOCITY, ACCELERATION)
 }
 
-/// Stored angular velocity less that of the quaternions, radians per second, `[frames - 1, 3]`.
+/// `w[t]` less the rotation vector of `q[t+1] * conj(q[t])` times `fps`, in radians per second,
+/// `[frames - 1, 3]`.
 pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
     let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
     let derived = crate::movement::rates(motion).into_iter();

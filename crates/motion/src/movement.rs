@@ -2,12 +2,35 @@
 //!
 //! The channels for velocity, acceleration and angular velocity are a phrase's own account of its
 //! movement, which generated phrases get wrong: here nothing but positions, quaternions and phase is
-//! looked at. All measures are means over frames, so that phrases of different lengths compare.
+//! looked at. All measures that are checked are means over frames or extremes of them, so that
+//! phrases of different lengths compare.
 
 use crate::kinematics::{angular_velocity, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::rotation::length;
 use crate::{FPS, Motion, Quaternion};
+
+/// Frames in a second.
+const SECOND: usize = FPS as usize;
+
+/// How far outside the 1st and 99th percentile of the training phrases a measure may be, as a
+/// factor.
+const FACTOR: f64 = 2.0;
+
+/// The same for the advance of the phase. Tempi differ less than dancers: half the tempo of the
+/// slowest training phrase is no tempo, but an error.
+const PHASE_FACTOR: f64 = 1.5;
+
+/// On which sides a measure is held against the training phrases.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bounds {
+    /// Not below the 1st percentile divided by the factor, nor above the 99th times it.
+    Both(f64),
+    /// Not above the 99th percentile times the factor: a small value is no fault.
+    Upper(f64),
+    /// Not at all: it depends on the phrase's length.
+    Unchecked,
+}
 
 /// A measure of how a phrase moves.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -18,6 +41,8 @@ pub enum Movement {
     PathAcceleration,
     /// Mean norm of the third difference of the positions, metres per second cubed.
     PathJerk,
+    /// Mean distance on the floor between the places at two moments a second apart, metres.
+    Travel,
     /// Mean angle between the orientations of neighbouring frames, degrees per second.
     TurnRate,
     /// Mean norm of the change of the angular velocity, degrees per second squared.
@@ -26,18 +51,28 @@ pub enum Movement {
     LargestTurn,
     /// Mean advance of the phase, bars per second; steps are taken the short way around.
     PhaseRate,
+    /// Largest step of the phase from one frame to the next, the short way around, bars.
+    LargestPhaseStep,
+    /// Distance on the floor between the first and the last place, metres.
+    NetTravel,
+    /// How often the phase passes from the end of a bar to the beginning of the next.
+    PhaseWraps,
 }
 
 impl Movement {
     /// All measures.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 11] = [
         Self::PathSpeed,
         Self::PathAcceleration,
         Self::PathJerk,
+        Self::Travel,
         Self::TurnRate,
         Self::TurnAcceleration,
         Self::LargestTurn,
         Self::PhaseRate,
+        Self::LargestPhaseStep,
+        Self::NetTravel,
+        Self::PhaseWraps,
     ];
 
     /// Its name in files.
@@ -46,10 +81,14 @@ impl Movement {
             Self::PathSpeed => "path_speed",
             Self::PathAcceleration => "path_acceleration",
             Self::PathJerk => "path_jerk",
+            Self::Travel => "travel",
             Self::TurnRate => "turn_rate",
             Self::TurnAcceleration => "turn_acceleration",
             Self::LargestTurn => "largest_turn",
             Self::PhaseRate => "phase_rate",
+            Self::LargestPhaseStep => "largest_phase_step",
+            Self::NetTravel => "net_travel",
+            Self::PhaseWraps => "phase_wraps",
         }
     }
 
@@ -59,10 +98,14 @@ impl Movement {
             Self::PathSpeed => "mean speed along the path",
             Self::PathAcceleration => "mean acceleration of the path",
             Self::PathJerk => "mean jerk of the path",
+            Self::Travel => "mean travel in a second",
             Self::TurnRate => "mean turn rate",
             Self::TurnAcceleration => "mean change of the turn rate",
             Self::LargestTurn => "largest turn from one frame to the next",
             Self::PhaseRate => "mean advance of the phase",
+            Self::LargestPhaseStep => "largest step of the phase from one frame to the next",
+            Self::NetTravel => "travel from the first frame to the last",
+            Self::PhaseWraps => "wraps of the phase",
         }
     }
 
@@ -72,10 +115,24 @@ impl Movement {
             Self::PathSpeed => "m/s",
             Self::PathAcceleration => "m/s^2",
             Self::PathJerk => "m/s^3",
+            Self::Travel | Self::NetTravel => "m",
             Self::TurnRate => "degrees/s",
             Self::TurnAcceleration => "degrees/s^2",
             Self::LargestTurn => "degrees",
             Self::PhaseRate => "bars/s",
+            Self::LargestPhaseStep => "bars",
+            Self::PhaseWraps => "bars begun",
+        }
+    }
+
+    /// On which sides it is checked, and by what factor.
+    pub fn bounds(self) -> Bounds {
+        match self {
+            // Who turns and counts evenly, or dances on the spot, is no worse for it.
+            Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
+            Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
+            Self::NetTravel | Self::PhaseWraps => Bounds::Unchecked,
+            _ => Bounds::Both(FACTOR),
         }
     }
 
@@ -95,13 +152,20 @@ impl Movement {
             Self::PathSpeed => nth(1),
             Self::PathAcceleration => nth(2),
             Self::PathJerk => nth(3),
+            Self::Travel => {
+                let apart = (SECOND..frames).map(|t| floor_distance(motion, t - SECOND, t));
+                mean(&apart.collect::<Vec<_>>())
+            }
             Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
             Self::TurnAcceleration => {
                 let changes = differences(&rates(motion), FPS);
                 (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
             }
-            Self::LargestTurn => turns(motion).into_iter().reduce(f64::max),
+            Self::LargestTurn => largest(turns(motion)),
             Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
+            Self::LargestPhaseStep => largest(phase_steps(motion)),
+            Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
+            Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion) as f64),
         }
     }
 }
@@ -110,11 +174,23 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Angular velocity between neighbouring frames from the quaternions, radians per second,
-/// `[frames - 1, 3]`.
+/// The largest value; NaN if one of them is, none of none.
+fn largest(values: Vec<f64>) -> Option<f64> {
+    // `f64::max` would drop a NaN.
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    values.into_iter().reduce(larger)
+}
+
+fn floor_distance(motion: &Motion, from: usize, to: usize) -> f64 {
+    let [a, b] = [from, to].map(|t| motion.vector(t, POSITION));
+    (b[0] - a[0]).hypot(b[2] - a[2])
+}
+
+/// Angular velocity between neighbouring frames from the quaternions, whatever their norms and
+/// signs: radians per second, world frame, `[frames - 1, 3]`. NaN stays NaN.
 pub fn rates(motion: &Motion) -> Vec<[f64; 3]> {
     let frames = 0..motion.frames();
-    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t).normalised()).collect();
+    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
     let mut rates = angular_velocity(&quaternions, FPS);
     // The last one repeats the one before.
     rates.pop();
@@ -165,7 +241,7 @@ mod tests {
     #[test]
     fn steady_motion_has_the_values_it_was_made_with() {
         let motion = steady(121);
-        let expected = [0.6, 0.0, 0.0, 90.0, 0.0, 3.0, 0.5];
+        let expected = [0.6, 0.0, 0.0, 0.6, 90.0, 0.0, 3.0, 0.5, 0.5 / FPS, 2.4, 2.0];
         for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
             let value = measure.of(&motion).unwrap();
             // Third differences of values rounded to single precision.
@@ -175,7 +251,33 @@ mod tests {
             };
             assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
         }
-        assert_eq!(phase_wraps(&motion), 2);
+    }
+
+    #[test]
+    fn trembling_on_the_spot_is_a_path_without_travel() {
+        let positions: Vec<_> = (0..61)
+            .map(|t| [if t % 2 == 0 { 0.0 } else { 0.02 }, 1.0, 0.0])
+            .collect();
+        let still = vec![Quaternion::IDENTITY; 61];
+        let motion = derive(&positions, &still, &[0.0; 61], &[[0.0; 8]; 61]).unwrap();
+        assert!((Movement::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
+        assert_eq!(Movement::Travel.of(&motion), Some(0.0));
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_not_passed_over() {
+        for channel in [0, 9, PHASE] {
+            let mut motion = steady(60);
+            motion.frame_mut(20)[channel] = f32::NAN;
+            let asked = match channel {
+                0 => vec![Movement::PathSpeed, Movement::PathJerk, Movement::Travel],
+                9 => vec![Movement::TurnRate, Movement::LargestTurn],
+                _ => vec![Movement::PhaseRate, Movement::LargestPhaseStep],
+            };
+            for measure in asked {
+                assert!(measure.of(&motion).unwrap().is_nan(), "{measure:?}");
+            }
+        }
     }
 
     #[test]
@@ -201,13 +303,14 @@ mod tests {
 
     #[test]
     fn too_few_frames_have_no_value() {
-        let known = |frames| {
+        // From how many frames on each has one.
+        let needed = [2, 3, 4, 31, 2, 3, 2, 2, 2, 2, 2];
+        for frames in [1, 2, 3, 4, 30, 31] {
             let motion = steady(frames);
-            Movement::ALL.map(|measure| measure.of(&motion).is_some())
-        };
-        assert_eq!(known(1), [false; 7]);
-        assert_eq!(known(2), [true, false, false, true, false, true, true]);
-        assert_eq!(known(3), [true, true, false, true, true, true, true]);
-        assert_eq!(known(4), [true; 7]);
+            for (measure, needed) in Movement::ALL.into_iter().zip(needed) {
+                let known = measure.of(&motion).is_some();
+                assert_eq!(known, frames >= needed, "{measure:?} of {frames}");
+            }
+        }
     }
 }

@@ -204,9 +204,8 @@ impl Statistics {
                 return invalid(format!("`{name}[{channel}]` is not finite"));
             }
         }
-        match self.std.iter().position(|deviation| *deviation <= 0.0) {
-            Some(channel) => return invalid(format!("`std[{channel}]` is not positive")),
-            None => {}
+        if let Some(channel) = self.std.iter().position(|deviation| *deviation <= 0.0) {
+            return invalid(format!("`std[{channel}]` is not positive"));
         }
         let unusable = |bounds: &[f64; 2]| !bounds.iter().all(|bound| bound.is_finite());
         match self.movement.iter().find(|(_, bounds)| unusable(bounds)) {
@@ -222,7 +221,7 @@ fn normalized(value: f32, mean: f64, std: f64) -> f32 {
 
 /// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,
 /// of which there is at least one.
-pub(crate) fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
+pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let place = percent / 100.0 * (values.len() - 1) as f64;
     let below = place.floor() as usize;

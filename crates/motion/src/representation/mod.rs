@@ -95,7 +95,7 @@ pub trait Representation: Debug + Send + Sync {
     ///
     /// # Errors
     /// [`Error::StatisticsNeeded`] if the profile compares with training motion and there are
-    /// none. Motion that fails is no error: see [`Report::passed`].
+    /// none, [`Error::MovementUnknown`] if they do not say how it moves. Motion that fails is no error: see [`Report::passed`].
     fn check(
         &self,
         rows: &[f32],

@@ -2,7 +2,7 @@
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::kinematics::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
-use crate::movement::phase_steps;
+use crate::movement::{Bounds, phase_steps};
 use crate::{Motion, Movement, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
@@ -15,15 +15,14 @@ const COHERENCE_SHARE: f64 = 0.1;
 /// Mean error of the angular velocity, radians per second, at which it counts as incoherent.
 const MAX_ROTATION_ERROR: f64 = 0.1;
 
-/// How far below the 1st percentile of the training phrases, and above the 99th, a measure of the
-/// [movement](Movement) may be, as a factor.
-const MOVEMENT_FACTOR: f64 = 2.0;
-
 /// How far the phase may run backwards from one frame to the next, bars.
 const PHASE_TOLERANCE: f64 = 0.01;
 
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
-/// not say how lively training motion is.
+/// not say how lively training motion is and how it moves.
+///
+/// A phrase too short for a measure of the movement is not checked for it, and one shorter than the
+/// training phrases is held to bounds as much wider as it is shorter.
 pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     let mut checks = vec![
         finite_phrase(motion),
@@ -54,25 +53,29 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;
     }
-    for measure in Movement::ALL {
-        let bounds = training.movement.get(measure.name());
-        if let (Some(value), Some(&bounds)) = (measure.of(motion), bounds) {
-            checks.push(movement(measure, value, bounds));
-        }
-    }
+    let measures = Movement::ALL.into_iter();
+    checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
     Some(Report::new(checks))
 }
 
-/// A measure of the movement against its 1st and 99th percentile in training motion. The largest
-/// turn has no lower bound: who turns evenly is no worse for it.
-fn movement(measure: Movement, value: f64, [low, high]: [f64; 2]) -> Check {
-    let high = high * MOVEMENT_FACTOR;
-    let threshold = match measure {
-        Movement::LargestTurn => Threshold::AtMost(high),
-        _ => Threshold::Within([low / MOVEMENT_FACTOR, high]),
+/// A measure of the movement against its 1st and 99th percentile in training motion; `None` where
+/// it is not checked.
+fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option<Check> {
+    let &[low, high] = training.movement.get(measure.name())?;
+    // A part of a phrase may be calmer than the whole, and as lively as the whole's sum allows.
+    let whole = training.frames as f64 / training.items.max(1) as f64;
+    let shorter = (whole / motion.frames() as f64).max(1.0);
+    let threshold = match measure.bounds() {
+        Bounds::Both(factor) => {
+            let factor = factor * shorter;
+            Threshold::Within([low / factor, high * factor])
+        }
+        Bounds::Upper(factor) => Threshold::AtMost(high * factor),
+        Bounds::Unchecked => return None,
     };
+    let value = measure.of(motion)?;
     let message = format!("{} {value:.3} {}", measure.title(), measure.unit());
-    Check::new(measure.name(), value, threshold, message)
+    Some(Check::new(measure.name(), value, threshold, message))
 }
 
 /// The smallest step of the phase; none of a single frame.
@@ -153,7 +156,8 @@ mod tests {
         for seed in 0..20 {
             let report = check(&wandering(seed, 60), &training()).unwrap();
             assert!(report.passed, "{report:#?}");
-            assert_eq!(report.checks.len(), 9 + Movement::ALL.len());
+            // Two of the measures depend on the length.
+            assert_eq!(report.checks.len(), 9 + Movement::ALL.len() - 2);
         }
     }
 
@@ -169,7 +173,11 @@ mod tests {
 
     #[test]
     fn phase_outside_the_bar_fails() {
-        assert_eq!(failing(|m| m.frame_mut(59)[PHASE] = 1.001), ["phase"]);
+        // Two thousandths of a bar further than its neighbours lead to.
+        assert_eq!(
+            failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
+            ["phase"]
+        );
         assert_eq!(failing(|m| m.frame_mut(0)[PHASE] = -0.001), ["phase"]);
     }
 
@@ -256,8 +264,18 @@ mod tests {
         assert!(spinning.contains(&"turn_rate"), "{spinning:?}");
         let standing = failed(&with_poses(|_, p, q, _| (p, q, 0.5)));
         assert_eq!(standing, ["phase_rate"]);
+        // From 0.17 to 0.88 of the bar at the right tempo, then a leap over the rest.
+        let leaping = failed(&with_poses(|_, p, q, phase| {
+            (p, q, 0.17 + 0.71 * (phase + 0.5).fract())
+        }));
+        assert_eq!(leaping, ["largest_phase_step"]);
         let backwards = failed(&with_poses(|_, p, q, phase| (p, q, 1.0 - phase)));
         assert_eq!(backwards, ["phase_direction", "phase_rate"]);
+        // It is carried off at twelve metres a second.
+        let carried = failed(&with_poses(|t, [x, y, z], q, phase| {
+            ([x + 0.4 * t as f64, y, z], q, phase)
+        }));
+        assert_eq!(carried, ["path_speed", "travel"]);
         let slow = failed(&with_poses(|t, _, q, phase| {
             ([0.001 * t as f64, 1.0, 0.0], q, phase)
         }));
