@@ -86,17 +86,14 @@ pub fn process(
     processed
 }
 
-/// Forward differences of the quaternions, the last one repeated. A single frame has none, and what
-/// is not finite stays for the checks to find.
+/// Forward differences of the quaternions, the last one repeated. A single frame has none. What is
+/// not finite stays for the checks to find, and does not spread to the frame before.
 fn derive_angular_velocity(motion: &mut Motion) {
+    let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::movement::rates(motion);
     let last = rates.last().copied();
-    for (t, rate) in rates.iter().copied().chain(last).enumerate() {
-        if motion
-            .vector(t, ANGULAR_VELOCITY)
-            .iter()
-            .all(|w| w.is_finite())
-        {
+    for (t, rate) in rates.into_iter().chain(last).enumerate() {
+        if finite(rate) && finite(motion.vector(t, ANGULAR_VELOCITY)) {
             motion.set_vector(t, ANGULAR_VELOCITY, rate);
         }
     }

@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn phase_outside_the_bar_fails() {
-        // Two thousandths of a bar further than its neighbours lead to.
+        // The whole phrase, so that no single step stands out.
         assert_eq!(
             failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
             ["phase"]

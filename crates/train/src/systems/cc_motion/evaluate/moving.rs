@@ -70,7 +70,7 @@ mod tests {
             }
         }
         let after = jerk(&motions);
-        assert!(before < 250.0 && after > 1500.0, "{before} {after}");
+        assert!(before < 100.0 && after > 1000.0, "{before} {after}");
     }
 
     #[test]
