@@ -125,7 +125,16 @@ fn a_run_is_measured_beside_the_real_phrases() {
     let real = &evaluation["real"];
     assert!(real["frechet_held_out"].as_f64().expect("a distance") < 1e-5);
     assert!(real["same_phrase_diversity"].is_null());
-    assert_eq!(real["strict"]["pass_rate"], 1.0);
+    // Eight phrases to train on do not tell how calm a dance may be: of the real ones that are held
+    // out, two fail by the lower bound of one measure, and none by another.
+    let checks = real["strict"]["checks"].as_array().expect("checks");
+    for check in checks {
+        let expected = match check["name"].as_str() {
+            Some("path_jerk") => 0.5,
+            _ => 1.0,
+        };
+        assert_eq!(check["pass_rate"], expected, "{check}");
+    }
 
     let csv = read(&sandbox, &format!("{reports}/eval.csv"));
     assert_consistent(&csv, "smallest", evaluation, false);

@@ -219,7 +219,7 @@ fn construction_is_not_learning() {
         "quaternion_norm",
         "quaternion_sign",
         "velocity_coherence",
-        "acceleration_coherence",
+        "accel_coherence",
         "rotation_coherence",
     ] {
         assert_eq!(rate(by_construction), 1.0, "{by_construction}: {strict:#}");
@@ -261,7 +261,7 @@ fn runs_of_before_the_movement_was_measured_say_what_to_do() {
     sandbox
         .run("data synth --out set --phrases 12 --frames 40")
         .succeeded();
-    let data = "--set data.kind=phrases --set data.source=set \
+    let data = "--set sampling.count_at_end=2 --set data.kind=phrases --set data.source=set \
                 --set data.validation.patterns=[\"*_00000\",\"*_00001\"]";
     sandbox
         .run(&format!(
@@ -288,18 +288,20 @@ fn runs_of_before_the_movement_was_measured_say_what_to_do() {
         printed.contains("those of its dataset's 10 training phrases"),
         "{printed}"
     );
-    sandbox
+    let resumed = sandbox
         .run(&format!(
-            "train c.toml --name old {data} --set train.max_steps=10 \
-             --set sampling.count_at_end=2 --resume"
+            "train c.toml --name old {data} --set train.max_steps=10 --resume"
         ))
         .succeeded();
+    let table = resumed.stdout.lines().find(|line| line.contains("_00000"));
+    let verdict = table.and_then(|line| line.split('|').nth(2)).map(str::trim);
+    assert_eq!(verdict, Some("-"), "{}", resumed.stdout);
     // What starts from it knows again.
     let tuned = sandbox
         .run(&format!(
             "train c.toml --name tuned {data} --set train.recipe=decoder \
              --set init.diffusion=runs/old --set decoder.hidden_dim=32 --set rollout.steps=3 \
-             --set train.max_steps=2 --set sampling.count_at_end=2"
+             --set train.max_steps=2"
         ))
         .succeeded();
     assert!(tuned.stdout.contains("FAIL"), "{}", tuned.stdout);
