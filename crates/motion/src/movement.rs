@@ -55,7 +55,8 @@ pub enum Movement {
     LargestPhaseStep,
     /// Distance on the floor between the first and the last place, metres.
     NetTravel,
-    /// How often the phase passes from the end of a bar to the beginning of the next.
+    /// How often the phase passes from the end of a bar to the beginning of the next, less how often
+    /// it passes back.
     PhaseWraps,
 }
 
@@ -165,7 +166,7 @@ impl Movement {
             Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
             Self::LargestPhaseStep => largest(phase_steps(motion)),
             Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
-            Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion) as f64),
+            Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion)),
         }
     }
 }
@@ -212,12 +213,14 @@ pub fn phase_steps(motion: &Motion) -> Vec<f64> {
     steps.map(|step| step - step.round()).collect()
 }
 
-/// How often the phase passes from the end of a bar to the beginning of the next.
-pub fn phase_wraps(motion: &Motion) -> usize {
-    let phase = |t: usize| motion.frame(t)[PHASE];
+/// How often the phase passes from the end of a bar to the beginning of the next, less how often it
+/// passes back.
+fn phase_wraps(motion: &Motion) -> f64 {
+    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+    // A step of more than half a bar is one the other way around.
     (1..motion.frames())
-        .filter(|&t| phase(t) - phase(t - 1) < -0.5)
-        .count()
+        .map(|t| (phase(t - 1) - phase(t)).round())
+        .sum()
 }
 
 #[cfg(test)]
@@ -262,6 +265,18 @@ mod tests {
         let motion = derive(&positions, &still, &[0.0; 61], &[[0.0; 8]; 61]).unwrap();
         assert!((Movement::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
         assert_eq!(Movement::Travel.of(&motion), Some(0.0));
+    }
+
+    #[test]
+    fn a_phase_that_wavers_at_the_end_of_the_bar_wraps_once() {
+        let mut motion = steady(7);
+        for (t, phase) in [0.9, 0.98, 0.02, 0.97, 0.01, 0.05, 0.2]
+            .into_iter()
+            .enumerate()
+        {
+            motion.frame_mut(t)[PHASE] = phase;
+        }
+        assert_eq!(Movement::PhaseWraps.of(&motion), Some(1.0));
     }
 
     #[test]
