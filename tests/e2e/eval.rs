@@ -55,6 +55,11 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
                 let loss = losses.iter().find(|each| each["name"] == name);
                 &loss.expect(name)["value"]
             }
+            ["movement", name, what] => {
+                let movement = evaluation[part]["movement"].as_array().expect("movement");
+                let spread = movement.iter().find(|each| each["name"] == name);
+                &spread.expect(name)[what]
+            }
             [profile, rate] => &evaluation[part][profile][rate],
             [profile, check, what] => {
                 let checks = evaluation[part][profile]["checks"].as_array();
@@ -79,7 +84,14 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
 fn a_run_is_measured_beside_the_real_phrases() {
     let sandbox = trained();
     let finished = sandbox.run("eval runs/smallest --steps 4").succeeded();
-    for text in ["smallest", "real", "diversity", "Fréchet", "strict: jerk"] {
+    for text in [
+        "smallest",
+        "real",
+        "diversity",
+        "Fréchet",
+        "strict: jerk",
+        "movement: mean jerk of the path",
+    ] {
         assert!(finished.stdout.contains(text), "{}", finished.stdout);
     }
     assert!(finished.stdout.contains("eval.json"), "{}", finished.stdout);
@@ -113,7 +125,16 @@ fn a_run_is_measured_beside_the_real_phrases() {
     let real = &evaluation["real"];
     assert!(real["frechet_held_out"].as_f64().expect("a distance") < 1e-5);
     assert!(real["same_phrase_diversity"].is_null());
-    assert_eq!(real["strict"]["pass_rate"], 1.0);
+    // Eight phrases to train on do not tell how calm a dance may be: of the real ones that are held
+    // out, two fail by the lower bound of one measure, and none by another.
+    let checks = real["strict"]["checks"].as_array().expect("checks");
+    for check in checks {
+        let expected = match check["name"].as_str() {
+            Some("path_jerk") => 0.5,
+            _ => 1.0,
+        };
+        assert_eq!(check["pass_rate"], expected, "{check}");
+    }
 
     let csv = read(&sandbox, &format!("{reports}/eval.csv"));
     assert_consistent(&csv, "smallest", evaluation, false);

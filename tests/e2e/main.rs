@@ -11,6 +11,7 @@ mod eval;
 mod fine_tuning;
 mod goals;
 mod imports;
+mod movement;
 mod newcomer;
 mod own_system;
 mod planned_memory;

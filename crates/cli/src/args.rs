@@ -263,7 +263,8 @@ pub struct CheckArguments {
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     /// Which checks to run: `document`, for phrases CC-MotionGen's five checks on means over all
-    /// frames, or `strict`, with bounds from training motion, for phrases on every frame
+    /// frames of the channels, or `strict`, with bounds from training motion, for phrases on every
+    /// frame and on how positions and rotations move
     #[arg(long, value_parser = named::<Profile>, default_value = "document")]
     pub profile: Profile,
     /// Run or checkpoint whose training statistics `strict` uses

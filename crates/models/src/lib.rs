@@ -22,6 +22,7 @@ pub mod low_rank;
 pub mod motion_model;
 pub mod parameters;
 pub mod res_block;
+pub mod rotation;
 pub mod stages;
 pub mod text_denoiser;
 pub mod text_motion;

@@ -36,6 +36,16 @@ pub enum Error {
     ))]
     StatisticsNeeded,
 
+    /// The training phrases' statistics are at hand, but not how the phrases move.
+    #[error(
+        "the statistics do not say how training motion moves: they came with a dataset, or an \
+         older version of kinegrad wrote them"
+    )]
+    #[diagnostic(help(
+        "measure the training motion itself with `--source`, or use `--profile document`"
+    ))]
+    MovementUnknown,
+
     /// Stored statistics cannot be used.
     #[error("the statistics are unusable: {reason}")]
     #[diagnostic(help("compute them again from the training motion"))]

@@ -116,6 +116,14 @@ pub fn acceleration_errors(motion: &Motion) -> Vec<[f64; 3]> {
     errors(motion, VELOCITY, ACCELERATION)
 }
 
+/// `w[t]` less the rotation vector of `q[t+1] * conj(q[t])` times `fps`, in radians per second,
+/// `[frames - 1, 3]`.
+pub fn rotation_errors(motion: &Motion) -> Vec<[f64; 3]> {
+    let stored = vectors(motion, ANGULAR_VELOCITY).into_iter();
+    let derived = crate::movement::rates(motion).into_iter();
+    stored.zip(derived).map(|(a, b)| minus(a, b)).collect()
+}
+
 /// `fps (a[t+1] - a[t])` in metres per second cubed, `[frames - 1, 3]`.
 pub fn jerk(motion: &Motion) -> Vec<[f64; 3]> {
     differences(&vectors(motion, ACCELERATION), FPS)

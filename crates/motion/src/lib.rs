@@ -26,6 +26,7 @@ pub mod humanml;
 pub mod kinematics;
 pub mod metrics;
 pub mod moments;
+pub mod movement;
 pub mod phrase;
 pub mod postprocess;
 pub mod representation;
@@ -41,6 +42,7 @@ pub use augment::{anchor_floor, mirror, rotate_yaw};
 pub use error::Error;
 pub use kinematics::derive;
 pub use moments::ChannelMoments;
+pub use movement::Movement;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
 pub use postprocess::{ClampLimits, Differences, Hemisphere, PostProcessConfig, process};
 pub use representation::{

@@ -4,6 +4,7 @@
 //! (docs/sources.md, section 1.14, hazard 6). Here each channel is brought to zero mean and unit
 //! deviation, except where a [representation](crate::Representation) says otherwise.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,9 @@ pub struct Statistics {
     /// 95th percentile (linear interpolation) of the items' mean jerk norms, metres per second
     /// cubed.
     pub jerk_p95: Option<f64>,
+    /// 1st and 99th percentile over the items of how they move, by the name of the
+    /// [measure](crate::Movement); empty where it was not measured.
+    pub movement: BTreeMap<String, [f64; 2]>,
     /// The reading of the root that they belong to, of joint features.
     pub root: Option<Root>,
 }
@@ -200,8 +204,12 @@ impl Statistics {
                 return invalid(format!("`{name}[{channel}]` is not finite"));
             }
         }
-        match self.std.iter().position(|deviation| *deviation <= 0.0) {
-            Some(channel) => invalid(format!("`std[{channel}]` is not positive")),
+        if let Some(channel) = self.std.iter().position(|deviation| *deviation <= 0.0) {
+            return invalid(format!("`std[{channel}]` is not positive"));
+        }
+        let unusable = |bounds: &[f64; 2]| !bounds.iter().all(|bound| bound.is_finite());
+        match self.movement.iter().find(|(_, bounds)| unusable(bounds)) {
+            Some((name, _)) => invalid(format!("`movement.{name}` is not finite")),
             None => Ok(self),
         }
     }
@@ -213,7 +221,7 @@ fn normalized(value: f32, mean: f64, std: f64) -> f32 {
 
 /// The `percent`-th percentile with linear interpolation between the two nearest of the `values`,
 /// of which there is at least one.
-pub(crate) fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
+pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let place = percent / 100.0 * (values.len() - 1) as f64;
     let below = place.floor() as usize;
@@ -245,6 +253,8 @@ struct Stored {
     rms_acceleration: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     jerk_p95: Option<f64>,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    movement: BTreeMap<String, [f64; 2]>,
 }
 
 impl TryFrom<Stored> for Statistics {
@@ -260,6 +270,7 @@ impl TryFrom<Stored> for Statistics {
             rms_speed: stored.rms_speed,
             rms_acceleration: stored.rms_acceleration,
             jerk_p95: stored.jerk_p95,
+            movement: stored.movement,
             root: stored.root,
         }
         .checked()
@@ -277,6 +288,7 @@ impl From<Statistics> for Stored {
             rms_speed,
             rms_acceleration,
             jerk_p95,
+            movement,
             root,
         } = statistics;
         let (min, max) = range.map(|[min, max]| (min, max)).unzip();
@@ -286,6 +298,7 @@ impl From<Statistics> for Stored {
             rms_speed,
             rms_acceleration,
             jerk_p95,
+            movement,
             root,
             mean,
             std,

@@ -75,17 +75,28 @@ fn unknown(path: &Path, shape: &[usize], error: Error) -> Error {
     )
 }
 
-/// The error of a check; that of statistics which say too little names the run they are from.
+/// The error of a check; that of statistics which say too little names the run they are from, and
+/// the dataset that says more.
 fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
     match (error, &arguments.run) {
-        (kinegrad_motion::Error::StatisticsNeeded, Some(run)) => Error::usage(
-            format!(
-                "{} does not know the speed and jerk of its training motion: its statistics came \
-                 with the dataset, or an older version wrote them",
+        (
+            kinegrad_motion::Error::StatisticsNeeded | kinegrad_motion::Error::MovementUnknown,
+            Some(run),
+        ) => {
+            let message = format!(
+                "{} does not know how its training motion moves: its statistics came with the \
+                 dataset, or an older version wrote them",
                 run.display()
-            ),
-            "name the motion itself with `--source`, or use `--profile document`",
-        ),
+            );
+            let state = checkpoint(run).and_then(|path| State::read(&path)).ok();
+            let source = state.and_then(|state| state.config.data.source);
+            let source = source.unwrap_or_else(|| "URI".to_owned());
+            let hint = format!(
+                "measure the motion itself: `--source {source}` in place of `--run`, or use \
+                 `--profile document`"
+            );
+            Error::usage(message, hint)
+        }
         (error, _) => error.into(),
     }
 }

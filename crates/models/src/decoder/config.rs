@@ -94,8 +94,8 @@ pub enum Coherence {
     #[default]
     None,
     /// The heads' position, velocity and acceleration are replaced by those of the nearest
-    /// trajectory that has all three (least squares), and the quaternion keeps
-    /// its sign from frame to frame.
+    /// trajectory that has all three (least squares), the quaternion keeps its sign from frame to
+    /// frame, and the angular velocity is the derivative of the quaternions.
     Projection,
 }
 

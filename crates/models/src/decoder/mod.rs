@@ -9,7 +9,9 @@ use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::gelu;
 use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
-use kinegrad_motion::phrase::{ACCELERATION, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY};
+use kinegrad_motion::phrase::{
+    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY,
+};
 use kinegrad_settings::InvalidSetting;
 
 pub use config::{
@@ -17,6 +19,7 @@ pub use config::{
 };
 
 use crate::layers::{LayerNorm, Linear};
+use crate::rotation::angular_velocity;
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
@@ -173,8 +176,8 @@ impl MotionDecoder {
         }
     }
 
-    /// Replaces position, velocity and acceleration by the nearest coherent ones, and makes the
-    /// quaternion's sign continuous.
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, makes the
+    /// quaternion's sign continuous, and derives the angular velocity from it.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let device = motion.device();
@@ -202,13 +205,22 @@ impl MotionDecoder {
         let velocity = differences(position.clone());
         let acceleration = differences(velocity.clone());
         let quaternion = sign_continuous(motion.clone().slice([0..batch, QUATERNION]));
+        let turning = match time {
+            1 => motion.clone().slice([0..batch, ANGULAR_VELOCITY]),
+            _ => {
+                let turning = angular_velocity(quaternion.clone());
+                let last = turning.clone().narrow(2, time - 2, 1);
+                Tensor::cat(vec![turning, last], 2)
+            }
+        };
         Tensor::cat(
             vec![
                 position.narrow(2, 0, time),
                 velocity.narrow(2, 0, time),
                 acceleration,
                 quaternion,
-                motion.slice([0..batch, QUATERNION.end..CHANNELS]),
+                turning,
+                motion.slice([0..batch, ANGULAR_VELOCITY.end..CHANNELS]),
             ],
             1,
         )

@@ -1,5 +1,6 @@
 use burn::tensor::Device;
 use kinegrad_motion::phrase::PHASE;
+use kinegrad_motion::{Motion, kinematics};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -75,8 +76,28 @@ fn projected_motion_is_coherent_and_keeps_its_sign() {
     assert!(dots.min().into_scalar::<f32>() >= 0.0);
     let norms = q.square().sum_dim(1);
     assert!(largest(norms - 1.0) < 1e-5);
+    // The angular velocity is that of the quaternions as written, by the code that checks it.
+    let rows = values(y.clone().swap_dims(1, 2));
+    for rows in rows.chunks_exact(time * CHANNELS) {
+        let motion = Motion::new(rows.to_vec()).unwrap();
+        let errors = kinematics::rotation_errors(&motion);
+        assert!(kinematics::mean_norm(&errors) < 1e-4, "{errors:?}");
+        let last = motion.vector(time - 1, ANGULAR_VELOCITY);
+        assert_eq!(last, motion.vector(time - 2, ANGULAR_VELOCITY));
+    }
     // Projecting what is coherent already changes nothing.
     assert!(largest(decoder.project(y.clone()) - y) < 2e-2);
+}
+
+#[test]
+fn one_frame_has_the_angular_velocity_of_its_head() {
+    let device = Device::flex();
+    let x = latent(2, [2, CHANNELS, 1], &device);
+    let part = |coherence| {
+        let y = decoder(coherence, &device).forward(x.clone(), None);
+        values(y.slice([0..2, ANGULAR_VELOCITY]))
+    };
+    assert_eq!(part(Coherence::Projection), part(Coherence::None));
 }
 
 #[test]

@@ -90,11 +90,14 @@ pub struct PostProcessConfig {
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
+    /// Step 7: replace the angular velocity by that of the quaternions as written. CC-MotionGen
+    /// leaves the two unrelated.
+    pub derive_angular_velocity: bool,
 }
 
 impl Default for PostProcessConfig {
     /// Unit norm, signs continuous in time, phase clamped, clamps no tighter than the training
-    /// range.
+    /// range, angular velocity that of the quaternions.
     fn default() -> Self {
         Self {
             clamp_values: true,
@@ -102,6 +105,7 @@ impl Default for PostProcessConfig {
             normalize_quaternions: true,
             hemisphere: Hemisphere::Continuous,
             clamp_phase: true,
+            derive_angular_velocity: true,
             ..Self::none()
         }
     }
@@ -109,12 +113,13 @@ impl Default for PostProcessConfig {
 
 impl PostProcessConfig {
     /// CC-MotionGen's defaults: w >= 0 in every frame, its clamps as they stand, backward
-    /// differences.
+    /// differences, angular velocity as the model says.
     pub fn document() -> Self {
         Self {
             widen_limits: false,
             hemisphere: Hemisphere::PositiveW,
             differences: Differences::Backward,
+            derive_angular_velocity: false,
             ..Self::default()
         }
     }
@@ -136,6 +141,7 @@ impl PostProcessConfig {
             differences: Differences::Forward,
             apply_smoothing: false,
             smoothing_kernel_size: 3,
+            derive_angular_velocity: false,
         }
     }
 
@@ -175,7 +181,8 @@ mod tests {
         let read = |json: &str| serde_json::from_str::<PostProcessConfig>(json);
         assert_eq!(read("{}").unwrap(), PostProcessConfig::default());
         let config = read(
-            r#"{"hemisphere": "positive_w", "widen_limits": false, "differences": "backward"}"#,
+            r#"{"hemisphere": "positive_w", "widen_limits": false, "differences": "backward",
+                "derive_angular_velocity": false}"#,
         )
         .unwrap();
         assert_eq!(config, PostProcessConfig::document());

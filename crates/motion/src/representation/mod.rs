@@ -7,6 +7,7 @@
 mod joints;
 mod phrases;
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::ops::Range;
 
@@ -80,6 +81,11 @@ pub trait Representation: Debug + Send + Sync {
         jerk.unwrap_or_default()
     }
 
+    /// How finite rows move, by the name of the measure, where that is measured.
+    fn movement(&self, _rows: &[f32]) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+
     /// Why finite rows cannot be in this representation, if that can be detected.
     fn implausible(&self, _rows: &[f32]) -> Option<String> {
         None
@@ -89,7 +95,7 @@ pub trait Representation: Debug + Send + Sync {
     ///
     /// # Errors
     /// [`Error::StatisticsNeeded`] if the profile compares with training motion and there are
-    /// none. Motion that fails is no error: see [`Report::passed`].
+    /// none, [`Error::MovementUnknown`] if they do not say how it moves. Motion that fails is no error: see [`Report::passed`].
     fn check(
         &self,
         rows: &[f32],
@@ -159,6 +165,8 @@ impl Curves {
 pub struct Measured {
     moments: ChannelMoments,
     jerks: Vec<f64>,
+    /// Of each measure the values of all items.
+    movement: BTreeMap<&'static str, Vec<f64>>,
 }
 
 impl Measured {
@@ -170,6 +178,11 @@ impl Measured {
         Self {
             moments: ChannelMoments::measure(representation.channels(), [rows]),
             jerks: vec![representation.mean_jerk(rows)],
+            movement: representation
+                .movement(rows)
+                .into_iter()
+                .map(|(name, value)| (name, vec![value]))
+                .collect(),
         }
     }
 
@@ -177,6 +190,9 @@ impl Measured {
     pub fn merge(&mut self, other: Self) {
         self.moments.merge(&other.moments);
         self.jerks.extend(other.jerks);
+        for (name, values) in other.movement {
+            self.movement.entry(name).or_default().extend(values);
+        }
     }
 
     /// What was measured of the channels.
@@ -186,7 +202,14 @@ impl Measured {
 
     /// The statistics that normalise such motion.
     pub fn statistics(self, representation: &dyn Representation) -> Statistics {
-        representation.statistics(self.moments, self.jerks)
+        let extremes = |values: Vec<f64>| [1.0, 99.0].map(|p| percentile(values.clone(), p));
+        let movement = self.movement.into_iter();
+        Statistics {
+            movement: movement
+                .map(|(name, values)| (name.to_owned(), extremes(values)))
+                .collect(),
+            ..representation.statistics(self.moments, self.jerks)
+        }
     }
 }
 

@@ -2,12 +2,14 @@
 
 use super::{Curves, Representation};
 use crate::humanml::Joints;
-use crate::kinematics::{jerk, mean_jerk_norm};
+use crate::kinematics::{differences, jerk, jerk_of, mean_jerk_norm};
+use crate::movement::rates;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
 use crate::rotation::length;
 use crate::statistics::percentile;
 use crate::{
-    CHANNELS, ChannelMoments, Error, FPS, Motion, Profile, Report, Statistics, channel_name, sanity,
+    CHANNELS, ChannelMoments, Error, FPS, Motion, Movement, Profile, Report, Statistics,
+    channel_name, sanity,
 };
 
 /// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
@@ -66,6 +68,14 @@ impl Representation for Phrases {
         mean_jerk_norm(&motion(rows))
     }
 
+    fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
+        let motion = motion(rows);
+        let measures = Movement::ALL.into_iter();
+        measures
+            .filter_map(|measure| Some((measure.name(), measure.of(&motion)?)))
+            .collect()
+    }
+
     /// The root alone.
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
         let motion = motion(rows);
@@ -88,7 +98,20 @@ impl Representation for Phrases {
             |title, range, names: &[&str]| Curves::channels(title, rows, CHANNELS, range, names);
         let frames = 0..motion.frames();
         let norms = frames.map(|t| motion.quaternion(t).norm()).collect();
-        let jerks = jerk(&motion).into_iter().map(length).collect();
+        // What the channels say of the movement, and how the poses move.
+        let sizes = |channels: Vec<[f64; 3]>| channels.into_iter().map(length).collect();
+        let twice = |title, channels: Vec<[f64; 3]>, poses: Vec<[f64; 3]>| {
+            let series = [("channels", channels), ("poses", poses)];
+            let series = series.map(|(name, vectors)| (name.to_owned(), sizes(vectors)));
+            Curves::new(title, series.to_vec())
+        };
+        let vectors = |channels: std::ops::Range<usize>| -> Vec<[f64; 3]> {
+            let frames = 0..motion.frames();
+            frames.map(|t| motion.vector(t, channels.clone())).collect()
+        };
+        let turns = vectors(ANGULAR_VELOCITY);
+        let path = differences(&vectors(POSITION), FPS);
+        let bends = jerk_of(&vectors(POSITION), FPS);
         let xyz = ["x", "y", "z"];
         vec![
             channels("position (m)", POSITION, &xyz),
@@ -99,7 +122,9 @@ impl Representation for Phrases {
             channels("phase", PHASE..PHASE + 1, &["phase"]),
             channels("style", STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
             Curves::new("quaternion norm", vec![("|q|".into(), norms)]),
-            Curves::new("jerk (m/s³)", vec![("|jerk|".into(), jerks)]),
+            twice("speed (m/s)", vectors(VELOCITY), path),
+            twice("jerk (m/s³)", jerk(&motion), bends),
+            twice("turn rate (rad/s)", turns, rates(&motion)),
         ]
     }
 }
@@ -122,6 +147,22 @@ mod tests {
                 assert_eq!(seen.frame(t)[PHASE], 2.0 * phrase.frame(t)[PHASE] - 1.0);
             }
         }
+    }
+
+    #[test]
+    fn curves_show_how_the_poses_move_beside_what_the_channels_say() {
+        let mut motion = wandering(3, 40);
+        motion.set_vector(20, POSITION, motion.vector(20, POSITION).map(|x| x + 0.05));
+        let curves = Phrases.curves(motion.as_slice());
+        let largest = |title: &str, series: usize| {
+            let found = curves.iter().find(|curves| curves.title == title).unwrap();
+            let values = found.series[series].1.iter().copied();
+            values.fold(0.0, f64::max)
+        };
+        assert!(largest("jerk (m/s³)", 1) > 5.0 * largest("jerk (m/s³)", 0));
+        assert!(largest("speed (m/s)", 1) > 1.2 * largest("speed (m/s)", 0));
+        let turns = [0, 1].map(|series| largest("turn rate (rad/s)", series));
+        assert!((turns[0] - turns[1]).abs() < 1e-4, "{turns:?}");
     }
 
     #[test]

@@ -3,7 +3,10 @@
 //! Two profiles: [`Profile::Document`] makes the five checks of CC-MotionGen, section 10.1, as they
 //! stand (docs/sources.md, section 1.13). Most of them cannot fail where it matters (section 1.14,
 //! hazard 10): they take means over frames, and the jerk bound is beyond what the clamps let
-//! through. [`Profile::Strict`] looks at every frame and compares with the training phrases.
+//! through. They look at the channels alone: jerk is that of the acceleration channels, so that a
+//! shaking path under a calm account of itself passes. [`Profile::Strict`] looks at every frame,
+//! holds velocity, acceleration and angular velocity against the poses, and compares how the poses
+//! [move](crate::Movement) with the training phrases.
 
 pub(crate) mod body;
 mod document;
@@ -25,11 +28,13 @@ const JERK_FACTOR: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// CC-MotionGen's five checks, with its thresholds. A phrase that is not finite fails them too,
+    /// CC-MotionGen's five checks, with its thresholds, which look at channels and not at how the
+    /// poses move. A phrase that is not finite fails them too,
     /// by a sixth line `finite` that appears only then.
     #[default]
     Document,
-    /// Every frame, against the training phrases' own speed, acceleration and jerk.
+    /// Every frame, the channels against the poses, and how the poses move against how those of the
+    /// training phrases do.
     Strict,
 }
 
@@ -43,8 +48,9 @@ impl std::fmt::Display for Profile {
 /// Checks a phrase. The profile `document` needs no `statistics`.
 ///
 /// # Errors
-/// [`Error::StatisticsNeeded`] if the profile is strict and there are none. A phrase that fails is
-/// no error: see [`Report::passed`].
+/// If the profile is strict, [`Error::StatisticsNeeded`] without `statistics`, and
+/// [`Error::MovementUnknown`] where they do not say how training motion moves. A phrase that fails
+/// is no error: see [`Report::passed`].
 pub fn check(
     motion: &Motion,
     profile: Profile,
@@ -52,9 +58,10 @@ pub fn check(
 ) -> Result<Report, Error> {
     match profile {
         Profile::Document => Ok(document::check(motion)),
-        Profile::Strict => statistics
-            .and_then(|training| strict::check(motion, training))
-            .ok_or(Error::StatisticsNeeded),
+        Profile::Strict => {
+            let training = statistics.ok_or(Error::StatisticsNeeded)?;
+            strict::check(motion, training).ok_or(Error::MovementUnknown)
+        }
     }
 }
 

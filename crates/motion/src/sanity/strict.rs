@@ -1,8 +1,9 @@
 //! Checks of every frame, with bounds taken from the training phrases.
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
-use crate::kinematics::{acceleration_errors, mean_norm, velocity_errors};
-use crate::{Motion, Statistics};
+use crate::kinematics::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
+use crate::movement::{Bounds, phase_steps};
+use crate::{Motion, Movement, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -11,10 +12,19 @@ const NORM_TOLERANCE: f64 = 1e-3;
 /// counts as incoherent.
 const COHERENCE_SHARE: f64 = 0.1;
 
+/// Mean error of the angular velocity, radians per second, at which it counts as incoherent.
+const MAX_ROTATION_ERROR: f64 = 0.1;
+
+/// How far the phase may run backwards from one frame to the next, bars.
+const PHASE_TOLERANCE: f64 = 0.01;
+
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
-/// not say how lively training motion is.
+/// not say how lively training motion is and how it moves.
+///
+/// A phrase too short for a measure of the movement is not checked for it, and one shorter than the
+/// training phrases is held to bounds as much wider as it is shorter.
 pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
-    Some(Report::new(vec![
+    let mut checks = vec![
         finite_phrase(motion),
         quaternion_norm(motion),
         quaternion_sign(motion),
@@ -31,8 +41,52 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
             "mean acceleration error {error} m/s^2",
             COHERENCE_SHARE * training.rms_acceleration?,
         ),
+        coherence(
+            "rotation_coherence",
+            mean_norm(&rotation_errors(motion)),
+            "mean error of the angular velocity {error} rad/s",
+            MAX_ROTATION_ERROR,
+        ),
         jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
-    ]))
+    ];
+    checks.extend(phase_direction(motion));
+    if training.movement.is_empty() {
+        return None;
+    }
+    let measures = Movement::ALL.into_iter();
+    checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
+    Some(Report::new(checks))
+}
+
+/// A measure of the movement against its 1st and 99th percentile in training motion; `None` where
+/// it is not checked.
+fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option<Check> {
+    let &[low, high] = training.movement.get(measure.name())?;
+    // A part of a phrase may be calmer than the whole, and as lively as the whole's sum allows.
+    let whole = training.frames as f64 / training.items.max(1) as f64;
+    let shorter = (whole / motion.frames() as f64).max(1.0);
+    let threshold = match measure.bounds() {
+        Bounds::Both(factor) => {
+            let factor = factor * shorter;
+            Threshold::Within([low / factor, high * factor])
+        }
+        Bounds::Upper(factor) => Threshold::AtMost(high * factor),
+        Bounds::Unchecked => return None,
+    };
+    let value = measure.of(motion)?;
+    let message = format!("{} {value:.3} {}", measure.title(), measure.unit());
+    Some(Check::new(measure.name(), value, threshold, message))
+}
+
+/// The smallest step of the phase; none of a single frame.
+fn phase_direction(motion: &Motion) -> Option<Check> {
+    let steps = phase_steps(motion);
+    (!steps.is_empty()).then(|| {
+        let [smallest, _] = range(steps.into_iter());
+        let message = format!("smallest advance of the phase from frame to frame: {smallest:.4}");
+        let threshold = Threshold::Above(-PHASE_TOLERANCE);
+        Check::new("phase_direction", smallest, threshold, message)
+    })
 }
 
 fn quaternion_norm(motion: &Motion) -> Check {
@@ -64,9 +118,9 @@ fn quaternion_sign(motion: &Motion) -> Check {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::phrase::PHASE;
-    use crate::phrase::{ACCELERATION, VELOCITY};
+    use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
     use crate::wandering::wandering;
+    use crate::{Quaternion, derive};
 
     fn training() -> Statistics {
         let phrases: Vec<Motion> = (0..20).map(|seed| wandering(seed, 60)).collect();
@@ -102,7 +156,8 @@ mod tests {
         for seed in 0..20 {
             let report = check(&wandering(seed, 60), &training()).unwrap();
             assert!(report.passed, "{report:#?}");
-            assert_eq!(report.checks.len(), 7);
+            // Two of the measures depend on the length.
+            assert_eq!(report.checks.len(), 9 + Movement::ALL.len() - 2);
         }
     }
 
@@ -118,7 +173,11 @@ mod tests {
 
     #[test]
     fn phase_outside_the_bar_fails() {
-        assert_eq!(failing(|m| m.frame_mut(59)[PHASE] = 1.001), ["phase"]);
+        // The whole phrase, so that no single step stands out.
+        assert_eq!(
+            failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
+            ["phase"]
+        );
         assert_eq!(failing(|m| m.frame_mut(0)[PHASE] = -0.001), ["phase"]);
     }
 
@@ -151,5 +210,99 @@ mod tests {
         };
         assert!(zigzag(3.01).contains(&"jerk"));
         assert!(!zigzag(2.99).contains(&"jerk"));
+    }
+
+    /// A phrase of these poses whose other channels follow from them.
+    fn with_poses(
+        pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
+    ) -> Motion {
+        let good = wandering(7, 60);
+        let (mut positions, mut quaternions, mut phases) = (Vec::new(), Vec::new(), Vec::new());
+        for t in 0..60 {
+            let phase = f64::from(good.frame(t)[PHASE]);
+            let pose = pose(t, good.vector(t, POSITION), good.quaternion(t), phase);
+            positions.push(pose.0);
+            quaternions.push(pose.1);
+            phases.push(pose.2);
+        }
+        derive(&positions, &quaternions, &phases, &[[0.0; 8]; 60]).unwrap()
+    }
+
+    fn failed(motion: &Motion) -> Vec<&'static str> {
+        let report = check(motion, &training()).unwrap();
+        let failed = report.checks.iter().filter(|check| !check.passed);
+        failed.map(|check| check.name).collect()
+    }
+
+    #[test]
+    fn broken_movement_that_agrees_with_its_channels_fails_by_name() {
+        assert!(failed(&with_poses(|_, p, q, phase| (p, q, phase))).is_empty());
+        let first = wandering(7, 60);
+        let (place, pose) = (first.vector(0, POSITION), first.quaternion(0));
+
+        let frozen = failed(&with_poses(|_, _, _, phase| (place, pose, phase)));
+        for name in ["path_speed", "path_acceleration", "path_jerk", "turn_rate"] {
+            assert!(frozen.contains(&name), "{frozen:?}");
+        }
+        // A deterministic tremble of one centimetre.
+        let tremble = |t: usize| 0.01 * ((t * 7919 % 13) as f64 / 6.0 - 1.0);
+        let shaking = failed(&with_poses(|t, p, q, phase| {
+            (p.map(|x| x + tremble(t)), q, phase)
+        }));
+        assert!(shaking.contains(&"path_jerk"), "{shaking:?}");
+        // The heading jumps by 60 degrees and back in every tenth frame.
+        let jumping = failed(&with_poses(|t, p, q, phase| {
+            let jump = if t % 10 == 5 { 60f64.to_radians() } else { 0.0 };
+            (p, Quaternion::from_yaw(jump) * q, phase)
+        }));
+        assert!(jumping.contains(&"largest_turn"), "{jumping:?}");
+        assert!(jumping.contains(&"turn_acceleration"), "{jumping:?}");
+        // It spins at three turns a second.
+        let spinning = failed(&with_poses(|t, p, q, phase| {
+            (p, Quaternion::from_yaw(0.628 * t as f64) * q, phase)
+        }));
+        assert!(spinning.contains(&"turn_rate"), "{spinning:?}");
+        let standing = failed(&with_poses(|_, p, q, _| (p, q, 0.5)));
+        assert_eq!(standing, ["phase_rate"]);
+        // From 0.17 to 0.88 of the bar at the right tempo, then a leap over the rest.
+        let leaping = failed(&with_poses(|_, p, q, phase| {
+            (p, q, 0.17 + 0.71 * (phase + 0.5).fract())
+        }));
+        assert_eq!(leaping, ["largest_phase_step"]);
+        let backwards = failed(&with_poses(|_, p, q, phase| (p, q, 1.0 - phase)));
+        assert_eq!(backwards, ["phase_direction", "phase_rate"]);
+        // It is carried off at twelve metres a second.
+        let carried = failed(&with_poses(|t, [x, y, z], q, phase| {
+            ([x + 0.4 * t as f64, y, z], q, phase)
+        }));
+        assert_eq!(carried, ["path_speed", "travel"]);
+        let slow = failed(&with_poses(|t, _, q, phase| {
+            ([0.001 * t as f64, 1.0, 0.0], q, phase)
+        }));
+        assert!(slow.contains(&"path_speed"), "{slow:?}");
+    }
+
+    #[test]
+    fn channels_that_lie_about_the_movement_fail() {
+        let lying = failing(|m| add_everywhere(m, ANGULAR_VELOCITY, [0.0, 0.2, 0.0]));
+        assert_eq!(lying, ["rotation_coherence"]);
+        // A zigzag of the path under the smooth velocity, acceleration and jerk of another.
+        let zigzag = failing(|m| {
+            for t in (0..60).step_by(2) {
+                let place = m.vector(t, POSITION);
+                m.set_vector(t, POSITION, [place[0] + 0.03, place[1], place[2]]);
+            }
+        });
+        assert!(zigzag.contains(&"path_jerk"), "{zigzag:?}");
+        assert!(!zigzag.contains(&"jerk"));
+    }
+
+    #[test]
+    fn statistics_of_before_the_movement_was_measured_say_too_little() {
+        let old = Statistics {
+            movement: Default::default(),
+            ..training()
+        };
+        assert!(check(&wandering(7, 60), &old).is_none());
     }
 }

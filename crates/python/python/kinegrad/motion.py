@@ -70,7 +70,8 @@ def check(
     Args:
         motion: A phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
             `[T, J, 3]` in metres, or the path of a `.npy` file of one.
-        profile: `"document"`, or `"strict"` with bounds from training motion.
+        profile: `"document"`, which looks at the channels of phrases alone, or `"strict"`, which
+            looks at how positions and rotations move, with bounds from training motion.
         run: Run or checkpoint whose training statistics `"strict"` uses.
 
     Returns:

@@ -58,7 +58,11 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let statistics = match (&setup.checkpoint, &starts) {
         (Some(checkpoint), _) => checkpoint.state.statistics_of(&Phrases)?.clone(),
         (None, Some(starts)) => {
-            let (statistics, augmented) = starts.statistics()?;
+            let (mut statistics, augmented) = starts.statistics()?;
+            if statistics.movement.is_empty() {
+                // Of a start of before it was measured.
+                statistics.movement = dataset.statistics()?.movement;
+            }
             widened(statistics, &config.data.augment, &augmented)
         }
         (None, None) => widened(

@@ -9,9 +9,10 @@ use kinegrad_motion::metrics::{
     FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,
 };
-use kinegrad_motion::{Motion, Profile, Report, Statistics, Value, check};
+use kinegrad_motion::{Motion, Profile, Report, Statistics, Value, check, phrase_statistics};
 use serde::Serialize;
 
+use super::moving::{MovementSpread, movement_spreads};
 use super::terms::{LossTerm, loss_terms};
 
 /// The numbers of one set of phrases; `None` (in JSON `null`) for what cannot be computed.
@@ -29,8 +30,10 @@ pub struct Measures {
     /// Beat alignment with the phrase's own music, regardless of the condition; mean over the
     /// motions that have beats.
     pub beat_alignment: Option<f64>,
-    /// Mean jerk norm, metres per second cubed.
+    /// Mean jerk norm of the acceleration channels, metres per second cubed.
     pub mean_jerk: Option<f64>,
+    /// How the motions move, measured on positions, quaternions and phase alone.
+    pub movement: Vec<MovementSpread>,
     /// The losses of end-to-end fine-tuning.
     pub losses: Vec<LossTerm>,
     /// CC-MotionGen's checks.
@@ -107,7 +110,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
 
 /// What motions are measured against.
 pub(super) struct Reference<'a> {
-    statistics: &'a Statistics,
+    statistics: Statistics,
     phrases: &'a [Arc<Phrase>],
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
@@ -116,11 +119,12 @@ pub(super) struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// The reference of these phrases, in units of the run's `statistics`.
+    /// The reference of these phrases, in units of the run's `statistics`. Where those do not say
+    /// how training motion moves, the `training` phrases do (the held-out ones, if there are none).
     pub fn new(
         held_out: &'a [Arc<Phrase>],
         training: &[Arc<Phrase>],
-        statistics: &'a Statistics,
+        statistics: &Statistics,
     ) -> Self {
         let moments = |phrases: &[Arc<Phrase>]| {
             let motions = phrases.iter().map(|phrase| &phrase.motion);
@@ -130,8 +134,19 @@ impl<'a> Reference<'a> {
             .iter()
             .map(|phrase| track(phrase.audio.onset_strength()).times())
             .collect();
+        let mut known = statistics.clone();
+        if known.movement.is_empty() {
+            let known_by = if training.is_empty() {
+                held_out
+            } else {
+                training
+            };
+            let motions = known_by.iter().map(|phrase| &phrase.motion);
+            let measured = phrase_statistics(motions);
+            known.movement = measured.map(|own| own.movement).unwrap_or_default();
+        }
         Self {
-            statistics,
+            statistics: known,
             phrases: held_out,
             held_out: moments(held_out),
             training: moments(training),
@@ -144,18 +159,18 @@ impl<'a> Reference<'a> {
     pub fn measure(&self, motions: &[Vec<Motion>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |profile| {
-            let report = |motion| check(motion, profile, Some(self.statistics));
+            let report = |motion| check(motion, profile, Some(&self.statistics));
             let reports: Result<Vec<_>, _> = all().map(report).collect();
             ProfileRates::of(&reports.expect("the statistics are at hand"))
         };
         let seeds = motions.first().map_or(0, Vec::len);
         let by_seed = (0..seeds).map(|seed| {
             let drawn: Vec<&Motion> = motions.iter().map(|samples| &samples[seed]).collect();
-            diversity(&drawn, self.statistics)
+            diversity(&drawn, &self.statistics)
         });
         let by_phrase = motions.iter().map(|samples| {
             let samples: Vec<&Motion> = samples.iter().collect();
-            diversity(&samples, self.statistics)
+            diversity(&samples, &self.statistics)
         });
         let alignment = motions
             .iter()
@@ -166,7 +181,7 @@ impl<'a> Reference<'a> {
                     .filter_map(|motion| beat_alignment(&kinematic_beats(motion), music))
                     .map(Some)
             });
-        let moments = feature_moments(all(), self.statistics);
+        let moments = feature_moments(all(), &self.statistics);
         let frechet = |reference: &Option<FeatureMoments>| {
             Some(frechet_distance(moments.as_ref()?, reference.as_ref()?))
         };
@@ -177,6 +192,7 @@ impl<'a> Reference<'a> {
             frechet_training: frechet(&self.training),
             beat_alignment: mean(alignment),
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
+            movement: movement_spreads(all()),
             losses: loss_terms(motions, self.phrases),
             document: rates(Profile::Document),
             strict: rates(Profile::Strict),
@@ -242,6 +258,21 @@ mod tests {
         assert_eq!((real.document.pass_rate, real.strict.pass_rate), (1.0, 1.0));
         let jerk = real.strict.check("jerk").unwrap().value;
         assert_eq!(jerk, Value::Number(real.mean_jerk.unwrap()));
+    }
+
+    #[test]
+    fn statistics_of_before_the_movement_was_measured_are_completed_from_the_training_phrases() {
+        let (held_out, training) = (phrases(0..3), phrases(3..12));
+        let whole = statistics(&training);
+        let old = Statistics {
+            movement: Default::default(),
+            ..whole.clone()
+        };
+        let of = |statistics| {
+            let reference = Reference::new(&held_out, &training, statistics);
+            reference.measure(&motions(&held_out, 1))
+        };
+        assert_eq!(of(&old), of(&whole));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Metrics of a trained model's samples, next to those of real phrases.
 
 mod measures;
+mod moving;
 mod report;
 mod run;
 mod terms;
@@ -17,6 +18,7 @@ use serde::Serialize;
 pub(super) use run::prepare;
 
 pub use measures::{CheckRate, Measures, ProfileRates};
+pub use moving::MovementSpread;
 pub use terms::LossTerm;
 
 use super::CondSource;

@@ -26,7 +26,9 @@ const METRICS: [Metric; 6] = [
         m.frechet_training
     }),
     ("beat_alignment", "beat alignment", 3, |m| m.beat_alignment),
-    ("mean_jerk", "mean jerk, m/s^3", 1, |m| m.mean_jerk),
+    ("mean_jerk", "mean jerk by the channels, m/s^3", 1, |m| {
+        m.mean_jerk
+    }),
 ];
 
 type Rates = fn(&Measures) -> &ProfileRates;
@@ -88,6 +90,19 @@ fn numbers(measures: &Measures) -> Vec<Number> {
         let value = of(measures);
         let shown = value.map(|value| format!("{value:.decimals$}"));
         add(key.to_string(), value, Some((title.to_string(), shown)));
+    }
+    for spread in &measures.movement {
+        let name = |what| format!("movement.{}.{what}", spread.name);
+        let shown = match (spread.median, spread.p1, spread.p99) {
+            (Some(median), Some(p1), Some(p99)) => {
+                Some(format!("{median:.3} ({p1:.3} to {p99:.3})"))
+            }
+            _ => None,
+        };
+        let title = format!("movement: {}, {}", spread.title, spread.unit);
+        add(name("median"), spread.median, Some((title, shown)));
+        add(name("p1"), spread.p1, None);
+        add(name("p99"), spread.p99, None);
     }
     for loss in &measures.losses {
         let shown = line(

@@ -73,6 +73,15 @@ pub fn prepare<'a>(
         let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
         let mut told = |done, all| on_step("", done, all);
         let evaluation = evaluate(&generator, &held_out, &training, &settings, &mut told)?;
-        Ok(evaluated(&evaluation))
+        let mut evaluated = evaluated(&evaluation);
+        if generator.statistics().movement.is_empty() {
+            evaluated.remarks.push(format!(
+                "{} was trained before kinegrad measured how training motion moves: the bounds of \
+                 `strict` are those of its dataset's {} training phrases",
+                evaluation.run,
+                training.len()
+            ));
+        }
+        Ok(evaluated)
     }))
 }

@@ -12,11 +12,6 @@ use burn::tensor::Tensor;
 pub use reconstruction::{ReconstructionLoss, SignMatching};
 pub use temporal::{PhaseLoss, TemporalLossConfig, temporal_losses};
 
-/// -1 where `x` is negative, else 1; a constant to the gradient. Unlike the sign, never 0.
-fn hemisphere(x: Tensor<3>) -> Tensor<3> {
-    x.lower_elem(0.0).float() * -2.0 + 1.0
-}
-
 /// Sum of `values [batch, channels, time]` over the frames of `mask [batch, 1, time]`, per sample:
 /// `[batch, 1, 1]`.
 fn sum_frames(values: Tensor<3>, mask: &Tensor<3>) -> Tensor<3> {

@@ -2,11 +2,12 @@
 //! docs/sources.md, section 1.8: "decoder position" and "decoder quaternion").
 
 use burn::tensor::{Tensor, s};
+use kinegrad_models::rotation::hemisphere;
 use kinegrad_motion::phrase::{POSITION, QUATERNION};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{hemisphere, mean_frames};
+use super::mean_frames;
 
 /// How the two quaternions of one rotation compare.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

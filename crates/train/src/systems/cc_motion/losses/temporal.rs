@@ -21,22 +21,20 @@
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Bool, Tensor};
+use kinegrad_models::rotation::angular_velocity;
 use kinegrad_motion::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, FPS, PHASE, POSITION, QUATERNION, VELOCITY,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{hemisphere, mean_frames, sum_frames};
+use super::{mean_frames, sum_frames};
 
 #[cfg(test)]
 mod tests;
 
 /// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
 const WRAP: f64 = 0.5;
-
-/// Added under the root of the rotation's sine, whose gradient at zero is infinite.
-const ROOT_EPS: f64 = 1e-12;
 
 /// Which drops of the phase count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -209,26 +207,4 @@ fn ends(x: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
 fn differences(x: Tensor<3>) -> Tensor<3> {
     let (now, next) = ends(x);
     (next - now) * FPS
-}
-
-/// The rotation vector of `q[t+1] q[t]*` times fps, in the world frame, whatever the signs and
-/// norms: `[batch, 3, time - 1]`. Finite and with a finite gradient for equal and for antipodal
-/// quaternions.
-fn angular_velocity(q: Tensor<3>) -> Tensor<3> {
-    let (now, next) = ends(q);
-    let c = |x: &Tensor<3>, index: usize| x.clone().narrow(1, index, 1);
-    let [w0, x0, y0, z0] = [0, 1, 2, 3].map(|i| c(&now, i));
-    let [w1, x1, y1, z1] = [0, 1, 2, 3].map(|i| c(&next, i));
-    let product = |a: &Tensor<3>, b: &Tensor<3>| a.clone() * b.clone();
-    let w = product(&w1, &w0) + product(&x1, &x0) + product(&y1, &y0) + product(&z1, &z0);
-    let x = product(&x1, &w0) - product(&w1, &x0) - product(&y1, &z0) + product(&z1, &y0);
-    let y = product(&y1, &w0) - product(&w1, &y0) - product(&z1, &x0) + product(&x1, &z0);
-    let z = product(&z1, &w0) - product(&w1, &z0) - product(&x1, &y0) + product(&y1, &x0);
-    let vector = Tensor::cat(vec![x, y, z], 1);
-
-    // Of the two quaternions of a rotation, the one that turns by at most half a turn.
-    let sign = hemisphere(w.clone());
-    let sine = (vector.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
-    let angle = sine.clone().atan2(w.abs()) * 2.0;
-    vector * sign * (angle / sine) * FPS
 }

@@ -1,0 +1,331 @@
+//! How a phrase moves, measured on its positions and rotations.
+//!
+//! The channels for velocity, acceleration and angular velocity are a phrase's own account of its
+//! movement, which generated phrases get wrong: here nothing but positions, quaternions and phase is
+//! looked at. All measures that are checked are means over frames or extremes of them, so that
+//! phrases of different lengths compare.
+
+use crate::kinematics::{angular_velocity, differences, mean_norm};
+use crate::phrase::{PHASE, POSITION};
+use crate::rotation::length;
+use crate::{FPS, Motion, Quaternion};
+
+/// Frames in a second.
+const SECOND: usize = FPS as usize;
+
+/// How far outside the 1st and 99th percentile of the training phrases a measure may be, as a
+/// factor.
+const FACTOR: f64 = 2.0;
+
+/// The same for the advance of the phase. Tempi differ less than dancers: half the tempo of the
+/// slowest training phrase is no tempo, but an error.
+const PHASE_FACTOR: f64 = 1.5;
+
+/// On which sides a measure is held against the training phrases.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bounds {
+    /// Not below the 1st percentile divided by the factor, nor above the 99th times it.
+    Both(f64),
+    /// Not above the 99th percentile times the factor: a small value is no fault.
+    Upper(f64),
+    /// Not at all: it depends on the phrase's length.
+    Unchecked,
+}
+
+/// A measure of how a phrase moves.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Movement {
+    /// Mean speed of the root along its path, metres per second.
+    PathSpeed,
+    /// Mean norm of the second difference of the positions, metres per second squared.
+    PathAcceleration,
+    /// Mean norm of the third difference of the positions, metres per second cubed.
+    PathJerk,
+    /// Mean distance on the floor between the places at two moments a second apart, metres.
+    Travel,
+    /// Mean angle between the orientations of neighbouring frames, degrees per second.
+    TurnRate,
+    /// Mean norm of the change of the angular velocity, degrees per second squared.
+    TurnAcceleration,
+    /// Largest angle between the orientations of neighbouring frames, degrees.
+    LargestTurn,
+    /// Mean advance of the phase, bars per second; steps are taken the short way around.
+    PhaseRate,
+    /// Largest step of the phase from one frame to the next, the short way around, bars.
+    LargestPhaseStep,
+    /// Distance on the floor between the first and the last place, metres.
+    NetTravel,
+    /// How often the phase passes from the end of a bar to the beginning of the next, less how often
+    /// it passes back.
+    PhaseWraps,
+}
+
+impl Movement {
+    /// All measures.
+    pub const ALL: [Self; 11] = [
+        Self::PathSpeed,
+        Self::PathAcceleration,
+        Self::PathJerk,
+        Self::Travel,
+        Self::TurnRate,
+        Self::TurnAcceleration,
+        Self::LargestTurn,
+        Self::PhaseRate,
+        Self::LargestPhaseStep,
+        Self::NetTravel,
+        Self::PhaseWraps,
+    ];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "path_speed",
+            Self::PathAcceleration => "path_acceleration",
+            Self::PathJerk => "path_jerk",
+            Self::Travel => "travel",
+            Self::TurnRate => "turn_rate",
+            Self::TurnAcceleration => "turn_acceleration",
+            Self::LargestTurn => "largest_turn",
+            Self::PhaseRate => "phase_rate",
+            Self::LargestPhaseStep => "largest_phase_step",
+            Self::NetTravel => "net_travel",
+            Self::PhaseWraps => "phase_wraps",
+        }
+    }
+
+    /// What it measures, in words.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "mean speed along the path",
+            Self::PathAcceleration => "mean acceleration of the path",
+            Self::PathJerk => "mean jerk of the path",
+            Self::Travel => "mean travel in a second",
+            Self::TurnRate => "mean turn rate",
+            Self::TurnAcceleration => "mean change of the turn rate",
+            Self::LargestTurn => "largest turn from one frame to the next",
+            Self::PhaseRate => "mean advance of the phase",
+            Self::LargestPhaseStep => "largest step of the phase from one frame to the next",
+            Self::NetTravel => "travel from the first frame to the last",
+            Self::PhaseWraps => "wraps of the phase",
+        }
+    }
+
+    /// Its unit.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::PathSpeed => "m/s",
+            Self::PathAcceleration => "m/s^2",
+            Self::PathJerk => "m/s^3",
+            Self::Travel | Self::NetTravel => "m",
+            Self::TurnRate => "degrees/s",
+            Self::TurnAcceleration => "degrees/s^2",
+            Self::LargestTurn => "degrees",
+            Self::PhaseRate => "bars/s",
+            Self::LargestPhaseStep => "bars",
+            Self::PhaseWraps => "bars begun",
+        }
+    }
+
+    /// On which sides it is checked, and by what factor.
+    pub fn bounds(self) -> Bounds {
+        match self {
+            // Who turns and counts evenly, or dances on the spot, is no worse for it.
+            Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
+            Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
+            Self::NetTravel | Self::PhaseWraps => Bounds::Unchecked,
+            _ => Bounds::Both(FACTOR),
+        }
+    }
+
+    /// Its value; `None` where the phrase has too few frames for it.
+    pub fn of(self, motion: &Motion) -> Option<f64> {
+        let frames = motion.frames();
+        let positions =
+            || -> Vec<[f64; 3]> { (0..frames).map(|t| motion.vector(t, POSITION)).collect() };
+        let nth = |order: usize| {
+            let mut values = positions();
+            for _ in 0..order {
+                values = differences(&values, FPS);
+            }
+            (!values.is_empty()).then(|| mean_norm(&values))
+        };
+        match self {
+            Self::PathSpeed => nth(1),
+            Self::PathAcceleration => nth(2),
+            Self::PathJerk => nth(3),
+            Self::Travel => {
+                let apart = (SECOND..frames).map(|t| floor_distance(motion, t - SECOND, t));
+                mean(&apart.collect::<Vec<_>>())
+            }
+            Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
+            Self::TurnAcceleration => {
+                let changes = differences(&rates(motion), FPS);
+                (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
+            }
+            Self::LargestTurn => largest(turns(motion)),
+            Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
+            Self::LargestPhaseStep => largest(phase_steps(motion)),
+            Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
+            Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion)),
+        }
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The largest value; NaN if one of them is, none of none.
+fn largest(values: Vec<f64>) -> Option<f64> {
+    // `f64::max` would drop a NaN.
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    values.into_iter().reduce(larger)
+}
+
+fn floor_distance(motion: &Motion, from: usize, to: usize) -> f64 {
+    let [a, b] = [from, to].map(|t| motion.vector(t, POSITION));
+    (b[0] - a[0]).hypot(b[2] - a[2])
+}
+
+/// Angular velocity between neighbouring frames from the quaternions, whatever their norms and
+/// signs: radians per second, world frame, `[frames - 1, 3]`. NaN stays NaN.
+pub fn rates(motion: &Motion) -> Vec<[f64; 3]> {
+    let frames = 0..motion.frames();
+    let quaternions: Vec<Quaternion> = frames.map(|t| motion.quaternion(t)).collect();
+    let mut rates = angular_velocity(&quaternions, FPS);
+    // The last one repeats the one before.
+    rates.pop();
+    rates
+}
+
+/// Angles between neighbouring frames, degrees, `[frames - 1]`.
+fn turns(motion: &Motion) -> Vec<f64> {
+    let rates = rates(motion).into_iter();
+    rates
+        .map(|rate| (length(rate) / FPS).to_degrees())
+        .collect()
+}
+
+/// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
+pub fn phase_steps(motion: &Motion) -> Vec<f64> {
+    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+    let steps = (1..motion.frames()).map(|t| phase(t) - phase(t - 1));
+    steps.map(|step| step - step.round()).collect()
+}
+
+/// How often the phase passes from the end of a bar to the beginning of the next, less how often it
+/// passes back.
+fn phase_wraps(motion: &Motion) -> f64 {
+    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+    // A step of more than half a bar is one the other way around.
+    (1..motion.frames())
+        .map(|t| (phase(t - 1) - phase(t)).round())
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::derive;
+
+    /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
+    /// second, half a bar a second.
+    fn steady(frames: usize) -> Motion {
+        let seconds = |t: usize| t as f64 / FPS;
+        let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
+        let turn = |t: usize| [0.0, std::f64::consts::FRAC_PI_2 * seconds(t), 0.0];
+        let quaternions: Vec<_> = (0..frames)
+            .map(|t| Quaternion::from_rotation_vector(turn(t)))
+            .collect();
+        let phase: Vec<_> = (0..frames).map(|t| (0.5 * seconds(t)).fract()).collect();
+        derive(&positions, &quaternions, &phase, &vec![[0.0; 8]; frames]).unwrap()
+    }
+
+    #[test]
+    fn steady_motion_has_the_values_it_was_made_with() {
+        let motion = steady(121);
+        let expected = [0.6, 0.0, 0.0, 0.6, 90.0, 0.0, 3.0, 0.5, 0.5 / FPS, 2.4, 2.0];
+        for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
+            let value = measure.of(&motion).unwrap();
+            // Third differences of values rounded to single precision.
+            let tolerance = match measure {
+                Movement::PathJerk | Movement::TurnAcceleration => 0.05,
+                _ => 1e-3,
+            };
+            assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
+        }
+    }
+
+    #[test]
+    fn trembling_on_the_spot_is_a_path_without_travel() {
+        let positions: Vec<_> = (0..61)
+            .map(|t| [if t % 2 == 0 { 0.0 } else { 0.02 }, 1.0, 0.0])
+            .collect();
+        let still = vec![Quaternion::IDENTITY; 61];
+        let motion = derive(&positions, &still, &[0.0; 61], &[[0.0; 8]; 61]).unwrap();
+        assert!((Movement::PathSpeed.of(&motion).unwrap() - 0.6).abs() < 1e-6);
+        assert_eq!(Movement::Travel.of(&motion), Some(0.0));
+    }
+
+    #[test]
+    fn a_phase_that_wavers_at_the_end_of_the_bar_wraps_once() {
+        let mut motion = steady(7);
+        for (t, phase) in [0.9, 0.98, 0.02, 0.97, 0.01, 0.05, 0.2]
+            .into_iter()
+            .enumerate()
+        {
+            motion.frame_mut(t)[PHASE] = phase;
+        }
+        assert_eq!(Movement::PhaseWraps.of(&motion), Some(1.0));
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_not_passed_over() {
+        for channel in [0, 9, PHASE] {
+            let mut motion = steady(60);
+            motion.frame_mut(20)[channel] = f32::NAN;
+            let asked = match channel {
+                0 => vec![Movement::PathSpeed, Movement::PathJerk, Movement::Travel],
+                9 => vec![Movement::TurnRate, Movement::LargestTurn],
+                _ => vec![Movement::PhaseRate, Movement::LargestPhaseStep],
+            };
+            for measure in asked {
+                assert!(measure.of(&motion).unwrap().is_nan(), "{measure:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn channels_that_speak_of_the_movement_are_not_asked() {
+        let mut motion = steady(60);
+        let before = Movement::ALL.map(|measure| measure.of(&motion));
+        for t in 0..60 {
+            motion.frame_mut(t)[crate::phrase::VELOCITY].fill(9.0);
+            motion.frame_mut(t)[crate::phrase::ACCELERATION].fill(-9.0);
+            motion.frame_mut(t)[crate::phrase::ANGULAR_VELOCITY].fill(5.0);
+        }
+        assert_eq!(Movement::ALL.map(|measure| measure.of(&motion)), before);
+    }
+
+    #[test]
+    fn the_sign_of_a_quaternion_is_no_turn() {
+        let mut motion = steady(60);
+        let before = Movement::TurnRate.of(&motion);
+        motion.set_quaternion(30, motion.quaternion(30).scale(-1.0));
+        let after = Movement::TurnRate.of(&motion);
+        assert!((before.unwrap() - after.unwrap()).abs() < 1e-3);
+    }
+
+    #[test]
+    fn too_few_frames_have_no_value() {
+        // From how many frames on each has one.
+        let needed = [2, 3, 4, 31, 2, 3, 2, 2, 2, 2, 2];
+        for frames in [1, 2, 3, 4, 30, 31] {
+            let motion = steady(frames);
+            for (measure, needed) in Movement::ALL.into_iter().zip(needed) {
+                let known = measure.of(&motion).is_some();
+                assert_eq!(known, frames >= needed, "{measure:?} of {frames}");
+            }
+        }
+    }
+}
