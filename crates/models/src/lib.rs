@@ -23,6 +23,7 @@ pub mod motion_model;
 pub mod parameters;
 pub mod res_block;
 pub mod stages;
+pub mod targets;
 pub mod text_denoiser;
 pub mod text_motion;
 pub mod time_embedding;
