@@ -6,6 +6,7 @@
 mod config;
 pub mod evaluate;
 pub mod generate;
+mod leaks;
 pub mod losses;
 mod merge;
 mod networks;
@@ -13,6 +14,7 @@ mod pretrain;
 mod recipe_name;
 pub mod recipes;
 mod sample;
+mod select;
 mod start;
 mod train;
 
@@ -81,7 +83,7 @@ impl System for CcMotion {
             Some(saved) => start::inherited(saved).map(Some),
             None => {
                 let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
-                starts.map(|starts| starts.tables()).transpose()
+                starts.map(|starts| starts.tables_for(config)).transpose()
             }
         }
     }
