@@ -60,8 +60,8 @@ pub use kinegrad_motion::MAX_FRAMES;
 pub use atomic::write as write_whole;
 pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
-    AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf, StoreConfig,
-    SyntheticConfig, ValidationSplit,
+    AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
+    StoreConfig, SyntheticConfig, ValidationSplit,
 };
 pub use counters::{Counters, LoaderReport};
 pub use dataset::Dataset;

@@ -187,7 +187,11 @@ mod tests {
                 let pairs = back.frame(t)[..9].iter().zip(&phrase.motion.frame(t)[..9]);
                 assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-4));
             }
-            assert!(found.chunks(7).all(|row| row[frames..].iter().all(|v| *v == 0.0)));
+            assert!(
+                found
+                    .chunks(7)
+                    .all(|row| row[frames..].iter().all(|v| *v == 0.0))
+            );
         }
     }
 
@@ -208,7 +212,10 @@ mod tests {
         }
         config.statistics = StatisticsOf::Crops;
         let crops = target_statistics(set.clone(), targets, &config).unwrap();
-        assert_eq!(target_statistics(set.clone(), targets, &config).unwrap(), crops);
+        assert_eq!(
+            target_statistics(set.clone(), targets, &config).unwrap(),
+            crops
+        );
         // What training draws lies around zero with unit deviation by these, and not by those.
         let deviation = |statistics: &Statistics| {
             let given = Arc::new(statistics.clone());
@@ -218,13 +225,24 @@ mod tests {
                 let read = samples.read(number as usize % 2).unwrap();
                 samples.push(&mut batch, &read, Some(number));
             }
-            let x = batch.x_start.chunks(CHANNELS * 10).flat_map(|sample| &sample[..10]);
+            let x = batch
+                .x_start
+                .chunks(CHANNELS * 10)
+                .flat_map(|sample| &sample[..10]);
             let x: Vec<f64> = x.map(|&value| f64::from(value)).collect();
             let mean = x.iter().sum::<f64>() / x.len() as f64;
             (x.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / x.len() as f64).sqrt()
         };
-        assert!((deviation(&crops) - 1.0).abs() < 0.15, "{}", deviation(&crops));
-        assert!((deviation(&whole) - 1.0).abs() > 0.3, "{}", deviation(&whole));
+        assert!(
+            (deviation(&crops) - 1.0).abs() < 0.15,
+            "{}",
+            deviation(&crops)
+        );
+        assert!(
+            (deviation(&whole) - 1.0).abs() > 0.3,
+            "{}",
+            deviation(&whole)
+        );
     }
 
     #[test]

@@ -91,7 +91,11 @@ impl AdamW {
         let step = kernels::AdamW {
             betas: self.config.betas,
             eps: self.config.eps,
-            weight_decay: if decays { self.config.weight_decay } else { 0.0 },
+            weight_decay: if decays {
+                self.config.weight_decay
+            } else {
+                0.0
+            },
             learning_rate,
             steps: self.steps,
             gradient_scale,

@@ -7,6 +7,7 @@ mod config;
 pub mod evaluate;
 pub mod generate;
 mod leaks;
+mod lengths;
 pub mod losses;
 mod merge;
 mod networks;

@@ -2,12 +2,12 @@
 
 use burn::tensor::Device;
 use kinegrad_models::{MotionModel, parameters};
-use kinegrad_motion::Phrases;
+use kinegrad_motion::{OrientationTarget, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::leaks::is_of_one_source;
-use super::networks::{Trained, decoder, denoiser, trainable};
+use super::networks::{Trained, decoder, denoiser, targets, trainable};
 use super::recipe_name::RecipeName;
 use super::{CcMotionConfig, InitConfig};
 use crate::checkpoint::State;
@@ -87,7 +87,9 @@ impl Starts {
     pub fn states(&self) -> Result<Vec<(&'static str, State)>, Error> {
         let starts = [Some(&self.diffusion), self.decoder.as_ref()];
         let starts = starts.into_iter().flatten();
-        starts.map(|start| Ok((start.key(), start.state()?))).collect()
+        starts
+            .map(|start| Ok((start.key(), start.state()?)))
+            .collect()
     }
 
     /// The networks with the start's averaged weights on an autodiff device.
@@ -140,6 +142,15 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
             "leave the key out: recipe `{name}` starts from new weights"
         ))?;
     }
+    let (orientation, augment) = (targets(config)?.orientation, &config.data.augment);
+    let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
+    let of_one_sign = "false with this `model.orientation_target`";
+    require(!flips, "data.augment.flip_quaternion", true, of_one_sign)
+        .hint("q and -q are one rotation, and one target: there is nothing to learn from both")?;
+    let turns = augment.rotate_yaw && orientation == OrientationTarget::CanonicalQuaternion;
+    let turned_back = "false with `model.orientation_target = \"canonical_quaternion\"`";
+    require(!turns, "data.augment.rotate_yaw", true, turned_back)
+        .hint("each sample is turned to face +z, whichever way it was turned before")?;
     Ok(())
 }
 
