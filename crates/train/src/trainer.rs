@@ -496,3 +496,6 @@ fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

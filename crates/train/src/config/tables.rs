@@ -110,7 +110,8 @@ pub struct TrainConfig {
     pub recipe: String,
     /// Total number of optimiser steps.
     pub max_steps: u64,
-    /// Number of batches whose gradients are averaged for one step.
+    /// Number of batches whose gradients are averaged for one step, each by its valid frames: as one
+    /// batch of them all.
     pub gradient_accumulation_steps: u64,
     /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
