@@ -169,7 +169,9 @@ fn runs_without_the_options_hold_one_set_of_statistics() {
     fs::write(&path, old.join("\n")).expect("written");
     let longer = base("base", "").replace("max_steps=8", "max_steps=10");
     sandbox.run(&format!("{longer} --resume")).succeeded();
-    sandbox.run("sample runs/base --steps 3").succeeded();
+    sandbox
+        .run("sample runs/base --steps 3 --out dance")
+        .succeeded();
 }
 
 #[test]
