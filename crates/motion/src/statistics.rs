@@ -204,9 +204,8 @@ impl Statistics {
                 return invalid(format!("`{name}[{channel}]` is not finite"));
             }
         }
-        match self.std.iter().position(|deviation| *deviation <= 0.0) {
-            Some(channel) => return invalid(format!("`std[{channel}]` is not positive")),
-            None => {}
+        if let Some(channel) = self.std.iter().position(|deviation| *deviation <= 0.0) {
+            return invalid(format!("`std[{channel}]` is not positive"));
         }
         let unusable = |bounds: &[f64; 2]| !bounds.iter().all(|bound| bound.is_finite());
         match self.movement.iter().find(|(_, bounds)| unusable(bounds)) {
