@@ -25,5 +25,6 @@ mod resume;
 mod run_folders;
 mod sizes;
 mod stages;
+mod targets;
 mod train;
 mod view;

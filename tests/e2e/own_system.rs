@@ -429,6 +429,7 @@ impl System for Toy {
                 Loader::new(train, &config.data, config.run.seed, first_batch)
             }),
             statistics,
+            network_statistics: None,
         };
         let recipe = ToyRecipe(HeldOut::new(held_out, &setup.config.validation));
         let model = Network::new(&setup.device);

@@ -22,7 +22,10 @@ fn record(sandbox: &Sandbox, file: &str) -> Value {
 
 #[test]
 fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
-    let sandbox = trained(SMALLEST, "--set sampling.count_at_end=2");
+    let sandbox = trained(
+        SMALLEST,
+        "--set sampling.count_at_end=2 --set data.target_frames=40",
+    );
     let drawn = sandbox
         .run("sample runs/smallest --out d --steps 3 --seed 7 --guidance-scale 1.5")
         .succeeded();

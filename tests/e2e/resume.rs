@@ -144,6 +144,22 @@ const FINE_TUNING: &str = "--set train.recipe=e2e --set train.max_steps=16 \
     --set decoder.hidden_dim=32 --set decoder.coherence=projection --set rollout.steps=3 \
     --set data.augment.audio_replace_prob=0.3";
 
+/// What networks predict, what normalises it, what decays and what the best step is selected by.
+const TARGETS: &str = "--set model.phase_target=sin_cos --set model.orientation_target=rotation_6d \
+    --set data.statistics=crops --set optim.weight_decay_groups=matrices \
+    --set validation.select_by=frechet --set validation.select_samples=2 \
+    --set data.validation.fraction=0.4 --set sampling.sampler.num_inference_steps=2";
+
+#[test]
+fn killed_run_with_other_targets_ends_the_same() {
+    check_kills(TARGETS);
+}
+
+#[test]
+fn killed_fine_tuning_with_other_targets_ends_the_same() {
+    check_kills(&format!("{FINE_TUNING} {TARGETS}"));
+}
+
 #[test]
 fn killed_fine_tuning_ends_the_same() {
     check_kills(FINE_TUNING);

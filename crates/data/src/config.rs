@@ -39,6 +39,9 @@ pub struct DataConfig {
     pub target_frames: usize,
     /// Cropping of longer phrases.
     pub crop: Crop,
+    /// What motion is normalised by, for recipes on phrases. Fine-tuning takes the normalisation of
+    /// what it starts from.
+    pub statistics: StatisticsOf,
     /// Joins training phrases of one recording that follow each other, which are known by ids of
     /// the form `NAME_FIRSTFRAME`, so that random crops may begin anywhere up to half a phrase
     /// before or after a phrase's own first frame.
@@ -73,6 +76,7 @@ impl Default for DataConfig {
             source: None,
             target_frames: 120,
             crop: Crop::Random,
+            statistics: StatisticsOf::Phrases,
             join_neighbours: false,
             batch_size: 32,
             num_workers: 4,
@@ -117,6 +121,18 @@ pub enum Crop {
     Random,
     /// The first frames (CC-MotionGen, section 6.1).
     Leading,
+}
+
+/// What the mean, deviation and range that normalise motion are measured of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StatisticsOf {
+    /// Whole training phrases, as stored.
+    #[default]
+    Phrases,
+    /// What training sees: crops of them, moved to the origin and augmented. The same crops whatever
+    /// the run's seed.
+    Crops,
 }
 
 /// What to do with a phrase that cannot be read or holds a number that is not finite.

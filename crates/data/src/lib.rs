@@ -60,8 +60,8 @@ pub use kinegrad_motion::MAX_FRAMES;
 pub use atomic::write as write_whole;
 pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
-    AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StoreConfig,
-    SyntheticConfig, ValidationSplit,
+    AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
+    StoreConfig, SyntheticConfig, ValidationSplit,
 };
 pub use counters::{Counters, LoaderReport};
 pub use dataset::Dataset;
@@ -86,7 +86,7 @@ pub use npz::{
     write_song_features,
 };
 pub use phrase::{Phrase, load_audio};
-pub use phrase_samples::PhraseSamples;
+pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};

@@ -2,14 +2,21 @@
 
 use std::sync::Arc;
 
-use kinegrad_motion::{CHANNELS, Statistics};
+use kinegrad_motion::{CHANNELS, ChannelMoments, Motion, Statistics, Targets};
+use rayon::prelude::*;
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::features::AUDIO_CHANNELS;
 use crate::loader::Samples;
-use crate::passage::{Passage, Passages};
-use crate::{Batch, DataConfig, Error, Phrase, PhraseSet};
+use crate::passage::{Passage, Passages, Window};
+use crate::{Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf};
+
+/// Crops of each phrase that statistics are measured of.
+const CROPS: u64 = 8;
+
+/// Phrases that are measured at a time: enough for all cores, few enough for any memory.
+const CHUNK: usize = 256;
 
 /// Samples of phrases, conditioned on audio.
 #[derive(Clone, Debug)]
@@ -18,6 +25,7 @@ pub struct PhraseSamples {
     statistics: Arc<Statistics>,
     sampler: Augmentation,
     target_frames: usize,
+    targets: Targets,
 }
 
 impl PhraseSamples {
@@ -34,8 +42,60 @@ impl PhraseSamples {
             statistics,
             sampler: Augmentation::new(config, seed),
             target_frames: config.target_frames,
+            targets: Targets::default(),
         }
     }
+
+    /// The same samples in the channels that a denoiser of these `targets` predicts, which the
+    /// statistics then are of.
+    #[must_use]
+    pub fn with_targets(self, targets: Targets) -> Self {
+        Self { targets, ..self }
+    }
+}
+
+/// What normalises samples of `phrases`, at least one, in the channels of `targets`: measured of
+/// whole phrases, or of the crops that training with `config` sees, as `config` says.
+///
+/// # Errors
+/// As [`ItemSet::get`](crate::ItemSet::get).
+pub fn target_statistics(
+    phrases: PhraseSet,
+    targets: Targets,
+    config: &DataConfig,
+) -> Result<Statistics, Error> {
+    // The same crops in all runs, so that their losses compare.
+    let sampler = Augmentation::new(config, 0);
+    let passages = Passages::new(phrases, config.target_frames, config.join_neighbours);
+    let measure = |position: usize| -> Result<ChannelMoments, Error> {
+        let passage = passages.get(position)?;
+        let encoded = |window: Window<'_, Motion>| {
+            let rows = window.frames.start * CHANNELS..window.frames.end * CHANNELS;
+            targets.encode(&window.of.as_slice()[rows]).into_owned()
+        };
+        let samples: Vec<Vec<f32>> = match config.statistics {
+            StatisticsOf::Phrases => vec![encoded(passage.window(passage.own.clone()).0)],
+            StatisticsOf::Crops => (0..CROPS)
+                .map(|crop| encoded(sampler.windows(&passage, position as u64 * CROPS + crop).0))
+                .collect(),
+        };
+        let samples = samples.iter().map(Vec::as_slice);
+        let mut moments = ChannelMoments::measure(targets.channels(), samples);
+        moments.items = 1;
+        Ok(moments)
+    };
+    let positions: Vec<usize> = (0..passages.phrases().len()).collect();
+    let mut all: Option<ChannelMoments> = None;
+    for chunk in positions.chunks(CHUNK) {
+        let measured: Result<Vec<_>, Error> = chunk.par_iter().map(|&p| measure(p)).collect();
+        for moments in measured? {
+            match &mut all {
+                Some(all) => all.merge(&moments),
+                None => all = Some(moments),
+            }
+        }
+    }
+    Ok(targets.statistics(all.expect("at least one phrase")))
 }
 
 impl Samples for PhraseSamples {
@@ -48,7 +108,7 @@ impl Samples for PhraseSamples {
 
     fn shape(&self) -> SampleShape {
         SampleShape {
-            channels: CHANNELS,
+            channels: self.targets.channels(),
             frames: self.target_frames,
             conditions: vec![(AUDIO, AUDIO_CHANNELS, self.target_frames)],
         }
@@ -78,7 +138,8 @@ impl Samples for PhraseSamples {
             range: audio.frames,
         };
         let rows = &motion.of.as_slice()[rows];
-        batch.push(&passage.id, rows, &self.statistics, &[heard]);
+        let rows = self.targets.encode(rows);
+        batch.push(&passage.id, &rows, &self.statistics, &[heard]);
     }
 }
 
@@ -87,6 +148,102 @@ mod tests {
     use super::*;
     use crate::synthetic;
     use kinegrad_motion::phrase_statistics;
+
+    fn phrases(frames: [usize; 2]) -> PhraseSet {
+        let phrase = |frames| Arc::new(synthetic::phrase(frames, frames, 2));
+        frames.map(phrase).to_vec().into()
+    }
+
+    #[test]
+    fn samples_hold_the_targets_in_place_of_phase_and_quaternion() {
+        use kinegrad_motion::{OrientationTarget, PhaseTarget};
+
+        let targets = Targets {
+            phase: PhaseTarget::SinCos,
+            orientation: OrientationTarget::Rotation6d,
+        };
+        let config = DataConfig {
+            target_frames: 7,
+            ..DataConfig::default()
+        };
+        let phrases = phrases([9, 5]);
+        let statistics = target_statistics(phrases.clone(), targets, &config).unwrap();
+        assert_eq!((statistics.channels(), statistics.items), (28, 2));
+        let given = Arc::new(statistics.clone());
+        let samples = PhraseSamples::new(phrases.clone(), given, &config, 3).with_targets(targets);
+        let batch = samples.collate(0..2).unwrap();
+        assert_eq!((batch.batch_size, batch.channels, batch.frames), (2, 28, 7));
+        assert_eq!(batch.x_start.len(), 2 * 28 * 7);
+        for sample in 0..2 {
+            let phrase = phrases.get(sample).unwrap();
+            let frames = phrase.frames().min(7);
+            let found = &batch.x_start[sample * 28 * 7..][..28 * 7];
+            let valid = found.chunks(7).flat_map(|row| row[..frames].to_vec());
+            let rows = statistics.denormalize(&valid.collect::<Vec<_>>());
+            let back = Motion::new(targets.decode(rows)).unwrap();
+            for t in 0..frames {
+                let dot = back.quaternion(t).dot(phrase.motion.quaternion(t));
+                assert!((dot.abs() - 1.0).abs() < 1e-5);
+                let pairs = back.frame(t)[..9].iter().zip(&phrase.motion.frame(t)[..9]);
+                assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-4));
+            }
+            assert!(
+                found
+                    .chunks(7)
+                    .all(|row| row[frames..].iter().all(|v| *v == 0.0))
+            );
+        }
+    }
+
+    #[test]
+    fn statistics_of_crops_are_those_of_what_training_sees() {
+        let targets = Targets::default();
+        let mut config = DataConfig {
+            target_frames: 10,
+            ..DataConfig::default()
+        };
+        let set = phrases([60, 45]);
+        let whole = target_statistics(set.clone(), targets, &config).unwrap();
+        let items = set.load().unwrap();
+        let stored = phrase_statistics(items.iter().map(|item| &item.motion)).unwrap();
+        for channel in 0..CHANNELS {
+            assert!((whole.mean[channel] - stored.mean[channel]).abs() < 1e-9);
+            assert!((whole.std[channel] - stored.std[channel]).abs() < 1e-9);
+        }
+        config.statistics = StatisticsOf::Crops;
+        let crops = target_statistics(set.clone(), targets, &config).unwrap();
+        assert_eq!(
+            target_statistics(set.clone(), targets, &config).unwrap(),
+            crops
+        );
+        // What training draws lies around zero with unit deviation by these, and not by those.
+        let deviation = |statistics: &Statistics| {
+            let given = Arc::new(statistics.clone());
+            let samples = PhraseSamples::new(set.clone(), given, &config, 11);
+            let mut batch = Batch::with_capacity(400, &samples.shape());
+            for number in 0..400 {
+                let read = samples.read(number as usize % 2).unwrap();
+                samples.push(&mut batch, &read, Some(number));
+            }
+            let x = batch
+                .x_start
+                .chunks(CHANNELS * 10)
+                .flat_map(|sample| &sample[..10]);
+            let x: Vec<f64> = x.map(|&value| f64::from(value)).collect();
+            let mean = x.iter().sum::<f64>() / x.len() as f64;
+            (x.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / x.len() as f64).sqrt()
+        };
+        assert!(
+            (deviation(&crops) - 1.0).abs() < 0.15,
+            "{}",
+            deviation(&crops)
+        );
+        assert!(
+            (deviation(&whole) - 1.0).abs() > 0.3,
+            "{}",
+            deviation(&whole)
+        );
+    }
 
     #[test]
     fn validation_cuts_pads_and_masks_phrases() {

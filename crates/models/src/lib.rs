@@ -24,6 +24,7 @@ pub mod parameters;
 pub mod res_block;
 pub mod rotation;
 pub mod stages;
+pub mod targets;
 pub mod text_denoiser;
 pub mod text_motion;
 pub mod time_embedding;

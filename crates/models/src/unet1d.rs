@@ -6,6 +6,7 @@ use burn::module::Module;
 use burn::tensor::Tensor;
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::concat_channels;
+use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,11 @@ pub struct UNet1dConfig {
     pub context_dim: usize,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
+    /// What is predicted of the phase.
+    pub phase_target: PhaseTarget,
+    /// What is predicted of the orientation. `data.augment.flip_quaternion` goes with
+    /// `quaternion` alone: to the others q and -q are the same.
+    pub orientation_target: OrientationTarget,
 }
 
 impl Default for UNet1dConfig {
@@ -88,6 +94,8 @@ impl UNet1dConfig {
             time_embed_dim: 256,
             context_dim: 256,
             dropout: 0.1,
+            phase_target: PhaseTarget::Scalar,
+            orientation_target: OrientationTarget::Quaternion,
         }
     }
 
@@ -110,6 +118,14 @@ impl UNet1dConfig {
 }
 
 impl UNet1dConfig {
+    /// The channels that are predicted.
+    pub fn targets(&self) -> Targets {
+        Targets {
+            phase: self.phase_target,
+            orientation: self.orientation_target,
+        }
+    }
+
     /// Channels of each level.
     pub fn channels(&self) -> Vec<usize> {
         let mults = self.channel_mult.iter();

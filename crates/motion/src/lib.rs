@@ -34,6 +34,7 @@ pub mod rotation;
 pub mod sanity;
 pub mod statistics;
 pub mod style;
+pub mod targets;
 
 #[cfg(test)]
 mod wandering;
@@ -52,6 +53,7 @@ pub use representation::{
 pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
+pub use targets::{OrientationTarget, PhaseTarget, Targets};
 
 /// Most frames that a motion or a song may have: two hours at 30 frames per second.
 pub const MAX_FRAMES: usize = 216_000;

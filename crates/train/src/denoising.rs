@@ -171,6 +171,8 @@ pub struct DenoisingRecipe<M> {
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
     loss: Box<DrawnLoss<M>>,
+    averages_samples: bool,
+    measures_first: bool,
 }
 
 /// The loss of a network on a batch and what was drawn for it; whether timesteps are weighted.
@@ -187,6 +189,27 @@ impl<M> DenoisingRecipe<M> {
             diffusion,
             held_out,
             loss: Box::new(loss),
+            averages_samples: false,
+            measures_first: false,
+        }
+    }
+
+    /// The recipe of a loss that is the mean over the samples of a batch, whatever their lengths,
+    /// and not over its frames.
+    #[must_use]
+    pub fn averaging_samples(self) -> Self {
+        Self {
+            averages_samples: true,
+            ..self
+        }
+    }
+
+    /// The recipe of a training that starts from weights that are worth something, if so.
+    #[must_use]
+    pub fn measuring_first(self, measures_first: bool) -> Self {
+        Self {
+            measures_first,
+            ..self
         }
     }
 
@@ -199,6 +222,17 @@ impl<M> DenoisingRecipe<M> {
 impl<M: Module> Recipe for DenoisingRecipe<M> {
     type Model = M;
     type Pending = ();
+
+    fn measures_first(&self) -> bool {
+        self.measures_first
+    }
+
+    fn weight(&self, batch: &Batch) -> f64 {
+        match self.averages_samples {
+            true => batch.batch_size as f64,
+            false => batch.mask.iter().map(|&valid| f64::from(valid)).sum(),
+        }
+    }
 
     fn loss(&self, model: &M, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);

@@ -15,7 +15,8 @@ pub trait Observer {
     fn started(&mut self, summary: &RunSummary);
     /// An optimiser step was done.
     fn stepped(&mut self, report: &StepReport);
-    /// The validation loss was computed; `best` if it is the lowest so far.
+    /// The validation loss was computed; `best` if these weights are the best so far, by
+    /// `validation.select_by`.
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
@@ -61,7 +62,7 @@ pub struct StepReport {
     pub step: u64,
     /// Steps in total.
     pub max_steps: u64,
-    /// Loss, averaged over the micro-batches.
+    /// Loss, averaged over the micro-batches by their weight.
     pub loss: f64,
     /// Learning rate of the first group.
     pub learning_rate: f64,

@@ -9,6 +9,8 @@ use kinegrad_data::Batch;
 use kinegrad_models::gradients;
 use kinegrad_random::{Key, Purpose};
 
+use crate::error::Error;
+
 /// A training recipe of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecipeInfo {
@@ -71,6 +73,15 @@ impl Measured {
     }
 }
 
+/// How good the samples of the weights are, by metrics of samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Score {
+    /// What the best step is selected by, the less the better; infinite where it cannot be told.
+    pub value: f64,
+    /// The metrics, by name.
+    pub metrics: Vec<(&'static str, f64)>,
+}
+
 /// A kind of training.
 pub trait Recipe {
     /// The networks that are trained.
@@ -90,6 +101,13 @@ pub trait Recipe {
         false
     }
 
+    /// How much `batch` counts among those whose gradients are averaged for one step: as much as
+    /// the mean that its loss is has terms, so that one batch or several of its parts are the same.
+    /// By default its valid frames.
+    fn weight(&self, batch: &Batch) -> f64 {
+        batch.mask.iter().map(|&valid| f64::from(valid)).sum()
+    }
+
     /// The loss of a training batch.
     fn loss(
         &self,
@@ -107,4 +125,13 @@ pub trait Recipe {
     /// The mean loss over held-out phrases, with fixed noise so that runs compare; `model` is on
     /// the plain `device`.
     fn validation_loss(&self, model: &Self::Model, device: &Device) -> Measured;
+
+    /// What the best step is selected by, where that is not the validation loss; `model` as in
+    /// [`validation_loss`](Self::validation_loss).
+    ///
+    /// # Errors
+    /// If no samples can be drawn.
+    fn score(&self, _model: &Self::Model, _device: &Device) -> Result<Option<Score>, Error> {
+        Ok(None)
+    }
 }

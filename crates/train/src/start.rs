@@ -45,6 +45,11 @@ impl Start {
         Ok(Some(Self { key, path }))
     }
 
+    /// The key that names it.
+    pub fn key(&self) -> &'static str {
+        self.key
+    }
+
     /// Config, step, statistics.
     ///
     /// # Errors

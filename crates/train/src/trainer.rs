@@ -14,11 +14,12 @@ use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
 
 use crate::checkpoint::{Checkpoint, CheckpointRef, Checkpoints, FORMAT, Progress, State};
-use crate::config::Config;
+use crate::config::{Config, OptimConfig, WeightDecayGroups};
 use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
+use crate::parameter_count::is_adapter;
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use not_finite::find_not_finite;
@@ -63,6 +64,8 @@ pub struct TrainerParts<R: Recipe> {
     pub config: Config,
     /// Statistics of what is trained on.
     pub statistics: Statistics,
+    /// What normalises the channels of the networks, where that is something else.
+    pub network_statistics: Option<Statistics>,
     /// Autodiff device.
     pub device: Device,
     /// Batches from the next step's on.
@@ -102,6 +105,7 @@ impl<R: Recipe> Trainer<R> {
     ) -> Self {
         let infos = parameters::infos(&model);
         let optim = &parts.config.optim;
+        let goes_on = checkpoint.is_some();
         let (step, progress, optimizer, shadow) = match checkpoint {
             Some(checkpoint) => {
                 let step = checkpoint.state.step;
@@ -126,8 +130,10 @@ impl<R: Recipe> Trainer<R> {
                 )
             }
         };
+        let decaying = infos.iter().map(|info| decays(optim, info));
+        let optimizer = optimizer.with_decay_on(decaying.collect());
         let checkpoints = Checkpoints::of(&parts.folder);
-        let last_saved = (step > 0).then(|| checkpoints.step_path(step));
+        let last_saved = goes_on.then(|| checkpoints.step_path(step));
         let groups = infos.iter().map(|info| parts.recipe.group_of(&info.name));
         Self {
             model: Some(model),
@@ -190,8 +196,12 @@ impl<R: Recipe> Trainer<R> {
         let max_steps = self.parts.config.train.max_steps;
         let validates = self.parts.config.validation.every_steps > 0;
         if self.step == 0 && validates && self.parts.recipe.measures_first() {
-            let val_loss = self.measure()?;
-            observer.validated(0, val_loss, false);
+            // Training may only make them worse. A run that was stopped here measures them again.
+            self.progress = Progress::default();
+            if self.validate(observer)? {
+                self.save_unless_saved(observer)?;
+                self.checkpoints.set_best(self.progress.best().as_ref())?;
+            }
         }
         self.preview_if_missing(observer)?;
         let ending = loop {
@@ -260,15 +270,23 @@ impl<R: Recipe> Trainer<R> {
             self.parts.config.train.clone(),
             self.parts.config.optim.clone(),
         );
-        let micro_batches = train.gradient_accumulation_steps;
-        let mut gradients: Vec<Vec<f32>> = Vec::new();
-        let mut loss = 0.0;
-        let mut terms: Vec<(&'static str, f64)> = Vec::new();
-        for micro_batch in 0..micro_batches {
+        let mut batches = Vec::new();
+        for _ in 0..train.gradient_accumulation_steps {
             let stop = || observer.stop_requested();
             let Some(batch) = self.parts.loader.next_unless(&stop)? else {
                 return Ok(None);
             };
+            batches.push(batch);
+        }
+        let weights = batches.iter().map(|batch| self.parts.recipe.weight(batch));
+        let weights: Vec<f64> = weights.collect();
+        let all: f64 = weights.iter().sum();
+        let mut gradients: Vec<Vec<f32>> = Vec::new();
+        let mut loss = 0.0;
+        let mut terms: Vec<(&'static str, f64)> = Vec::new();
+        for (micro_batch, (batch, weight)) in (0..).zip(batches.iter().zip(weights)) {
+            // What its loss is divided by: the number of batches, if they are of one size.
+            let divisor = all / weight;
             let key = StepKey {
                 seed: self.parts.config.run.seed,
                 step: self.step,
@@ -278,22 +296,22 @@ impl<R: Recipe> Trainer<R> {
             let computed = self
                 .parts
                 .recipe
-                .loss(model, &batch, key, &self.parts.device);
+                .loss(model, batch, key, &self.parts.device);
             let value = f64::from(computed.total.clone().into_scalar::<f32>());
             if !value.is_finite() {
-                let tensor = find_not_finite(model, &batch, computed);
+                let tensor = find_not_finite(model, batch, computed);
                 return Err(self.not_finite(self.step + 1, tensor));
             }
-            loss += value / micro_batches as f64;
+            loss += value / divisor;
             for (index, (name, term)) in computed.terms.iter().enumerate() {
-                let value = f64::from(term.clone().into_scalar::<f32>()) / micro_batches as f64;
+                let value = f64::from(term.clone().into_scalar::<f32>()) / divisor;
                 match terms.get_mut(index) {
                     Some((_, sum)) => *sum += value,
                     None => terms.push((name, value)),
                 }
             }
             let share = Loss {
-                total: computed.total.div_scalar(micro_batches as f64),
+                total: computed.total.div_scalar(divisor),
                 terms: Vec::new(),
                 probes: Vec::new(),
                 pending: computed.pending,
@@ -362,8 +380,9 @@ impl<R: Recipe> Trainer<R> {
         }));
     }
 
-    /// Measures the averaged weights on the held-out phrases and records it.
-    fn measure(&mut self) -> Result<f64, Error> {
+    /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
+    /// score that the best step is selected by, where that is another.
+    fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
         let averaged = parameters::replace(model, self.ema.shadow().to_vec());
@@ -376,26 +395,37 @@ impl<R: Recipe> Trainer<R> {
             let tensor = format!("{what} of the averaged weights");
             return Err(self.not_finite(self.step, tensor));
         }
+        let score = self.parts.recipe.score(&averaged, &device)?;
         let mut record = Record::new(self.step).with("val_loss", total);
         for (name, value) in terms {
             record = record.with(format!("val_loss_{name}"), value);
         }
+        for (name, value) in score.iter().flat_map(|score| &score.metrics) {
+            record = record.with(format!("val_{name}"), *value);
+        }
         if let Some((metrics, _)) = &mut self.record {
             metrics.write(&record)?;
         }
-        Ok(total)
+        Ok((total, score.map(|score| score.value)))
     }
 
     /// Measures and keeps count of the best; true if the weights are the best so far.
     fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
-        let val_loss = self.measure()?;
-        let best = self
-            .progress
-            .best_val_loss
-            .is_none_or(|best| val_loss < best);
+        let (val_loss, score) = self.measure()?;
+        let best = match score {
+            Some(score) => {
+                let before = self.progress.best_score.unwrap_or(f64::INFINITY);
+                score < before
+            }
+            None => {
+                let before = self.progress.best_val_loss;
+                before.is_none_or(|best| val_loss < best)
+            }
+        };
         if best {
             self.progress.best_step = Some(self.step);
             self.progress.best_val_loss = Some(val_loss);
+            self.progress.best_score = score;
             self.progress.validations_since_best = 0;
         } else {
             self.progress.validations_since_best += 1;
@@ -415,6 +445,7 @@ impl<R: Recipe> Trainer<R> {
             step: self.step,
             config: self.parts.config.clone(),
             statistics: self.parts.statistics.clone(),
+            network_statistics: self.parts.network_statistics.clone(),
             dataset_sha256: Some(self.parts.dataset.to_string()),
             progress: self.progress.clone(),
             checksums: Default::default(),
@@ -461,6 +492,14 @@ impl<R: Recipe> Trainer<R> {
     }
 }
 
+/// Whether weight decay falls on a parameter.
+fn decays(optim: &OptimConfig, info: &ParameterInfo) -> bool {
+    match optim.weight_decay_groups {
+        WeightDecayGroups::All => true,
+        WeightDecayGroups::Matrices => info.shape.len() >= 2 && !is_adapter(info),
+    }
+}
+
 fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
     if sums.is_empty() {
         *sums = gradients;
@@ -472,3 +511,6 @@ fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

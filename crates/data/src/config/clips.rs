@@ -2,7 +2,7 @@
 
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
-use super::{DataConfig, DataKind, MIN_FRAMES};
+use super::{DataConfig, DataKind, MIN_FRAMES, StatisticsOf};
 use crate::humanml::SkeletonName;
 
 /// Checks the table `humanml3d`, and what the rest of `data` says of clips.
@@ -83,6 +83,11 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
             "join_neighbours",
             data.join_neighbours,
             "clips have no neighbours",
+        ),
+        (
+            "statistics",
+            data.statistics != StatisticsOf::Phrases,
+            "whole clips normalise clips",
         ),
         ("augment.rotate_yaw", augment.rotate_yaw, anchored),
         ("augment.mirror", augment.mirror, mirrored),

@@ -1,6 +1,6 @@
 //! The table `decoder` of a training config.
 
-use kinegrad_motion::CHANNELS;
+use kinegrad_motion::{CHANNELS, OrientationTarget, PhaseTarget, Targets};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,6 +41,21 @@ pub struct OutputActivations {
     pub phase: OutputActivation,
     /// Unbounded.
     pub style: OutputActivation,
+}
+
+impl OutputActivations {
+    /// Those of heads that say `targets`: sine and cosine, and what becomes a unit quaternion by
+    /// the conversion, are not bounded.
+    pub(super) fn of(self, targets: Targets) -> Self {
+        let mut own = self;
+        if targets.phase != PhaseTarget::Scalar {
+            own.phase = OutputActivation::None;
+        }
+        if targets.orientation != OrientationTarget::Quaternion {
+            own.quaternion = OutputActivation::None;
+        }
+        own
+    }
 }
 
 impl Default for OutputActivations {

@@ -6,9 +6,7 @@
 
 use std::ops::Range;
 
-use kinegrad_motion::phrase::{
-    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, PHASE, POSITION, QUATERNION, STYLE, VELOCITY,
-};
+use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 
 use super::{MotionDecoder, Normalization, OutputActivation};
 use crate::parameters;
@@ -20,24 +18,25 @@ const SIGMOID_SLOPE: f64 = 6.0;
 /// Sets the weights of `decoder`; what it was drawn with gives the directions of the projection.
 pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
     let mut weights = parameters::export(&decoder);
+    let channels = decoder.targets.channels();
     let columns = weights
         .iter()
         .find(|parameter| parameter.info.name == "input_proj.weight")
-        .map(|parameter| orthonormal_columns(&parameter.values))
+        .map(|parameter| orthonormal_columns(&parameter.values, channels))
         .expect("a decoder has an input projection");
     for parameter in &mut weights {
         let name = parameter.info.name.as_str();
         let values = &mut parameter.values;
         if name == "input_proj.weight" {
-            for (row, values) in values.chunks_mut(CHANNELS).enumerate() {
+            for (row, values) in values.chunks_mut(channels).enumerate() {
                 for (value, column) in values.iter_mut().zip(&columns) {
                     *value = column[row] as f32;
                 }
             }
         } else if name == "input_proj.bias" || name.contains(".layers.4.") {
             values.fill(0.0);
-        } else if let Some((channels, activation, range)) = head(&decoder, name) {
-            let start = channels.start;
+        } else if let Some((own, activation, range)) = head(&decoder, name) {
+            let start = own.start;
             let Normalization { mean, std } = &decoder.normalization;
             let channel =
                 |index| affine(mean[start + index], std[start + index], activation, range);
@@ -46,7 +45,7 @@ pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
                     *value = channel(index).1 as f32;
                 }
             } else {
-                let hidden = values.len() / channels.len();
+                let hidden = values.len() / own.len();
                 for (index, row) in values.chunks_mut(hidden).enumerate() {
                     let gain = channel(index).0;
                     for (value, direction) in row.iter_mut().zip(&columns[start + index]) {
@@ -63,19 +62,20 @@ pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
 /// Channels, activation and range of the head that the parameter `name` belongs to.
 fn head(decoder: &MotionDecoder, name: &str) -> Option<(Range<usize>, OutputActivation, f64)> {
     let (bounds, ranges) = (&decoder.activations, &decoder.ranges);
+    let targets = decoder.targets;
     let component = name.split('.').next()?.strip_suffix("_head")?;
     Some(match component {
         "position" => (POSITION, bounds.position, ranges.position),
         "velocity" => (VELOCITY, bounds.velocity, ranges.velocity),
         "acceleration" => (ACCELERATION, bounds.acceleration, ranges.acceleration),
-        "quaternion" => (QUATERNION, bounds.quaternion, 1.0),
+        "quaternion" => (targets.orientation_channels(), bounds.quaternion, 1.0),
         "angular_velocity" => (
-            ANGULAR_VELOCITY,
+            targets.angular_velocity_channels(),
             bounds.angular_velocity,
             ranges.angular_velocity,
         ),
-        "phase" => (PHASE..PHASE + 1, bounds.phase, 1.0),
-        "style" => (STYLE, bounds.style, ranges.style),
+        "phase" => (targets.phase_channels(), bounds.phase, 1.0),
+        "style" => (targets.style_channels(), bounds.style, ranges.style),
         _ => return None,
     })
 }
@@ -89,12 +89,12 @@ fn affine(mean: f64, std: f64, activation: OutputActivation, range: f64) -> (f64
     }
 }
 
-/// The columns of a row-major matrix of 25 columns, made orthonormal from left to right.
-fn orthonormal_columns(values: &[f32]) -> Vec<Vec<f64>> {
-    let mut columns: Vec<Vec<f64>> = Vec::with_capacity(CHANNELS);
-    for channel in 0..CHANNELS {
+/// The columns of a row-major matrix of so many `channels`, made orthonormal from left to right.
+fn orthonormal_columns(values: &[f32], channels: usize) -> Vec<Vec<f64>> {
+    let mut columns: Vec<Vec<f64>> = Vec::with_capacity(channels);
+    for channel in 0..channels {
         let mut column: Vec<f64> = values
-            .chunks(CHANNELS)
+            .chunks(channels)
             .map(|row| f64::from(row[channel]))
             .collect();
         for earlier in &columns {

@@ -8,11 +8,12 @@ use burn::module::Module;
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_kernels::gelu;
+use kinegrad_motion::Targets;
 use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
 use kinegrad_motion::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY,
 };
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
 
 pub use config::{
     Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
@@ -20,12 +21,14 @@ pub use config::{
 
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
+use crate::targets::{decode, sign_continuous};
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
 const LEAST_NORM: f64 = 1e-12;
 
-/// Mean and deviation of each channel, by which the latent is normalised: `[25]` each.
+/// Mean and deviation of each channel, by which the latent is normalised: `[channels]` each, of the
+/// denoiser's [`Targets`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// What was subtracted.
@@ -60,7 +63,8 @@ impl DecoderBlock {
 /// motion, which couples the frames. Should be created with [`DecoderConfig::init`].
 ///
 /// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
-/// and radians.
+/// and radians. Where the denoiser predicts other [`Targets`] than the 25 channels, so do the heads,
+/// and what they say of phase and orientation is converted at the end.
 #[derive(Module, Debug)]
 pub struct MotionDecoder {
     input_proj: Linear,
@@ -80,10 +84,13 @@ pub struct MotionDecoder {
     coherence: Coherence,
     #[module(skip)]
     normalization: Normalization,
+    #[module(skip)]
+    targets: Targets,
 }
 
 impl DecoderConfig {
-    /// Builds the decoder of latents that were normalised as `normalization` says.
+    /// Builds the decoder of latents of the 25 channels that were normalised as `normalization`
+    /// says.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -95,14 +102,37 @@ impl DecoderConfig {
         normalization: Normalization,
         init: &Initializer,
     ) -> Result<MotionDecoder, InvalidSetting> {
+        self.init_for(Targets::default(), normalization, init)
+    }
+
+    /// [`init`](Self::init) for latents of these `targets`. Where they are not the stored ones, the
+    /// activations of phase and quaternion do not apply: the conversion bounds both.
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate), and if the identity does not fit into `hidden_dim`.
+    ///
+    /// # Panics
+    /// Panics if the normalisation has other channels.
+    pub fn init_for(
+        &self,
+        targets: Targets,
+        normalization: Normalization,
+        init: &Initializer,
+    ) -> Result<MotionDecoder, InvalidSetting> {
         self.validate()?;
-        assert_eq!(normalization.mean.len(), CHANNELS, "means");
-        assert_eq!(normalization.std.len(), CHANNELS, "deviations");
+        let channels = targets.channels();
+        assert_eq!(normalization.mean.len(), channels, "means");
+        assert_eq!(normalization.std.len(), channels, "deviations");
         let hidden = self.hidden_dim;
+        if self.init == DecoderInit::Identity {
+            in_range("decoder.hidden_dim", hidden, channels..)
+                .hint("the identity needs one for each channel of the latent")?;
+        }
+        let activations = self.output_activations.of(targets);
         let head =
             |name: &str, outputs| Linear::new(hidden, outputs, &init.at(&format!("{name}_head")));
         let decoder = MotionDecoder {
-            input_proj: Linear::new(CHANNELS, hidden, &init.at("input_proj")),
+            input_proj: Linear::new(channels, hidden, &init.at("input_proj")),
             blocks: (0..self.num_layers)
                 .map(|i| {
                     let init = init.at("blocks").at(&i.to_string()).at("layers");
@@ -118,14 +148,15 @@ impl DecoderConfig {
             position_head: head("position", 3),
             velocity_head: head("velocity", 3),
             acceleration_head: head("acceleration", 3),
-            quaternion_head: head("quaternion", 4),
+            quaternion_head: head("quaternion", targets.orientation_channels().len()),
             angular_velocity_head: head("angular_velocity", 3),
-            phase_head: head("phase", 1),
+            phase_head: head("phase", targets.phase_channels().len()),
             style_head: head("style", 8),
-            activations: self.output_activations,
+            activations,
             ranges: self.output_ranges,
             coherence: self.coherence,
             normalization,
+            targets,
         };
         Ok(match self.init {
             DecoderInit::Random => decoder,
@@ -136,7 +167,7 @@ impl DecoderConfig {
 
 impl MotionDecoder {
     /// # Shapes
-    /// - latent: `[batch, 25, time]`, normalised
+    /// - latent: `[batch, channels, time]`, normalised; 25 channels, or those of the targets
     /// - output: `[batch, 25, time]`, physical units
     pub fn forward(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let [batch, channels, time] = latent.dims();
@@ -168,8 +199,9 @@ impl MotionDecoder {
             .map(|(head, activation, range)| bounded(head.forward(h.clone()), activation, range))
             .collect();
         let motion = Tensor::cat(components, 1)
-            .reshape([batch, time, CHANNELS])
+            .reshape([batch, time, channels])
             .swap_dims(1, 2);
+        let motion = decode(self.targets, motion);
         match self.coherence {
             Coherence::None => motion,
             Coherence::Projection => self.project(motion),
@@ -244,20 +276,6 @@ fn bounded(y: Tensor<2>, activation: OutputActivation, range: f64) -> Tensor<2> 
 fn differences(x: Tensor<3>) -> Tensor<3> {
     let time = x.dims()[2];
     (x.clone().narrow(2, 1, time - 1) - x.narrow(2, 0, time - 1)) * FPS
-}
-
-/// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of the one before.
-/// The signs are constants to the gradient.
-fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
-    let time = quaternion.dims()[2];
-    if time < 2 {
-        return quaternion;
-    }
-    let known = quaternion.clone().inner();
-    let dots = (known.clone().narrow(2, 1, time - 1) * known.narrow(2, 0, time - 1)).sum_dim(1);
-    let flips = dots.lower_elem(0.0).float() * -2.0 + 1.0;
-    let signs = Tensor::cat(vec![flips.clone().narrow(2, 0, 1).ones_like(), flips], 2).cumprod(2);
-    quaternion * signs
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 use burn::tensor::Device;
 use kinegrad_motion::phrase::PHASE;
-use kinegrad_motion::{Motion, kinematics};
+use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, kinematics};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -142,4 +142,63 @@ fn bad_sizes_are_refused_by_key() {
         let text = config.validate().unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
     }
+}
+
+#[test]
+fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
+    let device = Device::flex();
+    let targets = Targets {
+        phase: PhaseTarget::SinCos,
+        orientation: OrientationTarget::Rotation6d,
+    };
+    let channels = targets.channels();
+    let (batch, time) = (2, 7);
+    let normalization = Normalization {
+        mean: vec![0.0; channels],
+        std: vec![1.0; channels],
+    };
+    for coherence in [Coherence::None, Coherence::Projection] {
+        let config = DecoderConfig {
+            hidden_dim: 40,
+            coherence,
+            ..Default::default()
+        };
+        let init = Initializer::new(3, &device);
+        let decoder = config
+            .init_for(targets, normalization.clone(), &init)
+            .unwrap();
+        let x = latent(1, [batch, channels, time], &device) * 0.3;
+        let expected = values(crate::targets::decode(targets, x.clone()));
+        let found = values(decoder.forward(x, None));
+        assert_eq!(found.len(), batch * CHANNELS * time);
+        let kept = [QUATERNION.collect::<Vec<_>>(), vec![PHASE]].concat();
+        for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let channel = index / time % CHANNELS;
+            if kept.contains(&channel) {
+                assert!(
+                    (found - expected).abs() < 1e-4,
+                    "{channel}: {found} {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_decoder_too_narrow_for_its_targets_is_refused() {
+    let targets = Targets {
+        phase: PhaseTarget::SinCos,
+        orientation: OrientationTarget::Rotation6d,
+    };
+    let normalization = Normalization {
+        mean: vec![0.0; targets.channels()],
+        std: vec![1.0; targets.channels()],
+    };
+    let config = DecoderConfig {
+        hidden_dim: 25,
+        ..Default::default()
+    };
+    let init = Initializer::new(3, &Device::flex());
+    let error = config.init_for(targets, normalization, &init).unwrap_err();
+    assert!(error.to_string().contains("decoder.hidden_dim"), "{error}");
 }

@@ -24,11 +24,14 @@ pub struct Progress {
     pub best_step: Option<u64>,
     /// Its loss.
     pub best_val_loss: Option<f64>,
+    /// Its score, the less the better, where `validation.select_by` names a metric of samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_score: Option<f64>,
     /// Validations since then.
     pub validations_since_best: u64,
 }
 
-/// `best.json`: the step with the lowest validation loss.
+/// `best.json`: the step of the best validation, by `validation.select_by`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Best {
     /// Its checkpoint is `step-XXXXXXXX`.
@@ -62,6 +65,10 @@ pub struct State {
     pub config: Config,
     /// Normalisation, clipping and checking bounds of the training phrases.
     pub statistics: Statistics,
+    /// What normalises and clips the channels of the networks, where that is not `statistics`: they
+    /// predict other channels than are stored, or were normalised by crops.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network_statistics: Option<Statistics>,
     /// [`Digest`](kinegrad_data::Digest) of the dataset trained on, in hexadecimal; none in
     /// checkpoints of before it was kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -83,6 +90,11 @@ impl State {
             .strip_suffix("\n}")
             .expect("a pretty JSON object ends so");
         format!("{body}{SEAL}{}\"\n}}\n", sha256(body.as_bytes()))
+    }
+
+    /// What normalises and clips the channels of the networks.
+    pub fn normalization(&self) -> &Statistics {
+        self.network_statistics.as_ref().unwrap_or(&self.statistics)
     }
 
     /// The statistics, if they are of motion in this `representation`.

@@ -13,6 +13,7 @@ fn state() -> State {
         step: 3,
         config,
         statistics: Default::default(),
+        network_statistics: None,
         dataset_sha256: None,
         progress: Progress::default(),
         checksums: Default::default(),

@@ -32,7 +32,7 @@ pub use system_tables::SystemTables;
 pub(crate) use tables::validate;
 pub use tables::{
     CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
-    TrainConfig, ValidationConfig,
+    SelectBy, TrainConfig, ValidationConfig, WeightDecayGroups,
 };
 
 use kinegrad_data::DataConfig;

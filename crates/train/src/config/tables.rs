@@ -46,6 +46,18 @@ pub enum LrSchedule {
     Constant,
 }
 
+/// The parameters that weight decay falls on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WeightDecayGroups {
+    /// All of them (CC-MotionGen).
+    #[default]
+    All,
+    /// Weights of two or more dimensions, those of linear layers and convolutions: not biases, norms
+    /// or adapters, the groups that PyTorch trainings usually make.
+    Matrices,
+}
+
 /// The table `optim`: AdamW (CC-MotionGen, section 6.3; docs/sources.md, section 1.10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -54,6 +66,8 @@ pub struct OptimConfig {
     pub learning_rate: f64,
     /// Decoupled weight decay, scaled by the learning rate.
     pub weight_decay: f64,
+    /// The parameters that decay.
+    pub weight_decay_groups: WeightDecayGroups,
     /// Decay of the running means of gradient and squared gradient.
     pub betas: [f64; 2],
     /// Added to the denominator.
@@ -78,6 +92,7 @@ impl Default for OptimConfig {
         Self {
             learning_rate: 1e-4,
             weight_decay: 1e-4,
+            weight_decay_groups: WeightDecayGroups::All,
             betas: [0.9, 0.999],
             eps: 1e-8,
             warmup_steps: 1000,
@@ -95,7 +110,8 @@ pub struct TrainConfig {
     pub recipe: String,
     /// Total number of optimiser steps.
     pub max_steps: u64,
-    /// Number of batches whose gradients are averaged for one step.
+    /// Number of batches whose gradients are averaged for one step, each by its valid frames: as one
+    /// batch of them all.
     pub gradient_accumulation_steps: u64,
     /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
@@ -166,6 +182,22 @@ impl Default for CheckpointConfig {
     }
 }
 
+/// What the best checkpoint is selected by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SelectBy {
+    /// The validation loss. It is lowest for the mean of what can follow, and so rewards samples
+    /// that are all alike.
+    #[default]
+    Loss,
+    /// The Fréchet distance of samples from the held-out phrases they are drawn for, as in
+    /// `kinegrad eval`.
+    Frechet,
+    /// How far the diversity of samples is from that of the held-out phrases, as a ratio: 0 where
+    /// they are equal, as far below as above. Alone it does not see whether samples look real.
+    Diversity,
+}
+
 /// The table `validation`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -175,6 +207,11 @@ pub struct ValidationConfig {
     /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled
     /// once.
     pub draws: usize,
+    /// What the best checkpoint is selected by, for recipes on phrases; patience counts by it too.
+    pub select_by: SelectBy,
+    /// Number of held-out phrases for each of which a sample is drawn where `select_by` is not
+    /// `loss`; fewer than 20 say little of a distance between 18 features.
+    pub select_samples: usize,
     /// Phrases per forward pass; for phrases of one length it does not change the result beyond
     /// rounding.
     pub batch_size: usize,
@@ -185,6 +222,8 @@ impl Default for ValidationConfig {
         Self {
             every_steps: 500,
             draws: 8,
+            select_by: SelectBy::Loss,
+            select_samples: 32,
             batch_size: 27,
         }
     }
@@ -277,6 +316,8 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
     in_range("checkpoint.every_steps", checkpoint.every_steps, 1..)?;
     in_range("checkpoint.keep_last", checkpoint.keep_last, 1..)?;
     in_range("validation.draws", validation.draws, 1..=1_000)?;
+    let samples = validation.select_samples;
+    in_range("validation.select_samples", samples, 2..=65_536)?;
     in_range("validation.batch_size", validation.batch_size, 1..=65_536)?;
     in_range("ema.update_every", ema.update_every, 1..)?;
     in_range("ema.decay", ema.decay, 0.0..=1.0)?;

@@ -28,6 +28,8 @@ pub struct AdamW {
     config: OptimConfig,
     moments: Vec<Moments>,
     steps: u64,
+    /// Whether each parameter decays; all of them where this is empty.
+    decaying: Vec<bool>,
 }
 
 impl AdamW {
@@ -46,7 +48,15 @@ impl AdamW {
             config: config.clone(),
             moments,
             steps,
+            decaying: Vec::new(),
         }
+    }
+
+    /// The same optimiser with decay on those parameters alone for which this says so, in their
+    /// order.
+    #[must_use]
+    pub fn with_decay_on(self, decaying: Vec<bool>) -> Self {
+        Self { decaying, ..self }
     }
 
     /// The running means, in the parameters' order.
@@ -77,10 +87,15 @@ impl AdamW {
             exp_avg,
             exp_avg_sq,
         } = &mut self.moments[index];
+        let decays = self.decaying.get(index).copied().unwrap_or(true);
         let step = kernels::AdamW {
             betas: self.config.betas,
             eps: self.config.eps,
-            weight_decay: self.config.weight_decay,
+            weight_decay: if decays {
+                self.config.weight_decay
+            } else {
+                0.0
+            },
             learning_rate,
             steps: self.steps,
             gradient_scale,

@@ -76,6 +76,8 @@ pub struct Material {
     pub digest: Digest,
     /// What the checkpoints keep of it.
     pub statistics: Statistics,
+    /// What normalises the channels of the networks, where that is something else.
+    pub network_statistics: Option<Statistics>,
     /// The stream of batches from a number on.
     pub loader: Box<MakeLoader>,
 }
@@ -106,6 +108,7 @@ impl Material {
             skipped: dataset.skipped,
             digest: dataset.digest,
             statistics,
+            network_statistics: None,
             loader: Box::new(move |config, first_batch| {
                 let samples = samples(dataset.train, config);
                 Loader::new(samples, &config.data, config.run.seed, first_batch)
@@ -217,7 +220,10 @@ impl Setup {
                 summary: &summary,
                 memory,
                 memory_of_samples,
-                channels: material.statistics.channels(),
+                channels: {
+                    let own = material.network_statistics.as_ref();
+                    own.unwrap_or(&material.statistics).channels()
+                },
                 nothing_left,
             };
             let first_batch = step * config.train.gradient_accumulation_steps;
@@ -226,6 +232,7 @@ impl Setup {
                 groups: info.groups,
                 config: config.clone(),
                 statistics: material.statistics,
+                network_statistics: material.network_statistics,
                 device,
                 loader: (material.loader)(&config, first_batch),
                 dataset: material.digest,
@@ -305,6 +312,7 @@ impl Setup {
             groups: info.groups,
             config: config.clone(),
             statistics: material.statistics,
+            network_statistics: material.network_statistics,
             device,
             loader,
             dataset: material.digest,

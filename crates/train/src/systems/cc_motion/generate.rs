@@ -11,10 +11,10 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
-use kinegrad_motion::{Motion, Phrases, Statistics};
+use kinegrad_motion::{Motion, Phrases, Statistics, Targets};
 use kinegrad_random::{Key, Purpose};
 
-use super::networks::footprint;
+use super::networks::{footprint, targets};
 use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
@@ -39,6 +39,7 @@ pub struct Generator {
     unet: UNet1d,
     decoder: Option<MotionDecoder>,
     diffusion: GaussianDiffusion,
+    targets: Targets,
     state: State,
     device: Device,
 }
@@ -79,10 +80,26 @@ impl Generator {
         } = Trained::load(path, weights, device)?;
         state.statistics_of(&Phrases)?;
         let diffusion = GaussianDiffusion::new(&CcMotionConfig::of(&state.config)?.diffusion)?;
+        let decoder = decoder.map(|decoder| decoder.valid());
+        Self::of(unet.valid(), decoder, diffusion, state, device)
+    }
+
+    /// Networks without gradients on `device`, and what `state` says of their training.
+    ///
+    /// # Errors
+    /// If the state's config cannot be read.
+    pub(super) fn of(
+        unet: UNet1d,
+        decoder: Option<MotionDecoder>,
+        diffusion: GaussianDiffusion,
+        state: State,
+        device: &Device,
+    ) -> Result<Self, Error> {
         Ok(Self {
-            unet: unet.valid(),
-            decoder: decoder.map(|decoder| decoder.valid()),
+            unet,
+            decoder,
             diffusion,
+            targets: targets(&state.config)?,
             state,
             device: device.clone(),
         })
@@ -93,7 +110,7 @@ impl Generator {
         &self.state.config
     }
 
-    /// The statistics of its training phrases.
+    /// The statistics of its training phrases, of the 25 channels.
     pub fn statistics(&self) -> &Statistics {
         &self.state.statistics
     }
@@ -137,6 +154,7 @@ impl Generator {
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
         take: &mut dyn FnMut(Sample) -> Result<(), Error>,
     ) -> Result<(), Error> {
+        let (drawn, normalization) = (self.targets.channels(), self.state.normalization());
         let all = conditions.len().div_ceil(BATCH);
         for done in 0..all {
             let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
@@ -146,7 +164,7 @@ impl Generator {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)
             };
-            let start = keys.iter().map(|key| key.at(0).normals(CHANNELS * frames));
+            let start = keys.iter().map(|key| key.at(0).normals(drawn * frames));
             let heard = conditions.iter().map(|cond| cond.as_slice().to_vec());
             let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
             // Each sample as if it were drawn alone, to the bit.
@@ -154,10 +172,10 @@ impl Generator {
                 let x = sample(
                     &self.diffusion,
                     &self.unet,
-                    on_device(start.flatten().collect(), CHANNELS),
+                    on_device(start.flatten().collect(), drawn),
                     &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
                     &sampling.sampler,
-                    &sampling.clip.range(self.statistics(), CHANNELS)?,
+                    &sampling.clip.range(normalization, drawn)?,
                     NoiseKeys::Samples(&of_steps),
                     &mut |step, total, _| on_step(done * total + step, all * total),
                 )?;
@@ -167,10 +185,11 @@ impl Generator {
                 })
             })?;
             let values = x.try_into_vec_as::<f32>().expect("samples are float32");
-            for values in values.chunks(CHANNELS * frames) {
+            let width = self.decoder.as_ref().map_or(drawn, |_| CHANNELS);
+            for values in values.chunks(width * frames) {
                 let raw = match &self.decoder {
                     Some(_) => Motion::from_channel_major(values, frames)?,
-                    None => Motion::new(self.statistics().denormalize(values))?,
+                    None => Motion::new(self.targets.decode(normalization.denormalize(values)))?,
                 };
                 let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
                 take(Sample { raw, motion })?;

@@ -28,11 +28,8 @@ pub fn merge(path: &Path, out: &Path) -> Result<PathBuf, Error> {
     must_be_free(out)?;
     let device = burn::tensor::Device::flex();
     let merged = |weights: Weights| -> Result<_, Error> {
-        let fresh = networks(
-            &state.config,
-            state.statistics_of(&kinegrad_motion::Phrases)?,
-            &device,
-        )?;
+        state.statistics_of(&kinegrad_motion::Phrases)?;
+        let fresh = networks(&state.config, state.normalization(), &device)?;
         let model = parameters::load(fresh, read_weights(path, &state, weights)?)?;
         let model = MotionModel {
             unet: model.unet.merge_adapters(),

@@ -6,6 +6,8 @@
 mod config;
 pub mod evaluate;
 pub mod generate;
+mod leaks;
+mod lengths;
 pub mod losses;
 mod merge;
 mod networks;
@@ -13,6 +15,7 @@ mod pretrain;
 mod recipe_name;
 pub mod recipes;
 mod sample;
+mod select;
 mod start;
 mod train;
 
@@ -81,7 +84,7 @@ impl System for CcMotion {
             Some(saved) => start::inherited(saved).map(Some),
             None => {
                 let starts = Starts::named(&CcMotionConfig::of(config)?.init)?;
-                starts.map(|starts| starts.tables()).transpose()
+                starts.map(|starts| starts.tables_for(config)).transpose()
             }
         }
     }

@@ -8,8 +8,7 @@ use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
-use kinegrad_motion::phrase::CHANNELS;
-use kinegrad_motion::{Phrases, Statistics};
+use kinegrad_motion::{Phrases, Statistics, Targets};
 
 use super::recipe_name::RecipeName;
 use super::{CcMotionConfig, CcMotionNetwork};
@@ -44,7 +43,8 @@ impl Trained {
         let (unet, decoder) = match RecipeName::of(config)?.trains_through_sampler() {
             false => (parameters::load(denoiser(config, device)?, values)?, None),
             true => {
-                let fresh = networks(config, state.statistics_of(&Phrases)?, device)?;
+                state.statistics_of(&Phrases)?;
+                let fresh = networks(config, state.normalization(), device)?;
                 let MotionModel { unet, decoder } = parameters::load(fresh, values)?;
                 (unet.merge_adapters(), Some(decoder))
             }
@@ -64,10 +64,19 @@ impl Trained {
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
     let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
-    Ok(unet.init(CHANNELS, AUDIO_CHANNELS, &init)?)
+    Ok(unet.init(unet.targets().channels(), AUDIO_CHANNELS, &init)?)
 }
 
-/// The decoder of a config, with fresh weights.
+/// The channels that the denoiser of a config predicts.
+///
+/// # Errors
+/// If the config cannot be read.
+pub(crate) fn targets(config: &Config) -> Result<Targets, Error> {
+    let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
+    Ok(unet.targets())
+}
+
+/// The decoder of a config, with fresh weights; `statistics` normalised the networks' channels.
 ///
 /// # Errors
 /// If it cannot be built.
@@ -82,7 +91,7 @@ pub(crate) fn decoder(
     };
     let init = Initializer::new(config.run.seed, device).at("decoder");
     let decoder = CcMotionConfig::of(config)?.decoder;
-    Ok(decoder.init(normalization, &init)?)
+    Ok(decoder.init_for(targets(config)?, normalization, &init)?)
 }
 
 /// Number of parameters of the decoder of a config.
@@ -127,11 +136,12 @@ fn lazy_decoder(config: &Config) -> Result<MotionDecoder, Error> {
         init: DecoderInit::Random,
         ..CcMotionConfig::of(config)?.decoder
     };
+    let targets = targets(config)?;
     let unit = Normalization {
-        mean: vec![0.0; CHANNELS],
-        std: vec![1.0; CHANNELS],
+        mean: vec![0.0; targets.channels()],
+        std: vec![1.0; targets.channels()],
     };
-    Ok(random.init(unit, &Initializer::new(0, &Device::flex()))?)
+    Ok(random.init_for(targets, unit, &Initializer::new(0, &Device::flex()))?)
 }
 
 /// What the networks of a config take in training.
@@ -143,7 +153,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     let CcMotionNetwork::Unet1d(network) = &own.model.network;
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
-    let item = ((CHANNELS + AUDIO_CHANNELS) * frames) as u64;
+    let item = ((network.targets().channels() + AUDIO_CHANNELS) * frames) as u64;
     if !RecipeName::of(config)?.trains_through_sampler() {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,

@@ -11,6 +11,7 @@ use kinegrad_motion::{CHANNELS, Motion, Profile, Report, Statistics, check};
 
 use super::CcMotion;
 use super::generate::{Generator, Sample, keys, must_fit};
+use super::lengths::untrained;
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
@@ -52,6 +53,9 @@ pub(super) fn sample(
     }
     let conditions = conditions(request, &subject.config, receiver)?;
     let lengths = conditions.iter().map(|heard| heard.audio.frames());
+    if let Some(odd) = untrained(&subject.config.data, lengths.clone()) {
+        receiver.warning(&odd);
+    }
     must_fit(
         subject,
         request.count,

@@ -1,16 +1,17 @@
 //! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
 use burn::tensor::Device;
-use kinegrad_data::AugmentConfig;
 use kinegrad_models::{MotionModel, parameters};
-use kinegrad_motion::{Phrases, Statistics};
+use kinegrad_motion::{OrientationTarget, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
 
-use super::networks::{Trained, decoder, denoiser, trainable};
+use super::leaks::is_of_one_source;
+use super::networks::{Trained, decoder, denoiser, targets, trainable};
 use super::recipe_name::RecipeName;
 use super::{CcMotionConfig, InitConfig};
-use crate::config::{Config, SystemTables};
+use crate::checkpoint::State;
+use crate::config::{Config, PLAIN, SystemTables};
 use crate::error::Error;
 use crate::start::{Start, must_agree, tables_of};
 
@@ -52,14 +53,43 @@ impl Starts {
         Ok(tables)
     }
 
-    /// The statistics that the denoiser's data were normalised by, and how they were augmented.
+    /// [`tables`](Self::tables), and the split of the base where it was trained on the dataset of
+    /// `config`: what it has seen is not held out.
     ///
     /// # Errors
-    /// If the checkpoint is damaged.
-    pub fn statistics(&self) -> Result<(Statistics, AugmentConfig), Error> {
+    /// As [`tables`](Self::tables).
+    pub fn tables_for(&self, config: &Config) -> Result<Table, Error> {
+        let mut tables = self.tables()?;
+        let base = self.diffusion.state()?.config.data;
+        if is_of_one_source(&base, &config.data) {
+            let split = Table::try_from(&base.validation).expect(PLAIN);
+            let data = Table::from_iter([("validation".to_string(), split.into())]);
+            tables.insert("data".into(), data.into());
+        }
+        Ok(tables)
+    }
+
+    /// The state of the denoiser's checkpoint: what its data were normalised by, and how they were
+    /// augmented and split.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, or of other motion than phrases.
+    pub fn state(&self) -> Result<State, Error> {
         let state = self.diffusion.state()?;
-        let statistics = state.statistics_of(&Phrases)?.clone();
-        Ok((statistics, state.config.data.augment.clone()))
+        state.statistics_of(&Phrases)?;
+        Ok(state)
+    }
+
+    /// Key and state of each checkpoint.
+    ///
+    /// # Errors
+    /// If one is damaged.
+    pub fn states(&self) -> Result<Vec<(&'static str, State)>, Error> {
+        let starts = [Some(&self.diffusion), self.decoder.as_ref()];
+        let starts = starts.into_iter().flatten();
+        starts
+            .map(|start| Ok((start.key(), start.state()?)))
+            .collect()
     }
 
     /// The networks with the start's averaged weights on an autodiff device.
@@ -69,7 +99,8 @@ impl Starts {
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let base = self.diffusion.load(device, Trained::load)?;
         must_agree::<CcMotionConfig>(config, &base.state.config, &OF_BASE)?;
-        let statistics = base.state.statistics_of(&Phrases)?;
+        base.state.statistics_of(&Phrases)?;
+        let statistics = base.state.normalization();
         // Networks of this config, whose dropout and coherence may be others, with the values of
         // the start.
         let unet = parameters::replace(denoiser(config, device)?, parameters::values(&base.unet));
@@ -80,7 +111,7 @@ impl Starts {
                 return Err(given.refused(&"its recipe is `diffusion`, it holds no decoder"));
             };
             must_agree::<CcMotionConfig>(config, &start.state.config, &OF_DECODER)?;
-            let found = start.state.statistics_of(&Phrases)?;
+            let found = start.state.normalization();
             if (&found.mean, &found.std) != (&statistics.mean, &statistics.std) {
                 return Err(given.refused(
                     &"its latents were normalised by other statistics than those of \
@@ -111,6 +142,15 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
             "leave the key out: recipe `{name}` starts from new weights"
         ))?;
     }
+    let (orientation, augment) = (targets(config)?.orientation, &config.data.augment);
+    let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
+    let of_one_sign = "false with this `model.orientation_target`";
+    require(!flips, "data.augment.flip_quaternion", true, of_one_sign)
+        .hint("q and -q are one rotation, and one target: there is nothing to learn from both")?;
+    let turns = augment.rotate_yaw && orientation == OrientationTarget::CanonicalQuaternion;
+    let turned_back = "false with `model.orientation_target = \"canonical_quaternion\"`";
+    require(!turns, "data.augment.rotate_yaw", true, turned_back)
+        .hint("each sample is turned to face +z, whichever way it was turned before")?;
     Ok(())
 }
 

@@ -2,18 +2,21 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::{AugmentConfig, Dataset, Phrase, PhraseSamples};
+use kinegrad_data::{
+    AugmentConfig, Dataset, Phrase, PhraseSamples, StatisticsOf, target_statistics,
+};
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_motion::augment::mirrored_channels;
-use kinegrad_motion::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
-use kinegrad_motion::{Phrases, Statistics};
+use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
+use kinegrad_motion::{OrientationTarget, Phrases, Statistics, Targets};
 use kinegrad_settings::InvalidSetting;
 
-use super::networks::{denoiser, networks};
+use super::networks::{denoiser, networks, targets};
 use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
+use super::select::{Selecting, Selection};
 use super::start::Starts;
-use super::{CcMotionConfig, pretrain};
+use super::{CcMotionConfig, leaks, pretrain};
+use crate::checkpoint::{FORMAT, Progress, State};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -55,74 +58,122 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             Some(Starts::named(&init)?.ok_or_else(missing)?)
         }
     };
-    let statistics = match (&setup.checkpoint, &starts) {
-        (Some(checkpoint), _) => checkpoint.state.statistics_of(&Phrases)?.clone(),
+    if let Some(starts) = &starts {
+        leaks::warn(starts, &dataset, &config.data, observer)?;
+    }
+    let targets = targets(&config)?;
+    let reading = observer.reading();
+    let measured = |dataset: &Dataset<Phrase>| dataset.statistics_with_progress(&*reading);
+    let (statistics, network_statistics) = match (&setup.checkpoint, &starts) {
+        (Some(checkpoint), _) => {
+            let stored = checkpoint.state.statistics_of(&Phrases)?.clone();
+            (stored, checkpoint.state.network_statistics.clone())
+        }
         (None, Some(starts)) => {
-            let (mut statistics, augmented) = starts.statistics()?;
+            let state = starts.state()?;
+            let before = &state.config.data.augment;
+            let wide =
+                |targets, statistics| widened(statistics, targets, &config.data.augment, before);
+            let own = state.network_statistics.map(|own| wide(targets, own));
+            let mut statistics = state.statistics;
             if statistics.movement.is_empty() {
                 // Of a start of before it was measured.
-                statistics.movement = dataset.statistics()?.movement;
+                statistics.movement = measured(&dataset)?.movement;
             }
-            widened(statistics, &config.data.augment, &augmented)
+            (wide(Targets::default(), statistics), own)
         }
-        (None, None) => widened(
-            dataset.statistics_with_progress(&*observer.reading())?,
-            &config.data.augment,
-            &AugmentConfig::default(),
-        ),
+        (None, None) => {
+            let wide = |targets, statistics| {
+                let none = AugmentConfig::default();
+                widened(statistics, targets, &config.data.augment, &none)
+            };
+            let differ =
+                !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
+            let own = differ.then(|| {
+                let drawn = target_statistics(dataset.train.clone(), targets, &config.data);
+                Ok::<_, Error>(wide(targets, drawn?))
+            });
+            (
+                wide(Targets::default(), measured(&dataset)?),
+                own.transpose()?,
+            )
+        }
     };
-    let normalized = Arc::new(statistics.clone());
+    let normalized = Arc::new(network_statistics.as_ref().unwrap_or(&statistics).clone());
     let shared = normalized.clone();
     let samples = move |phrases, config: &Config| {
-        PhraseSamples::new(phrases, shared.clone(), &config.data, config.run.seed)
+        let (statistics, seed) = (shared.clone(), config.run.seed);
+        PhraseSamples::new(phrases, statistics, &config.data, seed).with_targets(targets)
     };
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
+    let state = State {
+        format: FORMAT,
+        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
+        step: 0,
+        config: config.clone(),
+        statistics: statistics.clone(),
+        network_statistics: network_statistics.clone(),
+        dataset_sha256: None,
+        progress: Progress::default(),
+        checksums: Default::default(),
+    };
+    let selection = Selection::new(&dataset.validation, &diffusion, state)?;
     let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
+    let material = Material {
+        network_statistics,
+        ..material
+    };
     let through_sampler = |diffusion| {
         let model = match starts {
             Some(starts) => starts.networks(&config, &setup.device)?,
             // The weights of the checkpoint will replace them.
-            None => networks(&config, &statistics, &setup.device)?,
+            None => networks(&config, &normalized, &setup.device)?,
         };
         let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
-        Ok::<_, Error>((model, rollouts))
+        Ok::<_, Error>((model, rollouts.with_targets(targets, &statistics)))
     };
     match recipe {
         RecipeName::Diffusion => {
             let model = denoiser(&config, &setup.device)?;
             let recipe = diffusion_recipe(diffusion, held_out);
-            setup.train(material, recipe, model, observer)
+            setup.train(material, Selecting { recipe, selection }, model, observer)
         }
         RecipeName::Decoder => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = DecoderRecipe::new(rollouts, &own.loss, held_out);
-            setup.train(material, recipe, model, observer)
+            setup.train(material, Selecting { recipe, selection }, model, observer)
         }
         RecipeName::E2e => {
             let (model, rollouts) = through_sampler(diffusion)?;
             let recipe = E2eRecipe::new(rollouts, &own.loss, held_out);
-            setup.train(material, recipe, model, observer)
+            setup.train(material, Selecting { recipe, selection }, model, observer)
         }
     }
 }
 
-/// The statistics with the range that augmented phrases reach, which predicted ones are clipped to;
-/// `before` is the augmentation that the range takes in already.
+/// The statistics of the channels of `targets` with the range that augmented phrases reach, which
+/// predicted ones are clipped to; `before` is the augmentation that the range takes in already.
 fn widened(
     mut statistics: Statistics,
+    targets: Targets,
     augment: &AugmentConfig,
     before: &AugmentConfig,
 ) -> Statistics {
     if augment.mirror {
-        statistics.widen_range_for_signs(mirrored_channels());
+        statistics.widen_range_for_signs(targets.mirrored_channels());
     }
-    if augment.flip_quaternion {
-        statistics.widen_range_for_signs(QUATERNION);
+    if augment.flip_quaternion && targets.orientation == OrientationTarget::Quaternion {
+        statistics.widen_range_for_signs(targets.orientation_channels());
     }
     if augment.rotate_yaw && !before.rotate_yaw {
         statistics.widen_range_for_yaw(
-            &[POSITION, VELOCITY, ACCELERATION, ANGULAR_VELOCITY],
-            QUATERNION,
+            &[
+                POSITION,
+                VELOCITY,
+                ACCELERATION,
+                targets.angular_velocity_channels(),
+            ],
+            targets.orientation_channels(),
         );
     }
     statistics
@@ -147,11 +198,19 @@ mod tests {
 
     /// Channels in which a changed phrase leaves the range of the statistics.
     fn cut(statistics: &Statistics, change: impl Fn(&mut Motion)) -> Vec<usize> {
+        cut_of(statistics, Targets::default(), change)
+    }
+
+    fn cut_of(
+        statistics: &Statistics,
+        targets: Targets,
+        change: impl Fn(&mut Motion),
+    ) -> Vec<usize> {
         let [low, high] = statistics.normalized_range().expect("measured");
         let mut cut = Vec::new();
         for mut phrase in phrases() {
             change(&mut phrase);
-            let values = statistics.normalize(phrase.as_slice());
+            let values = statistics.normalize(&targets.encode(phrase.as_slice()));
             for (channel, row) in values.chunks(20).enumerate() {
                 let within = |v: &f32| (low[channel] - 1e-5..=high[channel] + 1e-5).contains(v);
                 if !row.iter().all(within) && !cut.contains(&channel) {
@@ -173,7 +232,7 @@ mod tests {
         let with = |set: fn(&mut AugmentConfig)| {
             let mut augment = none.clone();
             set(&mut augment);
-            widened(measured.clone(), &augment, &none)
+            widened(measured.clone(), Targets::default(), &augment, &none)
         };
         assert!(!cut(&measured, mirror).is_empty() && !cut(&measured, flip).is_empty());
         let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
@@ -186,13 +245,50 @@ mod tests {
     }
 
     #[test]
+    fn the_range_of_other_targets_takes_in_each_augmentation() {
+        use kinegrad_motion::{ChannelMoments, PhaseTarget};
+
+        let targets = Targets {
+            phase: PhaseTarget::SinCos,
+            orientation: OrientationTarget::Rotation6d,
+        };
+        let encoded: Vec<Vec<f32>> = phrases()
+            .iter()
+            .map(|phrase| targets.encode(phrase.as_slice()).into_owned())
+            .collect();
+        let rows = encoded.iter().map(Vec::as_slice);
+        let measured = targets.statistics(ChannelMoments::measure(targets.channels(), rows));
+        let none = AugmentConfig::default();
+        let (mirrored, turned) = (
+            AugmentConfig {
+                mirror: true,
+                ..none.clone()
+            },
+            AugmentConfig {
+                rotate_yaw: true,
+                ..none.clone()
+            },
+        );
+        let turn = |phrase: &mut Motion| rotate_yaw(phrase, 2.0);
+        assert!(cut_of(&measured, targets, |_| ()).is_empty());
+        assert!(cut_of(&measured, targets, flip).is_empty());
+        for (augment, change) in [(mirrored, &mirror as &dyn Fn(&mut Motion)), (turned, &turn)] {
+            assert!(!cut_of(&measured, targets, change).is_empty());
+            let wide = widened(measured.clone(), targets, &augment, &none);
+            assert!(cut_of(&wide, targets, change).is_empty(), "{augment:?}");
+        }
+    }
+
+    #[test]
     fn a_range_that_takes_in_rotation_is_not_widened_again() {
         let measured = phrase_statistics(&phrases()).expect("phrases");
         let turned = AugmentConfig {
             rotate_yaw: true,
             ..AugmentConfig::default()
         };
-        let once = widened(measured, &turned, &AugmentConfig::default());
-        assert_eq!(widened(once.clone(), &turned, &turned), once);
+        let none = AugmentConfig::default();
+        let stored = Targets::default();
+        let once = widened(measured, stored, &turned, &none);
+        assert_eq!(widened(once.clone(), stored, &turned, &turned), once);
     }
 }

@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::recipe_name::RecipeName;
-use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -141,6 +141,12 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "data.kind",
         "a kind of phrases",
         format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{recipe}`"),
+    )?;
+    require(
+        config.validation.select_by == SelectBy::Loss,
+        "validation.select_by",
+        "a metric of phrases",
+        format!("\"loss\" for recipe `{recipe}`"),
     )?;
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {

@@ -89,6 +89,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         step: 0,
         config: config.clone(),
         statistics,
+        network_statistics: None,
         dataset_sha256: None,
         progress: Progress::default(),
         checksums: BTreeMap::new(),

@@ -11,6 +11,7 @@ use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::{self, Generator};
+use crate::systems::cc_motion::lengths::untrained;
 
 /// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
 /// the differences that are measured of each.
@@ -69,6 +70,8 @@ pub fn prepare<'a>(
         sampling: subject.config.sampling.clone(),
     };
     let training = dataset.train.load()?;
+    let lengths = held_out.iter().map(|phrase| phrase.frames());
+    let odd = untrained(&subject.config.data, lengths);
     Ok(Box::new(move |on_step| {
         let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
         let mut told = |done, all| on_step("", done, all);
@@ -82,6 +85,7 @@ pub fn prepare<'a>(
                 training.len()
             ));
         }
+        evaluated.remarks.extend(odd);
         Ok(evaluated)
     }))
 }

@@ -3,7 +3,7 @@
 
 use burn::tensor::{Tensor, s};
 use kinegrad_models::rotation::hemisphere;
-use kinegrad_motion::phrase::{POSITION, QUATERNION};
+use kinegrad_motion::phrase::{PHASE, POSITION, QUATERNION};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -82,6 +82,22 @@ pub fn normalized_error(
     mean_frames(
         error.square() * weights,
         &mask.clone().unsqueeze_dim::<3>(1),
+    )
+}
+
+/// `target` with each phase moved by whole bars to where it is nearest to that of `decoded`, so that
+/// 0.99 and 0.01 differ by 0.02.
+pub fn with_nearer_phase(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
+    let phase = |x: &Tensor<3>| x.clone().without_autodiff().narrow(1, PHASE, 1);
+    let reference = phase(target);
+    let bars = (phase(decoded) - reference.clone()).round();
+    Tensor::cat(
+        vec![
+            target.clone().slice(s![.., ..PHASE]),
+            reference + bars,
+            target.clone().slice(s![.., PHASE + 1..]),
+        ],
+        1,
     )
 }
 

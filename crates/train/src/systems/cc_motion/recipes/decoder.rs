@@ -18,10 +18,8 @@ use kinegrad_models::MotionModel;
 use kinegrad_random::{Key, Purpose};
 
 use super::Rollouts;
-use super::rollouts::channels;
 use crate::denoising::{HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
-use crate::systems::cc_motion::losses::reconstruction::normalized_error;
 use crate::systems::cc_motion::{LossConfig, ReconstructionWeighting};
 
 /// The noised latents are at timesteps below this share of all.
@@ -70,13 +68,13 @@ impl DecoderRecipe {
     ) -> [(&'static str, Tensor<1>); 2] {
         let device = inputs.x_start.device();
         let target = self.rollouts.physical(&inputs.x_start);
-        let std = channels(&self.rollouts.statistics.std, &device);
         let error = |call: u64, latent: Tensor<3>, weighting| {
             let decoded = model
                 .decoder
                 .forward(latent, dropout.map(|key| key.at(call)));
             let weights = self.rollouts.weights(starts, weighting, &device);
-            normalized_error(&decoded, &target, &inputs.mask, weights, &std) * self.loss.w_dec
+            let rollouts = &self.rollouts;
+            rollouts.normalized_error(&decoded, &target, &inputs.mask, weights) * self.loss.w_dec
         };
         let [noised, sampled] = latents;
         [

@@ -25,11 +25,9 @@ use kinegrad_random::Purpose;
 
 use super::Rollouts;
 use super::diffusion::{denoising_loss, denoising_validation_loss};
-use super::rollouts::channels;
 use crate::denoising::{Draws, HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::LossConfig;
-use crate::systems::cc_motion::losses::reconstruction::normalized_error;
 use crate::systems::cc_motion::losses::{ReconstructionLoss, temporal_losses};
 
 /// Draw of the held-out phrases' noise that their rollouts start from, whatever `validation.draws`.
@@ -56,7 +54,7 @@ pub struct E2eDraws {
     pub denoising: Draws,
     /// Start timestep of each sample's rollout.
     pub starts: Vec<usize>,
-    /// Start noise of the rollout, standard normal: `[batch, 25, time]`.
+    /// Start noise of the rollout, standard normal: `[batch, channels, time]`.
     pub start_noise: Tensor<3>,
     /// The decoder's dropout.
     pub decoder_dropout: DropoutKey,
@@ -103,7 +101,7 @@ impl E2eRecipe {
                 &rollout_timesteps(&starts, self.rollouts.config.steps),
                 self.rollouts.config.graph(),
             )
-            .expect("bounds of 25 channels");
+            .expect("bounds of all channels");
         let pending = output.trace.map(|trace| PendingRollout {
             trace,
             cond: inputs.cond.get(AUDIO).clone(),
@@ -145,8 +143,8 @@ impl E2eRecipe {
             ("quaternion", quaternion * self.loss.w_dec),
         ];
         if self.loss.w_components > 0.0 {
-            let std = channels(&self.rollouts.statistics.std, &decoded.device());
-            let error = normalized_error(decoded, &target, &inputs.mask, weights, &std);
+            let rollouts = &self.rollouts;
+            let error = rollouts.normalized_error(decoded, &target, &inputs.mask, weights);
             terms.push(("components", error * self.loss.w_components));
         }
         let temporal = temporal_losses(decoded, &inputs.mask, &self.loss.temporal);

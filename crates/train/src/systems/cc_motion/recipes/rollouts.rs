@@ -6,11 +6,13 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
-use kinegrad_motion::Statistics;
+use kinegrad_models::targets::decode;
+use kinegrad_motion::{PhaseTarget, Statistics, Targets};
 use kinegrad_random::Key;
 
 use crate::denoising::Inputs;
 use crate::error::Error;
+use crate::systems::cc_motion::losses::reconstruction::{normalized_error, with_nearer_phase};
 use crate::systems::cc_motion::{ReconstructionWeighting, RolloutConfig, RolloutStart};
 
 /// Rollouts as the table `rollout` says.
@@ -18,6 +20,9 @@ pub struct Rollouts {
     pub(super) rollout: Rollout,
     pub(super) config: RolloutConfig,
     pub(super) statistics: Arc<Statistics>,
+    pub(super) targets: Targets,
+    /// Deviations of the 25 channels, which errors of decoded motion are in units of.
+    pub(super) std: Vec<f64>,
 }
 
 impl Rollouts {
@@ -43,8 +48,21 @@ impl Rollouts {
                 gradient_decay: config.gradient_decay,
             },
             config: config.clone(),
+            std: statistics.std.clone(),
+            targets: Targets::default(),
             statistics,
         })
+    }
+
+    /// The same over motion in the channels of `targets`, which the statistics then are of;
+    /// `stored` are those of the 25 channels.
+    #[must_use]
+    pub fn with_targets(self, targets: Targets, stored: &Statistics) -> Self {
+        Self {
+            targets,
+            std: stored.std.clone(),
+            ..self
+        }
     }
 
     /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
@@ -86,7 +104,7 @@ impl Rollouts {
         }
     }
 
-    /// Latents drawn from the batch by plain weights, without gradients: `[batch, 25, time]`.
+    /// Latents drawn from the batch by plain weights, without gradients: `[batch, channels, time]`.
     pub(super) fn sample(
         &self,
         unet: &UNet1d,
@@ -102,7 +120,7 @@ impl Rollouts {
             &rollout_timesteps(starts, self.config.steps),
             RolloutMode::LastK(0),
         );
-        output.expect("bounds of 25 channels").x.without_autodiff()
+        output.expect("bounds of all channels").x.without_autodiff()
     }
 
     /// How much the reconstruction of each sample counts: `[batch, 1, 1]`.
@@ -123,15 +141,34 @@ impl Rollouts {
         Tensor::from_data(TensorData::new(weights, [starts.len(), 1, 1]), device)
     }
 
-    /// Normalised motion in physical units.
+    /// Normalised motion in physical units: `[batch, 25, time]`.
     pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
         let device = x.device();
-        x.clone() * channels(&self.statistics.std, &device)
-            + channels(&self.statistics.mean, &device)
+        let x = x.clone() * channels(&self.statistics.std, &device)
+            + channels(&self.statistics.mean, &device);
+        decode(self.targets, x)
+    }
+
+    /// The mean squared error of all components in units of their deviations.
+    pub(super) fn normalized_error(
+        &self,
+        decoded: &Tensor<3>,
+        target: &Tensor<3>,
+        mask: &Tensor<2>,
+        weights: Tensor<3>,
+    ) -> Tensor<1> {
+        let std = channels(&self.std, &decoded.device());
+        match self.targets.phase {
+            PhaseTarget::Scalar => normalized_error(decoded, target, mask, weights, &std),
+            PhaseTarget::SinCos => {
+                let target = with_nearer_phase(target, decoded);
+                normalized_error(decoded, &target, mask, weights, &std)
+            }
+        }
     }
 }
 
-/// One value a channel: `[1, 25, 1]`.
+/// One value a channel: `[1, channels, 1]`.
 pub(super) fn channels(values: &[f64], device: &Device) -> Tensor<3> {
     let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
     let shape = [1, values.len(), 1];

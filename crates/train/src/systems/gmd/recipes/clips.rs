@@ -45,4 +45,5 @@ pub fn clip_recipe(
             clip_loss(diffusion, model, inputs, draws, &channel_weights, weighted)
         },
     )
+    .averaging_samples()
 }

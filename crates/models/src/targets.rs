@@ -1,0 +1,267 @@
+//! From what a denoiser predicts of a phrase ([`Targets`]) to its 25 channels, with gradients:
+//! [`Targets::decode`] on tensors.
+
+use std::f64::consts::TAU;
+
+use burn::tensor::Tensor;
+use kinegrad_motion::phrase::QUATERNION;
+use kinegrad_motion::targets::LEAST_SQUARE;
+use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
+
+/// Square of the radius below which the gradient of an angle does not grow any more.
+const LEAST_RADIUS_SQUARE: f64 = 1e-4;
+
+/// The 25 channels of predicted motion: a phase in [0, 1), whose gradient knows no wrap, and unit
+/// quaternions without changes of sign. Gradients are finite everywhere; signs, wraps and the
+/// choice of a formula are constants to them.
+///
+/// # Shapes
+/// - x: `[batch, channels, time]`, the channels of `targets` in physical units
+/// - output: `[batch, 25, time]`
+pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
+    if targets.are_stored_channels() {
+        return x;
+    }
+    let part = |range: std::ops::Range<usize>| x.clone().narrow(1, range.start, range.len());
+    let orientation = part(targets.orientation_channels());
+    let phase = part(targets.phase_channels());
+    Tensor::cat(
+        vec![
+            part(0..QUATERNION.start),
+            match targets.orientation {
+                OrientationTarget::Quaternion => orientation,
+                OrientationTarget::CanonicalQuaternion => canonical_signs(unit(orientation)),
+                OrientationTarget::Rotation6d => canonical_signs(from_columns(orientation)),
+            },
+            part(targets.angular_velocity_channels()),
+            match targets.phase {
+                PhaseTarget::Scalar => phase,
+                PhaseTarget::SinCos => turns(phase),
+            },
+            part(targets.style_channels()),
+        ],
+        1,
+    )
+}
+
+/// The angle of `[batch, (sine, cosine), time]` in turns from 0 to 1: `[batch, 1, time]`.
+fn turns(circle: Tensor<3>) -> Tensor<3> {
+    let component = |x: &Tensor<3>, index: usize| x.clone().narrow(1, index, 1);
+    let known = circle.clone().without_autodiff();
+    let (s0, c0) = (component(&known, 0), component(&known, 1));
+    let angle = s0.clone().atan2(c0.clone()) / TAU;
+    let wrapped = angle.clone() + angle.lower_elem(0.0).float();
+    // Just below a whole turn rounds to it.
+    let whole = wrapped.clone().greater_equal_elem(1.0);
+    let wrapped = wrapped.mask_fill(whole, 0.0);
+    // The gradient of atan2, NaN at zero, is (c ds - s dc) / r^2: a term that is 0 here has it.
+    let square = (s0.clone().square() + c0.clone().square()).clamp_min(LEAST_RADIUS_SQUARE);
+    let around = component(&circle, 0) * c0 - component(&circle, 1) * s0;
+    around / square / TAU + wrapped
+}
+
+/// Divided by its Euclidean norm over the channels; what is nearly zero, by a small number.
+fn unit(x: Tensor<3>) -> Tensor<3> {
+    let square = x.clone().square().sum_dim(1);
+    x / square.clamp_min(LEAST_SQUARE).sqrt()
+}
+
+/// The unit quaternions `[batch, 4, time]`, of any sign, of rotations whose matrices have nearly
+/// the first two columns `[batch, 6, time]`, by Gram and Schmidt.
+fn from_columns(columns: Tensor<3>) -> Tensor<3> {
+    let a = unit(columns.clone().narrow(1, 0, 3));
+    let b = columns.narrow(1, 3, 3);
+    let along = (a.clone() * b.clone()).sum_dim(1);
+    let b = unit(b - a.clone() * along);
+    let parts = |x: &Tensor<3>| [0, 1, 2].map(|index| x.clone().narrow(1, index, 1));
+    let ([ax, ay, az], [bx, by, bz]) = (parts(&a), parts(&b));
+    let cross = |p: &Tensor<3>, q: &Tensor<3>, r: &Tensor<3>, s: &Tensor<3>| {
+        p.clone() * q.clone() - r.clone() * s.clone()
+    };
+    let cx = cross(&ay, &bz, &az, &by);
+    let cy = cross(&az, &bx, &ax, &bz);
+    let cz = cross(&ax, &by, &ay, &bx);
+    // The matrix 4 q q^T: its row of the largest diagonal, which is 1 or more, is q, scaled.
+    let (wx, wy, wz) = (
+        bz.clone() - cy.clone(),
+        cx.clone() - az.clone(),
+        ay.clone() - bx.clone(),
+    );
+    let (xy, xz, yz) = (ay + bx, cx + az, bz + cy);
+    let diagonal = [
+        ax.clone() + by.clone() + cz.clone(),
+        ax.clone() - by.clone() - cz.clone(),
+        by.clone() - ax.clone() - cz.clone(),
+        cz - ax - by,
+    ]
+    .map(|trace| trace + 1.0);
+    let known = diagonal.clone().map(Tensor::without_autodiff);
+    let chosen = Tensor::cat(known.to_vec(), 1).argmax(1);
+    let [ww, xx, yy, zz] = diagonal;
+    let rows = [
+        [&ww, &wx, &wy, &wz],
+        [&wx, &xx, &xy, &xz],
+        [&wy, &xy, &yy, &yz],
+        [&wz, &xz, &yz, &zz],
+    ];
+    let picked = rows.into_iter().enumerate().map(|(index, row)| {
+        let row = Tensor::cat(row.map(Clone::clone).to_vec(), 1);
+        row * chosen.clone().equal_elem(index as i64).float()
+    });
+    let row = picked.reduce(|sum, row| sum + row).expect("four rows");
+    unit(row)
+}
+
+/// Negates unit quaternions `[batch, 4, time]` so that the first has `w >= 0` and each lies in the
+/// hemisphere of the one before. The signs are constants to the gradient.
+fn canonical_signs(quaternion: Tensor<3>) -> Tensor<3> {
+    let first = quaternion.clone().without_autodiff().narrow(2, 0, 1);
+    let sign = first.narrow(1, 0, 1).lower_elem(0.0).float() * -2.0 + 1.0;
+    sign_continuous(quaternion * sign)
+}
+
+/// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of the one before.
+/// The signs are constants to the gradient.
+pub(crate) fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
+    let time = quaternion.dims()[2];
+    if time < 2 {
+        return quaternion;
+    }
+    let known = quaternion.clone().inner();
+    let dots = (known.clone().narrow(2, 1, time - 1) * known.narrow(2, 0, time - 1)).sum_dim(1);
+    let flips = dots.lower_elem(0.0).float() * -2.0 + 1.0;
+    let signs = Tensor::cat(vec![flips.clone().narrow(2, 0, 1).ones_like(), flips], 2).cumprod(2);
+    quaternion * signs
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, TensorData};
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    fn all() -> Vec<Targets> {
+        use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
+        let phases = [PhaseTarget::Scalar, PhaseTarget::SinCos];
+        let of_phase = |phase| {
+            [Quaternion, CanonicalQuaternion, Rotation6d]
+                .map(|orientation| Targets { phase, orientation })
+        };
+        phases.into_iter().flat_map(of_phase).collect()
+    }
+
+    fn draw(seed: u64, count: usize) -> Vec<f32> {
+        Key::new(seed, Purpose::Noise).normals(count)
+    }
+
+    fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
+        Tensor::from_data(TensorData::new(values, shape), device)
+    }
+
+    fn values(x: Tensor<3>) -> Vec<f32> {
+        x.into_data().try_to_vec::<f32>().unwrap()
+    }
+
+    #[test]
+    fn tensors_decode_as_rows_do() {
+        let (batch, time) = (3, 11);
+        for targets in all() {
+            let channels = targets.channels();
+            let x = draw(4, batch * channels * time);
+            let found = values(decode(
+                targets,
+                tensor(x.clone(), [batch, channels, time], &Device::flex()),
+            ));
+            for (item, (x, found)) in x
+                .chunks(channels * time)
+                .zip(found.chunks(25 * time))
+                .enumerate()
+            {
+                let rows = (0..time).flat_map(|t| (0..channels).map(move |c| x[c * time + t]));
+                let expected = targets.decode(rows.collect());
+                for (index, expected) in expected.iter().enumerate() {
+                    let (t, channel) = (index / 25, index % 25);
+                    let found = found[channel * time + t];
+                    let error = (found - expected).abs();
+                    assert!(
+                        error < 2e-5,
+                        "{targets:?}, item {item}, frame {t}, channel {channel}: {found} {expected}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gradients_are_those_of_differences() {
+        let device = Device::flex().autodiff();
+        for targets in all() {
+            let shape = [2, targets.channels(), 3];
+            let count: usize = shape.iter().product();
+            let x = draw(9, count);
+            let direction = draw(10, 2 * 25 * 3);
+            let weighed = |x: Tensor<3>, device: &Device| {
+                (decode(targets, x) * tensor(direction.clone(), [2, 25, 3], device)).sum()
+            };
+            let input = tensor(x.clone(), shape, &device).require_grad();
+            let mut gradients = weighed(input.clone(), &device).backward();
+            let found = values(input.grad_remove(&mut gradients).unwrap());
+            for index in 0..count {
+                let at = |step: f32| {
+                    let mut moved = x.clone();
+                    moved[index] += step;
+                    let plain = Device::flex();
+                    let value = weighed(tensor(moved, shape, &plain), &plain);
+                    f64::from(value.into_scalar::<f32>())
+                };
+                let expected = (at(5e-3) - at(-5e-3)) / 1e-2;
+                let error = (f64::from(found[index]) - expected).abs();
+                let allowed = 2e-2 * expected.abs().max(1.0);
+                assert!(
+                    error < allowed,
+                    "{targets:?}, {index}: {} for {expected}",
+                    found[index]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_breaks_at_zero_and_at_half_turns() {
+        let device = Device::flex().autodiff();
+        let targets = Targets {
+            phase: PhaseTarget::SinCos,
+            orientation: OrientationTarget::Rotation6d,
+        };
+        let channels = targets.channels();
+        // Zeros; no rotation; half a turn about each axis; two equal columns.
+        let columns: [[f32; 6]; 6] = [
+            [0.0; 6],
+            [1.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+            [1.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+            [-1.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+            [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+            [1.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+        ];
+        let mut x = vec![0.0; columns.len() * channels];
+        for (frame, columns) in x.chunks_mut(channels).zip(columns) {
+            frame[targets.orientation_channels()].copy_from_slice(&columns);
+        }
+        let x = tensor(x, [columns.len(), channels, 1], &device).require_grad();
+        let decoded = decode(targets, x.clone());
+        let mut gradients = decoded.clone().square().sum().backward();
+        let gradient = values(x.grad_remove(&mut gradients).unwrap());
+        let decoded = values(decoded);
+        assert!(
+            decoded
+                .iter()
+                .chain(&gradient)
+                .all(|value| value.is_finite())
+        );
+        for frame in decoded.chunks(25) {
+            let square: f32 = frame[QUATERNION].iter().map(|part| part * part).sum();
+            assert!((square - 1.0).abs() < 1e-5, "{square}");
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! What a denoiser predicts of a phrase: its 25 channels as they are, or with the phase and the
+//! orientation in forms that have no jumps.
+//!
+//! A phase of 0.99 and one of 0.01 are neighbours in a bar and far apart as numbers; q and -q are
+//! one rotation and add up to zero. A network that predicts means does badly on both. [`Targets`]
+//! says what stands in their place; everything on disk keeps the 25 channels.
+//!
+//! ```text
+//! network   position velocity acceleration orientation angular velocity phase   style
+//! channels      3        3          3        4 or 6            3        1 or 2    8
+//! ```
+
+use std::borrow::Cow;
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::augment::mirrored_channels;
+use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
+use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
+
+/// Below this square, a predicted axis of a rotation is not divided by its length.
+pub const LEAST_SQUARE: f64 = 1e-8;
+
+/// What is predicted of the phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PhaseTarget {
+    /// The number from 0 to 1 (CC-MotionGen), which jumps at each bar.
+    #[default]
+    Scalar,
+    /// Sine and cosine of the angle in the bar.
+    SinCos,
+}
+
+/// What is predicted of the orientation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OrientationTarget {
+    /// The quaternion as stored (CC-MotionGen).
+    #[default]
+    Quaternion,
+    /// The quaternion of a sample that is turned so that its first frame faces +z, with `w >= 0`
+    /// there and without changes of sign after. Samples then begin in that direction.
+    CanonicalQuaternion,
+    /// The first two columns of the rotation matrix (Zhou et al. 2019,
+    /// <https://arxiv.org/abs/1812.07035>), which are continuous in the rotation.
+    #[serde(rename = "rotation_6d")]
+    Rotation6d,
+}
+
+/// The channels that a denoiser predicts of a phrase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Targets {
+    /// Of the phase.
+    pub phase: PhaseTarget,
+    /// Of the orientation.
+    pub orientation: OrientationTarget,
+}
+
+impl Targets {
+    /// Whether these are the 25 channels of the phrase themselves.
+    pub fn are_stored_channels(self) -> bool {
+        self == Self::default()
+    }
+
+    /// Number of channels.
+    pub fn channels(self) -> usize {
+        self.style_channels().end
+    }
+
+    /// Channels of the orientation.
+    pub fn orientation_channels(self) -> Range<usize> {
+        let width = match self.orientation {
+            OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => 4,
+            OrientationTarget::Rotation6d => 6,
+        };
+        QUATERNION.start..QUATERNION.start + width
+    }
+
+    /// Channels of the angular velocity.
+    pub fn angular_velocity_channels(self) -> Range<usize> {
+        let start = self.orientation_channels().end;
+        start..start + ANGULAR_VELOCITY.len()
+    }
+
+    /// Channels of the phase.
+    pub fn phase_channels(self) -> Range<usize> {
+        let start = self.angular_velocity_channels().end;
+        match self.phase {
+            PhaseTarget::Scalar => start..start + 1,
+            PhaseTarget::SinCos => start..start + 2,
+        }
+    }
+
+    /// Channels of the style descriptors.
+    pub fn style_channels(self) -> Range<usize> {
+        let start = self.phase_channels().end;
+        start..start + STYLE.len()
+    }
+
+    /// The channels that mirroring a phrase ([`crate::mirror`]) negates.
+    pub fn mirrored_channels(self) -> Vec<usize> {
+        let (stored, rotation) = (mirrored_channels(), self.angular_velocity_channels());
+        let moved = |channel: usize| match channel {
+            c if c < QUATERNION.start => Some(c),
+            c if ANGULAR_VELOCITY.contains(&c) => Some(rotation.start + c - ANGULAR_VELOCITY.start),
+            c if self.orientation != OrientationTarget::Rotation6d => Some(c),
+            _ => None,
+        };
+        let mut negated: Vec<usize> = stored.into_iter().filter_map(moved).collect();
+        if self.orientation == OrientationTarget::Rotation6d {
+            // S R S with S = diag(-1, 1, 1): y and z of the first column, x of the second.
+            negated.extend([1, 2, 3].map(|offset| QUATERNION.start + offset));
+        }
+        negated
+    }
+
+    /// The rows `[frames, channels]` that a denoiser is trained on, of `rows` `[frames, 25]` of one
+    /// sample in the dataset's units.
+    ///
+    /// # Panics
+    /// Panics if the rows are not whole frames, at least one.
+    pub fn encode(self, rows: &[f32]) -> Cow<'_, [f32]> {
+        if self.are_stored_channels() {
+            return Cow::Borrowed(rows);
+        }
+        let mut motion = Motion::new(rows.to_vec()).expect("whole frames of 25 channels");
+        if self.orientation == OrientationTarget::CanonicalQuaternion {
+            let heading = motion.quaternion(0).yaw();
+            rotate_yaw(&mut motion, -heading);
+            let found = (0..motion.frames()).map(|t| motion.quaternion(t));
+            for (t, unit) in canonical_signs(found.collect()).into_iter().enumerate() {
+                motion.set_quaternion(t, unit);
+            }
+        }
+        let mut encoded = Vec::with_capacity(motion.frames() * self.channels());
+        for t in 0..motion.frames() {
+            let frame = motion.frame(t);
+            encoded.extend_from_slice(&frame[..QUATERNION.start]);
+            match self.orientation {
+                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                    encoded.extend_from_slice(&frame[QUATERNION]);
+                }
+                OrientationTarget::Rotation6d => {
+                    let unit = motion.quaternion(t).normalised();
+                    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
+                    encoded.extend(columns.iter().flatten().map(|&value| value as f32));
+                }
+            }
+            encoded.extend_from_slice(&frame[ANGULAR_VELOCITY]);
+            match self.phase {
+                PhaseTarget::Scalar => encoded.push(frame[PHASE]),
+                PhaseTarget::SinCos => {
+                    let (sin, cos) = (TAU * f64::from(frame[PHASE])).sin_cos();
+                    encoded.extend([sin as f32, cos as f32]);
+                }
+            }
+            encoded.extend_from_slice(&frame[STYLE]);
+        }
+        Cow::Owned(encoded)
+    }
+
+    /// The rows `[frames, 25]` of predicted `rows` `[frames, channels]` of one sample: a phase in
+    /// [0, 1), and unit quaternions without changes of sign, the first with `w >= 0`. What is not
+    /// finite stays so.
+    pub fn decode(self, rows: Vec<f32>) -> Vec<f32> {
+        if self.are_stored_channels() {
+            return rows;
+        }
+        let frames = rows.chunks_exact(self.channels());
+        let orientations = frames.clone().map(|frame| {
+            let values = frame[self.orientation_channels()].iter();
+            let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
+            match self.orientation {
+                OrientationTarget::Rotation6d => from_columns(&values),
+                _ => Quaternion::new(values[0], values[1], values[2], values[3]),
+            }
+        });
+        let orientations = match self.orientation {
+            OrientationTarget::Quaternion => orientations.collect(),
+            _ => canonical_signs(orientations.collect()),
+        };
+        let mut decoded = Vec::with_capacity(frames.len() * CHANNELS);
+        for (frame, Quaternion { w, x, y, z }) in frames.zip(orientations) {
+            decoded.extend_from_slice(&frame[..QUATERNION.start]);
+            decoded.extend([w, x, y, z].map(|part| part as f32));
+            decoded.extend_from_slice(&frame[self.angular_velocity_channels()]);
+            let phase = &frame[self.phase_channels()];
+            decoded.push(match self.phase {
+                PhaseTarget::Scalar => phase[0],
+                PhaseTarget::SinCos => {
+                    let angle = f64::from(phase[0]).atan2(f64::from(phase[1]));
+                    let turn = (angle / TAU).rem_euclid(1.0) as f32;
+                    // Just below a whole turn rounds to it.
+                    if turn >= 1.0 { 0.0 } else { turn }
+                }
+            });
+            decoded.extend_from_slice(&frame[self.style_channels()]);
+        }
+        decoded
+    }
+
+    /// How such channels with these `moments` are normalised: zero mean and unit deviation, except
+    /// that quaternions, rotations, sines and cosines stay as they are and a phase of 0 to 1
+    /// becomes one of -1 to 1.
+    pub fn statistics(self, moments: ChannelMoments) -> Statistics {
+        let mut statistics = Statistics::standard(moments);
+        let (orientation, phase) = (self.orientation_channels(), self.phase_channels());
+        statistics.mean[orientation.clone()].fill(0.0);
+        statistics.std[orientation].fill(1.0);
+        let (mean, std) = match self.phase {
+            PhaseTarget::Scalar => (0.5, 0.5),
+            PhaseTarget::SinCos => (0.0, 1.0),
+        };
+        statistics.mean[phase.clone()].fill(mean);
+        statistics.std[phase.clone()].fill(std);
+        if let (PhaseTarget::SinCos, Some([min, max])) = (self.phase, &mut statistics.range) {
+            min[phase.clone()].fill(-1.0);
+            max[phase].fill(1.0);
+        }
+        statistics
+    }
+}
+
+/// Unit quaternions of the same rotations, each in the hemisphere of the one before, the first in
+/// that of no rotation; those that are not finite stay.
+fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
+    let mut before = Quaternion::IDENTITY;
+    for quaternion in &mut quaternions {
+        if quaternion.norm().is_finite() {
+            let unit = quaternion.normalised();
+            let sign = if unit.dot(before) < 0.0 { -1.0 } else { 1.0 };
+            *quaternion = unit.scale(sign);
+            before = *quaternion;
+        }
+    }
+    quaternions
+}
+
+/// The rotation whose matrix has nearly these first two columns, by Gram and Schmidt; its sign is
+/// arbitrary. Not finite where the columns are not.
+fn from_columns(columns: &[f64]) -> Quaternion {
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
+    if !columns.iter().all(|part| part.is_finite()) {
+        return Quaternion::new(f64::NAN, f64::NAN, f64::NAN, f64::NAN);
+    }
+    let a = unit([columns[0], columns[1], columns[2]]);
+    let b = [columns[3], columns[4], columns[5]];
+    let along = dot(a, b);
+    let b = unit([0, 1, 2].map(|i| b[i] - along * a[i]));
+    let c = [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ];
+    // The matrix 4 q q^T: its row of the largest diagonal is q, scaled by 4 times that part.
+    let (wx, wy, wz) = (b[2] - c[1], c[0] - a[2], a[1] - b[0]);
+    let (xy, xz, yz) = (a[1] + b[0], c[0] + a[2], b[2] + c[1]);
+    let rows = [
+        [1.0 + a[0] + b[1] + c[2], wx, wy, wz],
+        [wx, 1.0 + a[0] - b[1] - c[2], xy, xz],
+        [wy, xy, 1.0 - a[0] + b[1] - c[2], yz],
+        [wz, xz, yz, 1.0 - a[0] - b[1] + c[2]],
+    ];
+    let largest = (0..4).max_by(|&i, &j| rows[i][i].total_cmp(&rows[j][j]));
+    let [w, x, y, z] = rows[largest.expect("four rows")];
+    Quaternion::new(w, x, y, z).normalised()
+}
+
+#[cfg(test)]
+mod tests;

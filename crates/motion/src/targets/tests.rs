@@ -1,0 +1,245 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::phrase::{POSITION, VELOCITY};
+use crate::wandering::wandering;
+use crate::{channel_name, mirror};
+
+/// All combinations.
+fn all() -> Vec<Targets> {
+    use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
+    let phases = [PhaseTarget::Scalar, PhaseTarget::SinCos];
+    let of_phase = |phase| {
+        [Quaternion, CanonicalQuaternion, Rotation6d]
+            .map(|orientation| Targets { phase, orientation })
+    };
+    phases.into_iter().flat_map(of_phase).collect()
+}
+
+/// A phrase that turns all ways, whose quaternions change sign and whose phase wraps.
+fn phrase(seed: u64, frames: usize) -> Motion {
+    let mut motion = wandering(seed, frames);
+    for t in 0..frames {
+        let angle = 0.4 * t as f64 + seed as f64;
+        let unit = Quaternion::from_rotation_vector([angle.sin(), 1.3 * angle, 0.7]);
+        let sign = if t % 3 == 1 { -1.0 } else { 1.0 };
+        motion.set_quaternion(t, unit.scale(sign));
+        motion.frame_mut(t)[PHASE] = (0.13 * t as f64 + 0.91).rem_euclid(1.0) as f32;
+    }
+    motion
+}
+
+/// How far apart two phases are in the bar.
+fn apart(a: f32, b: f32) -> f32 {
+    let difference = a - b;
+    (difference - difference.round()).abs()
+}
+
+#[test]
+fn the_stored_channels_stay_bit_for_bit() {
+    let motion = phrase(3, 17);
+    let targets = Targets::default();
+    assert_eq!(targets.channels(), CHANNELS);
+    assert_eq!(targets.encode(motion.as_slice()), motion.as_slice());
+    assert_eq!(
+        targets.decode(motion.as_slice().to_vec()),
+        motion.as_slice()
+    );
+    let moments = ChannelMoments::measure(CHANNELS, [motion.as_slice()]);
+    let statistics = crate::phrase_statistics([&motion]).unwrap();
+    let own = targets.statistics(moments);
+    assert_eq!((&own.mean, &own.std), (&statistics.mean, &statistics.std));
+    assert_eq!(own.range, statistics.range);
+    assert_eq!(targets.mirrored_channels(), mirrored_channels());
+}
+
+#[test]
+fn what_is_encoded_comes_back() {
+    for targets in all() {
+        for seed in 0..4 {
+            let motion = phrase(seed, 23);
+            let encoded = targets.encode(motion.as_slice()).into_owned();
+            assert_eq!(encoded.len(), 23 * targets.channels());
+            let decoded = Motion::new(targets.decode(encoded)).unwrap();
+            let mut expected = motion.clone();
+            if targets.orientation == OrientationTarget::CanonicalQuaternion {
+                rotate_yaw(&mut expected, -motion.quaternion(0).yaw());
+            }
+            for t in 0..23 {
+                let (found, expected) = (decoded.frame(t), expected.frame(t));
+                for channel in (0..CHANNELS).filter(|c| !QUATERNION.contains(c)) {
+                    let error = match channel {
+                        PHASE => apart(found[channel], expected[channel]),
+                        _ => (found[channel] - expected[channel]).abs(),
+                    };
+                    let name = channel_name(channel);
+                    assert!(error < 1e-6, "{targets:?}, {name} of frame {t}: {error}");
+                }
+            }
+            for t in 0..23 {
+                let dot = decoded.quaternion(t).dot(expected.quaternion(t));
+                assert!(
+                    (dot.abs() - 1.0).abs() < 1e-6,
+                    "{targets:?}, frame {t}: {dot}"
+                );
+            }
+            if targets.orientation != OrientationTarget::Quaternion {
+                assert!(decoded.quaternion(0).w >= 0.0);
+                let continuous = |t| decoded.quaternion(t).dot(decoded.quaternion(t - 1)) >= 0.0;
+                assert!((1..23).all(continuous), "{targets:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn neighbouring_phases_and_both_quaternions_of_a_rotation_are_near() {
+    let targets = Targets {
+        phase: PhaseTarget::SinCos,
+        orientation: OrientationTarget::Rotation6d,
+    };
+    let motion = phrase(1, 1);
+    let with = |phase: f32, sign: f64| {
+        let mut changed = motion.clone();
+        changed.frame_mut(0)[PHASE] = phase;
+        changed.set_quaternion(0, motion.quaternion(0).scale(sign));
+        targets.encode(changed.as_slice()).into_owned()
+    };
+    let distance = |a: &[f32], b: &[f32]| -> f32 {
+        let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+        squares.sum::<f32>().sqrt()
+    };
+    assert!(distance(&with(0.999, 1.0), &with(0.001, -1.0)) < 0.02);
+    assert!(distance(&with(0.0, 1.0), &with(0.5, 1.0)) > 1.9);
+}
+
+#[test]
+fn a_canonical_sample_faces_z_whichever_way_it_was_turned() {
+    let targets = Targets {
+        orientation: OrientationTarget::CanonicalQuaternion,
+        ..Targets::default()
+    };
+    let motion = phrase(2, 9);
+    let encoded = targets.encode(motion.as_slice()).into_owned();
+    for angle in [0.4, 2.9, -1.7] {
+        let mut turned = motion.clone();
+        rotate_yaw(&mut turned, angle);
+        let again = targets.encode(turned.as_slice()).into_owned();
+        let largest = encoded.iter().zip(&again).map(|(a, b)| (a - b).abs());
+        assert!(largest.fold(0.0, f32::max) < 3e-5);
+    }
+    let facing = Motion::new(encoded).unwrap();
+    assert!(facing.quaternion(0).yaw().abs() < 1e-6);
+    let speed = |motion: &Motion| crate::rotation::length(motion.vector(4, VELOCITY));
+    assert!((speed(&facing) - speed(&motion)).abs() < 1e-6);
+    let height = |motion: &Motion| motion.vector(4, POSITION)[1];
+    assert!((height(&facing) - height(&motion)).abs() < 1e-6);
+}
+
+#[test]
+fn mirroring_negates_the_channels_that_are_named() {
+    for targets in all() {
+        if targets.orientation == OrientationTarget::CanonicalQuaternion {
+            // It turns the sample back too.
+            continue;
+        }
+        let motion = phrase(5, 6);
+        let mut mirrored = motion.clone();
+        mirror(&mut mirrored);
+        let (before, after) = (
+            targets.encode(motion.as_slice()).into_owned(),
+            targets.encode(mirrored.as_slice()).into_owned(),
+        );
+        let negated = targets.mirrored_channels();
+        for (index, (before, after)) in before.iter().zip(&after).enumerate() {
+            let channel = index % targets.channels();
+            let sign = if negated.contains(&channel) {
+                -1.0
+            } else {
+                1.0
+            };
+            assert!(
+                (sign * before - after).abs() < 1e-6,
+                "{targets:?}, {channel}"
+            );
+        }
+    }
+}
+
+#[test]
+fn statistics_leave_circles_and_rotations_as_they_are() {
+    for targets in all() {
+        let rows = targets.encode(phrase(1, 40).as_slice()).into_owned();
+        let channels = targets.channels();
+        let statistics = targets.statistics(ChannelMoments::measure(channels, [&rows[..]]));
+        assert_eq!(statistics.channels(), channels);
+        let kept = targets.orientation_channels();
+        assert!(statistics.std[kept.clone()].iter().all(|&std| std == 1.0));
+        assert!(statistics.mean[kept].iter().all(|&mean| mean == 0.0));
+        let normalized = statistics.normalize(&rows);
+        let (low, high) = (0.0f32, 0.0f32);
+        let phase = targets.phase_channels();
+        let values = &normalized[phase.start * 40..phase.end * 40];
+        let low = values.iter().copied().fold(low, f32::min);
+        let high = values.iter().copied().fold(high, f32::max);
+        assert!(low < -0.8 && high > 0.8, "{targets:?}: {low} {high}");
+        if targets.phase == PhaseTarget::SinCos {
+            let [min, max] = statistics.range.unwrap();
+            assert_eq!((min[phase.start], max[phase.end - 1]), (-1.0, 1.0));
+        }
+    }
+}
+
+#[test]
+fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
+    let targets = Targets {
+        phase: PhaseTarget::SinCos,
+        orientation: OrientationTarget::Rotation6d,
+    };
+    let channels = targets.channels();
+    assert_eq!(channels, 28);
+    let zeros = targets.decode(vec![0.0; 2 * channels]);
+    assert!(zeros.iter().all(|value| value.is_finite()));
+    assert_eq!(zeros[PHASE], 0.0);
+    let norm: f32 = zeros[QUATERNION].iter().map(|part| part * part).sum();
+    assert!((norm - 1.0).abs() < 1e-6);
+    // Just below a whole turn is the beginning of the next bar, not 1.
+    let mut rows = vec![0.0; channels];
+    rows[targets.phase_channels()].copy_from_slice(&[-1e-9, 1.0]);
+    assert_eq!(targets.decode(rows)[PHASE], 0.0);
+    let mut rows = vec![0.5; 3 * channels];
+    rows[channels + targets.orientation_channels().start] = f32::NAN;
+    let broken = Motion::new(targets.decode(rows)).unwrap();
+    assert!(broken.first_non_finite().is_some());
+    assert!(broken.quaternion(2).norm().is_finite());
+}
+
+proptest! {
+    #[test]
+    fn any_columns_give_a_rotation(columns in proptest::collection::vec(-5.0f64..5.0, 6)) {
+        let unit = from_columns(&columns);
+        prop_assert!((unit.norm() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_columns_of_a_rotation_give_it_back(parts in proptest::collection::vec(-1.0f64..1.0, 4)) {
+        let given = Quaternion::new(parts[0], parts[1], parts[2], parts[3]);
+        prop_assume!(given.norm() > 1e-3);
+        let unit = given.normalised();
+        let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
+        let found = from_columns(&columns.concat());
+        prop_assert!((found.dot(unit).abs() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn phases_come_back_in_the_bar(phase in 0.0f32..1.0, radius in 0.01f32..3.0) {
+        let targets = Targets { phase: PhaseTarget::SinCos, ..Targets::default() };
+        let mut motion = wandering(0, 1);
+        motion.frame_mut(0)[PHASE] = phase;
+        let mut rows = targets.encode(motion.as_slice()).into_owned();
+        rows[targets.phase_channels()].iter_mut().for_each(|value| *value *= radius);
+        let found = targets.decode(rows)[PHASE];
+        prop_assert!((0.0..1.0).contains(&found));
+        prop_assert!(apart(found, phase) < 1e-6, "{found} {phase}");
+    }
+}

@@ -1,0 +1,85 @@
+//! Held-out phrases that a fine-tuning's start was trained on.
+
+use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase};
+
+use super::start::Starts;
+use crate::checkpoint::State;
+use crate::error::Error;
+use crate::observer::Observer;
+
+/// Most phrases that a warning names.
+const NAMED: usize = 5;
+
+/// Whether two runs read one dataset, whatever they hold out.
+pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
+    a.kind == b.kind
+        && match a.kind {
+            DataKind::Synthetic => a.synthetic == b.synthetic,
+            _ => a.source.is_some() && a.source == b.source,
+        }
+}
+
+/// Warns of the phrases held out of `dataset` that one of the `starts` was trained on: measures of
+/// them are not of phrases that are new to the model.
+///
+/// # Errors
+/// If a checkpoint is damaged.
+pub(super) fn warn(
+    starts: &Starts,
+    dataset: &Dataset<Phrase>,
+    data: &DataConfig,
+    observer: &mut dyn Observer,
+) -> Result<(), Error> {
+    for (key, state) in starts.states()? {
+        if let Some(warning) = warning(key, &state, dataset, data) {
+            observer.warning(&warning);
+        }
+    }
+    Ok(())
+}
+
+fn warning(
+    key: &str,
+    state: &State,
+    dataset: &Dataset<Phrase>,
+    data: &DataConfig,
+) -> Option<String> {
+    // Datasets of one digest are split alike.
+    let same = state.dataset_sha256.as_deref() == Some(&dataset.digest.to_string());
+    if same || dataset.validation.is_empty() {
+        return None;
+    }
+    let mut before = state.config.data.clone();
+    let made = |data: &DataConfig| data.kind == DataKind::Synthetic;
+    if made(&before) != made(data) || (made(data) && before.synthetic.seed != data.synthetic.seed) {
+        // Phrases that are made up of different seeds share their ids alone.
+        return None;
+    }
+    before.cache.memory_mib = 0;
+    let trained = match Dataset::<Phrase>::open(&before) {
+        Ok(trained) => trained.train,
+        Err(error) => {
+            return Some(format!(
+                "whether `{key}` was trained on phrases that are held out here cannot be told, as \
+                 its dataset cannot be opened: {error}"
+            ));
+        }
+    };
+    let seen: std::collections::BTreeSet<&str> = trained.ids().collect();
+    let held_out = dataset.validation.ids();
+    let leaked: Vec<&str> = held_out.filter(|id| seen.contains(id)).collect();
+    if leaked.is_empty() {
+        return None;
+    }
+    let mut names = leaked[..leaked.len().min(NAMED)].join(", ");
+    if leaked.len() > NAMED {
+        names += &format!(" and {} more", leaked.len() - NAMED);
+    }
+    Some(format!(
+        "`{key}` was trained on {} of the {} phrases that are held out here, so that measures of \
+         them are not of new phrases: {names}. Without `data.validation` and with its `data.source` \
+         this run holds out what that run did",
+        leaked.len(),
+        dataset.validation.len()
+    ))
+}

@@ -1,0 +1,167 @@
+use std::path::Path;
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor};
+use kinegrad_data::{Batch, Dataset, Phrase, PhraseSamples, synthetic};
+use kinegrad_models::layers::Linear;
+use kinegrad_models::{Initializer, LoraConfig, UNet1dConfig};
+use kinegrad_motion::{Phrases, phrase_statistics};
+
+use super::*;
+use crate::config::WeightDecayGroups;
+use crate::denoising::Inputs;
+use crate::observer::RunSummary;
+use crate::systems::BUILT_IN;
+
+/// The mean over valid frames of a linear map's square: a loss without draws.
+struct Squares;
+
+impl Recipe for Squares {
+    type Model = Linear;
+    type Pending = ();
+
+    fn loss(&self, model: &Linear, batch: &Batch, _: StepKey, device: &Device) -> Loss {
+        let inputs = Inputs::new(batch, device);
+        let mask: Tensor<3> = inputs.mask.unsqueeze_dim(1);
+        let squares = model.forward_frames(inputs.x_start).square() * mask.clone();
+        Loss {
+            total: (squares.sum() / mask.sum()).reshape([1]),
+            terms: Vec::new(),
+            probes: Vec::new(),
+            pending: (),
+        }
+    }
+
+    fn validation_loss(&self, _: &Linear, _: &Device) -> Measured {
+        Measured::default()
+    }
+}
+
+/// Keeps the last step's report.
+#[derive(Default)]
+struct Watching(Option<StepReport>);
+
+impl Observer for Watching {
+    fn started(&mut self, _: &RunSummary) {}
+    fn stepped(&mut self, report: &StepReport) {
+        self.0 = Some(*report);
+    }
+    fn validated(&mut self, _: u64, _: f64, _: bool) {}
+    fn saved(&mut self, _: &Path) {}
+    fn note(&mut self, _: &str) {}
+    fn warning(&mut self, _: &str) {}
+    fn stop_requested(&self) -> bool {
+        false
+    }
+}
+
+/// Report and weights of a step on three phrases of 9, 4 and 12 frames, in so many batches.
+fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
+    let overrides = [
+        format!("data.batch_size={}", 3 / batches),
+        format!("train.gradient_accumulation_steps={batches}"),
+    ];
+    let overrides = overrides.into_iter().chain(
+        [
+            "data.kind=synthetic",
+            "data.target_frames=12",
+            "data.num_workers=0",
+            "optim.warmup_steps=0",
+        ]
+        .map(String::from),
+    );
+    let overrides: Vec<String> = overrides.collect();
+    let config = BUILT_IN.parse("", "c.toml", &overrides).unwrap();
+    let phrase = |(index, frames)| Arc::new(synthetic::phrase(index, frames, 2));
+    let phrases: Vec<Arc<Phrase>> = [9, 4, 12].into_iter().enumerate().map(phrase).collect();
+    let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
+    let dataset = Dataset::<Phrase>::of_items(phrases, Vec::new(), Phrases);
+    let given = Arc::new(statistics.clone());
+    let samples = PhraseSamples::new(dataset.train.clone(), given, &config.data, 1);
+    let device = Device::flex().autodiff();
+    let parts = TrainerParts {
+        recipe: Squares,
+        groups: &["model"],
+        loader: Loader::new(samples, &config.data, 1, 0),
+        config,
+        statistics,
+        network_statistics: None,
+        device: device.clone(),
+        dataset: dataset.digest,
+        folder: PathBuf::new(),
+    };
+    let model = Linear::new(25, 2, &Initializer::new(3, &device));
+    let mut trainer = Trainer::unrecorded(parts, model, None);
+    let mut watching = Watching::default();
+    trainer.time_step(&mut watching).unwrap().expect("a step");
+    let weights = parameters::values(trainer.model.as_ref().unwrap());
+    (watching.0.expect("a report"), weights)
+}
+
+#[test]
+fn batches_of_unequal_lengths_accumulate_to_what_one_batch_is() {
+    let ((whole, weights), (parts, in_parts)) = (step_in(1), step_in(3));
+    let near = |a: f64, b: f64| (a - b).abs() <= 1e-5 * a.abs();
+    assert!(
+        near(whole.loss, parts.loss),
+        "{} {}",
+        whole.loss,
+        parts.loss
+    );
+    assert!(
+        near(whole.grad_norm, parts.grad_norm),
+        "{} {}",
+        whole.grad_norm,
+        parts.grad_norm
+    );
+    for (whole, parts) in weights.iter().flatten().zip(in_parts.iter().flatten()) {
+        assert!((whole - parts).abs() < 1e-6, "{whole} {parts}");
+    }
+}
+
+#[test]
+fn decay_may_leave_norms_biases_and_adapters_alone() {
+    let optim = |weight_decay_groups| OptimConfig {
+        weight_decay_groups,
+        ..OptimConfig::default()
+    };
+    let init = Initializer::new(1, &Device::flex());
+    let unet = UNet1dConfig::tiny().init(25, 163, &init).unwrap();
+    let unet = unet.with_adapters(&LoraConfig::default(), &init).unwrap();
+    let infos = parameters::infos(&unet);
+    let all = optim(WeightDecayGroups::All);
+    assert!(infos.iter().all(|info| decays(&all, info)));
+    let matrices = optim(WeightDecayGroups::Matrices);
+    let (mut decaying, mut exempt) = (0, 0);
+    for info in &infos {
+        let name = &info.name;
+        let small = name.ends_with("bias") || name.contains("norm") || name.contains("lora");
+        match decays(&matrices, info) {
+            true => {
+                assert!(!small, "{name} decays");
+                decaying += 1;
+            }
+            false => {
+                assert!(small || info.shape.len() < 2, "{name} does not decay");
+                exempt += 1;
+            }
+        }
+    }
+    assert!(decaying > 20 && exempt > 40, "{decaying} {exempt}");
+}
+
+#[test]
+fn parameters_without_decay_stay_where_nothing_pulls() {
+    let config = OptimConfig {
+        weight_decay: 0.5,
+        ..OptimConfig::default()
+    };
+    let mut adamw = AdamW::new(&config, [2, 2]).with_decay_on(vec![true, false]);
+    adamw.begin_step();
+    let mut values = [[3.0f32; 2]; 2];
+    for (index, values) in values.iter_mut().enumerate() {
+        adamw.update(index, values, &[0.0; 2], 1.0, 0.1, None);
+    }
+    assert!((values[0][0] - 2.85).abs() < 1e-6, "{values:?}");
+    assert_eq!(values[1], [3.0; 2]);
+}
