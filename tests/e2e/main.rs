@@ -21,6 +21,7 @@ mod reports;
 mod resume;
 mod run_folders;
 mod sizes;
+mod songs;
 mod stages;
 mod train;
 mod view;

@@ -1,5 +1,5 @@
-use burn::tensor::Device;
-use kinegrad_motion::phrase::PHASE;
+use burn::tensor::{Device, TensorData};
+use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -120,5 +120,33 @@ fn bad_sizes_are_refused_by_key() {
     for (config, expected) in cases {
         let text = config.validate().unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
+    }
+}
+
+#[test]
+fn the_banded_projection_is_the_dense_one_with_its_gradient() {
+    use kinegrad_kernels::Mode;
+    let device = Device::flex().autodiff();
+    let decoder = decoder(Coherence::Projection, &device);
+    for time in [1, 2, 9, 40] {
+        let run = |mode: Mode| {
+            mode.scope(|| {
+                let x = latent(5, [2, CHANNELS, time], &device).require_grad();
+                let y = decoder.project(x.clone());
+                let weights = latent(6, [2, CHANNELS, time], &device);
+                let gradients = (y.clone() * weights).sum().backward();
+                (values(y), values(x.grad(&gradients).expect("a gradient")))
+            })
+        };
+        let (banded, dense) = (run(Mode::Fused), run(Mode::Composed));
+        for (what, found, expected) in [
+            ("motion", banded.0, dense.0),
+            ("gradient", banded.1, dense.1),
+        ] {
+            let scale = expected.iter().fold(1.0f32, |a, b| a.max(b.abs()));
+            for (a, b) in found.iter().zip(&expected) {
+                assert!((a - b).abs() < 1e-4 * scale, "{what} of {time}: {a} {b}");
+            }
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! Generating motion with a trained model: [`sample`], for the command line and other programs.
 
+mod given;
 mod record;
 mod request;
 
@@ -9,7 +10,8 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
-pub use record::{Condition, Record, SamplerRecord};
+pub use given::{Given, GivenFrames, GivenMotion};
+pub use record::{Condition, Kept, Record, SamplerRecord, WindowsRecord};
 pub use request::{Conditions, Request};
 
 use crate::checkpoint::Weights;

@@ -41,8 +41,34 @@ pub struct Record {
     /// Repairs of the generated motion; none for models without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub post_processing: Option<PostProcessConfig>,
+    /// The windows it was drawn in; none if it was drawn as one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub windows: Option<WindowsRecord>,
     /// What the sample is conditioned on.
     pub condition: Condition,
+}
+
+/// The overlapping windows that a motion was drawn in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WindowsRecord {
+    /// Frames of each.
+    pub frames: usize,
+    /// How many there are, evenly spread.
+    pub count: usize,
+    /// How many the network saw at a time.
+    pub in_flight: usize,
+}
+
+/// Frames of another motion that a sample has as they are.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Kept {
+    /// The motion's file.
+    pub motion: PathBuf,
+    /// First frame and end of each run of frames in the sample.
+    pub frames: Vec<[usize; 2]>,
+    /// Whether they are the last frames of that motion, which the sample continues, and not those
+    /// of the same places.
+    pub continued: bool,
 }
 
 /// The sampler's settings.
@@ -77,6 +103,9 @@ pub struct Condition {
     /// Position in the song, in seconds, at which the motion starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
+    /// Frames that were given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kept: Option<Kept>,
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,
@@ -111,6 +140,7 @@ impl Record {
                 steering: None,
             },
             post_processing: None,
+            windows: None,
             condition: Condition::default(),
         }
     }

@@ -36,11 +36,12 @@ pub struct Sample {
 
 /// A trained model, ready to generate samples.
 pub struct Generator {
-    unet: UNet1d,
-    decoder: Option<MotionDecoder>,
-    diffusion: GaussianDiffusion,
+    pub(super) unet: UNet1d,
+    pub(super) decoder: Option<MotionDecoder>,
+    pub(super) diffusion: GaussianDiffusion,
+    pub(super) post_processing: PostProcessConfig,
+    pub(super) device: Device,
     state: State,
-    device: Device,
 }
 
 /// Rejects `count` samples of `frames` frames if a batch of them takes more memory than is free.
@@ -77,9 +78,19 @@ impl Generator {
             unet: unet.valid(),
             decoder: decoder.map(|decoder| decoder.valid()),
             diffusion,
+            post_processing: PostProcessConfig::default(),
             state,
             device: device.clone(),
         })
+    }
+
+    /// The same with another post-processing than the default.
+    #[must_use]
+    pub fn with_post_processing(self, post_processing: PostProcessConfig) -> Self {
+        Self {
+            post_processing,
+            ..self
+        }
     }
 
     /// The config the model was trained with.
@@ -170,7 +181,7 @@ impl Generator {
                     Some(_) => Motion::from_channel_major(values, frames)?,
                     None => Motion::new(self.statistics().denormalize(values))?,
                 };
-                let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
+                let motion = process(&raw, &self.post_processing, Some(self.statistics()));
                 take(Sample { raw, motion })?;
             }
         }

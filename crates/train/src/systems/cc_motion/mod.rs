@@ -15,6 +15,7 @@ pub mod recipes;
 mod sample;
 mod start;
 mod train;
+pub mod whole;
 
 use std::path::{Path, PathBuf};
 

@@ -7,15 +7,19 @@ use std::path::Path;
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
 use kinegrad_motion::phrase::FPS;
 use kinegrad_motion::postprocess::PostProcessConfig;
+use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{CHANNELS, Motion, Profile, Statistics, check};
+use kinegrad_random::{Key, Purpose};
 
 use super::CcMotion;
 use super::evaluate::phrase_seed;
 use super::generate::{Generator, Sample, must_fit};
+use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
+    Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
+    Record, Remark, Request, Subject, WindowsRecord,
 };
 use crate::song::song_features;
 use crate::system::System as _;
@@ -29,6 +33,9 @@ const RAW: &str = ".raw.npy";
 /// What to do where held-out samples do not fit into memory.
 const HELD_OUT_HINT: &str = "draw fewer at the end of training (`sampling.count_at_end`), or train \
                              on shorter phrases (`data.target_frames`)";
+
+/// Of the frames of a window, that of which one part in so many continues another motion at most.
+const CONTINUED_SHARE: usize = 4;
 
 /// What to do where samples do not fit into memory.
 const HINT: &str = "draw shorter ones (`--frames`), or fewer";
@@ -48,30 +55,70 @@ pub(super) fn sample(
         "goals and text embeddings are conditions of recipes `gmd_motion` and `gmd_trajectory`",
     )?;
     if let Some(count) = request.conditions.held_out {
-        return for_held_out(subject, count, request.seed, receiver).map(Some);
+        return for_held_out(subject, count, request, receiver).map(Some);
     }
     let conditions = conditions(request, &subject.config, receiver)?;
-    let lengths = conditions.iter().map(|heard| heard.audio.frames());
-    must_fit(
-        subject,
-        request.count,
-        lengths.max().unwrap_or_default(),
-        HINT,
-    )?;
-    let several = conditions.len() > 1;
+    let mut drawings = Vec::with_capacity(conditions.len());
+    for heard in conditions {
+        drawings.push(drawing(heard, request, &subject.config)?);
+    }
+    for drawing in &drawings {
+        let (count, frames) = match &drawing.whole {
+            Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+            None => (request.count, drawing.heard.audio.frames()),
+        };
+        must_fit(subject, count, frames, HINT)?;
+    }
+    let several = drawings.len() > 1;
     let stem = |heard: &Heard| match several {
         true => format!("-{}", heard.name),
         false => String::new(),
     };
     let names = Names {
-        stems: conditions.iter().map(stem).collect(),
+        stems: drawings
+            .iter()
+            .map(|drawing| stem(&drawing.heard))
+            .collect(),
         count: request.count,
     };
     receiver.announced(&names, &[MOTION, RAW])?;
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    for heard in conditions {
-        let mut index = 0;
+    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
+        .with_post_processing(post_processing);
+    for Drawing { heard, whole } in drawings {
         let stem = stem(&heard);
+        if let Some((windows, given)) = &whole {
+            let whole = Whole {
+                audio: &heard.audio,
+                windows: windows.clone(),
+                given: given.as_ref(),
+                in_flight: WINDOWS_IN_FLIGHT,
+            };
+            let key = Key::new(phrase_seed(request.seed, &heard.name), Purpose::Sampling);
+            for index in 0..request.count {
+                let sample = generator.sample_whole(
+                    &whole,
+                    &subject.config.sampling,
+                    key.at(index as u64),
+                    &mut |done, all| {
+                        receiver.advance("windows", index * all + done, request.count * all)
+                    },
+                )?;
+                let record = Record {
+                    index,
+                    windows: Some(WindowsRecord {
+                        frames: windows.length(),
+                        count: windows.len(),
+                        in_flight: WINDOWS_IN_FLIGHT,
+                    }),
+                    condition: heard.condition.clone(),
+                    ..record(subject, request, &sample)
+                };
+                receiver.drawn(drawn(names.of(&stem, index), sample, record))?;
+            }
+            continue;
+        }
+        let mut index = 0;
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
             repeat_n(heard.audio, request.count),
@@ -83,7 +130,7 @@ pub(super) fn sample(
                 let record = Record {
                     index,
                     condition: heard.condition.clone(),
-                    ..record(subject, request.seed, &sample)
+                    ..record(subject, request, &sample)
                 };
                 index += 1;
                 receiver.borrow_mut().drawn(drawn(name, sample, record))
@@ -98,17 +145,19 @@ pub(super) fn sample(
 fn for_held_out(
     subject: &Subject,
     count: usize,
-    seed: u64,
+    request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
     let dataset = Dataset::<Phrase>::open(&subject.config.data)?;
     let chosen = dataset.held_out().first(count)?;
     let frames = chosen.iter().map(|p| p.audio.frames()).min().unwrap_or(0);
     must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
+        .with_post_processing(post_processing);
     let conditions: Vec<_> = chosen.iter().map(|p| p.audio.slice(0..frames)).collect();
     let sampling = &subject.config.sampling;
-    let samples = generator.sample(&conditions, sampling, seed, &mut |done, all| {
+    let samples = generator.sample(&conditions, sampling, request.seed, &mut |done, all| {
         receiver.advance("", done, all)
     })?;
     let header = ["sample", "document", "strict", "fails"];
@@ -118,7 +167,7 @@ fn for_held_out(
         let record = Record {
             index,
             condition: of_item(&phrase.id, &subject.config.data),
-            ..record(subject, seed, &sample)
+            ..record(subject, request, &sample)
         };
         receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
     }
@@ -143,12 +192,12 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
 }
 
 /// What every sample's record says.
-fn record(subject: &Subject, seed: u64, sample: &Sample) -> Record {
+fn record(subject: &Subject, request: &Request, sample: &Sample) -> Record {
     Record {
         frames: sample.motion.frames(),
         fps: FPS,
-        post_processing: Some(PostProcessConfig::default()),
-        ..Record::new(CcMotion.name(), subject, seed)
+        post_processing: Some(request.post_processing.unwrap_or_default().into()),
+        ..Record::new(CcMotion.name(), subject, request.seed)
     }
 }
 
@@ -181,6 +230,35 @@ struct Heard {
     condition: Condition,
 }
 
+/// What is drawn for an audio condition.
+struct Drawing {
+    heard: Heard,
+    /// The windows and the given frames, of motion that is not drawn as one.
+    whole: Option<(Windows, Option<GivenMotion>)>,
+}
+
+/// What is drawn for `heard`: in windows, if it is a song that is longer than the training or if
+/// frames are given.
+fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawing, Error> {
+    let (frames, trained) = (heard.audio.frames(), config.data.target_frames);
+    let is_song = request.conditions.song.is_some();
+    let given = match &request.conditions.given {
+        None => None,
+        Some(given) => {
+            let motion = given.read(frames, trained.min(frames) / CONTINUED_SHARE)?;
+            heard.condition.kept = Some(Kept {
+                motion: given.motion.clone(),
+                frames: motion.frames.iter().map(|r| [r.start, r.end]).collect(),
+                continued: given.frames == GivenFrames::Last,
+            });
+            Some(motion)
+        }
+    };
+    let length = if is_song { trained } else { frames };
+    let whole = (frames > length || given.is_some()).then(|| (Windows::new(frames, length), given));
+    Ok(Drawing { heard, whole })
+}
+
 /// The conditions, cut to the requested number of frames.
 fn conditions(
     request: &Request,
@@ -201,7 +279,7 @@ fn conditions(
                 ..Condition::default()
             },
         }],
-        (None, Some(song)) => vec![of_song(song, request, config)?],
+        (None, Some(song)) => vec![of_song(song, request)?],
         (None, None) => of_phrases(&request.conditions, config, receiver)?,
     };
     let Some(frames) = request.frames else {
@@ -226,7 +304,7 @@ fn conditions(
 
 /// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
-fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Error> {
+fn of_song(song: &Path, request: &Request) -> Result<Heard, Error> {
     let audio = AudioFeatures::from(&song_features(song)?.1);
     let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
@@ -240,8 +318,10 @@ fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Err
         return Err(Error::usage(message, "give a moment within the song"));
     }
     let start = start.round() as usize;
-    let most = request.frames.unwrap_or(config.data.target_frames);
-    let end = audio.frames().min(start + most.max(1));
+    let end = match request.frames {
+        Some(frames) => audio.frames().min(start + frames),
+        None => audio.frames(),
+    };
     Ok(Heard {
         name: name.into_owned(),
         audio: audio.slice(start..end),

@@ -46,10 +46,23 @@ pub(super) fn sample(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--source", "--phrase", "--cond", "--audio"],
+        &[
+            "--source",
+            "--phrase",
+            "--cond",
+            "--audio",
+            "--continue-from",
+            "--keep",
+        ],
         "a run on clips of joint features",
         "its condition is a text: `--text-embedding FILE#KEY`",
     )?;
+    if request.post_processing.is_some() {
+        return Err(Error::usage(
+            "`--postprocess` with a run on clips of joint features",
+            "their samples are not post-processed: leave it out",
+        ));
+    }
     if let Some(count) = conditions.held_out {
         return for_held_out(subject, count, request.seed, receiver);
     }
