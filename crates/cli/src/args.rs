@@ -90,7 +90,7 @@ pub enum Command {
 /// first held-out phrase of the run's own dataset. Sampler settings default to the run's config.
 ///
 /// A song is danced to from `--start` to its end. Motion longer than the phrases that the run was
-/// trained on is drawn in windows of that length, each overlapping the next by half, that agree
+/// trained on is drawn in windows of that length, each overlapping the next by a third, that agree
 /// after every denoising step; the network sees 8 of them at a time, whatever the song's length.
 ///
 /// Runs of recipe `gmd_motion` write joint positions `[T, J, 3]` in metres to PATH.npy, joint

@@ -19,13 +19,16 @@ use crate::phrase::{PHASE, POSITION, QUATERNION};
 /// Channels that are relative to the first frame of a window: the place on the floor.
 const FLOOR: [usize; 2] = [POSITION.start, POSITION.start + 2];
 
+/// Windows share one part in so many of their frames with the next, or more.
+const OVERLAP: usize = 3;
+
 /// Weight of known frames beside overlaps when a window finds its place.
 const KNOWN: f64 = 100.0;
 
 /// Frames over which the difference to a known frame fades.
 const FADE: usize = 10;
 
-/// Windows of one length that cover a motion, each overlapping the next by half or more.
+/// Windows of one length that cover a motion, each overlapping the next by a third or more.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Windows {
     frames: usize,
@@ -52,7 +55,7 @@ impl Windows {
     pub fn new(frames: usize, length: usize) -> Self {
         assert!(frames > 0 && length > 0, "windows of at least one frame");
         let length = length.min(frames);
-        let most_apart = length.div_ceil(2);
+        let most_apart = most_apart(length);
         let gaps = (frames - length).div_ceil(most_apart);
         let start = |window: usize| window * (frames - length) / gaps.max(1);
         Self {
@@ -263,6 +266,11 @@ impl Windows {
     }
 }
 
+/// Frames from the start of a window to that of the next, at most.
+fn most_apart(length: usize) -> usize {
+    (length - length.div_ceil(OVERLAP)).max(1)
+}
+
 /// Puts known frames into a motion `[25, frames]`, and fades what it differs by at their edges.
 fn put(motion: &mut [f32], known: &Known) {
     let frames = known.is_known.len();
@@ -334,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_cover_all_frames_and_overlap_by_half() {
+    fn windows_cover_all_frames_and_overlap() {
         for (frames, length) in [
             (1, 1),
             (7, 24),
@@ -351,7 +359,7 @@ mod tests {
             for pair in starts.windows(2) {
                 let apart = pair[1] - pair[0];
                 assert!(
-                    apart > 0 && apart <= length.div_ceil(2),
+                    apart > 0 && apart <= most_apart(length),
                     "{frames} {length}: {starts:?}"
                 );
             }

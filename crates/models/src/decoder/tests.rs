@@ -1,4 +1,5 @@
 use burn::tensor::{Device, TensorData};
+use kinegrad_kernels::Mode;
 use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 use kinegrad_random::{Key, Purpose};
 
@@ -125,7 +126,6 @@ fn bad_sizes_are_refused_by_key() {
 
 #[test]
 fn the_banded_projection_is_the_dense_one_with_its_gradient() {
-    use kinegrad_kernels::Mode;
     let device = Device::flex().autodiff();
     let decoder = decoder(Coherence::Projection, &device);
     for time in [1, 2, 9, 40] {
@@ -139,14 +139,18 @@ fn the_banded_projection_is_the_dense_one_with_its_gradient() {
             })
         };
         let (banded, dense) = (run(Mode::Fused), run(Mode::Composed));
-        for (what, found, expected) in [
-            ("motion", banded.0, dense.0),
-            ("gradient", banded.1, dense.1),
-        ] {
-            let scale = expected.iter().fold(1.0f32, |a, b| a.max(b.abs()));
-            for (a, b) in found.iter().zip(&expected) {
-                assert!((a - b).abs() < 1e-4 * scale, "{what} of {time}: {a} {b}");
-            }
+        for (index, (a, b)) in banded.0.iter().zip(&dense.0).enumerate() {
+            // Rounded positions, differentiated.
+            let allowed = match index / time % CHANNELS {
+                c if VELOCITY.contains(&c) => 3e-4,
+                c if ACCELERATION.contains(&c) => 1e-2,
+                _ => 5e-6,
+            };
+            assert!((a - b).abs() < allowed, "{index} of {time} frames: {a} {b}");
+        }
+        let largest = dense.1.iter().fold(1.0f32, |a, b| a.max(b.abs()));
+        for (a, b) in banded.1.iter().zip(&dense.1) {
+            assert!((a - b).abs() < 1e-4 * largest, "{time} frames: {a} {b}");
         }
     }
 }
