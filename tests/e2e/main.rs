@@ -24,6 +24,7 @@ mod reports;
 mod resume;
 mod run_folders;
 mod sizes;
+mod songs;
 mod stages;
 mod targets;
 mod train;

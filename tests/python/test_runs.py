@@ -59,6 +59,47 @@ def test_samples_of_phrases(command, phrases, tmp_path):
         samples[0].bvh()
 
 
+def test_samples_of_which_frames_are_given(command, phrases, song, tmp_path):
+    first = tmp_path / "first.npy"
+    np.save(first, phrases.sample(steps=2, seed=3, progress=False)[0].motion)
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "more").mkdir()
+    options = ["--keep", "0..4,9..12", "--keep-from", first, "--steps", "2"]
+    (sample,) = compare(
+        command,
+        phrases,
+        tmp_path / "kept",
+        [*options, "--postprocess", "none"],
+        keep=[(0, 4), (9, 12)],
+        keep_from=first,
+        steps=2,
+        postprocess="none",
+    )
+    given = np.load(first)
+    assert (sample.motion[9:12] == given[9:12]).all() and (sample.motion[5] != given[5]).any()
+    assert sample.record["condition"]["kept"]["frames"] == [[0, 4], [9, 12]]
+    (sample,) = compare(
+        command,
+        phrases,
+        tmp_path / "more",
+        ["--audio", song, "--continue-from", first, "--steps", "2"],
+        audio=song,
+        continue_from=first,
+        steps=2,
+    )
+    length = sample.record["condition"]["kept"]["frames"][0][1]
+    assert (sample.motion[:length] == given[-length:]).all()
+    assert sample.record["windows"]["count"] > 1
+    for bad in [
+        {"keep": "0..3"},
+        {"keep_from": first},
+        {"keep": "0..3", "keep_from": first, "continue_from": first},
+        {"postprocess": "some"},
+    ]:
+        with pytest.raises(kinegrad.UsageError):
+            phrases.sample(progress=False, **bad)
+
+
 def test_samples_of_songs_and_their_features(command, phrases, song, tmp_path):
     options = ["--audio", song, "--start", "1.5", "--frames", "20", "--no-ema"]
     (sample,) = compare(

@@ -16,7 +16,7 @@ use std::str::FromStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{ArgAction, Args, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use kinegrad_capture::prepare::Units;
-use kinegrad_motion::sanity::Profile;
+use kinegrad_motion::{PostProcessProfile, Profile};
 use kinegrad_train::Error;
 use serde::de::value::Error as ValueError;
 use serde::de::{DeserializeOwned, IntoDeserializer};
@@ -95,6 +95,10 @@ pub enum Command {
 /// on. The audio condition is a phrase of a dataset, a features.npz, a song, or by default the
 /// first held-out phrase of the run's own dataset. Sampler settings default to the run's config.
 ///
+/// A song is danced to from `--start` to its end. Motion longer than the phrases that the run was
+/// trained on is drawn in windows of that length, each overlapping the next by a third, that agree
+/// after every denoising step; the network sees 8 of them at a time, whatever the song's length.
+///
 /// Runs of recipe `gmd_motion` write joint positions `[T, J, 3]` in metres to PATH.npy, joint
 /// features to PATH.features.npy and a BVH file in centimetres to PATH.bvh; with
 /// `--trajectory-run`, also the generated ground path to PATH.path.npy. Runs of recipe
@@ -109,7 +113,10 @@ Examples:
   kinegrad sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml --out walk
   kinegrad sample runs/phrases --phrase C_5_00158 --count 4 --steps 50 --out dance
   kinegrad sample runs/phrases --set sampling.sampler.kind=dpmpp_2m --steps 10 --out dance
-  kinegrad sample runs/phrases --audio song.mp3 --start 30 --out dance
+  kinegrad sample runs/phrases --audio song.mp3 --out dance
+  kinegrad sample runs/phrases --audio song.mp3 --start 30 --frames 120 --out dance
+  kinegrad sample runs/phrases --audio song.mp3 --start 33 --continue-from dance.npy --out more
+  kinegrad sample runs/phrases --keep 0..30,90..120 --keep-from dance.npy --out between
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
 pub struct SampleArguments {
     /// Folder of a run (its best checkpoint is used) or of a checkpoint
@@ -154,11 +161,27 @@ pub struct SampleArguments {
     /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
+    /// Phrase to go on from: the sample begins with its last frames, a quarter of the length that
+    /// the run was trained on
+    #[arg(long, value_name = "MOTION.npy", conflicts_with = "keep")]
+    pub continue_from: Option<PathBuf>,
+    /// Frames that the sample takes from another phrase as they are, at the same places, for example
+    /// 0..30,90..120 (without 30 and 120); the others are drawn to fit
+    #[arg(long, value_name = "FRAMES", requires = "keep_from")]
+    pub keep: Option<String>,
+    /// Phrase that the frames of `--keep` are taken from
+    #[arg(long, value_name = "MOTION.npy", requires = "keep")]
+    pub keep_from: Option<PathBuf>,
+    /// Repairs of the generated phrase: `default`, `document` (CC-MotionGen's to the letter) or
+    /// `none` [default: default]
+    #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
+    pub postprocess: Option<PostProcessProfile>,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
-    /// Frames to generate, at most the length of the condition [default: its full length; for a
-    /// song, or a clip without a goal, the length that the run was trained on]
+    /// Frames to generate, at most the length of the condition [default: its full length, which of a
+    /// song is all that is left of it; for a clip without a goal, the length that the run was
+    /// trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     #[command(flatten)]

@@ -39,8 +39,8 @@ pub fn draw(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Pr
             ..Conditions::default()
         },
         count: 1,
-        frames: None,
         seed: subject.config.run.seed,
+        ..Request::default()
     };
     let mut drawn = Scenes {
         systems,

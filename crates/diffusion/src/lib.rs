@@ -48,7 +48,7 @@ pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps}
 pub use sampler::{
     ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
     SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
-    must_suit, sample, timesteps,
+    must_suit, noise_of_parts, sample, timesteps,
 };
 pub use schedule::NoiseSchedule;
 pub use steering::{

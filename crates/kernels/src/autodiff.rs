@@ -9,13 +9,14 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
 
 use crate::backend::{
-    FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm,
+    FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm, mapped,
     norm_gradients, self_attend_backward, self_heads,
 };
 use crate::flex::{HostRows, contiguous, from_rows, tensor};
 use crate::host::convolution::{ConvolutionPlan, Input, Wanted};
 use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, Statistics};
+use crate::linear_map::SharedMap;
 
 /// What a convolution's backward pass needs.
 #[derive(Clone, Debug)]
@@ -224,6 +225,23 @@ impl Backward<Flex, 1> for Gelu {
     }
 }
 
+#[derive(Debug)]
+struct Mapped;
+
+impl Backward<Flex, 1> for Mapped {
+    /// The map, and channels and frames of what went in.
+    type State = (SharedMap, [usize; 2]);
+
+    fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        if let [Some(node)] = ops.parents {
+            let (map, shape) = ops.state;
+            let value = mapped(&gradient, shape, |from, into| map.adjoint(from, into));
+            gradients.register::<Flex>(node.id, value);
+        }
+    }
+}
+
 impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
     fn fused_convolution(
         x: FloatTensor<Self>,
@@ -365,6 +383,17 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         let output = Flex::fused_gelu(x.clone());
         match Gelu.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(x, output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self> {
+        let nodes = [x.node()];
+        let x = x.into_primitive();
+        let [_, channels, time] = x.layout().shape().dims();
+        let output = Flex::fused_linear_map(x, map.clone());
+        match Mapped.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((map, [channels, time]), output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }

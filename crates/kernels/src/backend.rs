@@ -14,6 +14,7 @@ use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
+use crate::linear_map::SharedMap;
 
 /// Which of an operation's optional tensors count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,6 +78,9 @@ pub trait FusedOps: Backend {
 
     /// GELU of each element.
     fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// A linear map of each sample of `x`.
+    fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self>;
 }
 
 /// The tensors of a normalisation on the host.
@@ -262,6 +266,24 @@ pub(crate) fn self_attend_backward(heads: Heads<'_>, gradient: Rows<'_>) -> Flex
     from_rows(all, shape)
 }
 
+/// `map` of each sample of `x`, `[batch, channels, time]`, to one of the given channels and frames.
+pub(crate) fn mapped(
+    x: &FlexTensor,
+    [channels, time]: [usize; 2],
+    map: impl Fn(&[f32], &mut [f32]) + Sync,
+) -> FlexTensor {
+    let [batch, from_channels, from_time] = x.layout().shape().dims();
+    let values = contiguous(x);
+    let mut into = vec![0.0; batch * channels * time];
+    let samples = into
+        .chunks_mut(channels * time)
+        .zip(values.chunks(from_channels * from_time));
+    team::for_each_item(samples.collect(), |(into, from): (&mut [f32], &[f32])| {
+        map(from, into);
+    });
+    tensor(into, [batch, channels, time])
+}
+
 impl FusedOps for Flex {
     fn fused_convolution(
         x: FlexTensor,
@@ -323,6 +345,13 @@ impl FusedOps for Flex {
 
     fn fused_gelu(x: FlexTensor) -> FlexTensor {
         tensor(gelu::forward(&contiguous(&x)), x.layout().shape().clone())
+    }
+
+    fn fused_linear_map(x: FlexTensor, map: SharedMap) -> FlexTensor {
+        let [_, channels, time] = x.layout().shape().dims();
+        mapped(&x, map.shape(channels, time), |from, into| {
+            map.apply(from, into);
+        })
     }
 
     fn concat_channels(first: FlexTensor, second: FlexTensor) -> FlexTensor {

@@ -10,103 +10,171 @@
 //! ```
 //!
 //! With the training deviations as scales `s`, it is the orthogonal projection of the normalised
-//! estimates onto the coherent motions. It is linear in them, so that it is one matrix per axis
-//! and number of frames. Differences are forward, as everywhere ([`crate::kinematics`]); two
-//! frames beyond the last one let the last velocity and acceleration say what follows.
+//! estimates onto the coherent motions. It is linear in them; the normal equations have two
+//! diagonals beside the main one, so that a fit takes time and memory proportional to the frames.
+//! Differences are forward, as everywhere ([`crate::kinematics`]); two frames beyond the last one
+//! let the last velocity and acceleration say what follows.
 
-use crate::phrase::FPS;
+use crate::banded::{BAND, Cholesky};
+use crate::kinematics::make_sign_continuous;
+use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
+use crate::{Motion, Quaternion};
 
 /// Frames that the fitted trajectory has beyond those of the estimates.
 pub const EXTRA_FRAMES: usize = 2;
 
-/// Diagonals of a symmetric matrix at and below the main one that are not zero.
-const BAND: usize = 3;
+/// Weight of the estimates of a frame that is known, where others have 1: 0.1 mm of tension moves
+/// it by less than single precision holds.
+const KNOWN: f64 = 1e8;
 
-/// The matrix `[frames + 2, 3 frames]`, row-major, that takes the estimates of one axis, each
-/// divided by its scale and laid end to end `[P / s_p | V / s_v | A / s_a]`, to the fitted
-/// positions. `scales` are `[s_p, s_v, s_a]` in m, m/s and m/s^2.
-///
-/// # Panics
-/// Panics if a scale is not positive.
-pub fn coherent_fit(frames: usize, scales: [f64; 3]) -> Vec<f32> {
-    assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
-    // What one frame of each estimate says of the positions from its own frame on.
-    let stencils: [&[f64]; 3] = [
-        &[1.0],
-        &[-FPS, FPS],
-        &[FPS * FPS, -2.0 * FPS * FPS, FPS * FPS],
-    ];
-    let stencils: Vec<Vec<f64>> = stencils
-        .iter()
-        .zip(scales)
-        .map(|(stencil, scale)| stencil.iter().map(|weight| weight / scale).collect())
-        .collect();
+/// What one frame of each estimate says of the positions from its own frame on.
+const STENCILS: [&[f64]; 3] = [
+    &[1.0],
+    &[-FPS, FPS],
+    &[FPS * FPS, -2.0 * FPS * FPS, FPS * FPS],
+];
 
-    // The normal equations A^T A p = A^T y.
-    let unknowns = frames + EXTRA_FRAMES;
-    let mut normal = vec![[0.0; BAND]; unknowns];
-    for stencil in &stencils {
-        for t in 0..frames {
-            for (i, a) in stencil.iter().enumerate() {
-                for (j, b) in stencil.iter().enumerate().take(i + 1) {
-                    normal[t + i][i - j] += a * b;
+/// The fit of one axis of motion of some length.
+#[derive(Clone, Debug)]
+pub struct CoherentFit {
+    /// Of each estimate and frame `1 / s^2`, times that of a known frame.
+    weights: [Vec<f64>; 3],
+    /// Of the normal equations.
+    factor: Cholesky,
+}
+
+impl CoherentFit {
+    /// The fit of `frames` frames. `scales` are `[s_p, s_v, s_a]` in m, m/s and m/s^2.
+    ///
+    /// # Panics
+    /// Panics if a scale is not positive.
+    pub fn new(frames: usize, scales: [f64; 3]) -> Self {
+        Self::around(&vec![false; frames], scales)
+    }
+
+    /// The same, but the estimates of the frames that are `known` are met, as far as they agree
+    /// with each other.
+    ///
+    /// # Panics
+    /// Panics if a scale is not positive.
+    pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
+        assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
+        let weights: [Vec<f64>; 3] = scales.map(|scale| {
+            let relative = known.iter().map(|known| if *known { KNOWN } else { 1.0 });
+            relative.map(|weight| weight / (scale * scale)).collect()
+        });
+        let mut normal = vec![[0.0; BAND]; known.len() + EXTRA_FRAMES];
+        for (stencil, weights) in STENCILS.iter().zip(&weights) {
+            for (t, weight) in weights.iter().enumerate() {
+                for (i, a) in stencil.iter().enumerate() {
+                    for (j, b) in stencil.iter().enumerate().take(i + 1) {
+                        normal[t + i][i - j] += a * b * weight;
+                    }
                 }
             }
         }
+        Self {
+            weights,
+            factor: Cholesky::new(normal),
+        }
     }
-    let factor = cholesky(normal);
 
-    let columns = stencils.len() * frames;
-    let mut fit = vec![0.0; unknowns * columns];
-    let mut column = vec![0.0; unknowns];
-    for (estimate, stencil) in stencils.iter().enumerate() {
-        for t in 0..frames {
-            column.fill(0.0);
-            column[t..t + stencil.len()].copy_from_slice(stencil);
-            solve(&factor, &mut column);
-            for (row, value) in column.iter().enumerate() {
-                fit[row * columns + estimate * frames + t] = *value as f32;
+    /// Frames of the estimates.
+    pub fn frames(&self) -> usize {
+        self.weights[0].len()
+    }
+
+    /// The fitted positions, `[frames + 2]`, for position, velocity and acceleration, `[frames]`
+    /// each.
+    pub fn positions(&self, estimates: [&[f64]; 3]) -> Vec<f64> {
+        let mut positions = vec![0.0; self.frames() + EXTRA_FRAMES];
+        for ((stencil, weights), estimate) in STENCILS.iter().zip(&self.weights).zip(estimates) {
+            for (t, (value, weight)) in estimate.iter().zip(weights).enumerate() {
+                for (i, a) in stencil.iter().enumerate() {
+                    positions[t + i] += a * weight * value;
+                }
+            }
+        }
+        self.factor.solve(&mut positions);
+        positions
+    }
+
+    /// The adjoint of [`positions`](Self::positions): from the gradient of the fitted positions to
+    /// those of the three estimates.
+    pub fn adjoint(&self, mut gradient: Vec<f64>) -> [Vec<f64>; 3] {
+        self.factor.solve(&mut gradient);
+        let estimates = [0, 1, 2].map(|estimate| (STENCILS[estimate], &self.weights[estimate]));
+        estimates.map(|(stencil, weights)| {
+            let of = |(t, weight): (usize, &f64)| {
+                let said = stencil.iter().zip(&gradient[t..]);
+                weight * said.map(|(a, g)| a * g).sum::<f64>()
+            };
+            weights.iter().enumerate().map(of).collect()
+        })
+    }
+}
+
+/// The dense matrix of a fit, `[frames + 2, 3 frames]`, row-major: for devices that multiply
+/// matrices rather than solve recursions. Its columns are those of the estimates end to end, each
+/// divided by its scale: `[P / s_p | V / s_v | A / s_a]`.
+///
+/// # Panics
+/// Panics if a scale is not positive.
+pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
+    let fit = CoherentFit::new(frames, scales);
+    let rows = frames + EXTRA_FRAMES;
+    let row = |row: usize| {
+        let mut unit = vec![0.0; rows];
+        unit[row] = 1.0;
+        let columns = fit.adjoint(unit).into_iter().zip(scales);
+        columns.flat_map(|(column, scale)| column.into_iter().map(move |v| (v * scale) as f32))
+    };
+    (0..rows).flat_map(row).collect()
+}
+
+/// Replaces position, velocity and acceleration of a phrase of any length by those of the nearest
+/// coherent trajectory, except in frames that are `known`, which it passes through; the
+/// quaternion keeps its sign from frame to frame. `std` are the training deviations of the
+/// channels, `[25]`.
+///
+/// # Panics
+/// Panics if there is not one flag for each frame, or a deviation is not positive.
+pub fn make_coherent(motion: &mut Motion, std: &[f64], known: &[bool]) {
+    let frames = motion.frames();
+    assert_eq!(known.len(), frames, "known frames");
+    for axis in 0..3 {
+        let components = [POSITION, VELOCITY, ACCELERATION].map(|component| component.start + axis);
+        let column = |channel: usize| -> Vec<f64> {
+            let frames = 0..frames;
+            frames
+                .map(|t| f64::from(motion.frame(t)[channel]))
+                .collect()
+        };
+        let estimates = components.map(column);
+        let fit = CoherentFit::around(known, components.map(|channel| std[channel]));
+        let position = fit.positions([&estimates[0], &estimates[1], &estimates[2]]);
+        let velocity = differences(&position);
+        let acceleration = differences(&velocity);
+        for t in (0..frames).filter(|&t| !known[t]) {
+            let frame = motion.frame_mut(t);
+            let values = [&position, &velocity, &acceleration].map(|values| values[t] as f32);
+            for (channel, value) in components.into_iter().zip(values) {
+                frame[channel] = value;
             }
         }
     }
-    fit
+    let mut quaternions: Vec<Quaternion> = (0..frames).map(|t| motion.quaternion(t)).collect();
+    make_sign_continuous(&mut quaternions);
+    for (t, quaternion) in quaternions.into_iter().enumerate() {
+        motion.set_quaternion(t, quaternion);
+    }
 }
 
-/// The lower factor of a positive definite band matrix; entry `[row][d]` is that of column
-/// `row - d`.
-fn cholesky(mut matrix: Vec<[f64; BAND]>) -> Vec<[f64; BAND]> {
-    for row in 0..matrix.len() {
-        for d in (0..BAND.min(row + 1)).rev() {
-            let column = row - d;
-            let shared: f64 = (1..BAND - d)
-                .filter(|k| *k <= column)
-                .map(|k| matrix[row][d + k] * matrix[column][k])
-                .sum();
-            let rest = matrix[row][d] - shared;
-            matrix[row][d] = if d == 0 {
-                rest.sqrt()
-            } else {
-                rest / matrix[column][0]
-            };
-        }
-    }
-    matrix
-}
-
-/// Solves `L L^T x = b` in place.
-fn solve(factor: &[[f64; BAND]], x: &mut [f64]) {
-    for row in 0..x.len() {
-        for d in 1..BAND.min(row + 1) {
-            x[row] -= factor[row][d] * x[row - d];
-        }
-        x[row] /= factor[row][0];
-    }
-    for row in (0..x.len()).rev() {
-        for d in 1..BAND.min(x.len() - row) {
-            x[row] -= factor[row + d][d] * x[row + d];
-        }
-        x[row] /= factor[row][0];
-    }
+fn differences(values: &[f64]) -> Vec<f64> {
+    values
+        .windows(2)
+        .map(|pair| FPS * (pair[1] - pair[0]))
+        .collect()
 }
 
 #[cfg(test)]
@@ -117,14 +185,15 @@ mod tests {
 
     const SCALES: [f64; 3] = [0.9, 0.5, 2.5];
 
-    fn fitted(fit: &[f32], estimates: &[f64]) -> Vec<f64> {
-        let dot = |row: &[f32]| {
-            row.iter()
-                .zip(estimates)
-                .map(|(f, e)| f64::from(*f) * e)
-                .sum()
-        };
-        fit.chunks(estimates.len()).map(dot).collect()
+    /// The fit of estimates that are scaled and laid end to end.
+    fn fitted(frames: usize, estimates: &[f64]) -> Vec<f64> {
+        let mut parts = estimates.chunks(frames).zip(SCALES);
+        let estimates = [(); 3].map(|()| {
+            let (part, scale) = parts.next().expect("three estimates");
+            part.iter().map(|value| value * scale).collect::<Vec<f64>>()
+        });
+        let [p, v, a] = &estimates;
+        CoherentFit::new(frames, SCALES).positions([p, v, a])
     }
 
     /// The scaled estimates that positions imply.
@@ -149,10 +218,10 @@ mod tests {
     fn a_coherent_motion_stays_as_it_is() {
         for frames in [1, 2, 3, 40] {
             let positions = walk(frames);
-            let found = fitted(&coherent_fit(frames, SCALES), &implied(&positions));
+            let found = fitted(frames, &implied(&positions));
             for (found, expected) in found.iter().zip(&positions) {
                 assert!(
-                    (found - expected).abs() < 1e-5,
+                    (found - expected).abs() < 1e-9,
                     "{frames}: {found} {expected}"
                 );
             }
@@ -175,13 +244,92 @@ mod tests {
                 .map(|(a, b)| (a - b).powi(2))
                 .sum()
         };
-        let best = fitted(&coherent_fit(frames, SCALES), &estimates);
+        let best = fitted(frames, &estimates);
         let least = distance(&best);
         for t in 0..best.len() {
             for step in [-1e-3, 1e-3] {
                 let mut other = best.clone();
                 other[t] += step;
                 assert!(distance(&other) > least, "frame {t}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_matrix_is_the_fit() {
+        for frames in [1, 2, 5, 31] {
+            let estimates: Vec<f64> = Key::new(6, Purpose::Noise)
+                .normals(3 * frames)
+                .into_iter()
+                .map(f64::from)
+                .collect();
+            let banded = fitted(frames, &estimates);
+            let matrix = coherent_matrix(frames, SCALES);
+            assert_eq!(matrix.len(), banded.len() * estimates.len());
+            for (row, expected) in matrix.chunks(estimates.len()).zip(&banded) {
+                let products = row.iter().zip(&estimates);
+                let found: f64 = products.map(|(f, e)| f64::from(*f) * e).sum();
+                assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_adjoint_is_the_gradient() {
+        let frames = 9;
+        let fit = CoherentFit::new(frames, SCALES);
+        let draw = |seed, n| -> Vec<f64> {
+            let values = Key::new(seed, Purpose::Noise).normals(n);
+            values.into_iter().map(f64::from).collect()
+        };
+        let (y, g) = (draw(1, 3 * frames), draw(2, frames + EXTRA_FRAMES));
+        let loss = |y: &[f64]| -> f64 {
+            let mut parts = y.chunks(frames);
+            let parts = [(); 3].map(|()| parts.next().expect("three"));
+            fit.positions(parts)
+                .iter()
+                .zip(&g)
+                .map(|(p, g)| p * g)
+                .sum()
+        };
+        let gradient = fit.adjoint(g.clone()).concat();
+        for (index, found) in gradient.iter().enumerate() {
+            let at = |step: f64| {
+                let mut y = y.clone();
+                y[index] += step;
+                loss(&y)
+            };
+            let expected = (at(1e-3) - at(-1e-3)) / 2e-3;
+            assert!(
+                (found - expected).abs() < 1e-8,
+                "{index}: {found} {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_fit_passes_through_what_is_known_and_goes_on_from_there() {
+        let mut motion = crate::wandering::wandering(3, 60);
+        let original = motion.clone();
+        for t in 20..60 {
+            // The rest lies 2 m aside.
+            let [x, y, z] = motion.vector(t, POSITION);
+            motion.set_vector(t, POSITION, [x + 2.0, y, z]);
+        }
+        let known: Vec<bool> = (0..60).map(|t| t < 20).collect();
+        make_coherent(&mut motion, &[0.5; 25], &known);
+        for t in 0..20 {
+            assert_eq!(motion.frame(t), original.frame(t), "{t}");
+        }
+        for t in 0..59 {
+            let step = |axis| (motion.frame(t + 1)[axis] - motion.frame(t)[axis]) * FPS as f32;
+            for axis in POSITION {
+                let said = motion.frame(t)[VELOCITY.start + axis];
+                assert!(
+                    (step(axis) - said).abs() < 2e-3,
+                    "{t}: {} {said}",
+                    step(axis)
+                );
             }
         }
     }

@@ -18,6 +18,7 @@
 //! ```
 
 pub mod augment;
+mod banded;
 pub mod coherence;
 pub mod emphasis;
 pub mod error;
@@ -33,6 +34,7 @@ pub mod representation;
 pub mod rotation;
 pub mod sanity;
 pub mod statistics;
+pub mod stitch;
 pub mod style;
 pub mod targets;
 
@@ -45,7 +47,9 @@ pub use kinematics::derive;
 pub use moments::ChannelMoments;
 pub use movement::Movement;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
-pub use postprocess::{ClampLimits, Differences, Hemisphere, PostProcessConfig, process};
+pub use postprocess::{
+    ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile, process,
+};
 pub use representation::{
     Curves, GroundPath, JointFeatures, JointPositions, Measured, Phrases, Representation,
     phrase_statistics,

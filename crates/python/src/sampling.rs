@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
-use kinegrad_train::sampling::{self, Conditions, Contents, Receiver, Request};
+use kinegrad_motion::PostProcessProfile;
+use kinegrad_train::sampling::{self, Conditions, Contents, Given, GivenFrames, Receiver, Request};
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
@@ -30,9 +31,45 @@ pub struct Wanted {
     count: usize,
     frames: Option<usize>,
     seed: u64,
+    continue_from: Option<PathBuf>,
+    keep: Option<String>,
+    keep_from: Option<PathBuf>,
+    postprocess: String,
 }
 
 impl Wanted {
+    fn given(&self) -> Result<Option<Given>, Error> {
+        match (&self.continue_from, &self.keep_from, &self.keep) {
+            (None, None, None) => Ok(None),
+            (Some(motion), None, None) => Ok(Some(Given {
+                motion: motion.clone(),
+                frames: GivenFrames::Last,
+            })),
+            (None, Some(motion), Some(frames)) => Given::these(motion, frames).map(Some),
+            (Some(_), _, _) => Err(Error::usage(
+                "`continue_from` with `keep`",
+                "a sample goes on from a motion, or keeps frames of one: leave out one of the two",
+            )),
+            (None, _, _) => Err(Error::usage(
+                "`keep` or `keep_from` alone",
+                "pass both: which frames are kept, and of which motion",
+            )),
+        }
+    }
+
+    /// The profile, if it is another one than the default.
+    fn post_processing(&self) -> Result<Option<PostProcessProfile>, Error> {
+        match self.postprocess.as_str() {
+            "default" => Ok(None),
+            "document" => Ok(Some(PostProcessProfile::Document)),
+            "none" => Ok(Some(PostProcessProfile::None)),
+            other => Err(Error::usage(
+                format!("`postprocess` is \"{other}\""),
+                "\"default\", \"document\" and \"none\" are allowed",
+            )),
+        }
+    }
+
     fn request(&self) -> Result<Request, Error> {
         Ok(Request {
             conditions: Conditions {
@@ -44,11 +81,13 @@ impl Wanted {
                 goals: self.goal.clone(),
                 trajectory: optional_checkpoint(self.trajectory_run.as_deref())?,
                 text_embedding: self.text_embedding.clone(),
+                given: self.given()?,
                 held_out: self.held_out,
             },
             count: self.count,
             frames: self.frames,
             seed: self.seed,
+            post_processing: self.post_processing()?,
         })
     }
 }

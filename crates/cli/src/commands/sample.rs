@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{self, Conditions, Remark, Request, Subject};
+use kinegrad_train::sampling::{self, Conditions, Given, GivenFrames, Remark, Request, Subject};
 use kinegrad_train::systems::Systems;
 use serde::Serialize;
 
@@ -45,6 +45,15 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     }
     let subject = subject(systems, &arguments.run, &arguments.draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
+    let kept = arguments.keep_from.zip(arguments.keep);
+    let given = match (arguments.continue_from, kept) {
+        (Some(motion), _) => Some(Given {
+            motion,
+            frames: GivenFrames::Last,
+        }),
+        (None, Some((motion, frames))) => Some(Given::these(&motion, &frames)?),
+        (None, None) => None,
+    };
     let request = Request {
         conditions: Conditions {
             source: arguments.source,
@@ -55,11 +64,13 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
             text_embedding: arguments.text_embedding,
+            given,
             held_out: None,
         },
         count: arguments.count,
         frames: arguments.frames,
         seed: arguments.seed,
+        post_processing: arguments.postprocess,
     };
     let remark = sampling::sample(systems, &subject, &request, &mut files)?;
     match arguments.json {

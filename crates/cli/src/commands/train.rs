@@ -184,8 +184,8 @@ fn draw_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<DrawnSamples,
             ..Conditions::default()
         },
         count: 1,
-        frames: None,
         seed: outcome.config.run.seed,
+        ..Request::default()
     };
     let folder = outcome.folder.join(SAMPLES);
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES);

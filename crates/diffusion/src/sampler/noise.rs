@@ -15,6 +15,14 @@ pub enum NoiseKeys<'a> {
     /// One for each sample, with the number that it draws as in a [`Batch`](Self::Batch): from
     /// `key.at(n).at(number)`.
     Numbered(&'a [(Key, u64)]),
+    /// One for a motion of which sample i is the part from frame `starts[i]` on: frame t of it has
+    /// the noise of `key.at(n).at(t)`, in every sample that it is in.
+    Parts {
+        /// The motion's key.
+        key: Key,
+        /// The first frame of each sample.
+        starts: &'a [usize],
+    },
 }
 
 impl From<Key> for NoiseKeys<'_> {
@@ -31,15 +39,40 @@ impl NoiseKeys<'_> {
             let key = key.at(step as u64);
             name.map_or(key, |name| key.named(name))
         };
-        let key = |sample: usize| match self {
-            Self::Batch(key) => of_step(key).at(sample as u64),
-            Self::Samples(keys) => of_step(keys[sample]).at(0),
-            Self::Numbered(keys) => of_step(keys[sample].0).at(keys[sample].1),
+        let of_samples = |key: &dyn Fn(usize) -> Key| -> Vec<f32> {
+            let samples = 0..batch;
+            let normals = samples.flat_map(|sample| key(sample).normals(channels * time));
+            normals.collect()
         };
-        let values: Vec<f32> = (0..batch)
-            .flat_map(|sample| key(sample).normals(channels * time))
-            .collect();
+        let values = match self {
+            Self::Batch(key) => of_samples(&|sample| of_step(key).at(sample as u64)),
+            Self::Samples(keys) => of_samples(&|sample| of_step(keys[sample]).at(0)),
+            Self::Numbered(keys) => of_samples(&|sample| {
+                let (key, number) = keys[sample];
+                of_step(key).at(number)
+            }),
+            Self::Parts { key, starts } => noise_of_parts(of_step(key), starts, [channels, time]),
+        };
         let data = TensorData::new(values, [batch, channels, time]);
         Tensor::from_data(data, (&x.device(), x.dtype()))
     }
+}
+
+/// Standard normal noise `[parts, channels, time]` of parts of a motion, that of its frame t drawn
+/// from `key.at(t)`.
+pub fn noise_of_parts(key: Key, starts: &[usize], [channels, time]: [usize; 2]) -> Vec<f32> {
+    let mut values = vec![0.0; starts.len() * channels * time];
+    let last = starts.iter().max().map_or(0, |start| start + time);
+    for t in starts.iter().min().copied().unwrap_or(0)..last {
+        let normals = key.at(t as u64).normals(channels);
+        for (part, start) in starts.iter().enumerate() {
+            let Some(place) = t.checked_sub(*start).filter(|place| *place < time) else {
+                continue;
+            };
+            for (channel, normal) in normals.iter().enumerate() {
+                values[(part * channels + channel) * time + place] = *normal;
+            }
+        }
+    }
+    values
 }

@@ -252,6 +252,27 @@ fn a_sample_with_its_own_key_is_the_same_anywhere_in_a_batch() {
 }
 
 #[test]
+fn parts_share_the_noise_of_their_frames() {
+    let (channels, time) = (2, 5);
+    let starts = [0, 3, 4];
+    let values = noise_of_parts(key(9), &starts, [channels, time]);
+    assert_eq!(values.len(), 3 * channels * time);
+    let at = |part: usize, channel: usize, t: usize| {
+        values[(part * channels + channel) * time + t - starts[part]]
+    };
+    for channel in 0..channels {
+        for t in 0..9 {
+            let shared = (0..3).filter(|part| (starts[*part]..starts[*part] + time).contains(&t));
+            let found: Vec<f32> = shared.map(|part| at(part, channel, t)).collect();
+            let expected = key(9).at(t as u64).normals(channels)[channel];
+            assert!(!found.is_empty() && found.iter().all(|noise| *noise == expected));
+        }
+    }
+    // Without what comes before it is the same.
+    assert_eq!(noise_of_parts(key(9), &[4], [channels, time]), values[20..]);
+}
+
+#[test]
 fn guidance_scales_what_the_condition_adds() {
     let diffusion = process(50, PredictionType::Sample);
     let config = SamplerConfig {

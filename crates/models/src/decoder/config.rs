@@ -195,12 +195,12 @@ impl DecoderConfig {
     }
 
     /// Numbers that are computed once for motion of `frames` frames, however many items there are:
-    /// the coherent fit, a dense matrix `[frames + 2, 3 frames]` for each of three axes, and one on
-    /// its way there.
+    /// the banded systems of the coherent fit of three axes, and their solutions.
     pub fn shared(&self, frames: usize) -> u64 {
         match self.coherence {
             Coherence::None => 0,
-            Coherence::Projection => 12 * (frames as u64).saturating_mul(frames as u64),
+            // In double precision.
+            Coherence::Projection => 3 * 2 * 16 * frames as u64,
         }
     }
 }

@@ -1,23 +1,25 @@
 //! From a sampler's latent to motion in physical units (CC-MotionGen, section 3.3; docs/sources.md,
 //! section 1.6).
 
+mod coherent;
 mod config;
 mod identity;
 
+use std::sync::Arc;
+
 use burn::module::Module;
+use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Tensor, TensorData};
-use kinegrad_kernels::gelu;
+use kinegrad_kernels::{gelu, linear_map};
 use kinegrad_motion::Targets;
-use kinegrad_motion::coherence::{EXTRA_FRAMES, coherent_fit};
-use kinegrad_motion::phrase::{
-    ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, POSITION, QUATERNION, VELOCITY,
-};
+use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, FPS, QUATERNION};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 
 pub use config::{
     Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
 };
+
+use coherent::{ESTIMATES, Fits};
 
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
@@ -170,6 +172,20 @@ impl MotionDecoder {
     /// - latent: `[batch, channels, time]`, normalised; 25 channels, or those of the targets
     /// - output: `[batch, 25, time]`, physical units
     pub fn forward(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let motion = self.frames(latent, dropout);
+        match self.coherence {
+            Coherence::None => motion,
+            Coherence::Projection => self.project(motion),
+        }
+    }
+
+    /// How position, velocity and acceleration agree.
+    pub fn coherence(&self) -> Coherence {
+        self.coherence
+    }
+
+    /// [`forward`](Self::forward) without coherence: each frame by itself.
+    pub fn frames(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let [batch, channels, time] = latent.dims();
         let rows = latent.swap_dims(1, 2).reshape([batch * time, channels]);
         let mut h = self.input_proj.forward(rows);
@@ -201,39 +217,16 @@ impl MotionDecoder {
         let motion = Tensor::cat(components, 1)
             .reshape([batch, time, channels])
             .swap_dims(1, 2);
-        let motion = decode(self.targets, motion);
-        match self.coherence {
-            Coherence::None => motion,
-            Coherence::Projection => self.project(motion),
-        }
+        decode(self.targets, motion)
     }
 
     /// Replaces position, velocity and acceleration by the nearest coherent ones, makes the
     /// quaternion's sign continuous, and derives the angular velocity from it.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
-        let device = motion.device();
-        let std = &self.normalization.std;
-        // One column of estimates per sample and axis: [3, 3 time, batch].
-        let estimates = [POSITION, VELOCITY, ACCELERATION].map(|component| {
-            let scales: Vec<f32> = std[component.clone()].iter().map(|s| *s as f32).collect();
-            let scales = Tensor::<3>::from_data(TensorData::new(scales, [1, 3, 1]), &device);
-            motion.clone().slice([0..batch, component]) / scales
-        });
-        let estimates = Tensor::cat(estimates.to_vec(), 2).permute([1, 2, 0]);
-        let fits: Vec<f32> = (0..3)
-            .flat_map(|axis| {
-                let scale = |component: std::ops::Range<usize>| std[component.start + axis];
-                coherent_fit(
-                    time,
-                    [scale(POSITION), scale(VELOCITY), scale(ACCELERATION)],
-                )
-            })
-            .collect();
-        let extended = time + EXTRA_FRAMES;
-        let fits = TensorData::new(fits, [3, extended, 3 * time]);
-        let position = Tensor::<3>::from_data(fits, &device).matmul(estimates);
-        let position = position.permute([2, 0, 1]);
+        let fits = Fits::new(time, &self.normalization.std);
+        let estimates = motion.clone().slice([0..batch, ESTIMATES]);
+        let position = linear_map(estimates, Arc::new(fits));
         let velocity = differences(position.clone());
         let acceleration = differences(velocity.clone());
         let quaternion = sign_continuous(motion.clone().slice([0..batch, QUATERNION]));

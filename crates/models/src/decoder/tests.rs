@@ -1,5 +1,6 @@
-use burn::tensor::Device;
-use kinegrad_motion::phrase::PHASE;
+use burn::tensor::{Device, TensorData};
+use kinegrad_kernels::Mode;
+use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, VELOCITY};
 use kinegrad_motion::{Motion, OrientationTarget, PhaseTarget, kinematics};
 use kinegrad_random::{Key, Purpose};
 
@@ -201,4 +202,35 @@ fn a_decoder_too_narrow_for_its_targets_is_refused() {
     let init = Initializer::new(3, &Device::flex());
     let error = config.init_for(targets, normalization, &init).unwrap_err();
     assert!(error.to_string().contains("decoder.hidden_dim"), "{error}");
+}
+
+#[test]
+fn the_banded_projection_is_the_dense_one_with_its_gradient() {
+    let device = Device::flex().autodiff();
+    let decoder = decoder(Coherence::Projection, &device);
+    for time in [1, 2, 9, 40] {
+        let run = |mode: Mode| {
+            mode.scope(|| {
+                let x = latent(5, [2, CHANNELS, time], &device).require_grad();
+                let y = decoder.project(x.clone());
+                let weights = latent(6, [2, CHANNELS, time], &device);
+                let gradients = (y.clone() * weights).sum().backward();
+                (values(y), values(x.grad(&gradients).expect("a gradient")))
+            })
+        };
+        let (banded, dense) = (run(Mode::Fused), run(Mode::Composed));
+        for (index, (a, b)) in banded.0.iter().zip(&dense.0).enumerate() {
+            // Rounded positions, differentiated.
+            let allowed = match index / time % CHANNELS {
+                c if VELOCITY.contains(&c) => 3e-4,
+                c if ACCELERATION.contains(&c) => 1e-2,
+                _ => 5e-6,
+            };
+            assert!((a - b).abs() < allowed, "{index} of {time} frames: {a} {b}");
+        }
+        let largest = dense.1.iter().fold(1.0f32, |a, b| a.max(b.abs()));
+        for (a, b) in banded.1.iter().zip(&dense.1) {
+            assert!((a - b).abs() < 1e-4 * largest, "{time} frames: {a} {b}");
+        }
+    }
 }

@@ -53,6 +53,29 @@ impl Default for ClampLimits {
     }
 }
 
+/// A ready configuration of the post-processor.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PostProcessProfile {
+    /// [`PostProcessConfig::default`], the sound reading.
+    #[default]
+    Default,
+    /// [`PostProcessConfig::document`], CC-MotionGen's to the letter.
+    Document,
+    /// [`PostProcessConfig::none`]: the raw output of the model.
+    None,
+}
+
+impl From<PostProcessProfile> for PostProcessConfig {
+    fn from(profile: PostProcessProfile) -> Self {
+        match profile {
+            PostProcessProfile::Default => Self::default(),
+            PostProcessProfile::Document => Self::document(),
+            PostProcessProfile::None => Self::none(),
+        }
+    }
+}
+
 /// What [`process`](super::process) does (CC-MotionGen, section 9.1; docs/sources.md, section
 /// 1.12).
 ///

@@ -17,7 +17,7 @@
 mod config;
 mod orientation;
 
-pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig};
+pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile};
 
 use std::ops::Range;
 

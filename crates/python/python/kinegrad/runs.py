@@ -169,6 +169,10 @@ class Run:
         trajectory_run: PathArgument | Run | None = None,
         held_out: int | None = None,
         source: str | None = None,
+        continue_from: PathArgument | None = None,
+        keep: str | Sequence[tuple[int, int]] | None = None,
+        keep_from: PathArgument | None = None,
+        postprocess: Literal["default", "document", "none"] = "default",
         count: int = 1,
         frames: int | None = None,
         seed: int = 0,
@@ -184,7 +188,8 @@ class Run:
         Args:
             phrase: Phrase of the dataset whose audio features are the condition, or clip whose first
                 caption is; `*` matches any text. By default the first held-out phrase.
-            audio: Song to use as the condition.
+            audio: Song to use as the condition, of any length; from `start` to its end if there is
+                no `frames`.
             start: Position in the song, in seconds, at which the motion starts.
             audio_features: `features.npz` to use as the condition.
             goal: Goal file or files for position control of a clip.
@@ -192,6 +197,13 @@ class Run:
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
             held_out: One sample for each of the first so many held-out items.
             source: Dataset that contains the phrase, instead of the run's own.
+            continue_from: Motion file to go on from: the sample begins with its last frames, a
+                quarter of the length that the run was trained on.
+            keep: Frames that the sample takes from `keep_from` as they are, at the same places:
+                `"0..30,90..120"` or `[(0, 30), (90, 120)]`, without the ends.
+            keep_from: Motion file that the frames of `keep` are taken from.
+            postprocess: Repairs of the generated phrase: `"default"`, `"document"` (CC-MotionGen's
+                to the letter) or `"none"`.
             count: Samples per condition.
             frames: Frames to generate, by default as many as the condition has.
             seed: Random seed of the noise.
@@ -215,6 +227,9 @@ class Run:
             goals = [goal]
         else:
             goals = list(goal)
+        kept = keep
+        if keep is not None and not isinstance(keep, str):
+            kept = ",".join(f"{start}..{end}" for start, end in keep)
         wanted = {
             "source": source,
             "phrase": phrase,
@@ -228,6 +243,10 @@ class Run:
             "count": count,
             "frames": frames,
             "seed": seed,
+            "continue_from": continue_from,
+            "keep": kept,
+            "keep_from": keep_from,
+            "postprocess": postprocess,
         }
         model = self._model(settings, steps, guidance_scale, weights, device)
         with reporting(progress, "denoising steps") as report:

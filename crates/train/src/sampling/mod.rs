@@ -1,5 +1,6 @@
 //! Generating motion with a trained model: [`sample`], for the command line and other programs.
 
+mod given;
 mod record;
 mod request;
 mod seed;
@@ -10,7 +11,8 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
-pub use record::{BatchRecord, Condition, GoalRecord, Record, SamplerRecord};
+pub use given::{Given, GivenFrames, GivenMotion};
+pub use record::{BatchRecord, Condition, GoalRecord, Kept, Record, SamplerRecord, WindowsRecord};
 pub use request::{Conditions, Request};
 pub use seed::item_seed;
 

@@ -42,6 +42,9 @@ pub struct Record {
     /// Repairs of the generated motion; none for models without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub post_processing: Option<PostProcessConfig>,
+    /// The windows it was drawn in; none if it was drawn as one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub windows: Option<WindowsRecord>,
     /// What the sample is conditioned on.
     pub condition: Condition,
     /// What it was drawn together with; left out where that does not matter.
@@ -66,6 +69,29 @@ pub struct GoalRecord {
     pub file: PathBuf,
     /// SHA-256 of its contents.
     pub sha256: String,
+}
+
+/// The overlapping windows that a motion was drawn in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WindowsRecord {
+    /// Frames of each.
+    pub frames: usize,
+    /// How many there are, evenly spread.
+    pub count: usize,
+    /// How many the network saw at a time.
+    pub in_flight: usize,
+}
+
+/// Frames of another motion that a sample has as they are.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Kept {
+    /// The motion's file.
+    pub motion: PathBuf,
+    /// First frame and end of each run of frames in the sample.
+    pub frames: Vec<[usize; 2]>,
+    /// Whether they are the last frames of that motion, which the sample continues, and not those
+    /// of the same places.
+    pub continued: bool,
 }
 
 /// The sampler's settings.
@@ -100,6 +126,9 @@ pub struct Condition {
     /// Position in the song, in seconds, at which the motion starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
+    /// Frames that were given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kept: Option<Kept>,
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,
@@ -140,6 +169,7 @@ impl Record {
                 steering: None,
             },
             post_processing: None,
+            windows: None,
             condition: Condition::default(),
             batch: None,
         }

@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use kinegrad_motion::MAX_FRAMES;
+use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{Refused, in_range};
 
+use super::{Given, GivenFrames};
 use crate::error::Error;
 
 /// A request for samples. Systems reject conditions that their models do not support.
@@ -18,6 +19,8 @@ pub struct Request {
     pub frames: Option<usize>,
     /// Seed of the noise.
     pub seed: u64,
+    /// Repairs of the generated motion, for models with such; the default ones if not said.
+    pub post_processing: Option<PostProcessProfile>,
 }
 
 /// The sources of conditions.
@@ -39,6 +42,8 @@ pub struct Conditions {
     pub trajectory: Option<PathBuf>,
     /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
+    /// Frames of a phrase that the sample has as they are.
+    pub given: Option<Given>,
     /// Use the first so many held-out items of the run's own dataset.
     pub held_out: Option<usize>,
 }
@@ -70,7 +75,8 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 7] {
+    fn given(&self) -> [(&'static str, bool); 9] {
+        let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
             ("--phrase", self.item.is_some()),
@@ -79,6 +85,14 @@ impl Conditions {
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
+            (
+                "--continue-from",
+                self.given.as_ref().is_some_and(continues),
+            ),
+            (
+                "--keep",
+                self.given.as_ref().is_some_and(|given| !continues(given)),
+            ),
         ]
     }
 
@@ -213,7 +227,7 @@ mod tests {
             },
             count: 1,
             frames: Some(30),
-            seed: 0,
+            ..Request::default()
         };
         good.validate().expect("a song from a moment on");
         assert!(!good.conditions.is_empty());

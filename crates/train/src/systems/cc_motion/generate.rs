@@ -36,12 +36,13 @@ pub struct Sample {
 
 /// A trained model, ready to generate samples.
 pub struct Generator {
-    unet: UNet1d,
-    decoder: Option<MotionDecoder>,
-    diffusion: GaussianDiffusion,
-    targets: Targets,
-    state: State,
-    device: Device,
+    pub(super) unet: UNet1d,
+    pub(super) decoder: Option<MotionDecoder>,
+    pub(super) diffusion: GaussianDiffusion,
+    pub(super) targets: Targets,
+    pub(super) post_processing: PostProcessConfig,
+    pub(super) device: Device,
+    pub(super) state: State,
 }
 
 /// Rejects `count` samples of `frames` frames if a batch of them takes more memory than is free.
@@ -100,9 +101,19 @@ impl Generator {
             decoder,
             diffusion,
             targets: targets(&state.config)?,
+            post_processing: PostProcessConfig::default(),
             state,
             device: device.clone(),
         })
+    }
+
+    /// The same with another post-processing than the default.
+    #[must_use]
+    pub fn with_post_processing(self, post_processing: PostProcessConfig) -> Self {
+        Self {
+            post_processing,
+            ..self
+        }
     }
 
     /// The config the model was trained with.
@@ -191,7 +202,7 @@ impl Generator {
                     Some(_) => Motion::from_channel_major(values, frames)?,
                     None => Motion::new(self.targets.decode(normalization.denormalize(values)))?,
                 };
-                let motion = process(&raw, &PostProcessConfig::default(), Some(self.statistics()));
+                let motion = process(&raw, &self.post_processing, Some(self.statistics()));
                 take(Sample { raw, motion })?;
             }
         }

@@ -18,6 +18,7 @@ mod sample;
 mod select;
 mod start;
 mod train;
+pub mod whole;
 
 use std::path::{Path, PathBuf};
 

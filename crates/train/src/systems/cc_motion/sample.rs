@@ -7,16 +7,20 @@ use std::path::Path;
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
 use kinegrad_motion::phrase::FPS;
 use kinegrad_motion::postprocess::PostProcessConfig;
-use kinegrad_motion::{CHANNELS, Motion, Profile, Report, Statistics, check};
+use kinegrad_motion::stitch::Windows;
+use kinegrad_motion::{CHANNELS, Motion, OrientationTarget, Profile, Report, Statistics, check};
+use kinegrad_random::{Key, Purpose};
 
 use super::CcMotion;
 use super::generate::{Generator, Sample, keys, must_fit};
 use super::lengths::untrained;
+use super::networks::targets;
+use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use crate::config::Config;
 use crate::error::Error;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
-    item_seed,
+    Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
+    Record, Remark, Request, Subject, WindowsRecord, item_seed,
 };
 use crate::song::song_features;
 use crate::system::System as _;
@@ -30,6 +34,9 @@ const RAW: &str = ".raw.npy";
 /// What to do where held-out samples do not fit into memory.
 const HELD_OUT_HINT: &str = "draw none at the end of training (`sampling.count_at_end = 0`), or \
                              prepare shorter phrases";
+
+/// Of the frames of a window, that of which one part in so many continues another motion at most.
+const CONTINUED_SHARE: usize = 4;
 
 /// What to do where samples do not fit into memory.
 const HINT: &str = "draw shorter ones (`--frames`), or fewer";
@@ -49,34 +56,78 @@ pub(super) fn sample(
         "goals and text embeddings are conditions of recipes `gmd_motion` and `gmd_trajectory`",
     )?;
     if let Some(count) = request.conditions.held_out {
-        return for_held_out(subject, count, request.seed, receiver).map(Some);
+        return for_held_out(subject, count, request, receiver).map(Some);
     }
     let conditions = conditions(request, &subject.config, receiver)?;
-    let lengths = conditions.iter().map(|heard| heard.audio.frames());
-    if let Some(odd) = untrained(&subject.config.data, lengths.clone()) {
+    let mut drawings = Vec::with_capacity(conditions.len());
+    for heard in conditions {
+        drawings.push(drawing(heard, request, &subject.config)?);
+    }
+    let lengths = drawings.iter().map(|drawing| match &drawing.whole {
+        Some((windows, _)) => windows.length(),
+        None => drawing.heard.audio.frames(),
+    });
+    if let Some(odd) = untrained(&subject.config.data, lengths) {
         receiver.warning(&odd);
     }
-    must_fit(
-        subject,
-        request.count,
-        lengths.max().unwrap_or_default(),
-        HINT,
-    )?;
-    let several = conditions.len() > 1;
+    for drawing in &drawings {
+        let (count, frames) = match &drawing.whole {
+            Some((windows, _)) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+            None => (request.count, drawing.heard.audio.frames()),
+        };
+        must_fit(subject, count, frames, HINT)?;
+    }
+    let several = drawings.len() > 1;
     let stem = |heard: &Heard| match several {
         true => format!("-{}", heard.name),
         false => String::new(),
     };
     let names = Names {
-        stems: conditions.iter().map(stem).collect(),
+        stems: drawings
+            .iter()
+            .map(|drawing| stem(&drawing.heard))
+            .collect(),
         count: request.count,
     };
     receiver.announced(&names, &[MOTION, RAW])?;
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
-    for heard in conditions {
-        let mut index = 0;
+    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
+        .with_post_processing(post_processing);
+    for Drawing { heard, whole } in drawings {
         let seed = item_seed(request.seed, &heard.name);
         let stem = stem(&heard);
+        if let Some((windows, given)) = &whole {
+            let whole = Whole {
+                audio: &heard.audio,
+                windows: windows.clone(),
+                given: given.as_ref(),
+                in_flight: WINDOWS_IN_FLIGHT,
+            };
+            let key = Key::new(seed, Purpose::Sampling);
+            for index in 0..request.count {
+                let sample = generator.sample_whole(
+                    &whole,
+                    &subject.config.sampling,
+                    key.at(index as u64),
+                    &mut |done, all| {
+                        receiver.advance("windows", index * all + done, request.count * all)
+                    },
+                )?;
+                let record = Record {
+                    index,
+                    windows: Some(WindowsRecord {
+                        frames: windows.length(),
+                        count: windows.len(),
+                        in_flight: WINDOWS_IN_FLIGHT,
+                    }),
+                    condition: heard.condition.clone(),
+                    ..record(subject, request, &sample)
+                };
+                receiver.drawn(drawn(names.of(&stem, index), sample, record))?;
+            }
+            continue;
+        }
+        let mut index = 0;
         let receiver = RefCell::new(&mut *receiver);
         generator.sample_each(
             repeat_n(heard.audio, request.count).zip(keys(seed, request.count)),
@@ -87,7 +138,7 @@ pub(super) fn sample(
                 let record = Record {
                     index,
                     condition: heard.condition.clone(),
-                    ..record(subject, request.seed, &sample)
+                    ..record(subject, request, &sample)
                 };
                 index += 1;
                 receiver.borrow_mut().drawn(drawn(name, sample, record))
@@ -103,7 +154,7 @@ pub(super) fn sample(
 fn for_held_out(
     subject: &Subject,
     count: usize,
-    seed: u64,
+    request: &Request,
     receiver: &mut dyn Receiver,
 ) -> Result<Remark, Error> {
     let dataset =
@@ -111,7 +162,9 @@ fn for_held_out(
     let chosen = dataset.held_out().first(count)?;
     let longest = chosen.iter().map(|phrase| phrase.audio.frames()).max();
     must_fit(subject, chosen.len(), longest.unwrap_or(0), HELD_OUT_HINT)?;
-    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
+    let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
+        .with_post_processing(post_processing);
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
     let mut done_before = 0;
@@ -120,7 +173,7 @@ fn for_held_out(
         let conditions: Vec<_> = phrases
             .iter()
             .flat_map(|phrase| {
-                keys(item_seed(seed, &phrase.id), 1).map(|key| (phrase.audio.clone(), key))
+                keys(item_seed(request.seed, &phrase.id), 1).map(|key| (phrase.audio.clone(), key))
             })
             .collect();
         let mut samples = Vec::with_capacity(phrases.len());
@@ -140,7 +193,7 @@ fn for_held_out(
             rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
             let record = Record {
                 condition: of_item(&phrase.id, &subject.config.data),
-                ..record(subject, seed, &sample)
+                ..record(subject, request, &sample)
             };
             receiver.drawn(drawn(phrase.id.clone(), sample, record))?;
         }
@@ -176,12 +229,12 @@ fn checked(name: &str, motion: &Motion, statistics: &Statistics) -> Result<Vec<S
 }
 
 /// What every sample's record says.
-fn record(subject: &Subject, seed: u64, sample: &Sample) -> Record {
+fn record(subject: &Subject, request: &Request, sample: &Sample) -> Record {
     Record {
         frames: sample.motion.frames(),
         fps: FPS,
-        post_processing: Some(PostProcessConfig::default()),
-        ..Record::new(CcMotion.name(), subject, seed)
+        post_processing: Some(request.post_processing.unwrap_or_default().into()),
+        ..Record::new(CcMotion.name(), subject, request.seed)
     }
 }
 
@@ -214,6 +267,43 @@ struct Heard {
     condition: Condition,
 }
 
+/// What is drawn for an audio condition.
+struct Drawing {
+    heard: Heard,
+    /// The windows and the given frames, of motion that is not drawn as one.
+    whole: Option<(Windows, Option<GivenMotion>)>,
+}
+
+/// What is drawn for `heard`: in windows, if it is a song that is longer than the training or if
+/// frames are given.
+fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawing, Error> {
+    let (frames, trained) = (heard.audio.frames(), config.data.target_frames);
+    let is_song = request.conditions.song.is_some();
+    let given = match &request.conditions.given {
+        None => None,
+        Some(given) => {
+            let motion = given.read(frames, trained.min(frames) / CONTINUED_SHARE)?;
+            heard.condition.kept = Some(Kept {
+                motion: given.motion.clone(),
+                frames: motion.frames.iter().map(|r| [r.start, r.end]).collect(),
+                continued: given.frames == GivenFrames::Last,
+            });
+            Some(motion)
+        }
+    };
+    let length = if is_song { trained } else { frames };
+    let in_windows = frames > length || given.is_some();
+    if in_windows && targets(config)?.orientation == OrientationTarget::CanonicalQuaternion {
+        let message = "a run with `model.orientation = \"canonical_quaternion\"` draws each motion \
+                       from its own first heading: windows of a song and given frames do not fit \
+                       together";
+        let hint = "draw parts of a song (`--frames`), or train with `rotation_6d`";
+        return Err(Error::usage(message, hint));
+    }
+    let whole = in_windows.then(|| (Windows::new(frames, length), given));
+    Ok(Drawing { heard, whole })
+}
+
 /// The conditions, cut to the requested number of frames.
 fn conditions(
     request: &Request,
@@ -234,7 +324,7 @@ fn conditions(
                 ..Condition::default()
             },
         }],
-        (None, Some(song)) => vec![of_song(song, request, config)?],
+        (None, Some(song)) => vec![of_song(song, request)?],
         (None, None) => of_phrases(&request.conditions, config, receiver)?,
     };
     let Some(frames) = request.frames else {
@@ -259,7 +349,7 @@ fn conditions(
 
 /// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
-fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Error> {
+fn of_song(song: &Path, request: &Request) -> Result<Heard, Error> {
     let audio = AudioFeatures::from(&song_features(song)?.1);
     let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
@@ -273,8 +363,10 @@ fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Err
         return Err(Error::usage(message, "give a moment within the song"));
     }
     let start = start.round() as usize;
-    let most = request.frames.unwrap_or(config.data.target_frames);
-    let end = audio.frames().min(start + most.max(1));
+    let end = match request.frames {
+        Some(frames) => audio.frames().min(start + frames),
+        None => audio.frames(),
+    };
     Ok(Heard {
         name: name.into_owned(),
         audio: audio.slice(start..end),

@@ -46,10 +46,16 @@ pub(super) fn sample(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--cond", "--audio"],
+        &["--cond", "--audio", "--continue-from", "--keep"],
         "a run on clips of joint features",
         "its condition is a text: `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's caption",
     )?;
+    if request.post_processing.is_some() {
+        return Err(Error::usage(
+            "`--postprocess` with a run on clips of joint features",
+            "their samples are not post-processed: leave it out",
+        ));
+    }
     if let Some(count) = conditions.held_out {
         return items::for_held_out(subject, count, request.seed, receiver);
     }

@@ -1,0 +1,42 @@
+//! Linear maps that are computed on the host, such as the solution of a banded system.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+
+use crate::backend::FusedOps;
+use crate::mode::fuses;
+
+/// A linear map of the values of one sample, and its adjoint.
+pub trait LinearMap: Debug + Send + Sync {
+    /// Channels and frames of what comes out, for what goes in.
+    fn shape(&self, channels: usize, frames: usize) -> [usize; 2];
+
+    /// Maps one sample, `[channels, frames]`.
+    fn apply(&self, values: &[f32], mapped: &mut [f32]);
+
+    /// Maps the gradient of what comes out to that of what goes in.
+    fn adjoint(&self, gradient: &[f32], mapped: &mut [f32]);
+
+    /// The same map as operations of the device, for one that is not the host.
+    fn composed(&self, x: Tensor<3>) -> Tensor<3>;
+}
+
+/// A map that an operation and its backward pass share.
+pub type SharedMap = Arc<dyn LinearMap>;
+
+/// The map of each sample: on the CPU in time and memory that `map` takes, with its adjoint as the
+/// backward pass; elsewhere as it is composed.
+///
+/// # Shapes
+/// - x: `[batch, channels, time]`
+/// - output: `[batch, channels, time]`, of the sizes that the map says
+pub fn linear_map(x: Tensor<3>, map: SharedMap) -> Tensor<3> {
+    if fuses(&x) {
+        Tensor::from_dispatch(Dispatch::fused_linear_map(x.into_dispatch(), map))
+    } else {
+        map.composed(x)
+    }
+}

@@ -1,0 +1,569 @@
+//! One motion of overlapping windows.
+//!
+//! A long phrase is drawn in windows of the length that a model was trained on. Each stands where
+//! its own first frame puts it: heading, height and all derivatives are those of the world, but
+//! the place on the floor is relative to the window's beginning ([`crate::anchor_floor`]). Windows
+//! are therefore moved on the floor before they are blended, by what agrees best with their
+//! neighbours (least squares over the overlaps), and blended with weights that rise and fall with
+//! the squared sine and add up to 1 in every frame.
+//!
+//! Known frames hold everywhere: windows are moved to where those say, and what a window says
+//! otherwise at their edges fades out over a third of a second.
+
+use std::ops::Range;
+
+use crate::banded::{BAND, Cholesky};
+use crate::phrase::{CHANNELS, PHASE, POSITION, QUATERNION};
+use crate::{OrientationTarget, PhaseTarget, Targets};
+
+/// Channels that are relative to the first frame of a window: the place on the floor.
+const FLOOR: [usize; 2] = [POSITION.start, POSITION.start + 2];
+
+/// Windows share one part in so many of their frames with the next, or more.
+const OVERLAP: usize = 3;
+
+/// Weight of known frames beside overlaps when a window finds its place.
+const KNOWN: f64 = 100.0;
+
+/// Frames over which the difference to a known frame fades.
+const FADE: usize = 10;
+
+/// Windows of one length that cover a motion, each overlapping the next by a third or more.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Windows {
+    frames: usize,
+    length: usize,
+    starts: Vec<usize>,
+}
+
+/// What the channels of windows are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// The 25 of a phrase in physical units. Phases are blended on their circle.
+    Phrase,
+    /// Those that a denoiser predicts, normalised.
+    Predicted(Targets),
+}
+
+impl Layout {
+    /// Number of channels.
+    pub fn channels(self) -> usize {
+        match self {
+            Self::Phrase => CHANNELS,
+            Self::Predicted(targets) => targets.channels(),
+        }
+    }
+
+    /// Channels of quaternions, whose signs differ between windows; none of rotations that have
+    /// no sign.
+    fn quaternions(self) -> Range<usize> {
+        match self {
+            Self::Predicted(targets) if targets.orientation == OrientationTarget::Rotation6d => {
+                0..0
+            }
+            _ => QUATERNION,
+        }
+    }
+
+    /// The channel of a phase that jumps at the end of a bar.
+    fn jumping_phase(self) -> Option<usize> {
+        match self {
+            Self::Phrase => Some(PHASE),
+            Self::Predicted(targets) if targets.phase == PhaseTarget::Scalar => {
+                Some(targets.phase_channels().start)
+            }
+            Self::Predicted(_) => None,
+        }
+    }
+}
+
+/// Frames of a motion that are given.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    /// Of each frame of the motion, whether it is known.
+    pub is_known: Vec<bool>,
+    /// `[channels, frames]`; only the known frames are read. The sign of quaternions is continuous
+    /// within each of their runs.
+    pub values: Vec<f32>,
+}
+
+impl Windows {
+    /// Evenly spread windows of `length` frames over `frames`: one, if the motion is not longer,
+    /// which then has that many frames.
+    ///
+    /// # Panics
+    /// Panics if there are no frames, or the windows have none.
+    pub fn new(frames: usize, length: usize) -> Self {
+        assert!(frames > 0 && length > 0, "windows of at least one frame");
+        let length = length.min(frames);
+        let most_apart = most_apart(length);
+        let gaps = (frames - length).div_ceil(most_apart);
+        let start = |window: usize| window * (frames - length) / gaps.max(1);
+        Self {
+            frames,
+            length,
+            starts: (0..=gaps).map(start).collect(),
+        }
+    }
+
+    /// Frames of the motion.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Frames of each window.
+    pub fn length(&self) -> usize {
+        self.length
+    }
+
+    /// The first frame of each window.
+    pub fn starts(&self) -> &[usize] {
+        &self.starts
+    }
+
+    /// Number of windows, at least one.
+    #[expect(clippy::len_without_is_empty, reason = "there is always a window")]
+    pub fn len(&self) -> usize {
+        self.starts.len()
+    }
+
+    /// The frames of a window.
+    pub fn of(&self, window: usize) -> Range<usize> {
+        self.starts[window]..self.starts[window] + self.length
+    }
+
+    /// Weight of frame `t` of the motion in a window, relative to other windows.
+    fn weight(&self, window: usize, t: usize) -> f64 {
+        let phase = (t - self.starts[window]) as f64 + 0.5;
+        let sine = (std::f64::consts::PI * phase / self.length as f64).sin();
+        sine * sine
+    }
+
+    /// The windows that have frame `t`.
+    fn at(&self, t: usize) -> Range<usize> {
+        let first = self
+            .starts
+            .partition_point(|start| start + self.length <= t);
+        let end = self.starts.partition_point(|start| *start <= t);
+        first..end
+    }
+
+    /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`, and replaces each by its part of that, moved on the floor to where
+    /// the window stood and with quaternions of the sign that they had.
+    ///
+    /// Where frames are `known`, the motion has their values and stands where they stand; else the
+    /// first window stays where it is.
+    ///
+    /// # Panics
+    /// Panics if the sizes do not fit.
+    pub fn stitch(&self, values: &mut [f32], known: Option<&Known>, layout: Layout) -> Vec<f32> {
+        let channels = layout.channels();
+        assert_eq!(values.len(), self.len() * channels * self.length, "windows");
+        let places = self.places(values, known, channels);
+        let mut motion = self.blended(values, &places, layout);
+        if let Some(known) = known {
+            assert_eq!(known.is_known.len(), self.frames, "known frames");
+            assert_eq!(known.values.len(), channels * self.frames, "known values");
+            put(&mut motion, known, layout);
+        }
+        self.take_apart(&motion, values, &places, known, layout);
+        motion
+    }
+
+    /// Where the first frame of each window lies on the floor of the whole motion.
+    fn places(&self, values: &[f32], known: Option<&Known>, channels: usize) -> Vec<[f64; 2]> {
+        // The normal equations of `weight |o_next - o - d|^2` over all neighbours and
+        // `weight |o - d|^2` for known frames.
+        let mut normal = vec![[0.0; BAND]; self.len()];
+        let mut sides = [vec![0.0; self.len()], vec![0.0; self.len()]];
+        let at = |window: usize, channel: usize, t: usize| {
+            let place = (window * channels + channel) * self.length + t - self.starts[window];
+            f64::from(values[place])
+        };
+        for next in 1..self.len() {
+            let window = next - 1;
+            let mut total = 0.0;
+            let mut apart = [0.0; 2];
+            for t in self.starts[next]..self.of(window).end {
+                let weight = self.weight(window, t) * self.weight(next, t);
+                total += weight;
+                for (apart, channel) in apart.iter_mut().zip(FLOOR) {
+                    *apart += weight * (at(window, channel, t) - at(next, channel, t));
+                }
+            }
+            normal[window][0] += total;
+            normal[next][0] += total;
+            normal[next][1] -= total;
+            for (side, apart) in sides.iter_mut().zip(apart) {
+                side[next] += apart;
+                side[window] -= apart;
+            }
+        }
+        let mut stands = false;
+        for window in 0..self.len() {
+            let Some(known) = known else { break };
+            for t in self.of(window).filter(|&t| known.is_known[t]) {
+                stands = true;
+                let weight = KNOWN * self.weight(window, t);
+                normal[window][0] += weight;
+                for (side, channel) in sides.iter_mut().zip(FLOOR) {
+                    let there = f64::from(known.values[channel * self.frames + t]);
+                    side[window] += weight * (there - at(window, channel, t));
+                }
+            }
+        }
+        if !stands {
+            normal[0][0] += 1.0;
+        }
+        let factor = Cholesky::new(normal);
+        sides.iter_mut().for_each(|side| factor.solve(side));
+        let [x, z] = sides;
+        x.into_iter().zip(z).map(|(x, z)| [x, z]).collect()
+    }
+
+    fn blended(&self, values: &[f32], places: &[[f64; 2]], layout: Layout) -> Vec<f32> {
+        let (channels, quaternions) = (layout.channels(), layout.quaternions());
+        let mut motion = vec![0.0; channels * self.frames];
+        for t in 0..self.frames {
+            let windows = self.at(t);
+            let weights: Vec<f64> = windows.clone().map(|w| self.weight(w, t)).collect();
+            let all: f64 = weights.iter().sum();
+            let frame = |window: usize| {
+                let first = window * channels * self.length + t - self.starts[window];
+                move |channel: usize| f64::from(values[first + channel * self.length])
+            };
+            let heaviest = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+            let reference = frame(windows.start + heaviest.map_or(0, |(place, _)| place));
+            let mut sum = vec![0.0; channels];
+            for (window, weight) in windows.zip(&weights) {
+                let value = frame(window);
+                let dot: f64 = quaternions.clone().map(|c| value(c) * reference(c)).sum();
+                for (channel, sum) in sum.iter_mut().enumerate() {
+                    let floor = FLOOR.iter().position(|floor| *floor == channel);
+                    let value = match floor {
+                        Some(axis) => value(channel) + places[window][axis],
+                        None if quaternions.contains(&channel) && dot < 0.0 => -value(channel),
+                        None if layout == Layout::Phrase && channel == PHASE => {
+                            value(channel) + (reference(channel) - value(channel)).round()
+                        }
+                        None => value(channel),
+                    };
+                    *sum += weight / all * value;
+                }
+            }
+            if layout == Layout::Phrase && !(0.0..=1.0).contains(&sum[PHASE]) {
+                sum[PHASE] = sum[PHASE].rem_euclid(1.0);
+            }
+            for (channel, sum) in sum.into_iter().enumerate() {
+                motion[channel * self.frames + t] = sum as f32;
+            }
+        }
+        motion
+    }
+
+    fn take_apart(
+        &self,
+        motion: &[f32],
+        values: &mut [f32],
+        places: &[[f64; 2]],
+        known: Option<&Known>,
+        layout: Layout,
+    ) {
+        let (channels, quaternions) = (layout.channels(), layout.quaternions());
+        for (window, values) in values.chunks_mut(channels * self.length).enumerate() {
+            let start = self.starts[window];
+            let signs = self.signs(motion, values, start, known, &quaternions);
+            for channel in 0..channels {
+                let floor = FLOOR.iter().position(|floor| *floor == channel);
+                let moved = floor.map_or(0.0, |axis| places[window][axis]);
+                let from = &motion[channel * self.frames + start..][..self.length];
+                let into = &mut values[channel * self.length..][..self.length];
+                for ((into, from), sign) in into.iter_mut().zip(from).zip(&signs) {
+                    *into = match quaternions.contains(&channel) {
+                        true => from * sign,
+                        false => (f64::from(*from) - moved) as f32,
+                    };
+                }
+            }
+        }
+    }
+
+    /// The signs by which quaternions of the motion become those of a window: each frame's own, but
+    /// one for all known frames, whose sign the window goes by.
+    fn signs(
+        &self,
+        motion: &[f32],
+        values: &[f32],
+        start: usize,
+        known: Option<&Known>,
+        quaternions: &Range<usize>,
+    ) -> Vec<f32> {
+        let dots: Vec<f32> = (0..self.length)
+            .map(|t| {
+                let products = quaternions
+                    .clone()
+                    .map(|c| motion[c * self.frames + start + t] * values[c * self.length + t]);
+                products.sum()
+            })
+            .collect();
+        let is_known = |t: usize| known.is_some_and(|known| known.is_known[start + t]);
+        let of_known: f32 = (0..self.length)
+            .filter(|&t| is_known(t))
+            .map(|t| dots[t])
+            .sum();
+        let dot = |t: usize| if is_known(t) { of_known } else { dots[t] };
+        (0..self.length)
+            .map(|t| if dot(t) < 0.0 { -1.0 } else { 1.0 })
+            .collect()
+    }
+}
+
+/// Frames from the start of a window to that of the next, at most.
+fn most_apart(length: usize) -> usize {
+    (length - length.div_ceil(OVERLAP)).max(1)
+}
+
+/// Puts known frames into a motion `[channels, frames]`, and fades what it differs by at their edges.
+fn put(motion: &mut [f32], known: &Known, layout: Layout) {
+    let (channels, quaternions) = (layout.channels(), layout.quaternions());
+    let frames = known.is_known.len();
+    let edges: Vec<(usize, bool)> = (0..frames)
+        .filter(|&t| known.is_known[t])
+        .flat_map(|t| {
+            let before = t > 0 && !known.is_known[t - 1];
+            let after = t + 1 < frames && !known.is_known[t + 1];
+            [(before, false), (after, true)]
+                .into_iter()
+                .filter_map(move |(is_edge, forwards)| is_edge.then_some((t, forwards)))
+        })
+        .collect();
+    for (edge, forwards) in edges {
+        let reached = (1..=FADE)
+            .map_while(|d| match forwards {
+                true => Some(edge + d).filter(|t| *t < frames),
+                false => edge.checked_sub(d),
+            })
+            .take_while(|&t| !known.is_known[t]);
+        let reached: Vec<usize> = reached.collect();
+        let at = |values: &[f32], channel: usize, t: usize| values[channel * frames + t];
+        // Quaternions of the other sign are turned first.
+        for t in reached.iter().copied().chain([edge]) {
+            let products = quaternions
+                .clone()
+                .map(|c| at(motion, c, t) * at(&known.values, c, edge));
+            if products.sum::<f32>() < 0.0 {
+                for channel in quaternions.clone() {
+                    motion[channel * frames + t] *= -1.0;
+                }
+            }
+        }
+        for channel in (0..channels).filter(|channel| Some(*channel) != layout.jumping_phase()) {
+            let rest = at(&known.values, channel, edge) - at(motion, channel, edge);
+            for (d, &t) in reached.iter().enumerate() {
+                let share = (d + 1) as f32 / (FADE + 1) as f32;
+                let fade = 0.5 + 0.5 * (std::f32::consts::PI * share).cos();
+                motion[channel * frames + t] += fade * rest;
+            }
+        }
+    }
+    for t in (0..frames).filter(|&t| known.is_known[t]) {
+        for channel in 0..channels {
+            motion[channel * frames + t] = known.values[channel * frames + t];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wandering::wandering;
+    use crate::{Motion, anchor_floor};
+
+    /// The windows of a motion, each anchored where it begins.
+    fn cut(windows: &Windows, motion: &Motion) -> Vec<f32> {
+        let parts = (0..windows.len()).map(|window| {
+            let mut part = motion.slice(windows.of(window));
+            anchor_floor(&mut part);
+            part.channel_major()
+        });
+        parts.flatten().collect()
+    }
+
+    fn assert_near(found: &[f32], expected: &[f32], allowed: f32) {
+        assert_eq!(found.len(), expected.len());
+        for (place, (a, b)) in found.iter().zip(expected).enumerate() {
+            assert!((a - b).abs() <= allowed, "{place}: {a} {b}");
+        }
+    }
+
+    #[test]
+    fn windows_cover_all_frames_and_overlap() {
+        for (frames, length) in [
+            (1, 1),
+            (7, 24),
+            (24, 24),
+            (25, 24),
+            (100, 24),
+            (101, 7),
+            (9, 1),
+        ] {
+            let windows = Windows::new(frames, length);
+            let starts = windows.starts();
+            assert_eq!(windows.length(), length.min(frames));
+            assert_eq!((starts[0], windows.of(windows.len() - 1).end), (0, frames));
+            for pair in starts.windows(2) {
+                let apart = pair[1] - pair[0];
+                assert!(
+                    apart > 0 && apart <= most_apart(length),
+                    "{frames} {length}: {starts:?}"
+                );
+            }
+            for t in 0..frames {
+                let found = (0..windows.len()).filter(|&w| windows.of(w).contains(&t));
+                assert_eq!(found.collect::<Vec<_>>(), windows.at(t).collect::<Vec<_>>());
+            }
+        }
+        assert_eq!(Windows::new(24, 24).len(), 1);
+        assert_eq!(Windows::new(25, 24).len(), 2);
+    }
+
+    #[test]
+    fn pieces_of_a_motion_make_the_motion() {
+        let mut motion = wandering(4, 91);
+        anchor_floor(&mut motion);
+        let windows = Windows::new(91, 24);
+        let mut values = cut(&windows, &motion);
+        // A window may have turned all its signs.
+        for channel in QUATERNION {
+            let first = (2 * CHANNELS + channel) * 24;
+            values[first..first + 24]
+                .iter_mut()
+                .for_each(|v| *v *= -1.0);
+        }
+        let before = values.clone();
+        let stitched = windows.stitch(&mut values, None, Layout::Phrase);
+        let stitched = Motion::from_channel_major(&stitched, 91).unwrap();
+        for t in 0..91 {
+            assert_near(&stitched.frame(t)[..9], &motion.frame(t)[..9], 2e-5);
+            assert!(stitched.quaternion(t).dot(motion.quaternion(t)).abs() > 1.0 - 1e-6);
+        }
+        assert_near(&values, &before, 2e-5);
+    }
+
+    #[test]
+    fn phases_are_blended_on_their_circle() {
+        let windows = Windows::new(36, 24);
+        let mut values = vec![0.0; windows.len() * CHANNELS * 24];
+        for (window, phase) in [0.98, 0.02].into_iter().enumerate() {
+            let first = (window * CHANNELS + PHASE) * 24;
+            values[first..first + 24].fill(phase);
+        }
+        let motion = windows.stitch(&mut values, None, Layout::Phrase);
+        for phase in &motion[PHASE * 36..(PHASE + 1) * 36] {
+            assert!(
+                (0.0..0.021).contains(phase) || (0.979..=1.0).contains(phase),
+                "{phase}"
+            );
+        }
+    }
+
+    #[test]
+    fn pieces_in_other_targets_make_the_motion() {
+        let mut motion = wandering(4, 91);
+        anchor_floor(&mut motion);
+        let targets = Targets {
+            phase: PhaseTarget::SinCos,
+            orientation: OrientationTarget::Rotation6d,
+        };
+        let layout = Layout::Predicted(targets);
+        let columns = |motion: &Motion| {
+            let rows = targets.encode(motion.as_slice()).into_owned();
+            let channels = targets.channels();
+            (0..channels)
+                .flat_map(|c| {
+                    rows.iter()
+                        .skip(c)
+                        .step_by(channels)
+                        .copied()
+                        .collect::<Vec<_>>()
+                })
+                .collect::<Vec<f32>>()
+        };
+        let windows = Windows::new(91, 24);
+        let parts = (0..windows.len()).map(|window| {
+            let mut part = motion.slice(windows.of(window));
+            anchor_floor(&mut part);
+            columns(&part)
+        });
+        let mut values: Vec<f32> = parts.flatten().collect();
+        let before = values.clone();
+        let stitched = windows.stitch(&mut values, None, layout);
+        assert_near(&stitched, &columns(&motion), 2e-5);
+        assert_near(&values, &before, 2e-5);
+        // Known frames of these channels hold too, and fade.
+        let known = Known {
+            is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
+            values: columns(&motion),
+        };
+        let mut still = vec![0.0; values.len()];
+        let stitched = windows.stitch(&mut still, Some(&known), layout);
+        let sine = targets.phase_channels().start * 91;
+        assert_eq!(
+            stitched[sine + 30..sine + 40],
+            known.values[sine + 30..sine + 40]
+        );
+        assert!(stitched[sine + 41].abs() > 0.0 && stitched[sine + 60] == 0.0);
+    }
+
+    #[test]
+    fn windows_that_differ_agree_afterwards() {
+        let windows = Windows::new(50, 20);
+        let mut values: Vec<f32> = (0..windows.len())
+            .flat_map(|window| wandering(window as u64, 20).channel_major())
+            .collect();
+        let motion = windows.stitch(&mut values, None, Layout::Phrase);
+        let height = |window: usize, t: usize| {
+            values[(window * CHANNELS + 1) * 20 + t - windows.starts()[window]]
+        };
+        for t in 0..50 {
+            for window in windows.at(t) {
+                assert_eq!(height(window, t), motion[50 + t]);
+            }
+        }
+        // Doing it again changes nothing.
+        let again = windows.stitch(&mut values, None, Layout::Phrase);
+        assert_near(&again, &motion, 1e-5);
+    }
+
+    #[test]
+    fn known_frames_are_met_exactly_and_say_where_the_motion_stands() {
+        let mut motion = wandering(8, 70);
+        for t in 0..70 {
+            let [x, y, z] = motion.vector(t, POSITION);
+            motion.set_vector(t, POSITION, [x + 40.0, y, z - 7.0]);
+        }
+        let windows = Windows::new(70, 24);
+        let known = Known {
+            is_known: (0..70).map(|t| (30..40).contains(&t)).collect(),
+            values: motion.channel_major(),
+        };
+        let mut values = cut(&windows, &motion);
+        let stitched = windows.stitch(&mut values, Some(&known), Layout::Phrase);
+        for channel in 0..CHANNELS {
+            let part = |values: &[f32]| values[channel * 70 + 30..channel * 70 + 40].to_vec();
+            assert_eq!(part(&stitched), part(&known.values));
+        }
+        // The windows were cut from it, so that all of it is there.
+        assert_near(&stitched[..70], &known.values[..70], 1e-4);
+        // Where they say something else, the edge is no step.
+        let mut still = vec![0.0; values.len()];
+        let stitched = windows.stitch(&mut still, Some(&known), Layout::Phrase);
+        let height = |t: usize| stitched[70 + t];
+        let (inside, next, far) = (height(39), height(40), height(51));
+        assert!(
+            (next - inside).abs() < 0.1 * inside.abs(),
+            "{inside} {next}"
+        );
+        assert_eq!(far, 0.0);
+    }
+}

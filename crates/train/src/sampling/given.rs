@@ -1,0 +1,196 @@
+//! Frames of the motion that are given.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use kinegrad_data::read_motion;
+use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::stitch::Known;
+use kinegrad_motion::{CHANNELS, Motion, Quaternion, channel_name};
+
+use crate::error::Error;
+
+/// Frames of a phrase that the sample has as they are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Given {
+    /// The phrase's file.
+    pub motion: PathBuf,
+    /// Which of its frames.
+    pub frames: GivenFrames,
+}
+
+/// Which frames of a phrase are given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum GivenFrames {
+    /// The last ones, with which the sample begins.
+    Last,
+    /// These, ascending and apart; they have the same places in the sample.
+    These(Vec<Range<usize>>),
+}
+
+/// Given frames, read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GivenMotion {
+    /// As the stored numbers, `[frames, 25]`; zeros elsewhere.
+    pub motion: Motion,
+    /// The frames of the sample that are given.
+    pub frames: Vec<Range<usize>>,
+}
+
+impl Given {
+    /// The frames `text` of a phrase: ranges such as `0..30,90..120`, without their ends.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if these are not ascending ranges.
+    pub fn these(motion: &Path, text: &str) -> Result<Self, Error> {
+        let wrong = |found: &str| {
+            Error::usage(
+                format!("`--keep {text}`: `{found}` is no range of frames after those before it"),
+                "ranges ascend and do not overlap, and their ends do not count: `--keep \
+                 0..30,90..120` keeps the frames 0 to 29 and 90 to 119",
+            )
+        };
+        let mut frames: Vec<Range<usize>> = Vec::new();
+        for part in text.split(',') {
+            let ends = part.trim().split_once("..");
+            let ends = ends.and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+            let after = frames.last().map_or(0, |last| last.end);
+            let range = ends
+                .filter(|range: &Range<usize>| !range.is_empty() && range.start >= after)
+                .ok_or_else(|| wrong(part))?;
+            frames.push(range);
+        }
+        Ok(Self {
+            motion: motion.to_path_buf(),
+            frames: GivenFrames::These(frames),
+        })
+    }
+
+    /// The option of the command line that asks for it.
+    pub fn option(&self) -> &'static str {
+        match self.frames {
+            GivenFrames::Last => "--continue-from",
+            GivenFrames::These(_) => "--keep",
+        }
+    }
+
+    /// Reads the frames for a sample of `frames` frames, of which at most `most_last` continue
+    /// another phrase.
+    ///
+    /// # Errors
+    /// If the file is no phrase, has numbers that are not finite, is too short for the frames, or if
+    /// nothing would be left to draw.
+    pub fn read(&self, frames: usize, most_last: usize) -> Result<GivenMotion, Error> {
+        let phrase = read_motion(&self.motion)?;
+        let (name, option) = (self.motion.display(), self.option());
+        if let Some((frame, channel)) = phrase.first_non_finite() {
+            let channel = channel_name(channel);
+            return Err(Error::usage(
+                format!("{name}: {channel} of frame {frame} is not finite"),
+                "`kinegrad check` says which frames of a motion are sound",
+            ));
+        }
+        let (of, given) = match &self.frames {
+            GivenFrames::Last => {
+                let last = phrase.frames().min(most_last.max(1));
+                (phrase.frames() - last, vec![0..last])
+            }
+            GivenFrames::These(frames) => (0, frames.clone()),
+        };
+        let end = given.last().map_or(0, |range| range.end);
+        if of + end > phrase.frames() || end > frames {
+            let (what, has) = match of + end > phrase.frames() {
+                true => (name.to_string(), phrase.frames()),
+                false => ("the sample".to_string(), frames),
+            };
+            return Err(Error::usage(
+                format!("`{option}` reaches to frame {end}, {what} has {has} frames"),
+                "keep frames that both have; `--frames` sets the length of the sample",
+            ));
+        }
+        if given.iter().map(Range::len).sum::<usize>() == frames {
+            return Err(Error::usage(
+                format!("`{option}` gives all {frames} frames"),
+                "nothing is left to draw: keep fewer frames, or ask for a longer sample (`--frames`)",
+            ));
+        }
+        let mut motion = Motion::new(vec![0.0; frames * CHANNELS])?;
+        for t in given.iter().cloned().flatten() {
+            motion.frame_mut(t).copy_from_slice(phrase.frame(of + t));
+        }
+        Ok(GivenMotion {
+            motion,
+            frames: given,
+        })
+    }
+}
+
+impl GivenMotion {
+    /// Number of given frames.
+    pub fn count(&self) -> usize {
+        self.frames.iter().map(Range::len).sum()
+    }
+
+    /// The given frames with unit quaternions of continuous sign, `[25, frames]`.
+    pub fn known(&self) -> Known {
+        let mut is_known = vec![false; self.motion.frames()];
+        self.frames
+            .iter()
+            .for_each(|range| is_known[range.clone()].fill(true));
+        let mut motion = self.motion.clone();
+        let given: Vec<usize> = (0..is_known.len()).filter(|&t| is_known[t]).collect();
+        let mut quaternions: Vec<Quaternion> = given
+            .iter()
+            .map(|&t| motion.quaternion(t).normalised())
+            .collect();
+        make_sign_continuous(&mut quaternions);
+        for (t, quaternion) in given.into_iter().zip(quaternions) {
+            motion.set_quaternion(t, quaternion);
+        }
+        Known {
+            values: motion.channel_major(),
+            is_known,
+        }
+    }
+
+    /// Puts the numbers of the given frames into `motion`, whose other quaternions get the sign
+    /// that fits the first of them.
+    pub fn put_into(&self, motion: &mut Motion) {
+        let Some(first) = self.frames.first().map(|range| range.start) else {
+            return;
+        };
+        if motion.quaternion(first).dot(self.motion.quaternion(first)) < 0.0 {
+            for t in 0..motion.frames() {
+                motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
+            }
+        }
+        for t in self.frames.iter().cloned().flatten() {
+            motion.frame_mut(t).copy_from_slice(self.motion.frame(t));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_ascend() {
+        let these = |text: &str| Given::these(Path::new("m.npy"), text);
+        let given = these("0..30, 90..120").expect("ranges");
+        assert_eq!(given.frames, GivenFrames::These(vec![0..30, 90..120]));
+        for bad in [
+            "",
+            "3",
+            "5..5",
+            "7..3",
+            "0..4,3..9",
+            "0..4,",
+            "a..b",
+            "-1..3",
+        ] {
+            let error = these(bad).expect_err(bad).to_string();
+            assert!(error.starts_with(&format!("`--keep {bad}`")), "{error}");
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Drawing motion in overlapping windows: whole songs, and motion of which frames are given.
+//!
+//! The windows have the length that the model was trained on and are drawn together. After each
+//! prediction of the clean motion they are stitched to one motion
+//! ([`kinegrad_motion::stitch`]) and go on from their parts of that, with the noise that leads from
+//! there to where they are; frames that several windows share have the same noise. Memory is
+//! bounded by the windows that the network sees at a time.
+
+use std::ops::{ControlFlow, Range};
+
+use burn::tensor::{Tensor, TensorData};
+use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_diffusion::{
+    NoiseKeys, Path, Prediction, PredictionType, SamplerKind, Time, draw, guided, noise_of_parts,
+};
+use kinegrad_kernels::batch_invariant;
+use kinegrad_models::decoder::Coherence;
+use kinegrad_motion::coherence::make_coherent;
+use kinegrad_motion::stitch::{Known, Layout, Windows};
+use kinegrad_motion::{Motion, Statistics, process};
+use kinegrad_random::Key;
+
+use super::generate::{Generator, Sample};
+use crate::config::SamplingConfig;
+use crate::error::Error;
+use crate::sampling::GivenMotion;
+
+/// Windows that the network sees at a time.
+pub const WINDOWS_IN_FLIGHT: usize = 8;
+
+/// A motion to be drawn in windows.
+#[derive(Clone, Debug)]
+pub struct Whole<'a> {
+    /// What it is conditioned on, of all frames.
+    pub audio: &'a AudioFeatures,
+    /// Its windows; each hears its own part of the audio.
+    pub windows: Windows,
+    /// Frames that are given.
+    pub given: Option<&'a GivenMotion>,
+    /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
+    /// the motion is the same to the bit.
+    pub in_flight: usize,
+}
+
+impl Whole<'_> {
+    /// Ranges of windows that the network sees at a time.
+    fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let (windows, in_flight) = (self.windows.len(), self.in_flight.max(1));
+        let firsts = (0..windows).step_by(in_flight);
+        firsts.map(move |first| first..(first + in_flight).min(windows))
+    }
+}
+
+impl Generator {
+    /// Generates a motion in windows, by the noise of `key`. `on_windows` is called whenever the
+    /// network has seen some windows, with how many it has seen in all steps and how many there are.
+    ///
+    /// # Errors
+    /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
+    pub fn sample_whole(
+        &self,
+        whole: &Whole<'_>,
+        sampling: &SamplingConfig,
+        key: Key,
+        on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Sample, Error> {
+        let physical = whole.given.map(GivenMotion::known);
+        let normalized = whole.given.map(|given| self.normalized(&given.known()));
+        let latents = self.latents(whole, normalized.as_ref(), sampling, key, on_windows)?;
+        let mut raw = match &self.decoder {
+            None => {
+                let mut values = latents;
+                let layout = Layout::Predicted(self.targets);
+                let all = whole
+                    .windows
+                    .stitch(&mut values, normalized.as_ref(), layout);
+                let rows = self.state.normalization().denormalize(&all);
+                Motion::new(self.targets.decode(rows))?
+            }
+            Some(_) => self.decoded(whole, physical.as_ref(), &latents)?,
+        };
+        let mut motion = process(&raw, &self.post_processing, Some(self.statistics()));
+        if let Some(given) = whole.given {
+            given.put_into(&mut raw);
+            given.put_into(&mut motion);
+        }
+        Ok(Sample { raw, motion })
+    }
+
+    /// Known frames of a phrase in the channels and units of the network.
+    fn normalized(&self, known: &Known) -> Known {
+        let frames = known.is_known.len();
+        let phrase = Motion::from_channel_major(&known.values, frames).expect("25 channels");
+        let (rows, channels) = (
+            self.targets.encode(phrase.as_slice()),
+            self.targets.channels(),
+        );
+        let Statistics { mean, std, .. } = self.state.normalization();
+        let place = |index: usize| (index / frames, index % frames);
+        let values = (0..channels * frames).map(place).map(|(channel, t)| {
+            let value = f64::from(rows[t * channels + channel]);
+            ((value - mean[channel]) / std[channel]) as f32
+        });
+        Known {
+            values: values.collect(),
+            is_known: known.is_known.clone(),
+        }
+    }
+
+    fn on_device(&self, values: Vec<f32>, shape: [usize; 3]) -> Tensor<3> {
+        Tensor::from_data(TensorData::new(values, shape), &self.device)
+    }
+
+    /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
+    fn latents(
+        &self,
+        whole: &Whole<'_>,
+        known: Option<&Known>,
+        sampling: &SamplingConfig,
+        key: Key,
+        on_windows: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Vec<f32>, Error> {
+        let (windows, config) = (&whole.windows, &sampling.sampler);
+        let shape = [windows.len(), self.targets.channels(), windows.length()];
+        let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
+        let all = self.calls(sampling) * windows.len();
+        let mut done = 0;
+        let mut predict = |x: Tensor<3>, time: &[Time]| {
+            let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
+            let mut predicted = Vec::with_capacity(shape.iter().product());
+            for batch in whole.batches() {
+                let heard = batch.clone().map(|window| {
+                    let part = whole.audio.slice(windows.of(window));
+                    part.as_slice().to_vec()
+                });
+                let cond = [batch.len(), AUDIO_CHANNELS, windows.length()];
+                let cond = self.on_device(heard.flatten().collect(), cond);
+                let x = x.clone().narrow(0, batch.start, batch.len());
+                // Each window as if it were drawn alone, to the bit.
+                let prediction = batch_invariant(batch.len(), || {
+                    let time = &time[batch.clone()];
+                    let scale = config.guidance_scale;
+                    let output = guided(&self.unet, x.clone(), time, &cond, scale);
+                    let timesteps = &timesteps[batch.clone()];
+                    Prediction::new(&self.diffusion, output, x, timesteps, &clip)
+                })?;
+                predicted.extend(values(prediction.x_start));
+                done += batch.len();
+                if on_windows(done, all).is_break() {
+                    return Err(kinegrad_diffusion::Error::Stopped);
+                }
+            }
+            windows.stitch(&mut predicted, known, Layout::Predicted(self.targets));
+            let x_start = self.on_device(predicted, shape);
+            // What the network would have said, had it predicted that.
+            let model_output = self.diffusion.convert(
+                x_start.clone(),
+                x.clone(),
+                &timesteps,
+                PredictionType::Sample,
+                self.diffusion.config.prediction_type,
+            );
+            Ok(Prediction {
+                x_t: x,
+                x_start,
+                model_output,
+                clipped: true,
+                steered: None,
+            })
+        };
+        let [_, channels, time] = shape;
+        let starts = windows.starts();
+        let noise = noise_of_parts(key.at(0), starts, [channels, time]);
+        let keys = NoiseKeys::Parts {
+            key: key.at(1),
+            starts,
+        };
+        let x = draw(
+            &self.diffusion,
+            &mut predict,
+            self.on_device(noise, shape),
+            config,
+            keys,
+            &mut |_, _, _| ControlFlow::Continue(()),
+        )?;
+        Ok(values(x))
+    }
+
+    /// How often the network sees each window, guidance apart.
+    fn calls(&self, sampling: &SamplingConfig) -> usize {
+        let num_train_timesteps = self.diffusion.config.num_train_timesteps;
+        let path = Path::of(&sampling.sampler, num_train_timesteps, 1);
+        let steps = path.len();
+        match sampling.sampler.kind {
+            // The step that lands on the clean motion has one call, the others two.
+            SamplerKind::Heun if steps > 0 => {
+                2 * steps - usize::from(path.landings(steps - 1) == [None])
+            }
+            _ => steps,
+        }
+    }
+
+    /// The motion of latent windows: each is decoded where it stands, as in training, and the
+    /// coherent trajectory is that of the whole.
+    fn decoded(
+        &self,
+        whole: &Whole<'_>,
+        known: Option<&Known>,
+        latents: &[f32],
+    ) -> Result<Motion, Error> {
+        let decoder = self.decoder.as_ref().expect("asked before");
+        let windows = &whole.windows;
+        let channels = self.targets.channels();
+        let a_window = channels * windows.length();
+        let mut decoded = Vec::with_capacity(latents.len());
+        for batch in whole.batches() {
+            let latent = latents[batch.start * a_window..batch.end * a_window].to_vec();
+            let latent = self.on_device(latent, [batch.len(), channels, windows.length()]);
+            let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
+            decoded.extend(values(motion));
+        }
+        let all = windows.stitch(&mut decoded, known, Layout::Phrase);
+        let mut motion = Motion::from_channel_major(&all, windows.frames())?;
+        for t in 0..motion.frames() {
+            // Of quaternions that differ, the mean is short.
+            motion.set_quaternion(t, motion.quaternion(t).normalised());
+        }
+        if decoder.coherence() == Coherence::Projection {
+            let none = || vec![false; windows.frames()];
+            let is_known = known.map_or_else(none, |known| known.is_known.clone());
+            make_coherent(&mut motion, &self.statistics().std, &is_known);
+        }
+        Ok(motion)
+    }
+}
+
+fn values(x: Tensor<3>) -> Vec<f32> {
+    x.try_into_vec_as::<f32>().expect("samples are float32")
+}
