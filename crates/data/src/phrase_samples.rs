@@ -6,7 +6,6 @@ use kinegrad_motion::{CHANNELS, Statistics};
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
-use crate::features::AUDIO_CHANNELS;
 use crate::loader::Samples;
 use crate::passage::{Passage, Passages};
 use crate::{Batch, DataConfig, Error, Phrase, PhraseSet};
@@ -18,6 +17,7 @@ pub struct PhraseSamples {
     statistics: Arc<Statistics>,
     sampler: Augmentation,
     target_frames: usize,
+    audio_channels: usize,
 }
 
 impl PhraseSamples {
@@ -34,6 +34,7 @@ impl PhraseSamples {
             statistics,
             sampler: Augmentation::new(config, seed),
             target_frames: config.target_frames,
+            audio_channels: config.audio_layout().channels(),
         }
     }
 }
@@ -50,7 +51,7 @@ impl Samples for PhraseSamples {
         SampleShape {
             channels: CHANNELS,
             frames: self.target_frames,
-            conditions: vec![(AUDIO, AUDIO_CHANNELS, self.target_frames)],
+            conditions: vec![(AUDIO, self.audio_channels, self.target_frames)],
         }
     }
 
@@ -85,6 +86,7 @@ impl Samples for PhraseSamples {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
     use kinegrad_motion::phrase_statistics;
 

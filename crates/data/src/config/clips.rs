@@ -84,6 +84,7 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
             data.join_neighbours,
             "clips have no neighbours",
         ),
+        ("audio_features", data.audio_layout().beats, silent),
         ("augment.rotate_yaw", augment.rotate_yaw, anchored),
         ("augment.mirror", augment.mirror, mirrored),
         ("augment.flip_quaternion", augment.flip_quaternion, turned),

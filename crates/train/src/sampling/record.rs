@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::Subject;
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, SteeringConfig};
+use crate::song::KnownBeats;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -77,6 +78,9 @@ pub struct Condition {
     /// Position in the song, in seconds, at which the motion starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
+    /// What was known of the song's beats.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beats: Option<KnownBeats>,
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,

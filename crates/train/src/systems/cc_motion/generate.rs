@@ -5,7 +5,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{MotionDecoder, UNet1d};
@@ -137,6 +137,14 @@ impl Generator {
         for done in 0..all {
             let conditions: Vec<AudioFeatures> = conditions.by_ref().take(BATCH).collect();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
+            let channels = self.config().data.audio_layout().channels();
+            if let Some(other) = conditions.iter().find(|c| c.channels() != channels) {
+                let found = other.channels();
+                return Err(Error::usage(
+                    format!("a condition of {found} audio features, the model hears {channels}"),
+                    "read it in the layout of the run's `data.audio_features`",
+                ));
+            }
             let first = done * BATCH;
             let numbers = (first..first + conditions.len()).map(|number| number as u64);
             let keys: Vec<Key> = numbers.map(|number| key.at(number)).collect();
@@ -153,7 +161,7 @@ impl Generator {
                     &self.diffusion,
                     &self.unet,
                     on_device(start.flatten().collect(), CHANNELS),
-                    &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
+                    &on_device(heard.flatten().collect(), channels),
                     &sampling.sampler,
                     &sampling.clip.range(self.statistics(), CHANNELS)?,
                     NoiseKeys::Samples(&of_steps),

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
@@ -64,7 +63,7 @@ impl Trained {
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
     let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
-    Ok(unet.init(CHANNELS, AUDIO_CHANNELS, &init)?)
+    Ok(unet.init(CHANNELS, config.data.audio_layout().channels(), &init)?)
 }
 
 /// The decoder of a config, with fresh weights.
@@ -143,7 +142,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     let CcMotionNetwork::Unet1d(network) = &own.model.network;
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
-    let item = ((CHANNELS + AUDIO_CHANNELS) * frames) as u64;
+    let item = ((CHANNELS + config.data.audio_layout().channels()) * frames) as u64;
     if !RecipeName::of(config)?.trains_through_sampler() {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,
