@@ -31,7 +31,7 @@ pub struct GridReport {
     pub stated_beats: f64,
     /// Beats tracked there.
     pub tracked_beats: usize,
-    /// Beats per minute as tracked.
+    /// Their mean tempo in beats per minute.
     pub tracked_tempo: f64,
     /// From the stated start to the nearest tracked beat in seconds, positive where the music comes
     /// later.
@@ -163,7 +163,7 @@ impl Timeline {
         if heard.tempo != song.beats.tempo {
             timeline.notes.push(format!(
                 "the song tracks at {:.1} beats a minute; its stated count makes that {:.1}",
-                song.beats.tempo, heard.tempo
+                song.beats.tempo, report.tracked_tempo
             ));
         }
         let laying = pulse.from_beat(origin, count.ceil() as usize + 1);
@@ -171,6 +171,7 @@ impl Timeline {
             seconds: laying.seconds().to_vec(),
             beats_per_bar: stated.beats_per_bar,
         });
+        let tempo = report.tracked_tempo;
         report.grid = Grid::Tracked;
         report.concentration = span.concentration(&beats, &pulse);
         let first = pulse.moment(origin);
@@ -178,7 +179,7 @@ impl Timeline {
             beats: Some(beats),
             pulse: Some(pulse.with_downbeat(stated.beats_per_bar, first)),
             laying: Some(laying),
-            tempo: Some(heard.tempo),
+            tempo: Some(tempo),
             report: Some(report),
             notes: timeline.notes,
         })

@@ -78,8 +78,8 @@ pub struct SplitPlan {
     /// Ids, or patterns with `*` for any run of characters: `"C_5_*"` is a whole take. Without any,
     /// whole songs are held out, see `fraction`.
     pub validation: Vec<String>,
-    /// Share of the songs that is held out where no phrase is named, by a hash of each song's name;
-    /// at least one of several. With 0, none is.
+    /// Share of the songs that is held out where no phrase is named: those whose names have the
+    /// lowest hashes, at least one of several and never all. With 0, none is.
     pub fraction: f64,
 }
 

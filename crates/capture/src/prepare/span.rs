@@ -51,7 +51,7 @@ impl Span {
     /// Whether so many tracked beats are as many as the stated ones.
     pub fn agree(&self, tracked: usize) -> bool {
         let stated = self.stated_beats();
-        (tracked as f64 - stated).abs() <= TOLERANCE * stated
+        tracked > 0 && (tracked as f64 - stated).abs() <= TOLERANCE * stated
     }
 
     /// The beats of the song; where they are not as many as stated and those of the stated tempo
@@ -86,13 +86,19 @@ impl Span {
             grid: Grid::Uniform,
             stated_beats: self.stated_beats(),
             tracked_beats: self.count(tracked),
-            tracked_tempo: tracked.tempo,
+            tracked_tempo: self.tempo(pulse),
             offset_seconds: apart(0.0),
             drift_seconds: most - least,
             drift_beats: (most - least) / seconds_per_beat,
             uniform_concentration: concentration,
             concentration,
         }
+    }
+
+    /// Mean tempo of `pulse` within it, in beats per minute.
+    fn tempo(&self, pulse: &Pulse) -> f64 {
+        let [from, to] = [self.stated.start_seconds, self.end];
+        60.0 * (pulse.position(to) - pulse.position(from)) / (to - from)
     }
 
     /// Length of the mean of `exp(i d)` over the frames of the span, `d` the difference between the

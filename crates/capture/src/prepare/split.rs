@@ -18,9 +18,9 @@ pub(super) struct Divided {
 }
 
 impl SplitPlan {
-    /// Puts each row on its side: what the patterns name is held out, or, without any, about
-    /// `fraction` of the songs by a hash of their names: at least one, never all.
-    pub fn divide(&self, rows: &mut [ManifestRow]) -> Divided {
+    /// Puts each row on its side: what the patterns name is held out, or, without any, `fraction`
+    /// of the songs, those with the lowest hashes of their names: at least one, never all.
+    pub(super) fn divide(&self, rows: &mut [ManifestRow]) -> Divided {
         let side = |held_out| match held_out {
             true => Some(Side::Validation),
             false => Some(Side::Train),
@@ -39,10 +39,10 @@ impl SplitPlan {
         }
         let mut order: Vec<(&String, f64)> = hashes.iter().map(|(s, hash)| (s, *hash)).collect();
         order.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let below = order.partition_point(|(_, hash)| *hash < self.fraction);
+        let share = (self.fraction * order.len() as f64).round() as usize;
         let most = order.len().saturating_sub(1);
         let wanted = match self.fraction > 0.0 {
-            true => below.max(1),
+            true => share.max(1),
             false => 0,
         };
         let mut held_out: Vec<String> = order[..wanted.min(most)]
@@ -133,8 +133,8 @@ mod tests {
             let mut rows = rows(&takes);
             let divided = SplitPlan::default().divide(&mut rows);
             let found = &divided.held_out;
-            assert!((1..=songs).contains(&found.len()), "{songs}: {found:?}");
-            assert!(found.len() <= 2 + songs / 4, "{songs}: {found:?}");
+            let share = (0.1 * (songs + 1) as f64).round() as usize;
+            assert_eq!(found.len(), share.max(1), "{found:?}");
             assert_eq!(divided.note, None);
             for row in &rows {
                 let wanted = found.contains(&song(row));
