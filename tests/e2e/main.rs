@@ -2,6 +2,7 @@
 //! none changes the environment or the current directory of this process.
 
 mod bad_input;
+mod beats;
 mod checking;
 mod checkpoints;
 mod commands;

@@ -3,6 +3,7 @@
 
 use std::fs;
 
+use kinegrad_data::AudioLayout;
 use kinegrad_tests::captures::{self, PLAN, bvh, wav};
 use kinegrad_tests::golden::workspace;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, finish, wait_for};
@@ -256,13 +257,18 @@ fn songs_become_features_pictures_and_motion() {
         ))
         .succeeded();
     assert!(heard.stdout.contains("120.0"), "{}", heard.stdout);
-    let features = kinegrad_data::load_audio(&sandbox.path("features/a/features.npz"));
+    let features = kinegrad_data::load_audio(
+        &sandbox.path("features/a/features.npz"),
+        AudioLayout::DOCUMENT,
+    );
     assert_eq!(features.expect("features").frames(), 181);
     let cut = "--start 1.5 --duration 2 --out cut --plot";
     sandbox
         .run(&format!("audio features songs/a.wav {cut}"))
         .succeeded();
-    let read = |file: &str| kinegrad_data::load_audio(&sandbox.path(file)).expect("features");
+    let read = |file: &str| {
+        kinegrad_data::load_audio(&sandbox.path(file), AudioLayout::DOCUMENT).expect("features")
+    };
     let whole = read("features/a/features.npz");
     assert_eq!(read("cut/a/features.npz"), whole.slice(45..105));
     for (wrong, found) in [

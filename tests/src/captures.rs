@@ -29,14 +29,37 @@ pub fn wav(seconds: usize) -> Vec<u8> {
             (12_000.0 * click + 2_000.0 * tone) as i16
         })
         .collect();
+    encoded(&samples)
+}
+
+/// Clicks at these moments in seconds over a tone, as 16-bit WAV at 44100 Hz.
+pub fn clicks(moments: &[f64], seconds: f64) -> Vec<u8> {
+    let rate = 44_100.0;
+    let samples: Vec<i16> = (0..(seconds * rate) as usize)
+        .map(|n| {
+            let now = n as f64 / rate;
+            let begun = moments.partition_point(|moment| *moment <= now);
+            let click = begun.checked_sub(1).map_or(0.0, |last| {
+                let since = now - moments[last];
+                (-since * 60.0).exp() * (since * 9000.0).sin()
+            });
+            (12_000.0 * click + 2_000.0 * (n as f64 * 0.03).sin()) as i16
+        })
+        .collect();
+    encoded(&samples)
+}
+
+/// Samples at 44100 Hz as a WAV file.
+fn encoded(samples: &[i16]) -> Vec<u8> {
+    let rate = 44_100u32;
     let data: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
     let mut bytes = b"RIFF".to_vec();
     bytes.extend((36 + data.len() as u32).to_le_bytes());
     bytes.extend(b"WAVEfmt ");
     bytes.extend(16u32.to_le_bytes());
     bytes.extend([1, 0, 1, 0]);
-    bytes.extend((rate as u32).to_le_bytes());
-    bytes.extend((2 * rate as u32).to_le_bytes());
+    bytes.extend(rate.to_le_bytes());
+    bytes.extend((2 * rate).to_le_bytes());
     bytes.extend([2, 0, 16, 0]);
     bytes.extend(b"data");
     bytes.extend((data.len() as u32).to_le_bytes());

@@ -74,6 +74,15 @@ impl Analysis {
         }
     }
 
+    /// The same analysis with the beats of a song whose tempo is known to be about `bpm` beats per
+    /// minute.
+    pub fn with_tempo_near(self, bpm: f64) -> Self {
+        Self {
+            beats: beats::track_near(&self.onset.median, bpm),
+            ..self
+        }
+    }
+
     /// Normalises and stacks the features.
     pub fn features(self) -> Features {
         Features::new(self)
@@ -97,6 +106,15 @@ impl Analysis {
 /// As [`Analysis::new`].
 pub fn extract(signal: &[f32]) -> Result<Features, Error> {
     Ok(Analysis::new(signal)?.features())
+}
+
+/// [`extract`] of a song whose tempo is known to be about `bpm` beats per minute: the beats are those
+/// of that tempo.
+///
+/// # Errors
+/// As [`Analysis::new`].
+pub fn extract_near(signal: &[f32], bpm: f64) -> Result<Features, Error> {
+    Ok(Analysis::new(signal)?.with_tempo_near(bpm).features())
 }
 
 fn check(signal: &[f32]) -> Result<(), Error> {

@@ -49,10 +49,20 @@ pub struct Search {
 /// Tempo and beats of `onset_envelope`, `[T]` at [`FPS`] frames a second, any scale, any length.
 /// An envelope that is zero or not finite anywhere has no beats.
 pub fn track(onset_envelope: &[f32]) -> Beats {
+    track_at(onset_envelope, tempo::estimate)
+}
+
+/// [`track`] where the tempo is known to be about `bpm` beats per minute, which settles whether a
+/// beat is counted as one, as two or as a half.
+pub fn track_near(onset_envelope: &[f32], bpm: f64) -> Beats {
+    track_at(onset_envelope, |onset| tempo::estimate_near(onset, bpm))
+}
+
+fn track_at(onset_envelope: &[f32], tempo: impl FnOnce(&[f32]) -> Tempo) -> Beats {
     if !has_onset(onset_envelope) {
         return Beats::default();
     }
-    let tempo = tempo::estimate(onset_envelope);
+    let tempo = tempo(onset_envelope);
     let search = Search::new(onset_envelope, &tempo);
     Beats {
         tempo: tempo.bpm,
@@ -201,6 +211,28 @@ mod tests {
         assert_eq!(beats.tempo, 120.0);
         assert_eq!(beats.frames, (7..300).step_by(15).collect::<Vec<_>>());
         assert_eq!(beats.times()[1], 22.0 / 30.0);
+    }
+
+    #[test]
+    fn a_stated_tempo_settles_the_octave() {
+        // Eighths a little weaker than the beats: 138 a minute, or 69.
+        let pulses: Vec<f32> = (0..900)
+            .map(|t| match t % 26 {
+                3 => 1.0,
+                16 => 0.9,
+                _ => 0.0,
+            })
+            .collect();
+        let every = |step| (3..900).step_by(step).collect::<Vec<_>>();
+        assert_eq!(track(&pulses).frames, every(13));
+        let halved = track_near(&pulses, 67.0);
+        assert_eq!((halved.tempo, halved.frames), (1800.0 / 26.0, every(26)));
+        assert_eq!(track_near(&pulses, 141.0), track(&pulses));
+        assert_eq!(track_near(&[0.0; 50], 90.0), Beats::default());
+        // No tempo is out of reach of the lags.
+        for bpm in [0.1, 5.0, 1799.0, 1e6] {
+            assert!(track_near(&pulses, bpm).tempo > 0.0);
+        }
     }
 
     #[test]

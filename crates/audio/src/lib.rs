@@ -27,6 +27,7 @@ pub mod mel;
 pub mod mfcc;
 mod octaves;
 pub mod onset;
+pub mod pulse;
 pub mod resample;
 pub mod rms;
 pub mod spectral;
@@ -35,12 +36,13 @@ pub mod tempo;
 pub mod tuning;
 mod wavelets;
 
-pub use analysis::{Analysis, extract};
+pub use analysis::{Analysis, extract, extract_near};
 pub use beats::Beats;
 pub use decode::{Waveform, decode, decode_reader};
 pub use error::Error;
 pub use features::{CHANNELS, Features};
 pub use frames::FrameMatrix;
+pub use pulse::Pulse;
 
 /// Samples per second that every feature is computed at.
 pub const SAMPLE_RATE: u32 = 44_100;

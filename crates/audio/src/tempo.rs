@@ -15,6 +15,10 @@ pub const LAGS: usize = 240;
 pub const FRAMES_PER_MINUTE: f64 = 60.0 * crate::FPS;
 
 const PRIOR_BPM: f64 = 120.0;
+/// Width of the prior around a stated tempo, in octaves.
+const STATED_OCTAVES: f64 = 0.1;
+/// A beat is found this many octaves around a stated tempo.
+const STATED_REACH: f64 = 0.3;
 /// Tempi from here on are no beats.
 const TOO_FAST_BPM: f64 = 320.0;
 /// Windows a thread adds up in one go; fixed, so that the sum does not depend on the threads.
@@ -31,12 +35,37 @@ pub struct Tempo {
 
 /// The tempo of `onset_envelope`, `[T]`, any scale.
 pub fn estimate(onset_envelope: &[f32]) -> Tempo {
+    let log_prior = |bpm: f64| match bpm < TOO_FAST_BPM {
+        true => -0.5 * (bpm / PRIOR_BPM).log2().powi(2),
+        false => f64::NEG_INFINITY,
+    };
+    choose(onset_envelope, log_prior)
+}
+
+/// The tempo of `onset_envelope`, `[T]`, any scale, where it is known to be about `stated` beats
+/// per minute: not its half or its double.
+pub fn estimate_near(onset_envelope: &[f32], stated: f64) -> Tempo {
+    // The nearest whole lag always counts, however short.
+    let nearest = (FRAMES_PER_MINUTE / stated)
+        .round()
+        .clamp(1.0, (LAGS - 1) as f64);
+    let log_prior = |bpm: f64| {
+        let octaves = (bpm / stated).log2();
+        match octaves.abs() < STATED_REACH || bpm == FRAMES_PER_MINUTE / nearest {
+            true => -0.5 * (octaves / STATED_OCTAVES).powi(2),
+            false => f64::NEG_INFINITY,
+        }
+    };
+    choose(onset_envelope, log_prior)
+}
+
+/// The whole lag at which the autocorrelation and the prior of its tempo agree best.
+fn choose(onset_envelope: &[f32], log_prior: impl Fn(f64) -> f64) -> Tempo {
     let tempogram_mean = tempogram_mean(onset_envelope);
     let mut best = (f64::NEG_INFINITY, 1);
     for (lag, &mean) in tempogram_mean.iter().enumerate().skip(1) {
-        let bpm = FRAMES_PER_MINUTE / lag as f64;
-        let score = (1e6 * mean).ln_1p() - 0.5 * (bpm / PRIOR_BPM).log2().powi(2);
-        if bpm < TOO_FAST_BPM && score > best.0 {
+        let score = (1e6 * mean).ln_1p() + log_prior(FRAMES_PER_MINUTE / lag as f64);
+        if score > best.0 {
             best = (score, lag);
         }
     }

@@ -1,5 +1,6 @@
 //! The musical phase: position in the bar.
 
+use kinegrad_audio::pulse::position;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -109,13 +110,7 @@ impl BeatGrid {
 
 impl TrackedBeats {
     fn phase(&self, seconds: f64) -> f64 {
-        let begun = self.seconds.partition_point(|beat| *beat <= seconds);
-        let last = begun.saturating_sub(1).min(self.seconds.len() - 2);
-        let (from, to) = (self.seconds[last], self.seconds[last + 1]);
-        part_of_bar(
-            last as f64 + (seconds - from) / (to - from),
-            self.beats_per_bar,
-        )
+        part_of_bar(position(&self.seconds, seconds), self.beats_per_bar)
     }
 }
 

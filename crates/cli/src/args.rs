@@ -23,8 +23,8 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 
 pub use config::{CompletionsArguments, ExplainArguments, InitArguments, ManArguments};
 pub use data::{
-    AudioCommand, DataCommand, FeaturesArguments, InspectArguments, PrepareArguments,
-    SynthArguments,
+    AudioCommand, BeatArguments, DataCommand, FeaturesArguments, InspectArguments,
+    PrepareArguments, SynthArguments,
 };
 
 pub use reading::ReadingArguments;
@@ -150,6 +150,8 @@ pub struct SampleArguments {
         requires = "audio"
     )]
     pub start: f64,
+    #[command(flatten)]
+    pub beats: BeatArguments,
     /// Goal for position control: keyframes or a trajectory for the root, and obstacles to avoid;
     /// several goals are sampled as one batch
     #[arg(long, value_name = "GOAL.toml")]

@@ -6,7 +6,7 @@ use std::ops::Range;
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::features::AudioFeatures;
 use crate::passage::{Passage, Window};
 use crate::{AugmentConfig, Crop, DataConfig};
 
@@ -131,8 +131,9 @@ fn mask_audio(audio: &mut AudioFeatures, key: Key) {
         start..(start + below(longest + 1, key.at(1))).min(length)
     };
     let time = range(audio.frames(), audio.frames() / 5, key.at(0));
-    let band = range(AUDIO_CHANNELS, AUDIO_CHANNELS / 4, key.at(1));
-    for channel in 0..AUDIO_CHANNELS {
+    let channels = audio.channels();
+    let band = range(channels, channels / 4, key.at(1));
+    for channel in 0..channels {
         audio.channel_mut(channel)[time.clone()].fill(0.0);
     }
     for channel in band {
@@ -168,6 +169,7 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 mod tests {
     use super::*;
     use crate::Phrase;
+    use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
     use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;

@@ -10,6 +10,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::audio_layout::{AudioGroup, AudioLayout, check_groups};
 use crate::location::Location;
 use crate::prefetch::LOOK_AHEAD_PER_WORKER;
 use crate::{Error, Humanml3dConfig};
@@ -34,6 +35,10 @@ pub struct DataConfig {
     /// Needed for `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
+    /// Groups of audio features that the model hears: `["document"]`, the 163 of CC-MotionGen, or
+    /// `["document", "beats"]`, with position in beat and bar, beat marks and local tempo beside
+    /// them, which a dataset must have been prepared with.
+    pub audio_features: Vec<AudioGroup>,
     /// Frames of a sample (30 per second; 20 in HumanML3D, where 196 is common). Longer phrases are
     /// cropped, shorter ones padded and masked.
     pub target_frames: usize,
@@ -74,6 +79,7 @@ impl Default for DataConfig {
         Self {
             kind: DataKind::Phrases,
             source: None,
+            audio_features: AudioLayout::DOCUMENT.groups(),
             target_frames: 120,
             crop: Crop::Random,
             statistics: StatisticsOf::Phrases,
@@ -283,6 +289,11 @@ impl Default for SyntheticConfig {
 const NUMBERS_A_FRAME: u64 = 280;
 
 impl DataConfig {
+    /// The audio features that the model hears.
+    pub fn audio_layout(&self) -> AudioLayout {
+        AudioLayout::of(&self.audio_features)
+    }
+
     /// Bytes of memory that the items of a dataset without files and the batches that are made
     /// ahead take, roughly.
     pub fn memory(&self) -> u64 {
@@ -306,6 +317,7 @@ impl DataConfig {
     pub fn validate(&self) -> Result<(), Error> {
         in_range("data.target_frames", self.target_frames, FRAMES)
             .hint("30 frames are one second; 120 is the usual phrase")?;
+        check_groups("data.audio_features", &self.audio_features)?;
         in_range("data.batch_size", self.batch_size, 1..=65_536).hint("16 or 32 suit most runs")?;
         in_range("data.num_workers", self.num_workers, 0..=256)
             .hint("0 loads in the trainer's own thread; the batches are the same for any number")?;

@@ -1,9 +1,12 @@
-//! The 163 audio features of a frame (CC-MotionGen, sections 4.1 and 4.3), as stored.
+//! The audio features of a frame, as stored: the 163 of CC-MotionGen, sections 4.1 and 4.3, and
+//! those of the beats where they are asked for.
 
 use std::ops::Range;
 
-use kinegrad_audio::Features;
+use kinegrad_audio::pulse::BEAT_FEATURES;
+use kinegrad_audio::{Features, Pulse};
 
+use crate::audio_layout::AudioLayout;
 use crate::magnitude::{first_unusable, is_usable};
 
 /// The arrays of `features.npz` in the order in which they are stacked, with their rows.
@@ -16,16 +19,19 @@ pub const FEATURES: [(&str, usize); 6] = [
     ("onset_strength", 1),
 ];
 
-/// Audio features of one frame.
+/// The array of beat features in `features.npz`, with its rows.
+pub const BEATS: (&str, usize) = ("beats", BEAT_FEATURES.len());
+
+/// Audio features of one frame without those of the beats.
 pub const AUDIO_CHANNELS: usize = 163;
 
-/// Channel of the onset strength, the last.
+/// Channel of the onset strength, the last of the 163.
 const ONSET_STRENGTH: usize = AUDIO_CHANNELS - 1;
 
-/// Name of an audio channel: `mel[17]`, `rms`.
+/// Name of an audio channel: `mel[17]`, `rms`, `beats.bar_sin`.
 ///
 /// # Panics
-/// Panics unless `channel < 163`.
+/// Panics unless `channel < 170`.
 pub fn audio_channel_name(channel: usize) -> String {
     let mut row = channel;
     for (name, rows) in FEATURES {
@@ -38,13 +44,18 @@ pub fn audio_channel_name(channel: usize) -> String {
         }
         row -= rows;
     }
-    panic!("audio channel {channel} of {AUDIO_CHANNELS}")
+    match BEAT_FEATURES.get(row) {
+        Some(name) => format!("{}.{name}", BEATS.0),
+        None => panic!("audio channel {channel}"),
+    }
 }
 
-/// Audio features of a stretch of music at 30 frames per second: `[163, frames]`, channel-major.
+/// Audio features of a stretch of music at 30 frames per second: `[channels, frames]`,
+/// channel-major, of 163 channels or with the beats' 170.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioFeatures {
     frames: usize,
+    layout: AudioLayout,
     values: Vec<f32>,
 }
 
@@ -53,23 +64,72 @@ impl From<&Features> for AudioFeatures {
     fn from(features: &Features) -> Self {
         Self {
             frames: features.frames(),
+            layout: AudioLayout::DOCUMENT,
             values: features.stacked().to_vec(),
         }
     }
 }
 
 impl AudioFeatures {
-    /// Features from `[163, frames]` values, channel-major; `None` for another number of values.
+    /// Features from `[163, frames]` or `[170, frames]` values, channel-major; `None` for another
+    /// number of values.
     pub fn new(frames: usize, values: Vec<f32>) -> Option<Self> {
-        (values.len() == AUDIO_CHANNELS * frames).then_some(Self { frames, values })
+        let layouts = [AudioLayout::DOCUMENT, AudioLayout::WITH_BEATS];
+        let fits = |layout: &AudioLayout| values.len() == layout.channels() * frames;
+        let layout = layouts.into_iter().find(fits)?;
+        Some(Self {
+            frames,
+            layout,
+            values,
+        })
     }
 
     /// Silence, and the null condition of classifier-free guidance: `[163, frames]` zeros.
     pub fn zeros(frames: usize) -> Self {
+        Self::silence(AudioLayout::DOCUMENT, frames)
+    }
+
+    /// Zeros in every channel of `layout`, `[channels, frames]`.
+    pub fn silence(layout: AudioLayout, frames: usize) -> Self {
         Self {
             frames,
-            values: vec![0.0; AUDIO_CHANNELS * frames],
+            layout,
+            values: vec![0.0; layout.channels() * frames],
         }
+    }
+
+    /// A whole song's features in `layout`, its beats those of `pulse`; zero where it has none.
+    pub fn of_song(features: &Features, layout: AudioLayout, pulse: Option<&Pulse>) -> Self {
+        let document = Self::from(features);
+        match layout.beats {
+            true => document.with_beats(pulse),
+            false => document,
+        }
+    }
+
+    /// The 163 features with those of the beats of `pulse`, whose second 0 is frame 0; zero where
+    /// there is none.
+    pub fn with_beats(&self, pulse: Option<&Pulse>) -> Self {
+        let mut values = self.values[..AUDIO_CHANNELS * self.frames].to_vec();
+        match pulse {
+            Some(pulse) => values.extend(pulse.features(self.frames)),
+            None => values.resize(AudioLayout::WITH_BEATS.channels() * self.frames, 0.0),
+        }
+        Self {
+            frames: self.frames,
+            layout: AudioLayout::WITH_BEATS,
+            values,
+        }
+    }
+
+    /// The groups of features that there are.
+    pub fn layout(&self) -> AudioLayout {
+        self.layout
+    }
+
+    /// Features of a frame.
+    pub fn channels(&self) -> usize {
+        self.layout.channels()
     }
 
     /// Number of frames.
@@ -77,7 +137,7 @@ impl AudioFeatures {
         self.frames
     }
 
-    /// All values, `[163, frames]`, channel-major.
+    /// All values, `[channels, frames]`, channel-major.
     pub fn as_slice(&self) -> &[f32] {
         &self.values
     }
@@ -85,7 +145,7 @@ impl AudioFeatures {
     /// One channel over time, `[frames]`.
     ///
     /// # Panics
-    /// Panics unless `channel < 163`.
+    /// Panics unless `channel < channels`.
     pub fn channel(&self, channel: usize) -> &[f32] {
         &self.values[channel * self.frames..][..self.frames]
     }
@@ -100,17 +160,18 @@ impl AudioFeatures {
         &mut self.values[channel * self.frames..][..self.frames]
     }
 
-    /// The frames of `range`, `[163, range.len()]`.
+    /// The frames of `range`, `[channels, range.len()]`.
     ///
     /// # Panics
     /// Panics if `range` reaches beyond the last frame.
     pub fn slice(&self, range: Range<usize>) -> Self {
-        let mut values = Vec::with_capacity(AUDIO_CHANNELS * range.len());
-        for channel in 0..AUDIO_CHANNELS {
+        let mut values = Vec::with_capacity(self.channels() * range.len());
+        for channel in 0..self.channels() {
             values.extend_from_slice(&self.channel(channel)[range.clone()]);
         }
         Self {
             frames: range.len(),
+            layout: self.layout,
             values,
         }
     }
@@ -144,6 +205,8 @@ mod tests {
             (160, "rms"),
             (161, "spectral_centroid"),
             (162, "onset_strength"),
+            (163, "beats.beat_sin"),
+            (169, "beats.tempo"),
         ] {
             assert_eq!(audio_channel_name(channel), name);
         }
@@ -162,6 +225,26 @@ mod tests {
         assert_eq!(cut.channel(0), [2.0, 3.0]);
         assert_eq!(cut.channel(162), [812.0, 813.0]);
         assert!(AudioFeatures::new(5, vec![0.0; 5]).is_none());
+    }
+
+    #[test]
+    fn beats_come_behind_the_163_and_take_nothing_from_them() {
+        let values: Vec<f32> = (0..AUDIO_CHANNELS * 9).map(|i| i as f32).collect();
+        let document = AudioFeatures::new(9, values).unwrap();
+        let pulse = Pulse::new(vec![0.0, 0.1, 0.2, 0.3]).unwrap();
+        let both = document.with_beats(Some(&pulse));
+        assert_eq!((both.channels(), both.frames()), (170, 9));
+        assert_eq!(both.onset_strength(), document.onset_strength());
+        let cosine = both.channel(164);
+        assert!((cosine[3] - 1.0).abs() < 1e-6 && (cosine[1] + 0.5).abs() < 1e-6);
+        let cut = both.slice(3..5);
+        assert_eq!(cut.channel(164), &cosine[3..5]);
+        let again = AudioFeatures::new(9, both.as_slice().to_vec()).unwrap();
+        assert_eq!(again, both);
+        // Another pulse replaces the first; none is silence.
+        let none = both.with_beats(None);
+        assert_eq!(none.layout(), AudioLayout::WITH_BEATS);
+        assert!((163..170).all(|c| none.channel(c).iter().all(|v| *v == 0.0)));
     }
 
     #[test]

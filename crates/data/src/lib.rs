@@ -20,6 +20,7 @@
 //! ```
 
 mod atomic;
+mod audio_layout;
 mod augment;
 mod batch;
 mod cache;
@@ -58,6 +59,7 @@ pub mod synthetic;
 pub use kinegrad_motion::MAX_FRAMES;
 
 pub use atomic::write as write_whole;
+pub use audio_layout::{AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
@@ -67,7 +69,7 @@ pub use counters::{Counters, LoaderReport};
 pub use dataset::Dataset;
 pub use digest::Digest;
 pub use error::{Error, FileError};
-pub use features::{AUDIO_CHANNELS, AudioFeatures, FEATURES, audio_channel_name};
+pub use features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES, audio_channel_name};
 pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::Item;
@@ -82,7 +84,7 @@ pub use npy::{
     write_values,
 };
 pub use npz::{
-    features_bytes, parse_arrays, parse_features, read_features, write_features,
+    features_bytes, parse_arrays, parse_features, parse_features_as, read_features, write_features,
     write_song_features,
 };
 pub use phrase::{Phrase, load_audio};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::audio_layout::AudioLayout;
 use crate::digest::Digest;
 use crate::layout::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
 use crate::manifest::{self, ManifestRow};
@@ -55,6 +56,8 @@ pub(crate) struct Listing {
     /// Ids with audio features alone.
     pub only_audio: Vec<String>,
     pub warnings: Vec<String>,
+    /// The first phrase that the manifest says has no beat features.
+    pub without_beats: Option<String>,
 }
 
 impl Listing {
@@ -87,6 +90,11 @@ impl Listing {
 
     /// The phrases of a manifest.
     fn of(rows: Vec<ManifestRow>) -> Self {
+        let lacking = |row: &&ManifestRow| {
+            let groups = row.audio_features.as_deref();
+            groups.is_some_and(|groups| !AudioLayout::of(groups).beats)
+        };
+        let without_beats = rows.iter().find(lacking).map(|row| row.id.clone());
         let phrase = |row: ManifestRow| Listed {
             id: row.id,
             side: row.split,
@@ -98,6 +106,7 @@ impl Listing {
         phrases.sort_unstable_by(|a, b| a.id.cmp(&b.id));
         Self {
             phrases,
+            without_beats,
             ..Self::default()
         }
     }

@@ -1,4 +1,4 @@
-//! `features.npz`: reading and writing the six audio features of a phrase.
+//! `features.npz`: reading and writing the audio features of a phrase.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -8,13 +8,14 @@ use kinegrad_motion::MAX_FRAMES;
 use libdeflater::{Crc, Decompressor};
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures, FEATURES};
+use crate::audio_layout::AudioLayout;
+use crate::features::{AUDIO_CHANNELS, AudioFeatures, BEATS, FEATURES};
 use crate::file::read_file;
 use crate::npy::{self, Array};
 use crate::{Error, FileError, atomic};
 
 /// The longest archive of features; more than any that unpacks to [`MAX_FRAMES`] frames.
-pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS) + (1 << 20);
+pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS + BEATS.1) + (1 << 20);
 
 /// How features are written: deflating real phrases saves 13 % and halves the speed at which they
 /// are read.
@@ -40,25 +41,39 @@ pub fn read_features(path: &Path) -> Result<AudioFeatures, FileError> {
 /// # Errors
 /// As [`read_features`].
 pub fn parse_features(bytes: &[u8], file: &str) -> Result<AudioFeatures, FileError> {
+    parse_features_as(bytes, file, AudioLayout::DOCUMENT)
+}
+
+/// [`parse_features`] in `layout`: with the member `beats` where it asks for them.
+///
+/// # Errors
+/// As [`read_features`].
+pub fn parse_features_as(
+    bytes: &[u8],
+    file: &str,
+    layout: AudioLayout,
+) -> Result<AudioFeatures, FileError> {
     let mut archive = Archive::new(bytes, file)?;
     let mut frames = None;
     let mut values = Vec::new();
-    for (name, rows) in FEATURES {
+    let beats = layout.beats.then_some(BEATS);
+    for (name, rows) in FEATURES.into_iter().chain(beats) {
         let shape = archive.read(name, rows, &mut values)?;
         let length = check_shape(&shape, file, name, rows)?;
         let expected = *frames.get_or_insert_with(|| {
-            values.reserve_exact(AUDIO_CHANNELS * length - values.len());
+            values.reserve_exact(layout.channels() * length - values.len());
             length
         });
         if length != expected {
             let problem = format!("`{name}` has {length} frames, `mel` has {expected}");
-            let hint = "all six features of a phrase cover the same frames";
+            let hint = "all features of a phrase cover the same frames";
             return Err(FileError::unusable(file, problem, hint));
         }
     }
     let frames = frames.unwrap_or_default();
-    debug_assert_eq!(values.len(), AUDIO_CHANNELS * frames);
-    Ok(AudioFeatures::new(frames, values).unwrap_or_else(|| AudioFeatures::zeros(frames)))
+    debug_assert_eq!(values.len(), layout.channels() * frames);
+    let features = AudioFeatures::new(frames, values);
+    Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
 }
 
 /// Parses the named arrays of an archive: `[frames, width]` each, all of the same length.
@@ -101,17 +116,20 @@ pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error
     atomic::write(path, &features_bytes(features))
 }
 
-/// Writes a whole song's features, with its `tempo` `[1]` (beats per minute) and `beat_times`
-/// `[beats]` (seconds) beside them, whole or not at all.
+/// Writes a whole song's features as they are `stacked`, with its `tempo` `[1]` (beats per minute)
+/// and `beat_times` `[beats]` (seconds) beside them, whole or not at all.
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn write_song_features(path: &Path, features: &Features) -> Result<(), Error> {
+pub fn write_song_features(
+    path: &Path,
+    features: &Features,
+    stacked: &AudioFeatures,
+) -> Result<(), Error> {
     let beats = features.beats();
     let times: Vec<f32> = beats.times().into_iter().map(|time| time as f32).collect();
-    let stacked = AudioFeatures::from(features);
     let beside = [("tempo", &[beats.tempo as f32][..]), ("beat_times", &times)];
-    atomic::write(path, &archive(&stacked, &beside, METHOD))
+    atomic::write(path, &archive(stacked, &beside, METHOD))
 }
 
 /// The bytes of the `features.npz` that holds `features`; equal features make equal bytes.
@@ -132,7 +150,8 @@ fn archive(
         .last_modified_time(DateTime::default());
     let mut rest = features.as_slice();
     let mut members: Vec<(&str, Vec<usize>, &[f32])> = Vec::new();
-    for (name, rows) in FEATURES {
+    let groups = features.layout().beats.then_some(BEATS);
+    for (name, rows) in FEATURES.into_iter().chain(groups) {
         let (values, after) = rest.split_at(rows * frames);
         rest = after;
         let shape = if rows == 1 {
@@ -272,8 +291,15 @@ impl<'a> Archive<'a> {
             found.push_str(&format!(" and {} more", count - 12));
         }
         let problem = format!("array `{member}` is missing; found: {found}");
-        let hint =
-            "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength";
+        let hint = match member == BEATS.0 {
+            true => {
+                "beat features are asked for (data.audio_features = [\"document\", \"beats\"]): \
+                 prepare the songs with them, or leave the key out to hear the 163 features alone"
+            }
+            false => {
+                "features.npz holds mel, chroma, mfcc, rms, spectral_centroid and onset_strength"
+            }
+        };
         FileError::unusable(self.file, problem, hint)
     }
 }

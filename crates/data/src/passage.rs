@@ -8,7 +8,7 @@ use kinegrad_motion::kinematics::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
 use kinegrad_motion::{FPS, Motion};
 
-use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+use crate::features::AudioFeatures;
 use crate::{Error, Phrase, PhraseSet};
 
 /// A phrase and what was recorded around it.
@@ -201,7 +201,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
     }
     let mut motion = Motion::new(values).expect("whole frames");
     rederive(&mut motion);
-    let audio = (0..AUDIO_CHANNELS)
+    let audio = (0..first.audio.channels())
         .flat_map(|channel| {
             phrases
                 .iter()

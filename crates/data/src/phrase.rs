@@ -4,11 +4,13 @@ use std::path::Path;
 
 use kinegrad_motion::{CHANNELS, FPS, Motion, channel_name};
 
+use crate::audio_layout::AudioLayout;
 use crate::features::{AudioFeatures, audio_channel_name};
+use crate::file::read_file;
 use crate::magnitude::first_unusable;
 use crate::{FileError, npy, npz};
 
-/// A phrase: motion `[frames, 25]` and audio features `[163, frames]` over the same frames.
+/// A phrase: motion `[frames, 25]` and audio features `[channels, frames]` over the same frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Phrase {
     /// Name of its folders.
@@ -20,7 +22,7 @@ pub struct Phrase {
 }
 
 impl Phrase {
-    /// Parses a phrase, each file given as its bytes and the name that messages give it, and cuts
+    /// Parses a phrase whose audio features are of `layout`, each file given as its bytes and the name that messages give it, and cuts
     /// motion and audio to their common length, from the front (CC-MotionGen, section 6.1). Also
     /// returns a note where they differ by more than a frame.
     ///
@@ -31,6 +33,7 @@ impl Phrase {
         id: &str,
         (motion, name): (&[u8], &str),
         (audio, audio_name): (&[u8], &str),
+        layout: AudioLayout,
     ) -> Result<(Self, Option<String>), FileError> {
         let mut motion = npy::parse_motion(motion, name)?;
         if let Some(place) = first_unusable(motion.as_slice()) {
@@ -39,7 +42,7 @@ impl Phrase {
             let channel = channel_name(channel);
             return Err(FileError::not_usable(name, frame, channel, value));
         }
-        let mut features = npz::parse_features(audio, audio_name)?;
+        let mut features = npz::parse_features_as(audio, audio_name, layout)?;
         check_usable(&features, audio_name)?;
         let (motion_frames, audio_frames) = (motion.frames(), features.frames());
         let frames = motion_frames.min(audio_frames);
@@ -70,14 +73,16 @@ impl Phrase {
     }
 }
 
-/// Reads the audio features `[163, frames]` of a `features.npz` outside any dataset.
+/// Reads the audio features `[channels, frames]` of a `features.npz` outside any dataset.
 ///
 /// # Errors
 /// [`FileError`] for a file that cannot be used or holds a number that is not finite or larger than
 /// [`LARGEST`](crate::LARGEST).
-pub fn load_audio(path: &Path) -> Result<AudioFeatures, FileError> {
-    let audio = npz::read_features(path)?;
-    check_usable(&audio, &path.display().to_string())?;
+pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
+    let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
+    let file = path.display().to_string();
+    let audio = npz::parse_features_as(&bytes, &file, layout)?;
+    check_usable(&audio, &file)?;
     Ok(audio)
 }
 
@@ -104,7 +109,13 @@ mod tests {
     }
 
     fn parse(motion: &[u8], audio: &[u8]) -> Result<(Phrase, Option<String>), FileError> {
-        Phrase::parse("a", (motion, "trajectory.npy"), (audio, "features.npz"))
+        let layout = AudioLayout::DOCUMENT;
+        Phrase::parse(
+            "a",
+            (motion, "trajectory.npy"),
+            (audio, "features.npz"),
+            layout,
+        )
     }
 
     #[test]
@@ -141,6 +152,27 @@ mod tests {
     }
 
     #[test]
+    fn beat_features_are_read_where_they_are_asked_for_and_named_where_they_are_missing() {
+        let made = synthetic::phrase(0, 9, 1);
+        let pulse = kinegrad_audio::Pulse::new(vec![0.0, 0.1, 0.2]).unwrap();
+        let heard = made.audio.with_beats(Some(&pulse));
+        let motion = npy::motion_bytes(&made.motion);
+        let parse = |audio: &[u8], layout| {
+            let names = ("trajectory.npy", "features.npz");
+            Phrase::parse("a", (&motion, names.0), (audio, names.1), layout)
+        };
+        let stored = npz::features_bytes(&heard);
+        let with = parse(&stored, AudioLayout::WITH_BEATS).unwrap().0;
+        assert_eq!(with.audio, heard);
+        let without = parse(&stored, AudioLayout::DOCUMENT).unwrap().0;
+        assert_eq!(without.audio, made.audio);
+        let lacking = npz::features_bytes(&made.audio);
+        let error = parse(&lacking, AudioLayout::WITH_BEATS).unwrap_err();
+        let message = error.to_string();
+        assert!(message.contains("array `beats` is missing"), "{message}");
+    }
+
+    #[test]
     fn numbers_that_are_not_finite_are_named_by_file_frame_and_channel() {
         let good = synthetic::phrase(0, 9, 1);
         let mut bad = good.clone();
@@ -160,7 +192,9 @@ mod tests {
         npz::write_features(&path, &bad.audio).unwrap();
         for message in [
             parse(&motion, &audio).unwrap_err().to_string(),
-            load_audio(&path).unwrap_err().to_string(),
+            load_audio(&path, AudioLayout::DOCUMENT)
+                .unwrap_err()
+                .to_string(),
         ] {
             assert!(
                 message.contains("features.npz: -inf in frame 7, channel chroma[2]"),

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 
 use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
-use crate::features::AUDIO_CHANNELS;
 use crate::loader::Samples;
 use crate::passage::{Passage, Passages, Window};
 use crate::{Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf};
@@ -26,6 +25,7 @@ pub struct PhraseSamples {
     sampler: Augmentation,
     target_frames: usize,
     targets: Targets,
+    audio_channels: usize,
 }
 
 impl PhraseSamples {
@@ -43,6 +43,7 @@ impl PhraseSamples {
             sampler: Augmentation::new(config, seed),
             target_frames: config.target_frames,
             targets: Targets::default(),
+            audio_channels: config.audio_layout().channels(),
         }
     }
 
@@ -110,7 +111,7 @@ impl Samples for PhraseSamples {
         SampleShape {
             channels: self.targets.channels(),
             frames: self.target_frames,
-            conditions: vec![(AUDIO, AUDIO_CHANNELS, self.target_frames)],
+            conditions: vec![(AUDIO, self.audio_channels, self.target_frames)],
         }
     }
 
@@ -146,6 +147,7 @@ impl Samples for PhraseSamples {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
     use kinegrad_motion::phrase_statistics;
 

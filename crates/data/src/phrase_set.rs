@@ -3,8 +3,10 @@
 use std::borrow::Cow;
 
 use kinegrad_motion::Phrases;
+use kinegrad_settings::InvalidSetting;
 
-use crate::features::FEATURES;
+use crate::audio_layout::AudioLayout;
+use crate::features::{BEATS, FEATURES};
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -45,7 +47,8 @@ impl Item for Phrase {
 
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         let mut rest = self.audio.as_slice();
-        let arrays = FEATURES.into_iter().map(|(name, rows)| {
+        let beats = self.audio.layout().beats.then_some(BEATS);
+        let arrays = FEATURES.into_iter().chain(beats).map(|(name, rows)| {
             let (array, after) = rest.split_at(rows * self.frames());
             rest = after;
             (name, array)
@@ -63,7 +66,10 @@ impl Listable for Phrase {
                 representation: Phrases,
                 given: None,
                 split: None,
-                origin: Box::new(MadeUpPhrases(config.synthetic.clone())),
+                origin: Box::new(MadeUpPhrases(
+                    config.synthetic.clone(),
+                    config.audio_layout(),
+                )),
                 warnings: Vec::new(),
                 listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
             },
@@ -91,7 +97,23 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         only_motion,
         only_audio,
         mut warnings,
+        without_beats,
     } = Listing::read(&store)?;
+    let layout = config.audio_layout();
+    if let Some(id) = without_beats.filter(|_| layout.beats) {
+        let found = "[\"document\", \"beats\"]";
+        let allowed = format!(
+            "[\"document\"]: {} was prepared without beat features (phrase `{id}`)",
+            store.uri()
+        );
+        let refused = InvalidSetting::new("data.audio_features", found, allowed);
+        return Err(refused
+            .hint(
+                "prepare it again with `phrases.audio_features = [\"document\", \"beats\"]` in the plan, or \
+                 leave the key out",
+            )
+            .into());
+    }
     if phrases.is_empty() {
         let (source, motion, audio) = (store.uri(), only_motion.len(), only_audio.len());
         return Err(Error::NothingToTrainOn {
@@ -124,13 +146,13 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         split: None,
         warnings,
         listed: phrases,
-        origin: Box::new(PhraseFiles(files)),
+        origin: Box::new(PhraseFiles(files, layout)),
     })
 }
 
-/// Phrases of the layout of CC-MotionGen, section 1.3.
+/// Phrases of the layout of CC-MotionGen, section 1.3, and the audio features read of them.
 #[derive(Debug)]
-pub(crate) struct PhraseFiles(pub Files);
+pub(crate) struct PhraseFiles(pub Files, pub AudioLayout);
 
 impl Origin<Phrase> for PhraseFiles {
     fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
@@ -138,12 +160,12 @@ impl Origin<Phrase> for PhraseFiles {
         let [motion, audio] = wanted.expected else {
             unreachable!("a phrase has two files");
         };
-        let Self(files) = self;
+        let Self(files, layout) = self;
         let paths = (motion_path(id), features_path(id));
         let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
         let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
-        let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1))?;
+        let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
         Ok(Reading {
             note,
             content: vec![motion_digest, audio_digest],
@@ -156,17 +178,22 @@ impl Origin<Phrase> for PhraseFiles {
     }
 }
 
-/// Phrases that are made up anew each time.
+/// Phrases that are made up anew each time, and the audio features made of them.
 #[derive(Debug)]
-pub(crate) struct MadeUpPhrases(pub SyntheticConfig);
+pub(crate) struct MadeUpPhrases(pub SyntheticConfig, pub AudioLayout);
 
 impl Origin<Phrase> for MadeUpPhrases {
     fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
-        Ok(Reading::of(synthetic::phrase(wanted.number, frames, seed)))
+        let Self(_, layout) = self;
+        let phrase = synthetic::phrase_in(*layout, wanted.number, frames, seed);
+        Ok(Reading::of(phrase))
     }
 
     fn fingerprint(&self) -> String {
-        format!("{:?}", self.0)
+        match self.1.beats {
+            false => format!("{:?}", self.0),
+            true => format!("{:?} with beats", self.0),
+        }
     }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use kinegrad_audio::{FPS, Features, SAMPLE_RATE};
 use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, audio_channel_name, write_song_features};
-use kinegrad_train::song::song_features;
+use kinegrad_train::song::{KnownBeats, song_features};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
@@ -61,7 +61,9 @@ impl SongFeatures {
 
     /// Writes the `features.npz` that `kinegrad audio features` writes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        call(py, || Ok(write_song_features(&path, &self.features)?))
+        call(py, || {
+            Ok(write_song_features(&path, &self.features, &self.stacked)?)
+        })
     }
 }
 
@@ -69,7 +71,7 @@ impl SongFeatures {
 #[pyfunction]
 pub fn audio_features(py: Python<'_>, path: PathBuf) -> PyResult<SongFeatures> {
     call(py, || {
-        let (waveform, features) = song_features(&path)?;
+        let (waveform, features) = song_features(&path, &KnownBeats::default())?;
         Ok(SongFeatures {
             stacked: AudioFeatures::from(&features),
             features,

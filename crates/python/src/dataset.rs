@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use kinegrad_cli::checkpoint;
 use kinegrad_data::humanml::{Clip, ClipSamples};
-use kinegrad_data::{AUDIO_CHANNELS, Batch, DataConfig, DataKind, Item, ItemSet, Loader};
+use kinegrad_data::{Batch, DataConfig, DataKind, Item, ItemSet, Loader};
 use kinegrad_data::{Phrase, PhraseSamples};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
 use kinegrad_train::Error;
@@ -104,7 +104,11 @@ impl Dataset {
                 item.set_item("id", &phrase.id)?;
                 let rows = array(py, &[frames, CHANNELS], phrase.motion.as_slice())?;
                 item.set_item("motion", rows)?;
-                let audio = array(py, &[AUDIO_CHANNELS, frames], phrase.audio.as_slice())?;
+                let audio = array(
+                    py,
+                    &[phrase.audio.channels(), frames],
+                    phrase.audio.as_slice(),
+                )?;
                 item.set_item("audio", audio)?;
             }
             Items::Clips(dataset, items) => {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_motion::PostProcessProfile;
 use kinegrad_train::sampling::{self, Conditions, Contents, Given, GivenFrames, Receiver, Request};
+use kinegrad_train::song::KnownBeats;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
@@ -78,6 +79,7 @@ impl Wanted {
                 audio_features: self.audio_features.clone(),
                 song: self.audio.clone(),
                 start: self.start,
+                beats: KnownBeats::default(),
                 goals: self.goal.clone(),
                 trajectory: optional_checkpoint(self.trajectory_run.as_deref())?,
                 text_embedding: self.text_embedding.clone(),

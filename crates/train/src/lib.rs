@@ -19,7 +19,8 @@
 //!     let (device, _) = device::open("cpu")?;
 //!     let generator = Generator::load(&checkpoint, Weights::Ema, &device)?;
 //!
-//!     let audio = kinegrad_data::load_audio(Path::new("features.npz"))?;
+//!     let layout = generator.config().data.audio_layout();
+//!     let audio = kinegrad_data::load_audio(Path::new("features.npz"), layout)?;
 //!     let mut sampling = generator.config().sampling.clone();
 //!     sampling.sampler.num_inference_steps = 50;
 //!     let samples = generator.sample(&[audio], &sampling, 0, &mut |_, _| ControlFlow::Continue(()))?;

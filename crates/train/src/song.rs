@@ -2,17 +2,100 @@
 
 use std::path::Path;
 
-use kinegrad_audio::{Analysis, Features, SAMPLE_RATE, Waveform, decode, extract};
+use kinegrad_audio::{
+    Analysis, Features, Pulse, SAMPLE_RATE, Waveform, decode, extract, extract_near,
+};
 use miette::Diagnostic;
+use serde::{Deserialize, Serialize};
 
 use crate::error::Error;
 use crate::memory::must_fit;
 
-/// Decodes the song at `path` and computes the features of all of it.
+/// Tempi that can be stated, in beats per minute.
+const TEMPI: std::ops::RangeInclusive<f64> = 10.0..=600.0;
+
+/// Beats in a bar where only a downbeat is stated.
+const BEATS_PER_BAR: u32 = 4;
+
+/// What is known of a song's beats before they are tracked.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct KnownBeats {
+    /// About how many there are a minute: not half or double as many.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tempo: Option<f64>,
+    /// Beats in a bar.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beats_per_bar: Option<u32>,
+    /// Seconds into the song of a downbeat; without one, bars are not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub downbeat: Option<f64>,
+}
+
+impl KnownBeats {
+    /// The options of the command line that are given.
+    pub fn given(&self) -> Vec<&'static str> {
+        let options = [
+            ("--tempo", self.tempo.is_some()),
+            ("--beats-per-bar", self.beats_per_bar.is_some()),
+            ("--downbeat", self.downbeat.is_some()),
+        ];
+        let given = options.into_iter().filter(|(_, given)| *given);
+        given.map(|(name, _)| name).collect()
+    }
+
+    /// Rejects what is no tempo, bar or moment; names the options of the command line.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for the first.
+    pub fn validate(&self) -> Result<(), Error> {
+        if let Some(tempo) = self.tempo.filter(|tempo| !TEMPI.contains(tempo)) {
+            let message = format!("`--tempo` is {tempo}, allowed: {TEMPI:?} beats per minute");
+            return Err(Error::usage(
+                message,
+                "count the beats of 15 seconds, times four",
+            ));
+        }
+        if self.beats_per_bar == Some(0) {
+            let message = "`--beats-per-bar` is 0, allowed: 1 or more";
+            return Err(Error::usage(
+                message,
+                "3 for a waltz, 4 for most other music",
+            ));
+        }
+        if let Some(downbeat) = self.downbeat.filter(|seconds| !seconds.is_finite()) {
+            let message = format!("`--downbeat` is {downbeat}, allowed: seconds into the song");
+            return Err(Error::usage(message, "give a moment at which a bar begins"));
+        }
+        if self.beats_per_bar.is_some() && self.downbeat.is_none() {
+            return Err(Error::usage(
+                "`--beats-per-bar` without `--downbeat`",
+                "pass `--downbeat SECONDS` too: bars are not tracked",
+            ));
+        }
+        Ok(())
+    }
+
+    /// The beats of a song with these features, in bars where a downbeat is known. None where no
+    /// beats are tracked.
+    pub fn pulse(&self, features: &Features) -> Option<Pulse> {
+        let pulse = Pulse::tracked(features.beats())?;
+        Some(match self.downbeat {
+            Some(downbeat) => {
+                pulse.with_downbeat(self.beats_per_bar.unwrap_or(BEATS_PER_BAR), downbeat)
+            }
+            None => pulse,
+        })
+    }
+}
+
+/// Decodes the song at `path` and computes the features of all of it, with beats of the tempo that
+/// is `known`.
 ///
 /// # Errors
 /// If it cannot be decoded, has unusable samples, or is too long for the memory that is free.
-pub fn song_features(path: &Path) -> Result<(Waveform, Features), Error> {
+pub fn song_features(path: &Path, known: &KnownBeats) -> Result<(Waveform, Features), Error> {
+    known.validate()?;
     let waveform = decode(path)?;
     let samples = waveform.samples.len();
     let minutes = samples as f64 / f64::from(SAMPLE_RATE) / 60.0;
@@ -21,10 +104,45 @@ pub fn song_features(path: &Path) -> Result<(Waveform, Features), Error> {
         Analysis::memory(samples),
         "cut the song into pieces, or free memory",
     )?;
-    let features = extract(&waveform.samples).map_err(|error| {
+    let features = match known.tempo {
+        Some(tempo) => extract_near(&waveform.samples, tempo),
+        None => extract(&waveform.samples),
+    };
+    let features = features.map_err(|error| {
         let hint = error.help().map(|hint| hint.to_string());
         let message = format!("{}: {error}", path.display());
         Error::usage(message, hint.unwrap_or_default())
     })?;
     Ok((waveform, features))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_known_is_refused() {
+        let known = |tempo, beats_per_bar, downbeat| KnownBeats {
+            tempo,
+            beats_per_bar,
+            downbeat,
+        };
+        for (wrong, expected) in [
+            (known(Some(0.0), None, None), "`--tempo` is 0"),
+            (known(Some(f64::NAN), None, None), "`--tempo` is NaN"),
+            (known(None, Some(0), Some(1.0)), "`--beats-per-bar` is 0"),
+            (known(None, Some(3), None), "`--beats-per-bar` without"),
+            (
+                known(None, None, Some(f64::INFINITY)),
+                "`--downbeat` is inf",
+            ),
+        ] {
+            let error = wrong.validate().expect_err(expected).to_string();
+            assert!(error.starts_with(expected), "{error}");
+        }
+        known(Some(90.0), Some(3), Some(-0.5))
+            .validate()
+            .expect("a waltz");
+        assert_eq!(known(None, None, Some(0.0)).given(), ["--downbeat"]);
+    }
 }

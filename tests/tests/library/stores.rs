@@ -50,6 +50,7 @@ fn rows(set: &Path) -> Vec<ManifestRow> {
                 motion_sha256: Digest::of(&motion),
                 audio_bytes: audio.len() as i64,
                 audio_sha256: Digest::of(&audio),
+                audio_features: None,
                 flags: Vec::new(),
                 id,
             }

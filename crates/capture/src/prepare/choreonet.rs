@@ -120,6 +120,7 @@ fn take(
         }),
         markers: Some(choreonet.markers.clone()),
         name: Some(name),
+        grid: choreonet.grid,
         ..TakePlan::default()
     })
 }

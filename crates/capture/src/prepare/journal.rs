@@ -17,7 +17,7 @@ use crate::Error;
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Changes when phrases of the same plan would come out otherwise.
-const MAKER: &str = "kinegrad phrases 3";
+const MAKER: &str = "kinegrad phrases 4";
 
 /// What was made of a take.
 #[derive(Clone, Debug, Deserialize, Serialize)]

@@ -8,6 +8,7 @@ use std::path::Path;
 use kinegrad_data::MAX_FRAMES;
 use kinegrad_motion::FPS;
 
+use super::grid::Timeline;
 use super::motion;
 use super::plan::Plan;
 use super::report::Rejection;
@@ -129,16 +130,21 @@ impl Laid {
         })
     }
 
-    /// The plan's segments, end to end on its beats.
-    pub fn segments(take: &Take, plan: &Plan, song: Option<&Song>) -> Result<Self, String> {
-        let grid = take.plan.beats.ok_or("segments without beats")?;
+    /// The plan's segments, end to end on the beats of `timeline`.
+    pub fn segments(
+        take: &Take,
+        plan: &Plan,
+        song: Option<&Song>,
+        timeline: &Timeline,
+    ) -> Result<Self, String> {
+        let laying = timeline.laying.as_ref().ok_or("segments without beats")?;
         let (mut files, mut captures) = (Vec::new(), Vec::new());
         // The place of each file among the captures; none where it is missing.
         let mut known: HashMap<&str, Option<usize>> = HashMap::new();
         let (mut segments, mut missing) = (Vec::new(), Vec::new());
-        let mut start_seconds = grid.start_seconds;
+        let mut begins = 0.0;
         for segment in &take.plan.segments {
-            let seconds = segment.beats * grid.seconds_per_beat;
+            let ends = begins + segment.beats;
             let capture = match known.entry(&segment.motion) {
                 Entry::Occupied(place) => *place.get(),
                 Entry::Vacant(place) => {
@@ -152,20 +158,29 @@ impl Laid {
                 }
             };
             match capture {
-                Some(take) => segments.push(Segment {
-                    take,
-                    capture_frames: segment.frames[0]..segment.frames[1],
-                    start_seconds,
-                    seconds,
-                }),
+                Some(take) => {
+                    let [first, last] = segment.frames;
+                    let frame =
+                        |beat: f64| first + (beat - begins) / segment.beats * (last - first);
+                    // Between two beats, motion keeps its pace.
+                    for pair in timeline.knots(begins, ends).windows(2) {
+                        let [from, to] = [pair[0], pair[1]].map(|beat| laying.moment(beat));
+                        segments.push(Segment {
+                            take,
+                            capture_frames: frame(pair[0])..frame(pair[1]),
+                            start_seconds: from,
+                            seconds: to - from,
+                        });
+                    }
+                }
                 None => {
-                    let frames = frame_at(start_seconds)..frame_at(start_seconds + seconds);
-                    missing.push((frames, segment.motion.clone()));
+                    let [from, to] = [begins, ends].map(|beat| frame_at(laying.moment(beat)));
+                    missing.push((from..to, segment.motion.clone()));
                 }
             }
-            start_seconds += seconds;
+            begins = ends;
         }
-        let wanted = frame_at(start_seconds).max(1);
+        let wanted = frame_at(laying.moment(begins)).max(1);
         let frames = frames_until(wanted, song)?;
         let sources: Vec<&dyn RootSource> = captures.iter().map(Box::as_ref).collect();
         let laid = assemble(&sources, &segments, frames);
@@ -180,7 +195,7 @@ impl Laid {
             sources: moments.iter().map(|m| m.map(|m| m.take)).collect(),
             files,
             filled_gaps: sources.iter().any(|source| filled(*source)),
-            span: frame_at(grid.start_seconds).min(wanted)..wanted,
+            span: frame_at(laying.moment(0.0)).min(wanted)..wanted,
             missing,
             notes,
         })

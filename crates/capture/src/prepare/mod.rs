@@ -6,6 +6,7 @@
 //! not changed are not processed again.
 
 mod choreonet;
+mod grid;
 mod journal;
 mod lay;
 mod motion;
@@ -14,6 +15,8 @@ mod plan;
 mod report;
 mod resolve;
 mod song;
+mod span;
+mod split;
 mod take;
 mod units;
 
@@ -23,11 +26,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_data::manifest::{self, Flag, ManifestRow};
-use kinegrad_data::{Side, features_path, matches, motion_path};
+use kinegrad_data::{features_path, matches, motion_path};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 
+pub use grid::{Grid, GridReport};
 pub use plan::Plan;
 pub use report::{Rejection, TakeReport};
 pub use units::Units;
@@ -53,6 +57,11 @@ pub struct Report {
     pub stale: usize,
     /// Entries of `split.validation` that match no phrase.
     pub idle_entries: Vec<String>,
+    /// Songs held out whole, where the plan names no phrase; a take without a song by its name.
+    pub held_out_songs: Vec<String>,
+    /// What there is to say of the split.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split_note: Option<String>,
     /// Each take, by name.
     pub takes: Vec<TakeReport>,
 }
@@ -136,9 +145,7 @@ pub fn prepare(
         let problem = format!("no take produced a phrase{}", reasons(&reports));
         return Err(Error::plan(plan_file, problem));
     }
-    for row in &mut rows {
-        row.split = side(plan, &row.id);
-    }
+    let divided = plan.split.divide(&mut rows);
     let stale = output.stale(&rows);
     let frames: i64 = rows.iter().map(|row| row.frames).sum();
     let report = Report {
@@ -148,6 +155,8 @@ pub fn prepare(
         kept,
         stale: if options.prune { 0 } else { stale.len() },
         idle_entries: idle_entries(plan, &rows),
+        held_out_songs: divided.held_out,
+        split_note: divided.note,
         takes: reports,
     };
     output.finish(rows, &report)?;
@@ -262,15 +271,4 @@ fn one(
         journal.write(output)?;
     }
     Ok(journal)
-}
-
-/// The side that the plan puts a phrase on, if it states a split.
-fn side(plan: &Plan, id: &str) -> Option<Side> {
-    let patterns = &plan.split.validation;
-    let held_out = patterns.iter().any(|pattern| matches(pattern, id));
-    match (patterns.is_empty(), held_out) {
-        (true, _) => None,
-        (false, true) => Some(Side::Validation),
-        (false, false) => Some(Side::Train),
-    }
 }

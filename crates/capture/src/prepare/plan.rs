@@ -4,12 +4,15 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
-use kinegrad_data::{MAX_FRAMES, MIN_FRAMES, StoreConfig, check_id};
+use kinegrad_data::{
+    AudioGroup, AudioLayout, MAX_FRAMES, MIN_FRAMES, StoreConfig, check_groups, check_id,
+};
 use kinegrad_settings::{in_words, must_be_finite, must_be_tables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
+use super::grid::Grid;
 use super::units::Units;
 use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
 
@@ -53,6 +56,9 @@ pub struct PhrasesPlan {
     pub frames: usize,
     /// Frames from the beginning of one phrase to the next.
     pub hop: usize,
+    /// Groups of audio features that are stored: `["document"]`, or `["document", "beats"]` with
+    /// position in beat and bar, beat marks and local tempo.
+    pub audio_features: Vec<AudioGroup>,
 }
 
 impl Default for PhrasesPlan {
@@ -60,17 +66,30 @@ impl Default for PhrasesPlan {
         Self {
             frames: 120,
             hop: 120,
+            audio_features: AudioLayout::DOCUMENT.groups(),
         }
     }
 }
 
 /// Which phrases the manifest holds out.
-#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitPlan {
-    /// Ids, or patterns with `*` for any run of characters. Without any, the manifest states no
-    /// split and training chooses.
+    /// Ids, or patterns with `*` for any run of characters: `"C_5_*"` is a whole take. Without any,
+    /// whole songs are held out, see `fraction`.
     pub validation: Vec<String>,
+    /// Share of the songs that is held out where no phrase is named: those whose names have the
+    /// lowest hashes, at least one of several and never all. With 0, none is.
+    pub fraction: f64,
+}
+
+impl Default for SplitPlan {
+    fn default() -> Self {
+        Self {
+            validation: Vec::new(),
+            fraction: 0.1,
+        }
+    }
 }
 
 /// A recording with its music.
@@ -100,6 +119,12 @@ pub struct TakePlan {
     pub beats: Option<BeatGrid>,
     /// Beats in a bar of tracked beats; four unless stated.
     pub beats_per_bar: Option<u32>,
+    /// Seconds into the song of a downbeat, where the beats are tracked: the tracked beat nearest
+    /// to it begins a bar. Without it the first does, and beat features do not tell the bar.
+    pub downbeat_seconds: Option<f64>,
+    /// Which beats segments lie on; unless stated, those tracked in the song where they are as many
+    /// as `beats` states, within 2 %, else even ones.
+    pub grid: Option<Grid>,
     /// Metres of one unit of a BVH file, or its name; centimetres unless stated.
     pub units: Option<Units>,
     /// The axis of a BVH file that points up; y unless stated.
@@ -143,6 +168,8 @@ pub struct ChoreonetPlan {
     /// The markers that carry the root.
     #[serde(default)]
     pub markers: MarkerMap,
+    /// Which beats units lie on; see `take.grid`.
+    pub grid: Option<Grid>,
 }
 
 fn waltz() -> Vec<String> {
@@ -186,6 +213,14 @@ impl Plan {
         if self.phrases.hop == 0 {
             return Err("phrases.hop = 0: at least 1 allowed".to_owned());
         }
+        check_groups("phrases.audio_features", &self.phrases.audio_features)
+            .map_err(|refused| refused.to_string())?;
+        let fraction = self.split.fraction;
+        if !(0.0..1.0).contains(&fraction) {
+            return Err(format!(
+                "split.fraction = {fraction}: from 0 to below 1 allowed"
+            ));
+        }
         let joining = self.joining.check();
         joining.map_err(|error| format!("joining: {}", error.with_hint()))?;
         if self.takes.is_empty() && self.choreonet.is_empty() {
@@ -226,6 +261,7 @@ impl TakePlan {
         for (key, value, least) in [
             ("motion_start_seconds", Some(self.motion_start_seconds), 0.0),
             ("audio_start_seconds", Some(self.audio_start_seconds), 0.0),
+            ("downbeat_seconds", self.downbeat_seconds, -1e5),
             ("units", self.units.map(Units::metres), SMALLEST_UNIT),
             ("fps", self.fps, 0.1),
         ] {
@@ -255,9 +291,17 @@ impl TakePlan {
                     "beats_per_bar is for tracked beats; `beats` has one of its own".to_owned(),
                 );
             }
+            if self.downbeat_seconds.is_some() {
+                return Err(
+                    "downbeat_seconds is for tracked beats; `beats` begins with a bar".to_owned(),
+                );
+            }
         }
         if self.beats_per_bar == Some(0) {
             return Err("beats_per_bar = 0: at least 1 allowed".to_owned());
+        }
+        if self.grid.is_some() && self.segments.is_empty() {
+            return Err("grid is for segments; a whole take stays as it was recorded".to_owned());
         }
         if !self.segments.is_empty() {
             let idle = [
@@ -303,10 +347,5 @@ impl TakePlan {
             )),
             None => Ok(()),
         }
-    }
-
-    /// Beats in a bar of tracked beats.
-    pub(super) fn beats_per_bar(&self) -> u32 {
-        self.beats_per_bar.unwrap_or(4)
     }
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::grid::GridReport;
+
 /// What became of a take.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct TakeReport {
@@ -23,6 +25,9 @@ pub struct TakeReport {
     /// after all tracked beats are left out.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub bar_offsets_ms: Vec<f64>,
+    /// Of segments with a song: which beats they lie on, and how stated and tracked ones agree.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub grid: Option<GridReport>,
 }
 
 /// Frames that no phrase holds.

@@ -2,16 +2,18 @@
 
 use std::path::Path;
 
+use kinegrad_audio::{Analysis, Beats};
 use kinegrad_data::AudioFeatures;
 
 /// What preparation needs of a song.
 #[derive(Debug)]
 pub(super) struct Song {
+    /// The 163 features.
     pub features: AudioFeatures,
-    /// Beats per minute, as tracked; 0 where there is none.
-    pub tempo: f64,
-    /// Seconds of the tracked beats.
-    pub beats: Vec<f64>,
+    /// The beats that are tracked where nothing is known of them.
+    pub beats: Beats,
+    /// Onset strength that beats are tracked in, `[T]`.
+    pub onset: Vec<f32>,
     /// What of it was lost, in words.
     pub damage: Option<String>,
 }
@@ -23,12 +25,14 @@ impl Song {
     /// Why it cannot be used, in words that name the file.
     pub fn read(path: &Path) -> Result<Self, String> {
         let waveform = kinegrad_audio::decode(path).map_err(|error| error.to_string())?;
-        let features = kinegrad_audio::extract(&waveform.samples)
+        let analysis = Analysis::new(&waveform.samples)
             .map_err(|error| format!("{}: {error}", path.display()))?;
+        let onset = analysis.onset.median.clone();
+        let features = analysis.features();
         let damage = waveform.damage();
         Ok(Self {
-            tempo: features.beats().tempo,
-            beats: features.beats().times(),
+            beats: features.beats().clone(),
+            onset,
             features: AudioFeatures::from(&features),
             damage: damage.map(|damage| format!("the song: {damage}")),
         })

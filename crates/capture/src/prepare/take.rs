@@ -4,15 +4,16 @@ use std::cell::OnceCell;
 use std::ops::Range;
 
 use kinegrad_data::manifest::{Flag, ManifestRow};
-use kinegrad_data::{AudioFeatures, Digest, features_bytes, motion_bytes};
+use kinegrad_data::{AudioFeatures, AudioLayout, Digest, features_bytes, motion_bytes};
 use kinegrad_motion::{FPS, Motion, Profile, check};
 
+use super::grid::Timeline;
 use super::lay::Laid;
-use super::plan::Plan;
+use super::plan::{Plan, TakePlan};
 use super::report::{Rejection, TakeReport};
 use super::resolve::Take;
 use super::song::Song;
-use crate::{Beats, Stretch, TrackedBeats, stretches};
+use crate::{Beats, Stretch, stretches};
 
 /// A phrase that was made.
 pub(super) struct Made {
@@ -27,7 +28,10 @@ pub(super) struct Made {
 pub(super) struct Ready<'a> {
     take: &'a Take,
     song: Option<&'a Song>,
-    beats: Option<Beats>,
+    timeline: Timeline,
+    /// The audio features of the whole song.
+    features: Option<AudioFeatures>,
+    layout: AudioLayout,
     laid: Laid,
     stretches: Vec<Stretch>,
     /// Frames of a phrase.
@@ -52,9 +56,10 @@ impl Take {
             read.as_ref().map_err(String::clone)
         });
         let song = song.transpose()?;
+        let timeline = self.timeline(song)?;
         let laid = match &self.motion {
             Some(path) => Laid::whole(self, path, song)?,
-            None => Laid::segments(self, plan, song)?,
+            None => Laid::segments(self, plan, song, &timeline)?,
         };
         let (length, hop) = (plan.phrases.frames, plan.phrases.hop);
         if !laid.track.valid().contains(&true) {
@@ -62,8 +67,7 @@ impl Take {
             return Err(format!("no frame of it can be used: {reason}"));
         }
         let frames = laid.track.positions().len();
-        let beats = self.beats(song);
-        let phase = match &beats {
+        let phase = match &timeline.beats {
             Some(beats) => beats.phase(frames, FPS).map_err(|e| e.with_hint())?,
             None => vec![0.0; frames],
         };
@@ -73,10 +77,17 @@ impl Take {
             let starts = stretch.starts(0, length, hop).map_err(|e| e.with_hint())?;
             places.extend(starts.into_iter().map(|start| (index, start)));
         }
+        let layout = AudioLayout::of(&plan.phrases.audio_features);
+        let features = song.map(|song| match layout.beats {
+            true => song.features.with_beats(timeline.pulse.as_ref()),
+            false => song.features.clone(),
+        });
         Ok(Ready {
             take: self,
             song,
-            beats,
+            timeline,
+            features,
+            layout,
             laid,
             stretches,
             length,
@@ -84,16 +95,28 @@ impl Take {
         })
     }
 
-    /// The beats that the plan states, else those of the song.
-    fn beats(&self, song: Option<&Song>) -> Option<Beats> {
-        if let Some(grid) = self.plan.beats {
-            return Some(Beats::Grid(grid));
+    /// The beats that the plan states, and those of the song.
+    fn timeline(&self, song: Option<&Song>) -> Result<Timeline, String> {
+        let TakePlan {
+            beats,
+            segments,
+            grid,
+            beats_per_bar,
+            downbeat_seconds,
+            ..
+        } = &self.plan;
+        match beats {
+            Some(stated) if self.motion.is_none() => {
+                let count = segments.iter().map(|segment| segment.beats).sum();
+                Timeline::of_segments(*stated, count, song, *grid)
+            }
+            stated => Ok(Timeline::of_recording(
+                *stated,
+                song,
+                *beats_per_bar,
+                *downbeat_seconds,
+            )),
         }
-        let seconds = song?.beats.clone();
-        (seconds.len() >= 2).then_some(Beats::Tracked(TrackedBeats {
-            seconds,
-            beats_per_bar: self.plan.beats_per_bar(),
-        }))
     }
 
     /// See [`TakeReport::bar_offsets_ms`].
@@ -101,7 +124,8 @@ impl Take {
         let (Some(grid), Some(song)) = (self.plan.beats, song) else {
             return Vec::new();
         };
-        let (Some(first), Some(last)) = (song.beats.first(), song.beats.last()) else {
+        let tracked = song.beats.times();
+        let (Some(first), Some(last)) = (tracked.first(), tracked.last()) else {
             return Vec::new();
         };
         let beats = grid.beats.unwrap_or(f64::INFINITY);
@@ -112,7 +136,7 @@ impl Take {
             .take_while(|&start| start < last + grid.seconds_per_beat)
             .filter(|&start| start > first - grid.seconds_per_beat)
             .filter_map(|start| {
-                let offsets = song.beats.iter().map(|beat| beat - start);
+                let offsets = tracked.iter().map(|beat| beat - start);
                 let nearest = offsets.min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
                 Some((nearest * 1e6).round() / 1e3)
             })
@@ -150,9 +174,9 @@ impl Ready<'_> {
         let (beats, tempo) = self.beats_within(frames.start as f64, frames.end as f64);
         let flags = self.flags(&motion, &frames);
         let motion = motion_bytes(&motion);
-        let audio = features_bytes(&match self.song {
-            Some(song) => song.features.slice(frames.clone()),
-            None => AudioFeatures::zeros(self.length),
+        let audio = features_bytes(&match &self.features {
+            Some(features) => features.slice(frames.clone()),
+            None => AudioFeatures::silence(self.layout, self.length),
         });
         let row = ManifestRow {
             id: format!("{}_{first_frame:05}", self.take.name),
@@ -168,6 +192,7 @@ impl Ready<'_> {
             motion_sha256: Digest::of(&motion),
             audio_bytes: audio.len() as i64,
             audio_sha256: Digest::of(&audio),
+            audio_features: Some(self.layout.groups()),
             flags,
         };
         Ok(Made { row, motion, audio })
@@ -180,7 +205,7 @@ impl Ready<'_> {
         let sane = check(motion, Profile::Document, None).is_ok_and(|report| report.passed);
         let flags = [
             (self.song.is_none(), Flag::NoAudio),
-            (self.beats.is_none(), Flag::NoBeats),
+            (self.timeline.beats.is_none(), Flag::NoBeats),
             (joined, Flag::JoinedUnits),
             (self.laid.filled_gaps, Flag::FilledGaps),
             (!sane, Flag::FailsDocumentChecks),
@@ -193,7 +218,7 @@ impl Ready<'_> {
     /// Beats between two frames, and the tempo.
     fn beats_within(&self, start: f64, end: f64) -> (Option<f64>, Option<f64>) {
         let (seconds, until) = (start / FPS, end / FPS);
-        match &self.beats {
+        match &self.timeline.beats {
             None => (None, None),
             Some(Beats::Grid(grid)) => {
                 let place = |moment: f64| {
@@ -206,8 +231,7 @@ impl Ready<'_> {
             Some(Beats::Tracked(tracked)) => {
                 let beats = tracked.seconds.iter();
                 let inside = beats.filter(|beat| (seconds..until).contains(beat));
-                let tempo = self.song.map(|song| song.tempo);
-                (Some(inside.count() as f64), tempo)
+                (Some(inside.count() as f64), self.timeline.tempo)
             }
         }
     }
@@ -223,6 +247,7 @@ impl Ready<'_> {
         rejected.extend(unmade);
         rejected.sort_by_key(|rejection| rejection.first_frame);
         let mut notes = self.laid.notes.clone();
+        notes.extend(self.timeline.notes.clone());
         notes.extend(self.song.and_then(|song| song.damage.clone()));
         if failing_checks > 0 {
             notes.push(format!(
@@ -238,6 +263,7 @@ impl Ready<'_> {
             rejected,
             notes,
             bar_offsets_ms: self.take.bar_offsets(self.song),
+            grid: self.timeline.report.clone(),
         }
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use kinegrad_data::humanml::SkeletonName;
+use kinegrad_train::song::KnownBeats;
 
 use super::named;
 
@@ -56,7 +57,8 @@ pub enum AudioCommand {
 #[command(after_help = "\
 Examples:
   kinegrad audio features songs/*.mp3 --out features --plot
-  kinegrad audio features song.mp3 --start 30 --duration 10 --out features")]
+  kinegrad audio features song.mp3 --start 30 --duration 10 --out features
+  kinegrad audio features waltz.mp3 --beats --tempo 88 --beats-per-bar 3 --downbeat 1.4 --out features")]
 pub struct FeaturesArguments {
     /// Songs (mp3, wav, flac, ogg)
     #[arg(required = true, value_name = "SONG")]
@@ -74,9 +76,42 @@ pub struct FeaturesArguments {
     /// Length of the features in seconds [default: to the end of the song]
     #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
+    /// Also write beat features, `beats` [7, T]: sine and cosine of the position in the beat and in
+    /// the bar, whether the bar is known, a mark on each beat, the tempo in octaves above 120
+    #[arg(long = "beats")]
+    pub with_beats: bool,
+    #[command(flatten)]
+    pub beats: BeatArguments,
     /// Also plot features and beats to DIR/NAME/features.png
     #[arg(long)]
     pub plot: bool,
+}
+
+/// What is known of the beats of a song.
+#[derive(Clone, Debug, Args)]
+pub struct BeatArguments {
+    /// Tempo of the song in beats per minute, roughly: settles whether a beat is counted as one, two
+    /// or a half
+    #[arg(long, value_name = "BPM")]
+    pub tempo: Option<f64>,
+    /// Beats in a bar of the song [default: 4]
+    #[arg(long, value_name = "N", requires = "downbeat")]
+    pub beats_per_bar: Option<u32>,
+    /// Moment in the song, in seconds, at which a bar begins; without one, the beat features do not
+    /// tell the bar
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub downbeat: Option<f64>,
+}
+
+impl BeatArguments {
+    /// What they say.
+    pub fn known(&self) -> KnownBeats {
+        KnownBeats {
+            tempo: self.tempo,
+            beats_per_bar: self.beats_per_bar,
+            downbeat: self.downbeat,
+        }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -99,6 +134,9 @@ pub struct SynthArguments {
     /// Random seed
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Also write beat features (`data.audio_features = ["document", "beats"]`)
+    #[arg(long, conflicts_with = "walks")]
+    pub beats: bool,
 }
 
 #[derive(Debug, Args)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_audio::Features;
-use kinegrad_data::{check_id, write_song_features};
+use kinegrad_data::{AudioFeatures, AudioLayout, check_id, write_song_features};
 use kinegrad_report::{Panel, table};
 use kinegrad_train::Error;
 use kinegrad_train::song::song_features;
@@ -114,14 +114,21 @@ fn must_be_new(songs: &[Song], plot: bool) -> Result<(), Error> {
 }
 
 fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error> {
-    let (waveform, features) = song_features(&song.path)?;
+    let known = arguments.beats.known();
+    let (waveform, features) = song_features(&song.path, &known)?;
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
-    let features = cut(features, song, arguments)?;
+    let layout = AudioLayout {
+        beats: arguments.with_beats,
+    };
+    let pulse = known.pulse(&features);
+    let frames = cut(features.frames(), song, arguments)?;
+    let stacked = AudioFeatures::of_song(&features, layout, pulse.as_ref()).slice(frames.clone());
+    let features = features.slice(frames);
     let target = song.features();
     let beats = features.beats();
-    write_song_features(&target, &features)?;
+    write_song_features(&target, &features, &stacked)?;
     if arguments.plot {
         picture(&features, &song.picture())?;
     }
@@ -141,9 +148,8 @@ fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error>
     ])
 }
 
-/// The part of a song's features that is asked for.
-fn cut(features: Features, song: &Song, arguments: &FeaturesArguments) -> Result<Features, Error> {
-    let frames = features.frames();
+/// The frames of a song that are asked for.
+fn cut(frames: usize, song: &Song, arguments: &FeaturesArguments) -> Result<Range<usize>, Error> {
     let start = arguments.start * kinegrad_audio::FPS;
     if frames as f64 - start < 1.0 {
         let seconds = frames as f64 / kinegrad_audio::FPS;
@@ -162,7 +168,7 @@ fn cut(features: Features, song: &Song, arguments: &FeaturesArguments) -> Result
         .map(|seconds| (seconds * kinegrad_audio::FPS).round());
     // A duration of less than a frame is one.
     let length = length.map_or(frames, |length| (length as usize).max(1));
-    Ok(features.slice(start..frames.min(start.saturating_add(length))))
+    Ok(start..frames.min(start.saturating_add(length)))
 }
 
 /// All features over time, with the beats.

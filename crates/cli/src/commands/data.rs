@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use kinegrad_data::humanml::{SkeletonName, write_walks};
 use kinegrad_data::manifest::Selection;
 use kinegrad_data::{
-    ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, MOTION_FILE, Problem, Store,
-    StoreConfig, synthetic,
+    AudioLayout, ChannelSummary, DataConfig, DataKind, Inspection, MANIFEST, MOTION_FILE, Problem,
+    Store, StoreConfig, SyntheticConfig, synthetic,
 };
 use kinegrad_report::{Panel, facts, grouped, table};
 use kinegrad_train::Error;
@@ -27,12 +27,18 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
         phrases,
         frames,
         seed,
+        beats,
     } = arguments;
     let what = if walks {
         write_walks(&out, phrases, frames, seed)?;
         "walks"
     } else {
-        synthetic::write_dataset(&out, phrases, frames, seed)?;
+        let config = SyntheticConfig {
+            phrases,
+            frames,
+            seed,
+        };
+        synthetic::write_dataset_in(AudioLayout { beats }, &out, &config)?;
         "phrases"
     };
     say!("{phrases} {what} of {frames} frames in {}", out.display());

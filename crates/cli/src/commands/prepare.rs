@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_capture::prepare::{
-    Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
+    Grid, Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
 };
 use kinegrad_report::{grouped, rows as table};
 use kinegrad_train::Error;
@@ -96,6 +96,7 @@ fn print(report: &Report) {
         ]);
     }
     say!("{}", table(rows));
+    print_grids(&report.takes);
     for take in &report.takes {
         if let Some(failure) = &take.failure {
             say!("{}: failed: {failure}", take.name);
@@ -112,6 +113,12 @@ fn print(report: &Report) {
         for note in &take.notes {
             say!("{}: {note}", take.name);
         }
+    }
+    if !report.held_out_songs.is_empty() {
+        say!("held out: {}", report.held_out_songs.join(", "));
+    }
+    if let Some(note) = &report.split_note {
+        say!("split: {note}");
     }
     for entry in &report.idle_entries {
         say!("split.validation: no phrase matches `{entry}`");
@@ -131,6 +138,44 @@ fn print(report: &Report) {
         report.kept,
         report.takes.len()
     );
+}
+
+/// How stated and tracked beats agree, and which of them segments lie on.
+fn print_grids(takes: &[TakeReport]) {
+    let header = [
+        "take",
+        "stated",
+        "tracked",
+        "tempo",
+        "drift (s)",
+        "drift (beats)",
+        "agreement of phase",
+        "laid on",
+    ];
+    let mut rows = vec![header.map(String::from).to_vec()];
+    for take in takes {
+        let Some(grid) = &take.grid else { continue };
+        let (before, after) = (grid.uniform_concentration, grid.concentration);
+        rows.push(vec![
+            take.name.clone(),
+            format!("{:.1}", grid.stated_beats),
+            grid.tracked_beats.to_string(),
+            format!("{:.1}", grid.tracked_tempo),
+            format!("{:.2}", grid.drift_seconds),
+            format!("{:.2}", grid.drift_beats),
+            match grid.grid {
+                Grid::Tracked => format!("{before:.2} -> {after:.2}"),
+                Grid::Uniform => format!("{before:.2}"),
+            },
+            match grid.grid {
+                Grid::Tracked => "tracked beats".to_owned(),
+                Grid::Uniform => "even beats".to_owned(),
+            },
+        ]);
+    }
+    if rows.len() > 1 {
+        say!("{}", table(rows));
+    }
 }
 
 /// Median and extremes of the distances from bar starts to tracked beats.

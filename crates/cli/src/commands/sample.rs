@@ -61,6 +61,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             audio_features: arguments.cond,
             song: arguments.audio,
             start: arguments.start,
+            beats: arguments.beats.known(),
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
             text_embedding: arguments.text_embedding,

@@ -89,6 +89,7 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
             data.statistics != StatisticsOf::Phrases,
             "whole clips normalise clips",
         ),
+        ("audio_features", data.audio_layout().beats, silent),
         ("augment.rotate_yaw", augment.rotate_yaw, anchored),
         ("augment.mirror", augment.mirror, mirrored),
         ("augment.flip_quaternion", augment.flip_quaternion, turned),

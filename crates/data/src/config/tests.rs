@@ -18,6 +18,7 @@ fn an_empty_table_gives_the_documented_defaults_and_survives_a_round_trip() {
     assert_eq!(config.validation.fraction, None);
     let full = DataConfig {
         num_phrases: Some(7),
+        audio_features: AudioLayout::WITH_BEATS.groups(),
         augment: AugmentConfig {
             min_frames: Some(60),
             ..AugmentConfig::default()
@@ -45,8 +46,9 @@ fn unknown_keys_and_wrong_types_are_refused() {
 #[test]
 fn values_out_of_range_are_refused_by_their_key() {
     type Change = fn(&mut DataConfig);
-    let cases: [(&str, Change); 17] = [
+    let cases: [(&str, Change); 18] = [
         ("data.target_frames", |c| c.target_frames = 3),
+        ("data.audio_features", |c| c.audio_features.clear()),
         ("data.batch_size", |c| c.batch_size = 0),
         ("data.num_workers", |c| c.num_workers = 1000),
         ("data.num_phrases", |c| c.num_phrases = Some(0)),

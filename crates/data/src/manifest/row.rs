@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Side};
+use crate::{AudioGroup, Digest, Side};
 
 /// A row of the manifest.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
@@ -36,6 +36,9 @@ pub struct ManifestRow {
     pub audio_bytes: i64,
     /// Checksum of its audio file.
     pub audio_sha256: Digest,
+    /// The groups of audio features in its audio file; none where the manifest does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub audio_features: Option<Vec<AudioGroup>>,
     /// What is notable about it, see [`Flag`].
     pub flags: Vec<Flag>,
 }

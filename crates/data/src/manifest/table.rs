@@ -20,7 +20,7 @@ pub(super) use super::columns::numbers;
 use super::row::{Flag, ManifestRow};
 use super::{filter, footer};
 use crate::layout::check_id;
-use crate::{Digest, Side};
+use crate::{AudioGroup, Digest, Side};
 
 /// The Parquet file of `rows`, sorted by id.
 pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
@@ -89,6 +89,7 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
         "motion_sha256" => texts(&|row| row.motion_sha256.to_string()),
         "audio_bytes" => integers(&|row| row.audio_bytes),
         "audio_sha256" => texts(&|row| row.audio_sha256.to_string()),
+        "audio_features" => some_texts(&|row| row.audio_features.as_deref().map(listed)),
         "flags" => texts(&|row| {
             row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
@@ -127,6 +128,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let audio_source = texts("audio_source")?;
     let split = texts("split")?;
     let flags = texts("flags")?;
+    let audio_features = texts("audio_features")?;
     let first_frame = numbers("first_frame")?;
     let frames = numbers("frames")?;
     let fps = numbers("fps")?;
@@ -154,6 +156,14 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
                 let wrong = "found; train, validation or nothing allowed";
                 named::<Side>(split).ok_or(format!("phrase `{id}`: split `{split}` {wrong}"))
             });
+            let groups = audio_features[row].as_deref().map(|listed| {
+                let named = |group: &str| {
+                    let wrong = "found; document and beats allowed, comma-separated";
+                    let problem = || format!("phrase `{id}`: audio_features `{listed}` {wrong}");
+                    named::<AudioGroup>(group).ok_or_else(problem)
+                };
+                listed.split(',').map(named).collect::<Result<_, String>>()
+            });
             let flags = flags[row].as_deref().unwrap_or_default().split(',');
             Ok(ManifestRow {
                 motion_source: motion_source[row].clone().unwrap_or_default(),
@@ -168,6 +178,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
                 motion_sha256: digest("motion_sha256", &motion_sha256[row])?,
                 audio_bytes: whole(audio_bytes[row]),
                 audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
+                audio_features: groups.transpose()?,
                 flags: flags.filter_map(named).collect(),
                 id,
             })
@@ -180,6 +191,15 @@ pub(super) fn filter(frame: &DataFrame, condition: &str) -> Result<DataFrame, St
     let rows = filter::rows(condition, frame)?;
     let mask = BooleanChunked::from_slice("chosen".into(), &rows);
     frame.filter(&mask).map_err(|error| error.to_string())
+}
+
+/// Groups of audio features as a cell lists them.
+fn listed(groups: &[AudioGroup]) -> String {
+    let names = groups.iter().map(|group| match group {
+        AudioGroup::Document => "document",
+        AudioGroup::Beats => "beats",
+    });
+    names.collect::<Vec<_>>().join(",")
 }
 
 /// The value that serialises as `name`.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::{Digest, Side, StoreConfig};
+use crate::{AudioGroup, Digest, Side, StoreConfig};
 use polars::df;
 use polars::prelude::{Column, ParquetWriter};
 use proptest::prelude::*;
@@ -19,6 +19,7 @@ pub(in crate::manifest) fn row(id: &str) -> ManifestRow {
         motion_sha256: Digest::of(b"motion"),
         audio_bytes: 40_000,
         audio_sha256: Digest::of(b"audio"),
+        audio_features: Some(vec![AudioGroup::Document, AudioGroup::Beats]),
         flags: vec![Flag::JoinedUnits, Flag::FilledGaps],
     }
 }
@@ -37,6 +38,7 @@ fn what_is_written_is_read_and_equal_rows_make_equal_bytes() {
         beats: None,
         tempo: None,
         split: None,
+        audio_features: None,
         flags: vec![Flag::NoAudio, Flag::NoBeats],
         ..row("a")
     };

@@ -18,7 +18,8 @@ use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
 use crate::{
-    Error, Phrase, SyntheticConfig, features_path, motion_path, write_features, write_motion,
+    AudioLayout, Error, Phrase, SyntheticConfig, features_path, motion_path, write_features,
+    write_motion,
 };
 use music::Music;
 
@@ -42,6 +43,22 @@ pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
     }
 }
 
+/// [`phrase`] with audio features in `layout`.
+///
+/// # Panics
+/// Panics if `frames` is zero.
+pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) -> Phrase {
+    let phrase = phrase(index, frames, seed);
+    if !layout.beats {
+        return phrase;
+    }
+    let music = Music::new(Key::new(seed, Purpose::Synthetic).at(index as u64));
+    Phrase {
+        audio: phrase.audio.with_beats(music.pulse(frames).as_ref()),
+        ..phrase
+    }
+}
+
 /// The first `phrases` phrases of this `seed`, made in parallel.
 ///
 /// # Panics
@@ -61,15 +78,32 @@ pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<Phrase>> {
 /// [`Error::Config`] for sizes out of range, [`Error::Exists`] if `folder` already holds a dataset,
 /// [`Error::Io`].
 pub fn write_dataset(folder: &Path, phrases: usize, frames: usize, seed: u64) -> Result<(), Error> {
-    SyntheticConfig {
+    let config = SyntheticConfig {
         phrases,
         frames,
         seed,
-    }
-    .validate()?;
+    };
+    write_dataset_in(AudioLayout::DOCUMENT, folder, &config)
+}
+
+/// [`write_dataset`] with audio features in `layout`.
+///
+/// # Errors
+/// As [`write_dataset`].
+pub fn write_dataset_in(
+    layout: AudioLayout,
+    folder: &Path,
+    config: &SyntheticConfig,
+) -> Result<(), Error> {
+    config.validate()?;
+    let &SyntheticConfig {
+        phrases,
+        frames,
+        seed,
+    } = config;
     write_whole(folder, &["audio_features", "motion"], |staging| {
         (0..phrases).into_par_iter().try_for_each(|index| {
-            let phrase = phrase(index, frames, seed);
+            let phrase = phrase_in(layout, index, frames, seed);
             write_motion(&staging.join(motion_path(&phrase.id)), &phrase.motion)?;
             write_features(&staging.join(features_path(&phrase.id)), &phrase.audio)
         })
@@ -183,6 +217,36 @@ mod tests {
         for other in [phrase(1, 60, 0), phrase(0, 60, 1)] {
             assert_ne!(one.motion, other.motion);
             assert_ne!(one.audio, other.audio);
+        }
+    }
+
+    #[test]
+    fn beat_features_agree_with_the_phase_and_leave_the_rest_alone() {
+        for index in 0..8 {
+            let heard = phrase_in(AudioLayout::WITH_BEATS, index, 90, 4);
+            let plain = phrase(index, 90, 4);
+            assert_eq!(heard.motion, plain.motion);
+            assert_eq!(heard.audio.channels(), 170);
+            assert_eq!(
+                heard.audio.slice(5..6).as_slice()[..163],
+                *plain.audio.slice(5..6).as_slice()
+            );
+            for t in 0..90 {
+                let phase = std::f64::consts::TAU * f64::from(plain.motion.frame(t)[PHASE]);
+                for (channel, expected) in [
+                    (163, (4.0 * phase).sin()),
+                    (164, (4.0 * phase).cos()),
+                    (165, phase.sin()),
+                    (166, phase.cos()),
+                    (167, 1.0),
+                ] {
+                    let found = f64::from(heard.audio.channel(channel)[t]);
+                    assert!(
+                        (found - expected).abs() < 1e-3,
+                        "{channel} {t}: {found} {expected}"
+                    );
+                }
+            }
         }
     }
 

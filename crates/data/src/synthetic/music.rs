@@ -1,5 +1,6 @@
 //! The music of a synthetic phrase: tempo, bars, moves, energy, and the features that carry them.
 
+use kinegrad_audio::Pulse;
 use kinegrad_motion::FPS;
 use kinegrad_random::Key;
 
@@ -57,6 +58,15 @@ impl Music {
     /// Beats played at frame `t`; a multiple of four begins a bar.
     pub fn beat(&self, t: usize) -> f64 {
         self.first_beat + t as f64 / FPS * self.beats_per_second
+    }
+
+    /// The beats of `frames` frames, in bars.
+    pub fn pulse(&self, frames: usize) -> Option<Pulse> {
+        let moment = |beat: f64| (beat - self.first_beat) / self.beats_per_second;
+        let last = self.beat(frames).ceil() as usize;
+        // From beat 0, which begins a bar, a bar and more before the first frame.
+        let beats = (0..=last).map(|beat| moment(beat as f64)).collect();
+        Some(Pulse::new(beats)?.with_downbeat(BEATS_PER_BAR as u32, moment(0.0)))
     }
 
     /// Loudness and size of movement around 1, swelling over four bars.

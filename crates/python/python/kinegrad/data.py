@@ -22,9 +22,9 @@ Item = dict[str, Any]
 class Dataset(Sequence[Item]):
     """One side of a dataset: a sequence of dictionaries.
 
-    A phrase has `id`, `motion` `[T, 25]` float32 and `audio` `[163, T]` float32, as stored; a clip
-    has `id`, `motion` `[T, 263]` or `[T, 251]` with the root as the model is trained on, and
-    `captions`. Items are read on demand and cached (`data.cache`).
+    A phrase has `id`, `motion` `[T, 25]` float32 and `audio` `[163, T]` float32 (`[170, T]` with the
+    beats in `data.audio_features`), as stored; a clip has `id`, `motion` `[T, 263]` or `[T, 251]`
+    with the root as the model is trained on, and `captions`. Items are read on demand and cached (`data.cache`).
 
     A dataset can be sent to other processes, such as the workers of a PyTorch `DataLoader`, forked
     or not: each opens it again with threads and connections of its own.

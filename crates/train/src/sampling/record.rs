@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::Subject;
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, SteeringConfig};
+use crate::song::KnownBeats;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -129,6 +130,9 @@ pub struct Condition {
     /// Frames that were given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kept: Option<Kept>,
+    /// What was known of the song's beats.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beats: Option<KnownBeats>,
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,

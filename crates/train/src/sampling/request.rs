@@ -7,6 +7,7 @@ use kinegrad_settings::{Refused, in_range};
 
 use super::{Given, GivenFrames};
 use crate::error::Error;
+use crate::song::KnownBeats;
 
 /// A request for samples. Systems reject conditions that their models do not support.
 #[derive(Clone, Debug, Default)]
@@ -36,6 +37,8 @@ pub struct Conditions {
     pub song: Option<PathBuf>,
     /// Position in the song, in seconds, at which the motion starts.
     pub start: f64,
+    /// What is known of the song's beats.
+    pub beats: KnownBeats,
     /// Goal files.
     pub goals: Vec<PathBuf>,
     /// Checkpoint of the trajectory model that generates the ground path in a first stage.
@@ -127,6 +130,13 @@ impl Conditions {
                 "give a position in the song, in seconds from 0",
             ));
         }
+        if let (None, Some(option)) = (&self.song, self.beats.given().first()) {
+            return Err(Error::usage(
+                format!("`{option}` without `--audio`"),
+                "it is about the beats of a song: pass `--audio SONG` too",
+            ));
+        }
+        self.beats.validate()?;
         if start > 0.0 && self.song.is_none() {
             return Err(Error::usage(
                 "`--start` without `--audio`",
@@ -177,7 +187,7 @@ mod tests {
                 ..Request::default()
             }
         };
-        let cases: [(Request, &str); 8] = [
+        let cases: [(Request, &str); 10] = [
             (Request::default(), "`--count` is 0"),
             (
                 Request {
@@ -210,6 +220,17 @@ mod tests {
                 "`--start` without `--audio`",
             ),
             (conditions(|c| c.start = f64::NAN), "`--start` is NaN"),
+            (
+                conditions(|c| c.beats.tempo = Some(-1.0)),
+                "`--tempo` is -1",
+            ),
+            (
+                conditions(|c| {
+                    c.song = None;
+                    c.beats.downbeat = Some(1.0);
+                }),
+                "`--downbeat` without `--audio`",
+            ),
             (
                 conditions(|c| c.held_out = Some(2)),
                 "`--audio` with held-out items",

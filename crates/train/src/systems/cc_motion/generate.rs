@@ -5,7 +5,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{MotionDecoder, UNet1d};
@@ -171,6 +171,14 @@ impl Generator {
             let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
                 conditions.by_ref().take(BATCH).unzip();
             let frames = conditions.first().map_or(0, AudioFeatures::frames);
+            let channels = self.config().data.audio_layout().channels();
+            if let Some(other) = conditions.iter().find(|c| c.channels() != channels) {
+                let found = other.channels();
+                return Err(Error::usage(
+                    format!("a condition of {found} audio features, the model hears {channels}"),
+                    "read it in the layout of the run's `data.audio_features`",
+                ));
+            }
             let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);
                 Tensor::from_data(data, &self.device)
@@ -184,7 +192,7 @@ impl Generator {
                     &self.diffusion,
                     &self.unet,
                     on_device(start.flatten().collect(), drawn),
-                    &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
+                    &on_device(heard.flatten().collect(), channels),
                     &sampling.sampler,
                     &sampling.clip.range(normalization, drawn)?,
                     NoiseKeys::Samples(&of_steps),

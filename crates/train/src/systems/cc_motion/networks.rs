@@ -4,7 +4,6 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::Device;
-use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::parameters::ParameterInfo;
 use kinegrad_models::{DecoderConfig, Initializer, MotionDecoder, MotionModel, UNet1d, parameters};
@@ -64,7 +63,8 @@ impl Trained {
 pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error> {
     let CcMotionNetwork::Unet1d(unet) = CcMotionConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
-    Ok(unet.init(unet.targets().channels(), AUDIO_CHANNELS, &init)?)
+    let audio = config.data.audio_layout().channels();
+    Ok(unet.init(unet.targets().channels(), audio, &init)?)
 }
 
 /// The channels that the denoiser of a config predicts.
@@ -153,7 +153,8 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     let CcMotionNetwork::Unet1d(network) = &own.model.network;
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
-    let item = ((network.targets().channels() + AUDIO_CHANNELS) * frames) as u64;
+    let audio = config.data.audio_layout().channels();
+    let item = ((network.targets().channels() + audio) * frames) as u64;
     if !RecipeName::of(config)?.trains_through_sampler() {
         return Ok(Footprint {
             parameters: parameters::count(&unet) as u64,

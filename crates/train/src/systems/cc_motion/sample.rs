@@ -318,13 +318,13 @@ fn conditions(
     let found = match (audio_features, song) {
         (Some(path), _) => vec![Heard {
             name: "cond".to_string(),
-            audio: load_audio(path)?,
+            audio: load_audio(path, config.data.audio_layout())?,
             condition: Condition {
                 audio_features: Some(path.clone()),
                 ..Condition::default()
             },
         }],
-        (None, Some(song)) => vec![of_song(song, request)?],
+        (None, Some(song)) => vec![of_song(song, request, config)?],
         (None, None) => of_phrases(&request.conditions, config, receiver)?,
     };
     let Some(frames) = request.frames else {
@@ -349,8 +349,16 @@ fn conditions(
 
 /// The features of a whole song, from the requested start: of a part alone they would be
 /// normalised otherwise than what the model was trained on.
-fn of_song(song: &Path, request: &Request) -> Result<Heard, Error> {
-    let audio = AudioFeatures::from(&song_features(song)?.1);
+fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Error> {
+    let (layout, known) = (config.data.audio_layout(), &request.conditions.beats);
+    if let (false, Some(option)) = (layout.beats, known.given().first()) {
+        return Err(Error::usage(
+            format!("`{option}` with a run that hears no beat features"),
+            "leave it out; data.audio_features = [\"document\", \"beats\"] trains with them",
+        ));
+    }
+    let features = song_features(song, known)?.1;
+    let audio = AudioFeatures::of_song(&features, layout, known.pulse(&features).as_ref());
     let begins = request.conditions.start;
     let start = begins * kinegrad_audio::FPS;
     let left = audio.frames() as f64 - start;
@@ -373,6 +381,7 @@ fn of_song(song: &Path, request: &Request) -> Result<Heard, Error> {
         condition: Condition {
             song: Some(song.to_path_buf()),
             start: Some(begins),
+            beats: (!known.given().is_empty()).then(|| known.clone()),
             ..Condition::default()
         },
     })

@@ -99,6 +99,7 @@ impl Starts {
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let base = self.diffusion.load(device, Trained::load)?;
         must_agree::<CcMotionConfig>(config, &base.state.config, &OF_BASE)?;
+        must_hear(config, &base.state.config)?;
         base.state.statistics_of(&Phrases)?;
         let statistics = base.state.normalization();
         // Networks of this config, whose dropout and coherence may be others, with the values of
@@ -122,6 +123,18 @@ impl Starts {
         }
         trainable(MotionModel { unet, decoder }, config, device)
     }
+}
+
+/// Rejects a config whose model hears other audio features than its start.
+///
+/// # Errors
+/// Names `data.audio_features`, and what the start has.
+fn must_hear(config: &Config, start: &Config) -> Result<(), Error> {
+    let [given, start] = [config, start]
+        .map(|config| serde_json::to_string(&config.data.audio_features).unwrap_or_default());
+    let allowed = format!("{start}, which the run it starts from has");
+    let agree = require(given == start, "data.audio_features", given, allowed);
+    Ok(agree.hint("the network takes as many features as it was trained with")?)
 }
 
 /// Rejects keys of `init` that the recipe of a new run would not use.

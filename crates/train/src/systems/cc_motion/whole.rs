@@ -9,7 +9,7 @@
 use std::ops::{ControlFlow, Range};
 
 use burn::tensor::{Tensor, TensorData};
-use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures};
+use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{
     NoiseKeys, Path, Prediction, PredictionType, SamplerKind, Time, draw, guided, noise_of_parts,
 };
@@ -133,7 +133,7 @@ impl Generator {
                     let part = whole.audio.slice(windows.of(window));
                     part.as_slice().to_vec()
                 });
-                let cond = [batch.len(), AUDIO_CHANNELS, windows.length()];
+                let cond = [batch.len(), whole.audio.channels(), windows.length()];
                 let cond = self.on_device(heard.flatten().collect(), cond);
                 let x = x.clone().narrow(0, batch.start, batch.len());
                 // Each window as if it were drawn alone, to the bit.

@@ -10,7 +10,7 @@ use std::iter::repeat_n;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::{AUDIO_CHANNELS, AudioFeatures, Phrase};
+use kinegrad_data::{AudioFeatures, Phrase};
 use kinegrad_motion::Motion;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
@@ -116,8 +116,8 @@ fn condition(phrase: &Phrase, settings: &EvaluationSettings) -> AudioFeatures {
         CondSource::Phrases => phrase.audio.clone(),
         CondSource::Noise => {
             let key = Key::new(settings.seed, Purpose::NoiseCondition).named(&phrase.id);
-            let noise = key.normals(AUDIO_CHANNELS * phrase.frames());
-            AudioFeatures::new(phrase.frames(), noise).expect("163 values a frame")
+            let noise = key.normals(phrase.audio.as_slice().len());
+            AudioFeatures::new(phrase.frames(), noise).expect("as many as of the phrase")
         }
     }
 }

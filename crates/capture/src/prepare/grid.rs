@@ -1,0 +1,201 @@
+//! The beats that segments are laid on: those of the song where it has as many as the plan states,
+//! else even ones.
+
+use kinegrad_audio::Pulse;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::song::Song;
+use super::span::{Span, TOLERANCE};
+use crate::{BeatGrid, Beats, TrackedBeats};
+
+/// Beats in a bar where a plan does not say.
+const BEATS_PER_BAR: u32 = 4;
+
+/// Which beats segments are laid on.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grid {
+    /// Those that are tracked in the song, counted from the one nearest to the stated start.
+    Tracked,
+    /// Even ones, from the stated start on.
+    Uniform,
+}
+
+/// How the stated beats of a take and those of its song agree.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+pub struct GridReport {
+    /// What the segments were laid on.
+    pub grid: Grid,
+    /// Beats that the plan states within the song.
+    pub stated_beats: f64,
+    /// Beats tracked there.
+    pub tracked_beats: usize,
+    /// Their mean tempo in beats per minute.
+    pub tracked_tempo: f64,
+    /// From the stated start to the nearest tracked beat in seconds, positive where the music comes
+    /// later.
+    pub offset_seconds: f64,
+    /// How far tracked beats and even ones move apart over the take, in seconds: the largest
+    /// difference less the smallest.
+    pub drift_seconds: f64,
+    /// The same in beats.
+    pub drift_beats: f64,
+    /// Concentration of the difference in beat phase between even beats and tracked ones, over the
+    /// frames of the take: 1 where it is always the same, 0 where it takes every value alike.
+    pub uniform_concentration: f64,
+    /// The same between the phase that was written and tracked beats.
+    pub concentration: f64,
+}
+
+/// The beats of a take, and what its song has to say of them.
+#[derive(Default)]
+pub(super) struct Timeline {
+    /// What the phase follows; none where no beats are known.
+    pub beats: Option<Beats>,
+    /// What the beat features follow.
+    pub pulse: Option<Pulse>,
+    /// What segments lie on: position 0 is where the first begins.
+    pub laying: Option<Pulse>,
+    /// Beats per minute of tracked beats.
+    pub tempo: Option<f64>,
+    /// Of segments with a song.
+    pub report: Option<GridReport>,
+    /// What a user should know.
+    pub notes: Vec<String>,
+}
+
+impl Timeline {
+    /// The beats of motion that goes on as it was recorded: the stated ones, else those of the
+    /// song, of which the one nearest to `downbeat` seconds begins a bar.
+    pub fn of_recording(
+        stated: Option<BeatGrid>,
+        song: Option<&Song>,
+        beats_per_bar: Option<u32>,
+        downbeat: Option<f64>,
+    ) -> Self {
+        if let Some(grid) = stated {
+            let even = Pulse::even(grid.start_seconds, grid.seconds_per_beat);
+            return Self {
+                beats: Some(Beats::Grid(grid)),
+                pulse: even.map(|even| even.with_downbeat(grid.beats_per_bar, grid.start_seconds)),
+                ..Self::default()
+            };
+        }
+        let beats_per_bar = beats_per_bar.unwrap_or(BEATS_PER_BAR);
+        let heard = song.and_then(|song| Pulse::tracked(&song.beats));
+        let pulse = heard.map(|pulse| match downbeat {
+            Some(downbeat) => pulse.with_downbeat(beats_per_bar, downbeat),
+            None => pulse,
+        });
+        let beats = pulse.as_ref().map(|pulse| {
+            // Without a downbeat the first beat stands for one.
+            let bar = f64::from(beats_per_bar);
+            let first = pulse.bars().map_or(0.0, |bars| {
+                let first = bars.downbeat.rem_euclid(bar);
+                if first > 0.0 { first - bar } else { first }
+            });
+            let count = pulse.seconds().len() + beats_per_bar as usize;
+            Beats::Tracked(TrackedBeats {
+                seconds: pulse.from_beat(first, count).seconds().to_vec(),
+                beats_per_bar,
+            })
+        });
+        Self {
+            beats,
+            pulse,
+            tempo: song.map(|song| song.beats.tempo),
+            ..Self::default()
+        }
+    }
+
+    /// The beats that segments of `count` beats lie on, which are stated to be even. Where the song
+    /// has as many, they are its own, unless `wanted` says otherwise.
+    ///
+    /// # Errors
+    /// A sentence, if the song's beats are `wanted` and cannot be used.
+    pub fn of_segments(
+        stated: BeatGrid,
+        count: f64,
+        song: Option<&Song>,
+        wanted: Option<Grid>,
+    ) -> Result<Self, String> {
+        let refused = |problem: &str| match wanted {
+            Some(Grid::Tracked) => Err(format!(
+                "grid = \"tracked\": {problem} (correct `beats`, or lay the segments on even beats \
+                 with grid = \"uniform\")"
+            )),
+            _ => Ok(vec![format!("{problem}: its segments lie on even beats")]),
+        };
+        let mut timeline = Self {
+            beats: Some(Beats::Grid(stated)),
+            laying: Pulse::even(stated.start_seconds, stated.seconds_per_beat),
+            ..Self::default()
+        };
+        let Some(song) = song else {
+            if wanted == Some(Grid::Tracked) {
+                refused("the take has no song")?;
+            }
+            return Ok(timeline);
+        };
+        let span = Span::new(stated, count, song.features.frames());
+        let heard = span.heard(song);
+        let Some(pulse) = Pulse::tracked(&heard) else {
+            timeline.notes = refused("no beats are tracked in the song")?;
+            return Ok(timeline);
+        };
+        let origin = pulse.position(stated.start_seconds).round();
+        let mut report = span.compare(&heard, &pulse, origin);
+        let tracked = report.tracked_beats;
+        let agree = span.agree(tracked);
+        if !agree {
+            timeline.notes = refused(&format!(
+                "{tracked} beats are tracked where {:.1} are stated, more than {:.0} % apart",
+                report.stated_beats,
+                100.0 * TOLERANCE
+            ))?;
+        }
+        if !agree || wanted == Some(Grid::Uniform) {
+            timeline.pulse = Some(pulse);
+            timeline.report = Some(report);
+            return Ok(timeline);
+        }
+        if heard.tempo != song.beats.tempo {
+            timeline.notes.push(format!(
+                "the song tracks at {:.1} beats a minute; its stated count makes that {:.1}",
+                song.beats.tempo, report.tracked_tempo
+            ));
+        }
+        let laying = pulse.from_beat(origin, count.ceil() as usize + 1);
+        let beats = Beats::Tracked(TrackedBeats {
+            seconds: laying.seconds().to_vec(),
+            beats_per_bar: stated.beats_per_bar,
+        });
+        let tempo = report.tracked_tempo;
+        report.grid = Grid::Tracked;
+        report.concentration = span.concentration(&beats, &pulse);
+        let first = pulse.moment(origin);
+        Ok(Self {
+            beats: Some(beats),
+            pulse: Some(pulse.with_downbeat(stated.beats_per_bar, first)),
+            laying: Some(laying),
+            tempo: Some(tempo),
+            report: Some(report),
+            notes: timeline.notes,
+        })
+    }
+
+    /// The beats between two counts of beats at which segments may change their pace, with both.
+    pub fn knots(&self, from: f64, to: f64) -> Vec<f64> {
+        let mut knots = vec![from];
+        if matches!(self.beats, Some(Beats::Tracked(_))) {
+            let between = (1..).map(|k| from.floor() + f64::from(k));
+            knots.extend(between.take_while(|beat| *beat < to));
+        }
+        knots.push(to);
+        knots
+    }
+}
+
+#[cfg(test)]
+mod tests;
