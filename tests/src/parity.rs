@@ -19,6 +19,7 @@ pub fn tiny() -> UNet1dConfig {
         time_embed_dim: 32,
         context_dim: 32,
         dropout: 0.1,
+        ..UNet1dConfig::default()
     }
 }
 

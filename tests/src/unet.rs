@@ -27,6 +27,7 @@ pub fn fresh(json: &str, init: &Initializer) -> UNet1d {
         time_embed_dim: number("time_dim"),
         context_dim: number("ctx_dim"),
         dropout: 0.0,
+        ..UNet1dConfig::default()
     };
     let network = config.init(25, number("cond_dim"), init);
     network.expect("a valid network")

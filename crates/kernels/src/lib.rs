@@ -25,6 +25,7 @@ mod convolution;
 mod flex;
 mod host;
 mod invariance;
+mod lengths;
 pub mod memory;
 mod mode;
 mod normalization;
@@ -34,6 +35,7 @@ pub use attention::{cross_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
 pub use invariance::batch_invariant;
+pub use lengths::Lengths;
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
 

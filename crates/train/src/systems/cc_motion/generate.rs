@@ -153,7 +153,7 @@ impl Generator {
                     &self.diffusion,
                     &self.unet,
                     on_device(start.flatten().collect(), CHANNELS),
-                    &on_device(heard.flatten().collect(), AUDIO_CHANNELS),
+                    &on_device(heard.flatten().collect(), AUDIO_CHANNELS).into(),
                     &sampling.sampler,
                     &sampling.clip.range(self.statistics(), CHANNELS)?,
                     NoiseKeys::Samples(&of_steps),
