@@ -79,6 +79,7 @@ impl Case {
             x_start,
             cond: Conditions::new([(AUDIO, self.tensor("in.cond"))]),
             mask: Tensor::ones([batch, time], &self.device),
+            lengths: None,
         }
     }
 

@@ -1,14 +1,16 @@
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::FusedOps;
+use crate::Lengths;
+use crate::backend::{FusedOps, Given};
 use crate::composed;
 use crate::mode::fuses;
 
 /// `softmax(queries keys^T / sqrt(head channels)) values` for each head, the channels of a head
 /// lying together; keys and values one after the other in `keys_values`.
 ///
-/// On the CPU no scores are kept for the backward pass.
+/// With `lengths` only so many keys of each sample are attended to. On the CPU no scores are kept
+/// for the backward pass.
 ///
 /// # Shapes
 /// - queries, output: `[batch, channels, time]`
@@ -16,24 +18,33 @@ use crate::mode::fuses;
 ///
 /// # Panics
 /// Panics if the channels do not divide into the heads.
-pub fn cross_attention(queries: Tensor<3>, keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
+pub fn cross_attention(
+    queries: Tensor<3>,
+    keys_values: Tensor<3>,
+    num_heads: usize,
+    lengths: Option<&Lengths>,
+) -> Tensor<3> {
     let [batch, channels, _] = queries.dims();
     check(channels, num_heads);
-    let [other_batch, both, _] = keys_values.dims();
+    let [other_batch, both, num_keys] = keys_values.dims();
     assert_eq!(
         (other_batch, both),
         (batch, 2 * channels),
         "samples and channels of keys and values"
     );
+    if let Some(lengths) = lengths {
+        lengths.check(batch, num_keys);
+    }
     if !fuses(&queries) {
         let keys = keys_values.clone().narrow(1, 0, channels);
         let values = keys_values.narrow(1, channels, channels);
-        return composed::attention(queries, keys, values, num_heads);
+        return composed::attention(queries, keys, values, num_heads, lengths);
     }
     Tensor::from_dispatch(Dispatch::fused_cross_attention(
         queries.into_dispatch(),
         keys_values.into_dispatch(),
         num_heads,
+        given(lengths),
     ))
 }
 
@@ -45,26 +56,41 @@ pub fn cross_attention(queries: Tensor<3>, keys_values: Tensor<3>, num_heads: us
 ///
 /// # Panics
 /// Panics if the channels do not divide into the heads.
-pub fn self_attention(queries_keys_values: Tensor<3>, num_heads: usize) -> Tensor<3> {
-    let all = queries_keys_values.dims()[1];
+pub fn self_attention(
+    queries_keys_values: Tensor<3>,
+    num_heads: usize,
+    lengths: Option<&Lengths>,
+) -> Tensor<3> {
+    let [batch, all, time] = queries_keys_values.dims();
     assert!(
         all.is_multiple_of(3),
         "{all} channels are not three times as many"
     );
     let channels = all / 3;
     check(channels, num_heads);
+    if let Some(lengths) = lengths {
+        lengths.check(batch, time);
+    }
     if !fuses(&queries_keys_values) {
         let part = |index: usize| {
             queries_keys_values
                 .clone()
                 .narrow(1, index * channels, channels)
         };
-        return composed::attention(part(0), part(1), part(2), num_heads);
+        return composed::attention(part(0), part(1), part(2), num_heads, lengths);
     }
     Tensor::from_dispatch(Dispatch::fused_self_attention(
         queries_keys_values.into_dispatch(),
         num_heads,
+        given(lengths),
     ))
+}
+
+fn given(lengths: Option<&Lengths>) -> Given {
+    Given {
+        lengths: lengths.cloned(),
+        ..Given::default()
+    }
 }
 
 fn check(channels: usize, num_heads: usize) {

@@ -65,13 +65,17 @@ impl Backward<Flex, 7> for Convolution {
         let host_norm = norm
             .as_ref()
             .map(|([weight, bias, film, mask], statistics)| {
-                (statistics, HostNorm::new([weight, bias, film], mask, given))
+                (
+                    statistics,
+                    HostNorm::new([weight, bias, film], mask, &given),
+                )
             });
         let input = Input {
             x: rows.view(),
             norm: host_norm
                 .as_ref()
                 .map(|(statistics, norm)| (*statistics, norm.parameters())),
+            lengths: given.frames(),
         };
         let computed = plan.backward(
             input,
@@ -135,7 +139,7 @@ impl Backward<Flex, 4> for GroupNorm {
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let x = HostRows::of(x);
         let [weight, bias, film, mask] = &parameters;
-        let norm = HostNorm::new([weight, bias, film], mask, given);
+        let norm = HostNorm::new([weight, bias, film], mask, &given);
         let view = x.view();
         let shape = [view.batch, view.time, view.channels];
         let mut values: Vec<f32> = gradient.view().to_dense();
@@ -156,13 +160,14 @@ impl Backward<Flex, 4> for GroupNorm {
 struct CrossAttention;
 
 impl Backward<Flex, 2> for CrossAttention {
-    type State = (FlexTensor, FlexTensor, usize);
+    type State = (FlexTensor, FlexTensor, usize, Given);
 
     fn backward(self, ops: Ops<Self::State, 2>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let (queries, keys_values, num_heads) = ops.state;
+        let (queries, keys_values, num_heads, given) = ops.state;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
-        let heads = cross_heads(queries.view(), keys_values.view(), num_heads);
+        let (queries, keys_values) = (queries.view(), keys_values.view());
+        let heads = cross_heads(queries, keys_values, num_heads, given.frames());
         let values = attend_backward(heads, gradient.view());
         for (node, value) in ops.parents.into_iter().zip(values) {
             if let Some(node) = node {
@@ -176,13 +181,14 @@ impl Backward<Flex, 2> for CrossAttention {
 struct SelfAttention;
 
 impl Backward<Flex, 1> for SelfAttention {
-    type State = (FlexTensor, usize);
+    type State = (FlexTensor, usize, Given);
 
     fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let (all, num_heads) = ops.state;
+        let (all, num_heads, given) = ops.state;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let all = HostRows::of(all);
-        let value = self_attend_backward(self_heads(all.view(), num_heads), gradient.view());
+        let heads = self_heads(all.view(), num_heads, given.frames());
+        let value = self_attend_backward(heads, gradient.view());
         if let [Some(node)] = ops.parents {
             gradients.register::<Flex>(node.id, value);
         }
@@ -271,12 +277,18 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         let norm = plan.norm.map(|plan| {
             let parameters =
                 [norm_weight, norm_bias, film, mask].map(|tensor| tensor.into_primitive());
-            (parameters, norm::statistics(rows.view(), &plan))
+            (
+                parameters,
+                norm::statistics(rows.view(), &plan, given.frames()),
+            )
         });
         let host_norm = norm
             .as_ref()
             .map(|([weight, bias, film, mask], statistics)| {
-                (statistics, HostNorm::new([weight, bias, film], mask, given))
+                (
+                    statistics,
+                    HostNorm::new([weight, bias, film], mask, &given),
+                )
             });
         let output = convolution(
             rows.view(),
@@ -287,6 +299,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                 .as_ref()
                 .map(|(statistics, norm)| (*statistics, norm)),
             &plan,
+            given.frames(),
         );
         match Convolution.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(
@@ -316,9 +329,9 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         let x = x.into_primitive();
         let parameters = [weight, bias, film, mask].map(|tensor| tensor.into_primitive());
         let [weight, bias, film, mask] = &parameters;
-        let norm = HostNorm::new([weight, bias, film], mask, given);
+        let norm = HostNorm::new([weight, bias, film], mask, &given);
         let rows = HostRows::of(x.clone());
-        let statistics = norm::statistics(rows.view(), &plan);
+        let statistics = norm::statistics(rows.view(), &plan, given.frames());
         let output = group_norm(rows.view(), &statistics, &norm, &plan);
         match GroupNorm.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(
@@ -339,16 +352,18 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         queries: FloatTensor<Self>,
         keys_values: FloatTensor<Self>,
         num_heads: usize,
+        given: Given,
     ) -> FloatTensor<Self> {
         let nodes = [queries.node(), keys_values.node()];
         let (queries, keys_values) = (queries.into_primitive(), keys_values.into_primitive());
-        let output = Flex::fused_cross_attention(queries.clone(), keys_values.clone(), num_heads);
+        let [q, kv] = [&queries, &keys_values].map(FlexTensor::clone);
+        let output = Flex::fused_cross_attention(q, kv, num_heads, given.clone());
         match CrossAttention
             .prepare::<C>(nodes)
             .compute_bound()
             .stateful()
         {
-            OpsKind::Tracked(prep) => prep.finish((queries, keys_values, num_heads), output),
+            OpsKind::Tracked(prep) => prep.finish((queries, keys_values, num_heads, given), output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }
@@ -356,12 +371,13 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
     fn fused_self_attention(
         queries_keys_values: FloatTensor<Self>,
         num_heads: usize,
+        given: Given,
     ) -> FloatTensor<Self> {
         let nodes = [queries_keys_values.node()];
         let all = queries_keys_values.into_primitive();
-        let output = Flex::fused_self_attention(all.clone(), num_heads);
+        let output = Flex::fused_self_attention(all.clone(), num_heads, given.clone());
         match SelfAttention.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((all, num_heads), output),
+            OpsKind::Tracked(prep) => prep.finish((all, num_heads, given), output),
             OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }

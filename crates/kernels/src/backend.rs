@@ -14,10 +14,11 @@ use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
+use crate::lengths::Lengths;
 use crate::linear_map::SharedMap;
 
-/// Which of an operation's optional tensors count.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Which of an operation's optional tensors count, and how much of each sample.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Given {
     /// A convolution's bias.
     pub bias: bool,
@@ -27,6 +28,15 @@ pub struct Given {
     pub film: bool,
     /// Factors after an activation.
     pub mask: bool,
+    /// Frames of each sample that are not padding; all where nothing is said.
+    pub lengths: Option<Lengths>,
+}
+
+impl Given {
+    /// The frames of each sample, as the kernels take them.
+    pub fn frames(&self) -> Option<&[usize]> {
+        self.lengths.as_ref().map(Lengths::frames)
+    }
 }
 
 /// The fused operations, without the choice whether to use them.
@@ -60,17 +70,19 @@ pub trait FusedOps: Backend {
     ) -> FloatTensor<Self>;
 
     /// Attention of queries `[batch, channels, time]` to keys and values side by side in
-    /// `[batch, 2 channels, keys]`.
+    /// `[batch, 2 channels, keys]`, of which `given.lengths` are attended to.
     fn fused_cross_attention(
         queries: FloatTensor<Self>,
         keys_values: FloatTensor<Self>,
         num_heads: usize,
+        given: Given,
     ) -> FloatTensor<Self>;
 
     /// Attention within queries, keys and values side by side in `[batch, 3 channels, time]`.
     fn fused_self_attention(
         queries_keys_values: FloatTensor<Self>,
         num_heads: usize,
+        given: Given,
     ) -> FloatTensor<Self>;
 
     /// The channels of `first`, then those of `second`.
@@ -89,15 +101,17 @@ pub(crate) struct HostNorm {
     bias: FlexTensor,
     film: Option<FlexTensor>,
     mask: Option<HostRows>,
+    lengths: Option<Lengths>,
 }
 
 impl HostNorm {
-    pub fn new([weight, bias, film]: [&FlexTensor; 3], mask: &FlexTensor, given: Given) -> Self {
+    pub fn new([weight, bias, film]: [&FlexTensor; 3], mask: &FlexTensor, given: &Given) -> Self {
         Self {
             weight: weight.to_contiguous(),
             bias: bias.to_contiguous(),
             film: given.film.then(|| film.to_contiguous()),
             mask: given.mask.then(|| HostRows::of(mask.clone())),
+            lengths: given.lengths.clone(),
         }
     }
 
@@ -110,6 +124,7 @@ impl HostNorm {
                 .as_ref()
                 .map(|film| film.as_slice().expect("float32, contiguous")),
             mask: self.mask.as_ref().map(HostRows::view),
+            lengths: self.lengths.as_ref().map(Lengths::frames),
         }
     }
 }
@@ -134,6 +149,7 @@ pub(crate) fn convolution(
     residual: Option<FlexTensor>,
     norm: Option<(&Statistics, &HostNorm)>,
     plan: &ConvolutionPlan,
+    lengths: Option<&[usize]>,
 ) -> FlexTensor {
     let shape = weight.layout().shape().dims();
     let residual = residual.map(HostRows::of);
@@ -141,6 +157,7 @@ pub(crate) fn convolution(
     let input = Input {
         x,
         norm: norm.map(|(statistics, norm)| (statistics, norm.parameters())),
+        lengths,
     };
     let output = plan.forward(
         input,
@@ -177,6 +194,7 @@ pub(crate) fn cross_heads<'a>(
     queries: Rows<'a>,
     keys_values: Rows<'a>,
     num_heads: usize,
+    lengths: Option<&'a [usize]>,
 ) -> Heads<'a> {
     let channels = queries.channels;
     Heads {
@@ -184,17 +202,23 @@ pub(crate) fn cross_heads<'a>(
         keys: keys_values.narrow(0, channels),
         values: keys_values.narrow(channels, channels),
         num_heads,
+        lengths,
     }
 }
 
 /// Queries, keys and values that lie side by side.
-pub(crate) fn self_heads(all: Rows<'_>, num_heads: usize) -> Heads<'_> {
+pub(crate) fn self_heads<'a>(
+    all: Rows<'a>,
+    num_heads: usize,
+    lengths: Option<&'a [usize]>,
+) -> Heads<'a> {
     let channels = all.channels / 3;
     Heads {
         queries: all.narrow(0, channels),
         keys: all.narrow(channels, channels),
         values: all.narrow(2 * channels, channels),
         num_heads,
+        lengths,
     }
 }
 
@@ -301,8 +325,8 @@ impl FusedOps for Flex {
         let norm = plan.norm.map(|plan| {
             let parameters = [&norm_weight, &norm_bias, &film];
             (
-                norm::statistics(x.view(), &plan),
-                HostNorm::new(parameters, &mask, given),
+                norm::statistics(x.view(), &plan, given.frames()),
+                HostNorm::new(parameters, &mask, &given),
             )
         });
         convolution(
@@ -312,6 +336,7 @@ impl FusedOps for Flex {
             given.residual.then_some(residual),
             norm.as_ref().map(|(statistics, norm)| (statistics, norm)),
             &plan,
+            given.frames(),
         )
     }
 
@@ -325,22 +350,29 @@ impl FusedOps for Flex {
         given: Given,
     ) -> FlexTensor {
         let x = HostRows::of(x);
-        let norm = HostNorm::new([&weight, &bias, &film], &mask, given);
-        group_norm(x.view(), &norm::statistics(x.view(), &plan), &norm, &plan)
+        let norm = HostNorm::new([&weight, &bias, &film], &mask, &given);
+        let statistics = norm::statistics(x.view(), &plan, given.frames());
+        group_norm(x.view(), &statistics, &norm, &plan)
     }
 
     fn fused_cross_attention(
         queries: FlexTensor,
         keys_values: FlexTensor,
         num_heads: usize,
+        given: Given,
     ) -> FlexTensor {
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
-        attend(cross_heads(queries.view(), keys_values.view(), num_heads))
+        let (queries, keys_values) = (queries.view(), keys_values.view());
+        attend(cross_heads(queries, keys_values, num_heads, given.frames()))
     }
 
-    fn fused_self_attention(queries_keys_values: FlexTensor, num_heads: usize) -> FlexTensor {
+    fn fused_self_attention(
+        queries_keys_values: FlexTensor,
+        num_heads: usize,
+        given: Given,
+    ) -> FlexTensor {
         let all = HostRows::of(queries_keys_values);
-        attend(self_heads(all.view(), num_heads))
+        attend(self_heads(all.view(), num_heads, given.frames()))
     }
 
     fn fused_gelu(x: FlexTensor) -> FlexTensor {

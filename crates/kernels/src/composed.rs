@@ -3,15 +3,39 @@
 use burn::tensor::Tensor;
 use burn::tensor::activation::{mish, silu};
 
-use crate::{Activation, Convolution, GroupNorm};
+use crate::{Activation, Convolution, GroupNorm, Lengths};
 
 pub(crate) fn group_norm(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
-    let groups = norm.plan.groups;
-    let x = x.reshape([batch, groups, channels / groups * time]);
-    let x = x.clone() - x.mean_dim(2);
-    let variance = x.clone().square().mean_dim(2);
-    let x = x / variance.add_scalar(norm.plan.eps).sqrt();
+    let (groups, eps) = (norm.plan.groups, norm.plan.eps);
+    let grouped = [batch, groups, channels / groups * time];
+    let padding = norm.lengths.map(|lengths| {
+        let device = x.device();
+        let mask = lengths.mask(time, &device);
+        let counts = lengths
+            .counts(&device)
+            .mul_scalar((channels / groups) as f64);
+        (mask, counts)
+    });
+    let x = match &padding {
+        Some((mask, counts)) => {
+            let spread = mask
+                .clone()
+                .expand([batch, channels, time])
+                .reshape(grouped);
+            let x = x.reshape(grouped) * spread.clone();
+            let mean = x.clone().sum_dim(2) / counts.clone();
+            let x = (x - mean) * spread;
+            let variance = x.clone().square().sum_dim(2) / counts.clone();
+            x / variance.add_scalar(eps).sqrt()
+        }
+        None => {
+            let x = x.reshape(grouped);
+            let x = x.clone() - x.mean_dim(2);
+            let variance = x.clone().square().mean_dim(2);
+            x / variance.add_scalar(eps).sqrt()
+        }
+    };
     let per_channel = |p: Tensor<1>| p.reshape([1, channels, 1]);
     let x = x.reshape([batch, channels, time]) * per_channel(norm.weight) + per_channel(norm.bias);
     let x = match norm.film {
@@ -30,8 +54,12 @@ pub(crate) fn group_norm(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
         Activation::Silu => silu(x),
         Activation::Mish => mish(x),
     };
-    match norm.mask {
+    let x = match norm.mask {
         Some(mask) => x * mask,
+        None => x,
+    };
+    match padding {
+        Some((mask, _)) => x * mask,
         None => x,
     }
 }
@@ -45,6 +73,7 @@ pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
         geometry,
         transposed,
         upsample,
+        lengths,
     } = convolution;
     let x = match norm {
         Some(norm) => group_norm(x, norm),
@@ -52,6 +81,13 @@ pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
     };
     let x = match upsample {
         Some(frames) => upsample_nearest(x, frames),
+        None => x,
+    };
+    let x = match lengths {
+        Some(lengths) => {
+            let mask = lengths.mask(x.dims()[2], &x.device());
+            x * mask
+        }
         None => x,
     };
     let y = if transposed {
@@ -152,12 +188,13 @@ fn upsample_nearest(x: Tensor<3>, frames: usize) -> Tensor<3> {
 }
 
 /// Scaled dot-product attention; queries `[batch, channels, time]`, keys and values `[batch,
-/// channels, keys]`.
+/// channels, keys]`, of which `lengths` of each sample are attended to.
 pub(crate) fn attention(
     queries: Tensor<3>,
     keys: Tensor<3>,
     values: Tensor<3>,
     num_heads: usize,
+    lengths: Option<&Lengths>,
 ) -> Tensor<3> {
     let [batch, channels, time] = queries.dims();
     let head_channels = channels / num_heads;
@@ -165,11 +202,20 @@ pub(crate) fn attention(
         let frames = x.dims()[2];
         x.reshape([batch, num_heads, head_channels, frames])
     };
+    let num_keys = keys.dims()[2];
     let scale = (head_channels as f64).powf(-0.5);
     let scores = heads(queries)
         .swap_dims(2, 3)
         .matmul(heads(keys))
         .mul_scalar(scale);
+    let scores = match lengths {
+        Some(lengths) => {
+            // Far below every score, and finite: exactly no weight after the softmax.
+            let mask = lengths.mask(num_keys, &scores.device());
+            scores + mask.sub_scalar(1.0).mul_scalar(1e9).unsqueeze_dim::<4>(1)
+        }
+        None => scores,
+    };
     heads(values)
         .matmul(softmax(scores).swap_dims(2, 3))
         .reshape([batch, channels, time])

@@ -6,7 +6,7 @@ use crate::host::convolution::ConvolutionPlan;
 use crate::host::geometry::Geometry;
 use crate::mode::fuses;
 use crate::normalization::NormTensors;
-use crate::{GroupNorm, composed};
+use crate::{GroupNorm, Lengths, composed};
 
 /// A convolution over time, with what stands right before and after it.
 ///
@@ -25,6 +25,7 @@ pub struct Convolution {
     pub(crate) geometry: Geometry,
     pub(crate) transposed: bool,
     pub(crate) upsample: Option<usize>,
+    pub(crate) lengths: Option<Lengths>,
 }
 
 impl Convolution {
@@ -44,6 +45,7 @@ impl Convolution {
             },
             transposed: false,
             upsample: None,
+            lengths: None,
         }
     }
 
@@ -95,6 +97,12 @@ impl Convolution {
         }
     }
 
+    /// Takes zeros for padding: the frames of each sample that count, of the input as it is
+    /// multiplied. Not together with [`norm`](Self::norm), which has lengths of its own.
+    pub fn lengths(self, lengths: Option<Lengths>) -> Self {
+        Self { lengths, ..self }
+    }
+
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, frames]`
@@ -111,6 +119,10 @@ impl Convolution {
         if let Some(norm) = &self.norm {
             norm.check(x.dims());
             assert!(self.upsample.is_none(), "normalised and repeated at once");
+            assert!(self.lengths.is_none(), "lengths beside a normalisation's");
+        }
+        if let Some(lengths) = &self.lengths {
+            lengths.check(batch, self.upsample.unwrap_or(time));
         }
         if let Some(frames) = self.upsample {
             let doubled = 2 * time;
@@ -143,6 +155,7 @@ impl Convolution {
         let mut given = Given {
             bias: self.bias.is_some(),
             residual: self.residual.is_some(),
+            lengths: self.lengths,
             ..Given::default()
         };
         let norm = match self.norm {

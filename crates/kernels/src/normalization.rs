@@ -1,11 +1,11 @@
 use burn::backend::Dispatch;
 use burn::tensor::{Device, Tensor};
 
-use crate::Activation;
 use crate::backend::{FusedOps, Given};
 use crate::composed;
 use crate::host::norm::GroupNormPlan;
 use crate::mode::fuses;
+use crate::{Activation, Lengths};
 
 /// Group normalisation over channels and time (biased variance), then FiLM, an activation and a
 /// mask, where they are given:
@@ -14,12 +14,16 @@ use crate::mode::fuses;
 /// u = (x - mean) / sqrt(variance + eps) weight + bias
 /// y = activation(u (1 + scale) + shift) mask
 /// ```
+///
+/// With lengths, mean and variance are over each sample's first frames alone, and the others are
+/// zero: what padding holds changes nothing, and no gradient flows to it.
 #[derive(Clone, Debug)]
 pub struct GroupNorm {
     pub(crate) weight: Tensor<1>,
     pub(crate) bias: Tensor<1>,
     pub(crate) film: Option<Tensor<2>>,
     pub(crate) mask: Option<Tensor<3>>,
+    pub(crate) lengths: Option<Lengths>,
     pub(crate) plan: GroupNormPlan,
 }
 
@@ -44,6 +48,7 @@ impl GroupNorm {
             bias,
             film: None,
             mask: None,
+            lengths: None,
             plan,
         }
     }
@@ -66,6 +71,11 @@ impl GroupNorm {
     /// Multiplies at last by `mask`, `[batch, channels, time]`, to which no gradient flows.
     pub fn mask(self, mask: Option<Tensor<3>>) -> Self {
         Self { mask, ..self }
+    }
+
+    /// Leaves padding out: the frames of each sample that count.
+    pub fn lengths(self, lengths: Option<Lengths>) -> Self {
+        Self { lengths, ..self }
     }
 
     /// # Shapes
@@ -106,11 +116,15 @@ impl GroupNorm {
         if let Some(mask) = &self.mask {
             assert_eq!(mask.dims(), [batch, channels, time], "mask");
         }
+        if let Some(lengths) = &self.lengths {
+            lengths.check(batch, time);
+        }
     }
 
     pub(crate) fn into_tensors(self, given: &mut Given, device: &Device) -> NormTensors {
         given.film = self.film.is_some();
         given.mask = self.mask.is_some();
+        given.lengths = self.lengths;
         NormTensors {
             weight: self.weight,
             bias: self.bias,

@@ -5,4 +5,5 @@ mod bounds;
 mod cases;
 mod fused;
 mod invariance;
+mod padding;
 mod reference;

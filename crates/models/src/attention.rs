@@ -2,17 +2,19 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_kernels::{cross_attention, self_attention};
+use kinegrad_kernels::{Lengths, concat_channels, cross_attention, self_attention};
 
 use crate::Initializer;
 use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
+use crate::rotary::rotate;
 
 /// Self-attention with a residual, then cross-attention to the context with a residual
 /// (CC-MotionGen, section 3.1.4; docs/sources.md, section 1.5).
 ///
 /// The context keeps its own length: attention is over all its frames, whatever the level's
-/// length. There is no positional encoding and no mask.
+/// length. There is no positional encoding, so that the order of its frames does not matter, unless
+/// the block is [`with_positions`](Self::with_positions).
 #[derive(Module, Debug)]
 pub struct AttentionBlock {
     norm: GroupNorm,
@@ -23,6 +25,7 @@ pub struct AttentionBlock {
     kv_cross: Option<Conv1d>,
     proj_cross: Option<Conv1d>,
     num_heads: usize,
+    positions: bool,
 }
 
 impl AttentionBlock {
@@ -46,16 +49,34 @@ impl AttentionBlock {
             kv_cross: context_dim.map(|dim| pointwise("kv_cross", dim, 2 * channels)),
             proj_cross: context_dim.map(|_| pointwise("proj_cross", channels, channels)),
             num_heads,
+            positions: false,
+        }
+    }
+
+    /// The block with [rotary positions](rotate) on queries and keys of the cross-attention, whose
+    /// context then has the level's own frames; heads have an even number of channels.
+    #[must_use]
+    pub fn with_positions(self) -> Self {
+        Self {
+            positions: true,
+            ..self
         }
     }
 
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
     /// - context: `[batch, context_dim, context_time]`; without it only self-attention runs
-    pub fn forward(&self, x: Tensor<3>, context: Option<Tensor<3>>) -> Tensor<3> {
-        let norm = self.norm.operation();
+    /// - lengths: frames of each sample that are not padding, of motion and context alike; padding
+    ///   is not attended to
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        context: Option<Tensor<3>>,
+        lengths: Option<&Lengths>,
+    ) -> Tensor<3> {
+        let norm = self.norm.operation().lengths(lengths.cloned());
         let qkv = self.qkv.operation().norm(norm).forward(x.clone());
-        let h = self_attention(qkv, self.num_heads);
+        let h = self_attention(qkv, self.num_heads, lengths);
         let x = self.proj.operation().residual(x).forward(h);
 
         let (Some(context), Some(norm), Some(q), Some(kv), Some(proj)) = (
@@ -67,8 +88,16 @@ impl AttentionBlock {
         ) else {
             return x;
         };
-        let q = q.operation().norm(norm.operation()).forward(x.clone());
-        let h = cross_attention(q, kv.forward(context), self.num_heads);
+        let norm = norm.operation().lengths(lengths.cloned());
+        let mut q = q.operation().norm(norm).forward(x.clone());
+        let mut kv = kv.forward(context);
+        if self.positions {
+            let channels = q.dims()[1];
+            q = rotate(q, self.num_heads);
+            let keys = rotate(kv.clone().narrow(1, 0, channels), self.num_heads);
+            kv = concat_channels(keys, kv.narrow(1, channels, channels));
+        }
+        let h = cross_attention(q, kv, self.num_heads, lengths);
         proj.operation().residual(x).forward(h)
     }
 

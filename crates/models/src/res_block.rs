@@ -3,7 +3,7 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use burn::tensor::activation::silu;
-use kinegrad_kernels::Activation;
+use kinegrad_kernels::{Activation, Lengths};
 
 use crate::layers::{Conv1d, GROUPS, GroupNorm, Linear};
 use crate::lora::{Adapting, LoraTarget};
@@ -74,12 +74,23 @@ impl ResBlock {
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - time_emb: `[batch, time_embed_dim]`
+    /// - lengths: frames of each sample that are not padding, which takes no part
     /// - output: `[batch, out, time]`
-    pub fn forward(&self, x: Tensor<3>, time_emb: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
-        let norm1 = self.norm1.operation().activation(Activation::Silu);
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        time_emb: Tensor<2>,
+        lengths: Option<&Lengths>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
+        let activated = |norm: &GroupNorm| {
+            let norm = norm.operation().activation(Activation::Silu);
+            norm.lengths(lengths.cloned())
+        };
+        let norm1 = activated(&self.norm1);
         let h = self.conv1.operation().norm(norm1).forward(x.clone());
         let e = self.time_mlp_at_1.forward(silu(time_emb));
-        let norm2 = self.norm2.operation().activation(Activation::Silu);
+        let norm2 = activated(&self.norm2);
         let (h, norm2) = if self.use_scale_shift_norm {
             (h, norm2.film(e))
         } else {

@@ -162,7 +162,7 @@ impl SelfAttention {
         let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
             .bias(self.in_proj_bias.val())
             .forward(x);
-        let attended = self_attention(projected, self.num_heads);
+        let attended = self_attention(projected, self.num_heads, None);
         self.out_proj.forward_frames(attended)
     }
 }

@@ -1,6 +1,9 @@
 //! The audio-conditioned UNet over time (CC-MotionGen, section 3.1; docs/sources.md, section 1.5).
 
 mod adapters;
+mod audio;
+#[cfg(test)]
+mod tests;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -17,6 +20,8 @@ use crate::layers::{Conv1d, GROUPS, Linear};
 use crate::res_block::{ResBlock, ResBlockConfig};
 use crate::time_embedding::TimeEmbedding;
 use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
+pub use audio::{AudioCondition, AudioConditioning};
+use audio::{AudioEncoder, Heard, widths};
 
 /// The sizes of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs at
 /// the input's length divided by `2^i`, rounded up.
@@ -37,8 +42,11 @@ pub struct UNet1dConfig {
     pub use_scale_shift_norm: bool,
     /// Width of the time embedding.
     pub time_embed_dim: usize,
-    /// Width of the projected conditioning.
+    /// Width of the projected conditioning. With `audio_conditioning = "aligned"` the most channels
+    /// of a level of the audio encoder, a multiple of 32.
     pub context_dim: usize,
+    /// How the audio features are fed in; what a config leaves out is `document`.
+    pub audio_conditioning: AudioConditioning,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
     /// What is predicted of the phase.
@@ -93,6 +101,7 @@ impl UNet1dConfig {
             use_scale_shift_norm: true,
             time_embed_dim: 256,
             context_dim: 256,
+            audio_conditioning: AudioConditioning::Document,
             dropout: 0.1,
             phase_target: PhaseTarget::Scalar,
             orientation_target: OrientationTarget::Quaternion,
@@ -176,7 +185,11 @@ impl UNet1dConfig {
             format!("levels 0 to {coarsest}"),
         )
         .hint("one entry a level that attends")?;
-        for level in attending.into_iter().chain([coarsest]) {
+        // On the way up a level attends at the width of the next finer one.
+        let above = |&level: &usize| (level != coarsest).then(|| level.saturating_sub(1));
+        let ups: Vec<usize> = attending.iter().filter_map(above).collect();
+        let aligned = self.audio_conditioning == AudioConditioning::Aligned;
+        for level in attending.into_iter().chain([coarsest]).chain(ups) {
             let width = channels[level];
             require(
                 self.num_heads > 0 && width.is_multiple_of(self.num_heads),
@@ -185,7 +198,24 @@ impl UNet1dConfig {
                 format!("a divisor of level {level}'s {width} channels"),
             )
             .hint("CC-MotionGen has 8")?;
+            require(
+                !aligned || (width / self.num_heads).is_multiple_of(2),
+                "model.num_heads",
+                self.num_heads,
+                format!(
+                    "heads of an even number of level {level}'s {width} channels, which \
+                     `model.audio_conditioning = \"aligned\"` turns in pairs"
+                ),
+            )
+            .hint("CC-MotionGen has 8")?;
         }
+        require(
+            !aligned || self.context_dim.is_multiple_of(GROUPS),
+            "model.context_dim",
+            self.context_dim,
+            format!("a multiple of {GROUPS} where `model.audio_conditioning = \"aligned\"`"),
+        )
+        .hint("64 to 256 is usual")?;
         require(
             (2..=MAX_WIDTH).contains(&self.time_embed_dim) && self.time_embed_dim.is_multiple_of(2),
             "model.time_embed_dim",
@@ -207,11 +237,29 @@ impl UNet1dConfig {
             // there are two, the first of which takes the skip connection too.
             let blocks = 4 * self.num_res_blocks as u64 + 12;
             let attention = if attending.contains(&level) { 2 } else { 0 };
-            // Queries, keys, values and results, and the keys and values of the whole context.
-            let attended = attention * (9 * here + 2 * frames as u64);
-            width as u64 * (blocks * here + attended)
+            // Queries, keys, values and results, and the keys and values of the whole context, or of
+            // the level's own frames and turned.
+            let heard = match self.audio_conditioning {
+                AudioConditioning::Document => 2 * frames as u64,
+                AudioConditioning::Aligned => 8 * here,
+            };
+            width as u64 * (blocks * here + attention * (9 * here + heard))
         };
-        self.channels().into_iter().enumerate().map(of_level).sum()
+        let channels = self.channels();
+        let network: u64 = channels.iter().copied().enumerate().map(of_level).sum();
+        // The audio encoder keeps what its convolutions give, and what each join adds.
+        let encoder = |(level, width): (usize, usize)| {
+            let here = frames.div_ceil(1 << level) as u64;
+            (3 * width + 2 * channels[level]) as u64 * here
+        };
+        network
+            + match self.audio_conditioning {
+                AudioConditioning::Document => 0,
+                AudioConditioning::Aligned => {
+                    let widths = widths(&channels, self.context_dim);
+                    widths.into_iter().enumerate().map(encoder).sum()
+                }
+            }
     }
 
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
@@ -241,6 +289,8 @@ struct EncoderLevel {
     res: Vec<ResBlock>,
     attn: Option<AttentionBlock>,
     down: Option<Conv1d>,
+    /// Joins what is heard at this level to what comes in.
+    audio: Option<Conv1d>,
 }
 
 /// The coarsest level's middle.
@@ -257,6 +307,8 @@ struct DecoderLevel {
     res: Vec<ResBlock>,
     attn: Option<AttentionBlock>,
     up: Option<Conv1d>,
+    /// Joins what is heard at this level to what comes from the coarser one.
+    audio: Option<Conv1d>,
 }
 
 /// The denoiser. Should be created with [`UNet1dConfig::init`].
@@ -267,7 +319,8 @@ struct DecoderLevel {
 #[derive(Module, Debug)]
 pub struct UNet1d {
     time_embed: TimeEmbedding,
-    audio_proj: Linear,
+    audio_proj: Option<Linear>,
+    audio: Option<AudioEncoder>,
     input_conv: Conv1d,
     enc: Vec<EncoderLevel>,
     mid: Bottleneck,
@@ -292,13 +345,30 @@ impl Builder<'_> {
         ResBlock::new(inputs, outputs, &config, self.dropout_layers - 1, init)
     }
 
-    fn attention(&self, channels: usize, init: &Initializer) -> AttentionBlock {
-        AttentionBlock::new(
-            channels,
-            self.config.num_heads,
-            Some(self.config.context_dim),
-            init,
-        )
+    fn aligned(&self) -> bool {
+        self.config.audio_conditioning == AudioConditioning::Aligned
+    }
+
+    /// Width of what is heard at a level.
+    fn heard(&self, level: usize) -> usize {
+        match self.aligned() {
+            true => widths(&self.config.channels(), self.config.context_dim)[level],
+            false => self.config.context_dim,
+        }
+    }
+
+    fn attention(&self, level: usize, channels: usize, init: &Initializer) -> AttentionBlock {
+        let heard = Some(self.heard(level));
+        let block = AttentionBlock::new(channels, self.config.num_heads, heard, init);
+        match self.aligned() {
+            true => block.with_positions(),
+            false => block,
+        }
+    }
+
+    fn join(&self, level: usize, channels: usize, init: &Initializer) -> Option<Conv1d> {
+        let layer = || Conv1d::new(self.heard(level), channels, 1, &init.at("audio"));
+        self.aligned().then(layer)
     }
 
     fn attends(&self, level: usize) -> bool {
@@ -319,9 +389,10 @@ impl Builder<'_> {
                 .collect(),
             attn: self
                 .attends(level)
-                .then(|| self.attention(width, &init.at("attn"))),
+                .then(|| self.attention(level, width, &init.at("attn"))),
             down: (level + 1 < channels.len())
                 .then(|| Conv1d::strided(width, width, 3, 2, &init.at("down"))),
+            audio: self.join(level, inputs, &init),
         }
     }
 
@@ -342,8 +413,12 @@ impl Builder<'_> {
                     self.res_block(inputs, width, &init.at("res").at(&j.to_string()))
                 })
                 .collect(),
-            attn: attends.then(|| self.attention(width, &init.at("attn"))),
+            attn: attends.then(|| self.attention(level, width, &init.at("attn"))),
             up: (level > 0).then(|| Conv1d::new(width, width, 3, &init.at("up"))),
+            audio: match level == coarsest {
+                true => None,
+                false => self.join(level, channels[level], &init),
+            },
         }
     }
 
@@ -355,16 +430,19 @@ impl Builder<'_> {
         let mid = self.init.at("mid");
         UNet1d {
             time_embed: TimeEmbedding::new(config.time_embed_dim, &self.init.at("time_embed")),
-            audio_proj: Linear::new(
-                cond_channels,
-                config.context_dim,
-                &self.init.at("audio_proj"),
-            ),
+            audio_proj: (!self.aligned()).then(|| {
+                let init = self.init.at("audio_proj");
+                Linear::new(cond_channels, config.context_dim, &init)
+            }),
+            audio: self.aligned().then(|| {
+                let widths = widths(&channels, config.context_dim);
+                AudioEncoder::new(cond_channels, &widths, &self.init.at("audio"))
+            }),
             input_conv: Conv1d::new(in_channels, channels[0], 3, &self.init.at("input_conv")),
             enc: (0..levels).map(|level| self.encoder_level(level)).collect(),
             mid: Bottleneck {
                 res1: self.res_block(coarsest, coarsest, &mid.at("res1")),
-                attn: self.attention(coarsest, &mid.at("attn")),
+                attn: self.attention(levels - 1, coarsest, &mid.at("attn")),
                 res2: self.res_block(coarsest, coarsest, &mid.at("res2")),
             },
             dec: (0..levels).map(|level| self.decoder_level(level)).collect(),
@@ -380,81 +458,111 @@ impl UNet1d {
     /// # Shapes
     /// - x_t, output: `[batch, in_channels, time]`
     /// - time: one per sample, in timesteps
-    /// - cond: `[batch, cond_channels, time]`
+    /// - cond: `[batch, cond_channels, time]`, with the clips' lengths where some are padded
     pub fn forward(
         &self,
         x_t: Tensor<3>,
         time: &[Time],
-        cond: Tensor<3>,
+        cond: impl Into<AudioCondition>,
         dropout: DropoutKey,
     ) -> Tensor<3> {
         self.forward_stages(x_t, time, cond, dropout, &mut ())
     }
 
     /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`,
-    /// `audio_ctx`, `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and
+    /// `audio_ctx` (`audio_ctx.i` of each level, where audio is aligned), `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and
     /// `dec.i` after its length is doubled, from the coarsest level to the finest.
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
         time: &[Time],
-        cond: Tensor<3>,
+        cond: impl Into<AudioCondition>,
         dropout: DropoutKey,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
         let time_emb = self.time_embed.forward(time, &x_t.device());
         stages.stage(format_args!("time_emb"), || time_emb.clone());
-        let context = self.audio_proj.forward_frames(cond);
-        stages.stage(format_args!("audio_ctx"), || context.clone());
-        let attend = |block: &Option<AttentionBlock>, h: Tensor<3>| match block {
-            Some(block) => block.forward(h, Some(context.clone())),
+        let heard = self.hear(cond.into(), stages);
+        let attend = |block: &Option<AttentionBlock>, level: usize, h: Tensor<3>| match block {
+            Some(block) => block.forward(h, Some(heard.context(level)), heard.lengths(level)),
             None => h,
         };
 
-        let mut h = self.input_conv.forward(x_t);
+        let input_conv = self.input_conv.operation();
+        let input_conv = input_conv.lengths(heard.lengths(0).cloned());
+        let mut h = heard.join(&self.enc[0].audio, 0, input_conv).forward(x_t);
         stages.stage(format_args!("input_conv"), || h.clone());
         let mut skips = Vec::with_capacity(self.enc.len());
         for (index, level) in self.enc.iter().enumerate() {
+            let lengths = heard.lengths(index);
             for block in &level.res {
-                h = block.forward(h, time_emb.clone(), dropout);
+                h = block.forward(h, time_emb.clone(), lengths, dropout);
             }
-            h = attend(&level.attn, h);
+            h = attend(&level.attn, index, h);
             stages.stage(format_args!("enc.{index}"), || h.clone());
             skips.push(h.clone());
             if let Some(down) = &level.down {
-                h = down.forward(h);
+                let down = down.operation().lengths(lengths.cloned());
+                let coarser = &self.enc[index + 1];
+                h = heard.join(&coarser.audio, index + 1, down).forward(h);
             }
         }
 
-        h = self.mid.res1.forward(h, time_emb.clone(), dropout);
-        h = self.mid.attn.forward(h, Some(context.clone()));
-        h = self.mid.res2.forward(h, time_emb.clone(), dropout);
+        let coarsest = self.enc.len() - 1;
+        let lengths = heard.lengths(coarsest);
+        let Bottleneck { res1, attn, res2 } = &self.mid;
+        h = res1.forward(h, time_emb.clone(), lengths, dropout);
+        h = attn.forward(h, Some(heard.context(coarsest)), lengths);
+        h = res2.forward(h, time_emb.clone(), lengths, dropout);
         stages.stage(format_args!("mid"), || h.clone());
 
         for (index, level) in self.dec.iter().enumerate().rev() {
             let skip = skips.pop().expect("one skip a level");
             h = concat_channels(h, skip);
             for block in &level.res {
-                h = block.forward(h, time_emb.clone(), dropout);
+                h = block.forward(h, time_emb.clone(), heard.lengths(index), dropout);
             }
-            h = attend(&level.attn, h);
-            if let (Some(up), Some(finer)) = (&level.up, skips.last()) {
-                h = up.operation().upsample(finer.dims()[2]).forward(h);
+            h = attend(&level.attn, index, h);
+            if let (Some(up), Some(skip)) = (&level.up, skips.last()) {
+                let finer = index - 1;
+                let up = up.operation().upsample(skip.dims()[2]);
+                let up = up.lengths(heard.lengths(finer).cloned());
+                h = heard.join(&self.dec[finer].audio, finer, up).forward(h);
             }
             stages.stage(format_args!("dec.{index}"), || h.clone());
         }
-        self.output_conv.forward(h)
+        let output_conv = self.output_conv.operation();
+        output_conv.lengths(heard.lengths(0).cloned()).forward(h)
+    }
+
+    fn hear(&self, cond: AudioCondition, stages: &mut impl Stages) -> Heard {
+        let levels = self.enc.len();
+        match (&self.audio_proj, &self.audio) {
+            (Some(projection), _) => {
+                let context = projection.forward_frames(cond.features);
+                stages.stage(format_args!("audio_ctx"), || context.clone());
+                Heard::everywhere(context, levels)
+            }
+            (None, encoder) => {
+                let encoder = encoder.as_ref().expect("one of the two");
+                let heard = encoder.forward(cond);
+                for level in 0..levels {
+                    stages.stage(format_args!("audio_ctx.{level}"), || heard.context(level));
+                }
+                heard
+            }
+        }
     }
 }
 
 impl Denoiser for UNet1d {
-    type Cond = Tensor<3>;
+    type Cond = AudioCondition;
 
-    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &AudioCondition) -> Tensor<3> {
         self.forward(x_t, time, cond.clone(), None)
     }
 
-    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
-        cond.zeros_like()
+    fn null_cond(&self, cond: &AudioCondition) -> AudioCondition {
+        cond.null()
     }
 }

@@ -7,6 +7,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::{Batch, Samples};
 use kinegrad_diffusion::{GaussianDiffusion, Time};
+use kinegrad_kernels::Lengths;
 use kinegrad_models::DropoutKey;
 use kinegrad_random::{Key, Purpose};
 
@@ -22,6 +23,8 @@ pub struct Inputs {
     pub cond: Conditions,
     /// `[batch, time]`, 1 where a frame is real.
     pub mask: Tensor<2>,
+    /// Frames of each sample that are real; none where all are.
+    pub lengths: Option<Lengths>,
 }
 
 impl Inputs {
@@ -35,10 +38,14 @@ impl Inputs {
             let shape = [size, condition.channels, condition.frames];
             (condition.name, on_device(&condition.values, shape))
         });
+        let real = |mask: &[f32]| mask.iter().filter(|&&m| m > 0.0).count();
+        let lengths: Vec<usize> = batch.mask.chunks(time).map(real).collect();
+        let padded = lengths.iter().any(|&length| length < time);
         Self {
             x_start: on_device(&batch.x_start, [size, batch.channels, time]),
             cond: Conditions::new(named),
             mask: Tensor::from_data(TensorData::new(batch.mask.clone(), [size, time]), device),
+            lengths: padded.then(|| Lengths::new(lengths)),
         }
     }
 }
@@ -139,6 +146,7 @@ pub fn denoising_loss(
         x_start,
         cond,
         mask,
+        lengths: _,
     } = inputs;
     let Draws {
         timesteps,

@@ -46,6 +46,7 @@ impl NamedTensors {
         Ok(Inputs {
             mask: Tensor::ones([batch, time], &x_start.device()),
             cond: Conditions::new([(AUDIO, self.tensor("cond")?)]),
+            lengths: None,
             x_start,
         })
     }
@@ -56,6 +57,7 @@ impl NamedTensors {
             x_start: self.tensor("motion")?,
             cond: Conditions::new([(TEXT, self.tensor("cond")?)]),
             mask: self.tensor("mask")?.squeeze_dim(1),
+            lengths: None,
         })
     }
 

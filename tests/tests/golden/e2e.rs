@@ -9,7 +9,7 @@ use burn::tensor::Tensor;
 use kinegrad_diffusion::{
     ClipRange, Denoiser, Rollout, RolloutMode as Graph, Time, rollout_timesteps,
 };
-use kinegrad_models::{UNet1d, parameters};
+use kinegrad_models::{AudioCondition, UNet1d, parameters};
 use kinegrad_tests::end_to_end::Case;
 use kinegrad_tests::golden::{Golden, ReferenceTensors, compared, wide};
 use kinegrad_tests::trials::GoldenTest;
@@ -150,9 +150,9 @@ struct Call {
 }
 
 impl Denoiser for Noting<'_> {
-    type Cond = Tensor<3>;
+    type Cond = AudioCondition;
 
-    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &AudioCondition) -> Tensor<3> {
         let place = x_t.clone().without_autodiff().zeros_like();
         let place = place.autodiff().require_grad();
         let output = self.unet.predict(x_t.clone(), time, cond) + place.clone();
@@ -164,7 +164,7 @@ impl Denoiser for Noting<'_> {
         output
     }
 
-    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+    fn null_cond(&self, cond: &AudioCondition) -> AudioCondition {
         self.unet.null_cond(cond)
     }
 }
@@ -212,7 +212,7 @@ fn states_and_their_gradients(case: &Case) {
     case.golden
         .compare_exactly(&format!("out.{}.timesteps", case.name), &first);
     let start = case.tensor("in.x_T");
-    let cond = case.tensor("in.cond");
+    let cond = AudioCondition::from(case.tensor("in.cond"));
     let output = rollout(case)
         .run(&noting, &noting, start, &cond, &timesteps, Graph::Full)
         .expect("it fits");
@@ -245,7 +245,8 @@ fn states_and_their_gradients(case: &Case) {
 fn gradients_of_each_step(case: &Case) {
     let model = case.model();
     let timesteps = rollout_timesteps(&case.starts(), case.steps());
-    let (start, cond, rollout) = (case.tensor("in.x_T"), case.tensor("in.cond"), rollout(case));
+    let (start, rollout) = (case.tensor("in.x_T"), rollout(case));
+    let cond = AudioCondition::from(case.tensor("in.cond"));
     let (unet, plain) = (&model.unet, &model.unet.valid());
     let output = rollout
         .run(unet, plain, start, &cond, &timesteps, Graph::Checkpointed)

@@ -6,15 +6,22 @@ use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, Rollout, RolloutMode, Time,
     rollout_timesteps,
 };
-use kinegrad_models::{GradientSum, Initializer, UNet1d, UNet1dConfig};
+use kinegrad_kernels::Lengths;
+use kinegrad_models::{
+    AudioCondition, AudioConditioning, GradientSum, Initializer, UNet1d, UNet1dConfig,
+};
 use kinegrad_random::{Key, Purpose};
 
-/// Network H of the golden files: 3,704,569 parameters.
-fn network(device: &Device) -> UNet1d {
+/// Network H of the golden files, 3,704,569 parameters; or one of its size that hears in time.
+fn network(audio_conditioning: AudioConditioning, device: &Device) -> UNet1d {
     let config = UNet1dConfig {
         model_channels: 32,
         time_embed_dim: 64,
-        context_dim: 48,
+        context_dim: match audio_conditioning {
+            AudioConditioning::Document => 48,
+            AudioConditioning::Aligned => 64,
+        },
+        audio_conditioning,
         ..UNet1dConfig::default()
     };
     config
@@ -29,8 +36,13 @@ fn normal(index: u64, shape: [usize; 3]) -> Tensor<3> {
     Tensor::from_data(TensorData::new(values, shape), &Device::flex())
 }
 
-fn gradients(steps: usize, guidance_scale: f64, mode: RolloutMode) -> Vec<Vec<f32>> {
-    let model = network(&Device::flex().autodiff());
+fn gradients(
+    audio: AudioConditioning,
+    steps: usize,
+    guidance_scale: f64,
+    mode: RolloutMode,
+) -> Vec<Vec<f32>> {
+    let model = network(audio, &Device::flex().autodiff());
     let config = DiffusionConfig {
         prediction_type: PredictionType::Sample,
         ..DiffusionConfig::default()
@@ -41,7 +53,11 @@ fn gradients(steps: usize, guidance_scale: f64, mode: RolloutMode) -> Vec<Vec<f3
         guidance_scale,
         gradient_decay: 1.0,
     };
-    let (start, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
+    let start = normal(0, [2, 25, 16]);
+    let cond = AudioCondition {
+        features: normal(1, [2, 163, 16]),
+        lengths: Some(Lengths::new([11, 16])),
+    };
     let timesteps = rollout_timesteps(&[999, 500], steps);
     let output = rollout
         .run(&model, &model.valid(), start, &cond, &timesteps, mode)
@@ -67,9 +83,16 @@ fn gradients(steps: usize, guidance_scale: f64, mode: RolloutMode) -> Vec<Vec<f3
 
 #[test]
 fn checkpointed_gradients_are_those_of_one_graph() {
-    for (steps, guidance_scale) in [(5, 1.0), (20, 1.0), (5, 2.0)] {
-        let full = gradients(steps, guidance_scale, RolloutMode::Full);
-        let checkpointed = gradients(steps, guidance_scale, RolloutMode::Checkpointed);
+    use AudioConditioning::{Aligned, Document};
+    for (audio, steps, guidance_scale) in [
+        (Document, 5, 1.0),
+        (Document, 20, 1.0),
+        (Document, 5, 2.0),
+        (Aligned, 5, 2.0),
+    ] {
+        let of_mode = |mode| gradients(audio, steps, guidance_scale, mode);
+        let full = of_mode(RolloutMode::Full);
+        let checkpointed = of_mode(RolloutMode::Checkpointed);
         let largest = full.iter().flatten().fold(0.0f32, |m, g| m.max(g.abs()));
         let mut worst = 0.0f32;
         for (full, checkpointed) in full.iter().zip(&checkpointed) {
@@ -78,22 +101,27 @@ fn checkpointed_gradients_are_those_of_one_graph() {
             }
         }
         assert!(largest > 0.0 && worst < 1e-6, "K = {steps}: {worst:e}");
-        println!("K = {steps}, guidance {guidance_scale}: largest difference {worst:.1e}");
+        println!(
+            "{audio:?}, K = {steps}, guidance {guidance_scale}: largest difference {worst:.1e}"
+        );
     }
 }
 
 #[test]
 fn the_network_computes_the_same_bits_with_and_without_gradients() {
-    let model = network(&Device::flex().autodiff());
-    let (x, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
-    let bits = |x: Tensor<3>| {
-        let values = x
-            .without_autodiff()
-            .try_into_vec_as::<f32>()
-            .expect("float32");
-        values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
-    };
-    let with = model.forward(x.clone(), &Time::of(&[3, 900]), cond.clone(), None);
-    let without = model.valid().forward(x, &Time::of(&[3, 900]), cond, None);
-    assert!(bits(with) == bits(without));
+    use AudioConditioning::{Aligned, Document};
+    for audio in [Document, Aligned] {
+        let model = network(audio, &Device::flex().autodiff());
+        let (x, cond) = (normal(0, [2, 25, 16]), normal(1, [2, 163, 16]));
+        let bits = |x: Tensor<3>| {
+            let values = x
+                .without_autodiff()
+                .try_into_vec_as::<f32>()
+                .expect("float32");
+            values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
+        };
+        let with = model.forward(x.clone(), &Time::of(&[3, 900]), cond.clone(), None);
+        let without = model.valid().forward(x, &Time::of(&[3, 900]), cond, None);
+        assert!(bits(with) == bits(without), "{audio:?}");
+    }
 }

@@ -12,6 +12,7 @@ use gemm::{Parallelism, gemm};
 use super::rows::{Rows, SharedRows};
 use super::simd::{exp, vectorized};
 use super::team;
+use crate::lengths::frames_of;
 
 /// Queries, keys and values, all heads side by side in the channels.
 #[derive(Clone, Copy)]
@@ -24,6 +25,8 @@ pub struct Heads<'a> {
     pub values: Rows<'a>,
     /// Heads that the channels divide into.
     pub num_heads: usize,
+    /// Keys of each sample that are attended to; all where nothing is said.
+    pub lengths: Option<&'a [usize]>,
 }
 
 /// Where the gradients of [`Heads`] go.
@@ -154,6 +157,11 @@ impl<'a> Heads<'a> {
         (self.head_channels() as f32).sqrt().recip()
     }
 
+    /// Keys of a sample that are attended to.
+    fn keys_of(&self, sample: usize) -> usize {
+        frames_of(self.lengths, sample, self.keys.time)
+    }
+
     /// Runs `work(sample, head)` for every head of every sample.
     fn for_each(&self, work: impl Fn(usize, usize) + Sync) {
         let heads = self.num_heads;
@@ -171,7 +179,7 @@ impl<'a> Heads<'a> {
 
     /// Writes the attention `[part, keys]` of one head to `weights`.
     fn weights(&self, sample: usize, head: usize, part: Range<usize>, weights: &mut Vec<f32>) {
-        let keys = self.keys.time;
+        let keys = self.keys_of(sample);
         weights.resize(part.len() * keys, 0.0);
         let queries = self.matrix(self.queries, sample, head).from(part.start);
         let keys_matrix = self.matrix(self.keys, sample, head).transposed();
@@ -185,12 +193,13 @@ impl<'a> Heads<'a> {
 
     /// `softmax(queries keys^T / sqrt(head channels)) values`: `[batch, time, channels]`.
     pub fn forward(&self) -> Vec<f32> {
-        let (time, keys) = (self.queries.time, self.keys.time);
+        let time = self.queries.time;
         let (channels, head_channels) = (self.queries.channels, self.head_channels());
         let shape = [self.queries.batch, time, channels];
         let mut output = vec![0.0; shape.iter().product()];
         let rows = SharedRows::dense(&mut output, shape);
         self.for_each(|sample, head| {
+            let keys = self.keys_of(sample);
             SCORES.with_borrow_mut(|Buffers { weights, sums, .. }| {
                 for part in self.parts() {
                     self.weights(sample, head, part.clone(), weights);
@@ -208,12 +217,13 @@ impl<'a> Heads<'a> {
         output
     }
 
-    /// Writes the gradients of queries, keys and values from that of the output.
+    /// Writes the gradients of queries, keys and values from that of the output; nothing to keys
+    /// that are not attended to.
     pub(crate) fn backward(&self, gradient: Rows<'a>, into: HeadGradients<'_>) {
-        let keys = self.keys.time;
         let channels = self.head_channels();
         let scale = self.scale();
         self.for_each(|sample, head| {
+            let keys = self.keys_of(sample);
             SCORES.with_borrow_mut(|buffers| {
                 let Buffers {
                     weights,

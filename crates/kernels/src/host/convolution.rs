@@ -16,6 +16,7 @@ use super::rows::{Padded, Rows, SharedRows, rows_written_by};
 use super::simd::vectorized;
 use super::team;
 use crate::invariance::samples;
+use crate::lengths::frames_of;
 
 /// What a convolution is, but for its tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,9 @@ pub struct Input<'a> {
     pub x: Rows<'a>,
     /// Statistics and parameters of the normalisation, where the plan has one.
     pub norm: Option<(&'a Statistics, NormParameters<'a>)>,
+    /// Frames of each sample that are multiplied, zeros standing for the others; a normalisation's
+    /// are the same.
+    pub lengths: Option<&'a [usize]>,
 }
 
 /// Which gradients a backward pass computes.
@@ -118,7 +122,7 @@ impl ConvolutionPlan {
             input.norm.is_some(),
             "a normalisation's tensors"
         );
-        if (self.upsample, self.norm) == (None, None) {
+        if (self.upsample, self.norm, input.lengths) == (None, None, None) {
             return Source::pad(x, phases);
         }
         let (before, after) = margins(phases, frames);
@@ -130,7 +134,10 @@ impl ConvolutionPlan {
                 (Some(plan), Some((statistics, parameters))) => {
                     norm::forward(x, statistics, &plan, &parameters, rows);
                 }
-                _ => copy(x, frames, rows, |time| time / 2),
+                _ => {
+                    let repeats = if self.upsample.is_some() { 2 } else { 1 };
+                    copy(x, frames, input.lengths, rows, |time| time / repeats);
+                }
             })
         };
         Source::Padded(padded, shape)
@@ -199,6 +206,9 @@ impl ConvolutionPlan {
             };
             let addends = Addends::default();
             let mut output = multiply_phases(&padded_gradient, &phases, weight, addends, shape);
+            if let (Some(lengths), None) = (input.lengths, self.norm) {
+                clear_padding(&mut output, shape, lengths);
+            }
             if self.upsample.is_some() {
                 output = fold_pairs(Rows::dense(&output, shape), x.time);
             }
@@ -226,7 +236,7 @@ impl<'a> Source<'a> {
         #[allow(unsafe_code)]
         let padded = unsafe {
             Padded::written_by(shape, before, after, |padded| {
-                copy(rows, rows.time, padded, |time| time);
+                copy(rows, rows.time, None, padded, |time| time);
             })
         };
         Self::Padded(padded, shape)
@@ -340,21 +350,37 @@ fn multiply_phases(
     }
 }
 
-/// Copies to each of `frames` rows the row that `from` names.
+/// Copies to each of `frames` rows the row that `from` names; from the sample's length on, zeros.
 fn copy(
     x: Rows<'_>,
     frames: usize,
+    lengths: Option<&[usize]>,
     output: SharedRows<'_, MaybeUninit<f32>>,
     from: impl Fn(usize) -> usize + Sync,
 ) {
     team::for_each(x.batch, |sample| {
+        let length = frames_of(lengths, sample, frames);
         for time in 0..frames {
             // SAFETY: a task owns its sample, and this is its only slice of the row.
             #[allow(unsafe_code)]
             let out = unsafe { output.segment(sample, time, 0, x.channels) };
-            out.write_copy_of_slice(x.row(sample, from(time)));
+            if time < length {
+                out.write_copy_of_slice(x.row(sample, from(time)));
+            } else {
+                out.fill(MaybeUninit::new(0.0));
+            }
         }
     });
+}
+
+/// Writes zeros to the rows from each sample's length on.
+fn clear_padding(rows: &mut [f32], [_, time, channels]: [usize; 3], lengths: &[usize]) {
+    if time * channels > 0 {
+        let samples = rows.chunks_exact_mut(time * channels);
+        for (sample, &length) in samples.zip(lengths) {
+            sample[length * channels..].fill(0.0);
+        }
+    }
 }
 
 /// Sums rows `2 t` and `2 t + 1`, where the second exists.

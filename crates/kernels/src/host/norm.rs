@@ -10,6 +10,7 @@ use super::activation::{Activation, Pointwise, with_activation};
 use super::rows::{ColumnTask, Rows, SharedRows, column_tasks};
 use super::simd::vectorized;
 use super::team;
+use crate::lengths::frames_of;
 
 /// What a group normalisation is, but for its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +35,8 @@ pub struct NormParameters<'a> {
     pub film: Option<&'a [f32]>,
     /// Factor of each element after the activation.
     pub mask: Option<Rows<'a>>,
+    /// Frames of each sample that are measured; the others become zeros.
+    pub lengths: Option<&'a [usize]>,
 }
 
 /// Mean and reciprocal deviation of each sample's groups.
@@ -60,12 +63,13 @@ struct Affine {
 }
 
 /// The statistics of every sample's groups: means first, then deviations from them, so that a
-/// large mean costs no digits.
-pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan) -> Statistics {
+/// large mean costs no digits. With `lengths` only so many frames of each sample are measured.
+pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan, lengths: Option<&[usize]>) -> Statistics {
     let size = x.channels / plan.groups;
     let tasks = column_tasks(x.batch, x.channels, size);
     let parts: Vec<Vec<[f32; 2]>> = team::map(tasks.len(), |task| {
         let task = tasks[task];
+        let x = x.first(frames_of(lengths, task.sample, x.time));
         let count = (size * x.time) as f64;
         let over_groups = |sums: &[f32]| -> Vec<f64> {
             sums.chunks(size)
@@ -160,7 +164,25 @@ pub(crate) fn forward(
         let affine = affine(task, x.channels, statistics, plan, parameters);
         with_activation!(plan.activation, |activation| vectorized(
             #[inline(always)]
-            || forward_task(x, task, &affine, parameters.mask, output, activation)
+            || {
+                let frames = frames_of(parameters.lengths, task.sample, x.time);
+                forward_task(
+                    x.first(frames),
+                    task,
+                    &affine,
+                    parameters.mask,
+                    output,
+                    activation,
+                );
+                for time in frames..x.time {
+                    // SAFETY: a task owns its columns of its sample, and this is its only slice of
+                    // them.
+                    #[allow(unsafe_code)]
+                    let out =
+                        unsafe { output.segment(task.sample, time, task.first, task.channels) };
+                    out.fill(MaybeUninit::new(0.0));
+                }
+            }
         ));
     });
 }
@@ -219,6 +241,13 @@ pub(crate) fn backward(
     let sums: Vec<(ColumnTask, Vec<[f32; 2]>)> = team::map(tasks.len(), |task| {
         let task = tasks[task];
         let affine = affine(task, channels, statistics, plan, parameters);
+        let frames = frames_of(parameters.lengths, task.sample, x.time);
+        for time in frames..x.time {
+            // SAFETY: a task owns its columns of its sample, and this is its only slice of them.
+            #[allow(unsafe_code)]
+            unsafe { output.segment(task.sample, time, task.first, task.channels) }.fill(0.0);
+        }
+        let x = x.first(frames);
         let sums = with_activation!(plan.activation, |activation| vectorized(
             #[inline(always)]
             || { backward_activation(x, task, &affine, parameters.mask, output, activation) }

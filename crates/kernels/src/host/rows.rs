@@ -51,6 +51,13 @@ impl<'a> Rows<'a> {
         dense
     }
 
+    /// The first `time` frames of every sample.
+    #[inline(always)]
+    pub fn first(self, time: usize) -> Self {
+        debug_assert!(time <= self.time, "frames");
+        Self { time, ..self }
+    }
+
     /// Channels `first..first + channels` of every frame.
     pub fn narrow(&self, first: usize, channels: usize) -> Self {
         assert!(first + channels <= self.channels, "channels");

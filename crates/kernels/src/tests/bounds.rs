@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::cases::{Leaf, Operation, Outcome};
+use super::cases::{Case, Leaf, Operation, Outcome};
 use super::fused::cases;
 use super::reference::reference_output;
 use crate::Mode;
@@ -42,6 +42,8 @@ proptest! {
         element in any::<usize>(),
         value in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY)],
     ) {
+        // What padding holds is not looked at by kernels and multiplied by zero without them.
+        let case = Case { padded: false, ..case };
         let leaves = case.leaves();
         let leaf = leaf.index(leaves.len());
         let leaves = with_value(&leaves, leaf, element, value);

@@ -4,8 +4,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
 use crate::{
-    Activation, Convolution, GroupNorm, concat_channels, cross_attention, gelu, layer_norm,
-    self_attention,
+    Activation, Convolution, GroupNorm, Lengths, concat_channels, cross_attention, gelu,
+    layer_norm, self_attention,
 };
 use crate::{Mode, linear};
 
@@ -72,6 +72,8 @@ pub struct Case {
     pub tracked: u16,
     /// Whether Burn computes what is cheap again in the backward pass.
     pub checkpointing: bool,
+    /// Whether samples are padded, each by another number of frames.
+    pub padded: bool,
     pub seed: u64,
 }
 
@@ -105,11 +107,31 @@ impl Case {
         let elements = match self.operation {
             Operation::LayerNorm => self.inputs,
             _ => match self.norm() {
-                Some(norm) => norm.group_channels * self.time,
+                Some(norm) => {
+                    let lengths = self.lengths();
+                    let shortest = lengths.and_then(|l| l.frames().iter().copied().min());
+                    norm.group_channels * shortest.unwrap_or(self.time)
+                }
                 None => return false,
             },
         };
         elements < 4
+    }
+
+    /// Frames of each sample that count, where there is padding: of the keys, or of the input as it
+    /// is multiplied.
+    pub fn lengths(&self) -> Option<Lengths> {
+        let time = match self.operation {
+            Operation::CrossAttention { keys, .. } => keys,
+            Operation::Convolution {
+                upsample: Some(even),
+                ..
+            } => 2 * self.time - usize::from(!even),
+            _ => self.time,
+        };
+        let of_sample = |sample| time - (sample * 5 + self.seed as usize % 7) % time;
+        self.padded
+            .then(|| Lengths::new((0..self.batch).map(of_sample)))
     }
 
     /// Every tensor that goes in, `x` first.
@@ -319,7 +341,8 @@ impl Case {
             let groups = self.inputs / norm.group_channels;
             let operation = GroupNorm::new(flat("norm_weight"), flat("norm_bias"), groups, 1e-5)
                 .activation(norm.activation)
-                .mask(named("mask"));
+                .mask(named("mask"))
+                .lengths(self.lengths());
             if norm.film {
                 operation.film(take("film").squeeze_dim(0))
             } else {
@@ -355,13 +378,18 @@ impl Case {
                 if let Some(even) = upsample {
                     operation = operation.upsample(2 * self.time - usize::from(!even));
                 }
+                if given.is_none() {
+                    operation = operation.lengths(self.lengths());
+                }
                 operation.forward(x)
             }
             Operation::GroupNorm(given) => norm(given).forward(x),
             Operation::CrossAttention { num_heads, .. } => {
-                cross_attention(x, take("keys_values"), num_heads)
+                cross_attention(x, take("keys_values"), num_heads, self.lengths().as_ref())
             }
-            Operation::SelfAttention { num_heads } => self_attention(x, num_heads),
+            Operation::SelfAttention { num_heads } => {
+                self_attention(x, num_heads, self.lengths().as_ref())
+            }
             Operation::Concat { .. } => concat_channels(x, take("second")),
             Operation::Gelu => gelu(x.mul_scalar(3.0)),
             Operation::LayerNorm => {

@@ -61,6 +61,8 @@ impl Tensors<'_> {
 
 fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
     let x = tensors.get("x").clone();
+    let lengths = case.lengths();
+    let counts = |b: usize, t: usize| lengths.as_ref().is_none_or(|l| t < l.frames()[b]);
     match case.operation {
         Operation::Convolution {
             kernel,
@@ -71,7 +73,7 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
             ..
         } => {
             let x = match norm {
-                Some(norm) => group_norm(x, norm, tensors),
+                Some(norm) => group_norm(x, norm, tensors, &counts),
                 None => x,
             };
             let x = match upsample {
@@ -82,6 +84,10 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
                 }
                 None => x,
             };
+            let x = Frames::from_fn(
+                x.shape,
+                |b, c, t| if counts(b, t) { x.at(b, c, t) } else { 0.0 },
+            );
             let mut y = Frames::zeros([case.batch, case.outputs, case.frames()]);
             if let Some(residual) = tensors.find("residual") {
                 y = residual.clone();
@@ -119,10 +125,17 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
             }
             y
         }
-        Operation::GroupNorm(norm) => group_norm(x, norm, tensors),
+        Operation::GroupNorm(norm) => group_norm(x, norm, tensors, &counts),
         Operation::CrossAttention { num_heads, .. } => {
             let other = tensors.get("keys_values");
-            attention(case, num_heads, &x, (other, 0), (other, case.inputs))
+            attention(
+                case,
+                num_heads,
+                &x,
+                (other, 0),
+                (other, case.inputs),
+                &counts,
+            )
         }
         Operation::SelfAttention { num_heads } => attention(
             case,
@@ -130,6 +143,7 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
             &x,
             (&x, case.inputs),
             (&x, 2 * case.inputs),
+            &counts,
         ),
         Operation::Concat { second: channels } => {
             let second = tensors.get("second");
@@ -157,7 +171,7 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
             let turned = Frames::from_fn([case.batch * case.time, case.inputs, 1], |r, c, _| {
                 x.at(r / case.time, c, r % case.time)
             });
-            let y = group_norm(turned, norm, tensors);
+            let y = group_norm(turned, norm, tensors, &|_, _| true);
             Frames::from_fn(x.shape, |b, c, t| y.at(b * case.time + t, c, 0))
         }
         Operation::Linear => {
@@ -184,11 +198,20 @@ fn erf(x: f64) -> f64 {
     sum * 2.0 / std::f64::consts::PI.sqrt()
 }
 
-fn group_norm(x: Frames, norm: Norm, tensors: &Tensors<'_>) -> Frames {
+fn group_norm(
+    x: Frames,
+    norm: Norm,
+    tensors: &Tensors<'_>,
+    counts: &dyn Fn(usize, usize) -> bool,
+) -> Frames {
     let [_, channels, time] = x.shape;
-    let count = (norm.group_channels * time) as f64;
     let (weight, bias) = (tensors.get("norm_weight"), tensors.get("norm_bias"));
     Frames::from_fn(x.shape, |b, c, t| {
+        if !counts(b, t) {
+            return 0.0;
+        }
+        let time = (0..time).filter(|&t| counts(b, t)).count();
+        let count = (norm.group_channels * time) as f64;
         let first = c / norm.group_channels * norm.group_channels;
         let group =
             || (first..first + norm.group_channels).flat_map(|c| (0..time).map(move |t| (c, t)));
@@ -217,11 +240,13 @@ fn attention(
     queries: &Frames,
     (keys, first_key): (&Frames, usize),
     (values, first_value): (&Frames, usize),
+    counts: &dyn Fn(usize, usize) -> bool,
 ) -> Frames {
     let head = case.inputs / num_heads;
     Frames::from_fn([case.batch, case.inputs, case.time], |b, c, t| {
         let first = c / head * head;
         let weights: Vec<f64> = (0..keys.shape[2])
+            .filter(|&s| counts(b, s))
             .map(|s| {
                 let products = (first..first + head)
                     .map(|c| queries.at(b, c, t) * keys.at(b, first_key + c, s));

@@ -40,12 +40,18 @@ impl UNet1d {
         let conv = |name, layer| adapting.layer(LoraTarget::Convolution, name, layer);
         let (enc, mid, dec) = (adapting.at("enc"), adapting.at("mid"), adapting.at("dec"));
         Self {
-            audio_proj: adapting.layer(LoraTarget::Conditioning, "audio_proj", self.audio_proj),
+            audio_proj: self
+                .audio_proj
+                .map(|layer| adapting.layer(LoraTarget::Conditioning, "audio_proj", layer)),
+            audio: self
+                .audio
+                .map(|encoder| encoder.adapting(&adapting.at("audio"))),
             input_conv: conv("input_conv", self.input_conv),
             enc: numbered(self.enc, &enc, |level, at| EncoderLevel {
                 res: numbered(level.res, &at.at("res"), ResBlock::adapting),
                 attn: optional_attention(level.attn, at),
                 down: optional_convolution("down", level.down, at),
+                audio: joining(level.audio, at),
             }),
             mid: Bottleneck {
                 res1: self.mid.res1.adapting(&mid.at("res1")),
@@ -56,6 +62,7 @@ impl UNet1d {
                 res: numbered(level.res, &at.at("res"), ResBlock::adapting),
                 attn: optional_attention(level.attn, at),
                 up: optional_convolution("up", level.up, at),
+                audio: joining(level.audio, at),
             }),
             output_conv: conv("output_conv", self.output_conv),
             ..self
@@ -88,6 +95,10 @@ fn optional_convolution(
     adapting: &Adapting<'_>,
 ) -> Option<Conv1d> {
     layer.map(|layer| adapting.layer(LoraTarget::Convolution, name, layer))
+}
+
+fn joining(layer: Option<Conv1d>, adapting: &Adapting<'_>) -> Option<Conv1d> {
+    layer.map(|layer| adapting.layer(LoraTarget::Conditioning, "audio", layer))
 }
 
 #[cfg(test)]

@@ -192,7 +192,7 @@ impl Generator {
                     &self.diffusion,
                     &self.unet,
                     on_device(start.flatten().collect(), drawn),
-                    &on_device(heard.flatten().collect(), channels),
+                    &on_device(heard.flatten().collect(), channels).into(),
                     &sampling.sampler,
                     &sampling.clip.range(normalization, drawn)?,
                     NoiseKeys::Samples(&of_steps),

@@ -134,7 +134,7 @@ impl Generator {
                     part.as_slice().to_vec()
                 });
                 let cond = [batch.len(), whole.audio.channels(), windows.length()];
-                let cond = self.on_device(heard.flatten().collect(), cond);
+                let cond = self.on_device(heard.flatten().collect(), cond).into();
                 let x = x.clone().narrow(0, batch.start, batch.len());
                 // Each window as if it were drawn alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {

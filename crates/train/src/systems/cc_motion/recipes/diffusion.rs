@@ -11,7 +11,7 @@
 use burn::tensor::Device;
 use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::UNet1d;
+use kinegrad_models::{AudioCondition, UNet1d};
 
 use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
 use crate::recipe::Loss;
@@ -32,12 +32,16 @@ pub(super) fn denoising_loss(
     draws: Draws,
     weighted: bool,
 ) -> Loss {
+    let lengths = inputs.lengths.clone();
     let weights = weighted.then(|| diffusion.loss_weights(&draws.timesteps));
     crate::denoising::denoising_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, cond, dropout| unet.forward(x_t, time, cond.get(AUDIO).clone(), dropout),
+        |x_t, time, cond, dropout| {
+            let features = cond.get(AUDIO).clone();
+            unet.forward(x_t, time, AudioCondition { features, lengths }, dropout)
+        },
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             diffusion_loss(

@@ -18,13 +18,13 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use kinegrad_data::{AUDIO, Batch};
+use kinegrad_data::Batch;
 use kinegrad_diffusion::{Trace, rollout_timesteps};
-use kinegrad_models::{DropoutKey, GradientSum, MotionModel};
+use kinegrad_models::{AudioCondition, DropoutKey, GradientSum, MotionModel};
 use kinegrad_random::Purpose;
 
-use super::Rollouts;
 use super::diffusion::{denoising_loss, denoising_validation_loss};
+use super::{Rollouts, heard};
 use crate::denoising::{Draws, HeldOut, Inputs, noise};
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
 use crate::systems::cc_motion::LossConfig;
@@ -44,7 +44,7 @@ pub struct E2eRecipe {
 #[derive(Debug)]
 pub struct PendingRollout {
     trace: Trace,
-    cond: Tensor<3>,
+    cond: AudioCondition,
 }
 
 /// What is random in the loss of one batch.
@@ -90,6 +90,7 @@ impl E2eRecipe {
         let mut terms = vec![("diffusion", total.clone())];
 
         // 2. A rollout, with gradients as `rollout.mode` keeps them.
+        let cond = heard(&inputs);
         let output = self
             .rollouts
             .rollout
@@ -97,15 +98,12 @@ impl E2eRecipe {
                 &model.unet,
                 &model.unet.valid(),
                 self.rollouts.start(&inputs.x_start, start_noise, &starts),
-                inputs.cond.get(AUDIO),
+                &cond,
                 &rollout_timesteps(&starts, self.rollouts.config.steps),
                 self.rollouts.config.graph(),
             )
             .expect("bounds of all channels");
-        let pending = output.trace.map(|trace| PendingRollout {
-            trace,
-            cond: inputs.cond.get(AUDIO).clone(),
-        });
+        let pending = output.trace.map(|trace| PendingRollout { trace, cond });
 
         // 3. Its latent decoded, compared with the ground truth, and with itself.
         let decoded = model.decoder.forward(output.x.clone(), decoder_dropout);

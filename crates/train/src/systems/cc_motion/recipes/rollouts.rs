@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, Rollout, RolloutMode, rollout_timesteps};
 use kinegrad_models::UNet1d;
 use kinegrad_models::targets::decode;
@@ -116,7 +115,7 @@ impl Rollouts {
             unet,
             unet,
             self.start(&inputs.x_start, noise, starts),
-            inputs.cond.get(AUDIO),
+            &super::heard(inputs),
             &rollout_timesteps(starts, self.config.steps),
             RolloutMode::LastK(0),
         );

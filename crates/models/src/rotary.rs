@@ -1,0 +1,99 @@
+//! Rotary positions (Su et al. 2021, <https://arxiv.org/abs/2104.09864>).
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+/// Turns the channels of each head by the frame's position, so that the product of a query and a
+/// key depends on how far apart their frames are, and on where neither stands:
+///
+/// ```text
+/// [a_i | b_i] -> [a_i cos(t f_i) - b_i sin(t f_i) | a_i sin(t f_i) + b_i cos(t f_i)]
+/// f_i = 10000^(-i / h)
+/// ```
+///
+/// with `a` the first and `b` the second half of a head's `2 h` channels.
+///
+/// # Shapes
+/// - x, output: `[batch, channels, time]`, the channels of a head lying together and even in number
+pub fn rotate(x: Tensor<3>, num_heads: usize) -> Tensor<3> {
+    let [batch, channels, time] = x.dims();
+    let half = channels / num_heads / 2;
+    let [cos, sin] = tables(half, time, &x.device());
+    let halves = x.reshape([batch, num_heads, 2, half, time]);
+    let part = |index: usize| halves.clone().narrow(2, index, 1);
+    let (a, b) = (part(0), part(1));
+    let turned = vec![
+        a.clone() * cos.clone() - b.clone() * sin.clone(),
+        a * sin + b * cos,
+    ];
+    Tensor::cat(turned, 2).reshape([batch, channels, time])
+}
+
+/// Cosine and sine of each angle: `[1, 1, 1, half, time]`. Computed on the host in double
+/// precision, as the embedding of timesteps is.
+fn tables(half: usize, time: usize, device: &Device) -> [Tensor<5>; 2] {
+    let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
+    let angles: Vec<f64> = frequencies
+        .flat_map(|frequency| (0..time).map(move |t| t as f64 * frequency))
+        .collect();
+    [f64::cos, f64::sin].map(|of| {
+        let values: Vec<f32> = angles.iter().map(|&angle| of(angle) as f32).collect();
+        Tensor::from_data(TensorData::new(values, [1, 1, 1, half, time]), device)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADS: usize = 3;
+
+    /// The same vector of 2 heads' worth of channels in every frame.
+    fn constant(values: &[f32], time: usize) -> Tensor<3> {
+        let repeated: Vec<f32> = values.iter().flat_map(|&v| vec![v; time]).collect();
+        let data = TensorData::new(repeated, [1, values.len(), time]);
+        Tensor::from_data(data, &Device::flex())
+    }
+
+    /// Products of queries and keys of each head: `[heads, time, time]`.
+    fn scores(time: usize) -> Vec<f32> {
+        let draw = |phase: f32| -> Vec<f32> {
+            let channels = HEADS * 6;
+            (0..channels)
+                .map(|i| (1.3 * i as f32 + phase).sin())
+                .collect()
+        };
+        let heads = |phase: f32| {
+            let turned = rotate(constant(&draw(phase), time), HEADS);
+            turned.reshape([HEADS, 6, time])
+        };
+        let products = heads(0.0).swap_dims(1, 2).matmul(heads(2.0));
+        products.try_into_vec_as::<f32>().expect("float32")
+    }
+
+    #[test]
+    fn products_depend_on_the_distance_of_two_frames_alone() {
+        let time = 7;
+        let scores = scores(time);
+        for head in scores.chunks(time * time) {
+            let at = |query: usize, key: usize| head[query * time + key];
+            for query in 1..time {
+                for key in 1..time {
+                    assert!((at(query, key) - at(query - 1, key - 1)).abs() < 1e-5);
+                }
+            }
+            let spread = (1..time).map(|key| (at(0, key) - at(0, 0)).abs());
+            assert!(spread.fold(0.0, f32::max) > 0.05, "{head:?}");
+        }
+    }
+
+    #[test]
+    fn the_first_frame_stays_and_lengths_are_kept() {
+        let x = constant(&[0.5, -1.0, 2.0, 3.0], 4);
+        let turned = rotate(x.clone(), 1);
+        let first = |x: &Tensor<3>| x.clone().narrow(2, 0, 1);
+        assert_eq!(first(&turned).into_data(), first(&x).into_data());
+        let lengths = |x: Tensor<3>| x.square().sum_dim(1);
+        let apart = (lengths(turned) - lengths(x)).abs().max();
+        assert!(apart.into_scalar::<f32>() < 1e-5);
+    }
+}

@@ -1,0 +1,191 @@
+//! How the audio features reach the levels of the UNet.
+
+use burn::module::Module;
+use burn::tensor::Tensor;
+use kinegrad_kernels::{Activation, Convolution, Lengths};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Initializer;
+use crate::layers::{Conv1d, GROUPS, GroupNorm};
+use crate::lora::{Adapting, LoraTarget};
+
+/// Taps of the encoder's convolutions, but for those that halve the length.
+const KERNEL: usize = 5;
+
+/// How the audio features are fed into the network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AudioConditioning {
+    /// CC-MotionGen: a linear layer per frame, and cross-attention without positions to all frames.
+    /// Attention is over a set, so the network cannot tell when something sounds. Padding is taken
+    /// for motion.
+    #[default]
+    Document,
+    /// A temporal convolution encoder whose output joins each level frame by frame, and
+    /// cross-attention with rotary positions. Padding takes no part.
+    Aligned,
+}
+
+/// What a batch of motion is conditioned on.
+#[derive(Clone, Debug)]
+pub struct AudioCondition {
+    /// Audio features, `[batch, cond_channels, time]`; zeros are the null condition.
+    pub features: Tensor<3>,
+    /// Frames of each sample that are not padding; all where nothing is said.
+    /// [`AudioConditioning::Document`] does not look at them.
+    pub lengths: Option<Lengths>,
+}
+
+impl AudioCondition {
+    /// The condition without audio: features of zeros, in aligned networks what the encoder's
+    /// biases make of them, which is learned.
+    #[must_use]
+    pub fn null(&self) -> Self {
+        Self {
+            features: self.features.zeros_like(),
+            lengths: self.lengths.clone(),
+        }
+    }
+}
+
+impl From<Tensor<3>> for AudioCondition {
+    /// Features of clips without padding.
+    fn from(features: Tensor<3>) -> Self {
+        Self {
+            features,
+            lengths: None,
+        }
+    }
+}
+
+/// What each level of the UNet hears.
+pub(super) struct Heard(Vec<(Tensor<3>, Option<Lengths>)>);
+
+impl Heard {
+    /// The same at every level, as a set of frames.
+    pub fn everywhere(context: Tensor<3>, levels: usize) -> Self {
+        Self(vec![(context, None); levels])
+    }
+
+    /// At level `level`: `[batch, width, time of the level]`.
+    pub fn context(&self, level: usize) -> Tensor<3> {
+        self.0[level].0.clone()
+    }
+
+    /// Frames of each sample that are not padding at a level.
+    pub fn lengths(&self, level: usize) -> Option<&Lengths> {
+        self.0[level].1.as_ref()
+    }
+
+    /// `convolution`, whose output is at `level`, with what is heard there added to it.
+    pub fn join(
+        &self,
+        layer: &Option<Conv1d>,
+        level: usize,
+        convolution: Convolution,
+    ) -> Convolution {
+        match layer {
+            Some(layer) => convolution.residual(layer.forward(self.context(level))),
+            None => convolution,
+        }
+    }
+}
+
+/// The audio encoder: features of the UNet's own lengths and of its levels' widths, at most
+/// `context_dim`.
+///
+/// ```text
+/// a_0 = block(conv5(features))        block(a) = a + conv5(silu(norm(a)))
+/// a_i = block(conv3 with stride 2(a_(i-1)))
+/// ```
+///
+/// Lengths are halved as the UNet halves them: frame `j` of a level is centred on frame `2 j` of the
+/// finer one, and `n` frames become `ceil(n / 2)`, so that frame `j` of `a_i` and frame `j` of the
+/// UNet's level `i` are the same time whatever the length.
+#[derive(Module, Debug)]
+pub(super) struct AudioEncoder {
+    stem: Conv1d,
+    levels: Vec<AudioLevel>,
+}
+
+/// One level of the encoder.
+#[derive(Module, Debug)]
+struct AudioLevel {
+    down: Option<Conv1d>,
+    norm: GroupNorm,
+    conv: Conv1d,
+}
+
+/// Channels of the encoder's levels under a UNet of these channels.
+pub(super) fn widths(channels: &[usize], context_dim: usize) -> Vec<usize> {
+    channels
+        .iter()
+        .map(|&width| width.min(context_dim))
+        .collect()
+}
+
+impl AudioEncoder {
+    /// An encoder of `inputs` features with levels of these `widths`, multiples of 32.
+    pub fn new(inputs: usize, widths: &[usize], init: &Initializer) -> Self {
+        let level = |level: usize| {
+            let init = init.at("levels").at(&level.to_string());
+            let width = widths[level];
+            AudioLevel {
+                down: (level > 0)
+                    .then(|| Conv1d::strided(widths[level - 1], width, 3, 2, &init.at("down"))),
+                norm: GroupNorm::new(width, GROUPS, &init.at("norm")),
+                conv: Conv1d::new(width, width, KERNEL, &init.at("conv")),
+            }
+        };
+        Self {
+            stem: Conv1d::new(inputs, widths[0], KERNEL, &init.at("stem")),
+            levels: (0..widths.len()).map(level).collect(),
+        }
+    }
+
+    /// What each level hears.
+    ///
+    /// # Shapes
+    /// - features: `[batch, inputs, time]`
+    pub fn forward(&self, cond: AudioCondition) -> Heard {
+        let AudioCondition {
+            features,
+            mut lengths,
+        } = cond;
+        let stem = self.stem.operation().lengths(lengths.clone());
+        let mut h = stem.forward(features);
+        let mut heard = Vec::with_capacity(self.levels.len());
+        for level in &self.levels {
+            if let Some(down) = &level.down {
+                h = down.operation().lengths(lengths.clone()).forward(h);
+                lengths = lengths.map(|lengths| lengths.halved());
+            }
+            let norm = level.norm.operation().activation(Activation::Silu);
+            let conv = level.conv.operation().norm(norm.lengths(lengths.clone()));
+            h = conv.residual(h.clone()).forward(h);
+            heard.push((h.clone(), lengths.clone()));
+        }
+        Heard(heard)
+    }
+
+    pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
+        let layer =
+            |at: &Adapting<'_>, name: &str, conv| at.layer(LoraTarget::Conditioning, name, conv);
+        let of_levels = adapting.at("levels");
+        let levels = self.levels.into_iter().enumerate();
+        Self {
+            stem: layer(adapting, "stem", self.stem),
+            levels: levels
+                .map(|(index, level)| {
+                    let at = of_levels.at(&index.to_string());
+                    AudioLevel {
+                        down: level.down.map(|down| layer(&at, "down", down)),
+                        conv: layer(&at, "conv", level.conv),
+                        ..level
+                    }
+                })
+                .collect(),
+        }
+    }
+}
