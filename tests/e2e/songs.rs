@@ -134,7 +134,11 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
     sandbox
         .run("audio features song.wav --out features")
         .succeeded();
-    let audio = load_audio(&sandbox.path("features/song/features.npz"), AudioLayout::DOCUMENT).expect("features");
+    let audio = load_audio(
+        &sandbox.path("features/song/features.npz"),
+        AudioLayout::DOCUMENT,
+    )
+    .expect("features");
     let audio = audio.slice(0..95);
     let checkpoint = sandbox.path("runs/smallest/checkpoints/step-00000004");
     let generator =
