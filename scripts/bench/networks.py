@@ -18,6 +18,7 @@ def unet1d(model: dict[str, Any]) -> UNet1d:
         mult=tuple(model["channel_mult"]),
         time_dim=model["time_embed_dim"],
         ctx_dim=model["context_dim"],
+        aligned=model.get("audio_conditioning") == "aligned",
     )
     return UNet1d(config)
 

@@ -1,6 +1,7 @@
 //! The binary, from the command line to what it leaves on disk. Each test has a folder of its own;
 //! none changes the environment or the current directory of this process.
 
+mod aligned;
 mod bad_input;
 mod beats;
 mod checking;

@@ -160,6 +160,20 @@ fn killed_fine_tuning_with_other_targets_ends_the_same() {
     check_kills(&format!("{FINE_TUNING} {TARGETS}"));
 }
 
+/// A network that hears time, in clips of 10 to 24 frames.
+const ALIGNED: &str = "--set model.audio_conditioning=aligned --set data.augment.min_frames=10 \
+    --set data.audio_features=[\"document\",\"beats\"]";
+
+#[test]
+fn killed_run_with_aligned_conditioning_ends_the_same() {
+    check_kills(&format!("{ALIGNED} --set data.num_workers=1"));
+}
+
+#[test]
+fn killed_fine_tuning_with_aligned_conditioning_ends_the_same() {
+    check_kills(&format!("{FINE_TUNING} {ALIGNED} --set lora.rank=2"));
+}
+
 #[test]
 fn killed_fine_tuning_ends_the_same() {
     check_kills(FINE_TUNING);

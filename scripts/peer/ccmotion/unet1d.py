@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ccmotion.aligned import AudioEncoder, rotate
+
 MOTION_CHANNELS = 25
 AUDIO_CHANNELS = 163
 GROUPS = 32
@@ -25,6 +27,12 @@ class UNetConfig:
     mult: tuple[int, ...] = (1, 2, 4, 8)
     time_dim: int = 256
     ctx_dim: int = 256
+    aligned: bool = False
+    """Whether each level hears its own frames, instead of a set of all."""
+
+    def heard(self, level: int) -> int:
+        """Channels of what a level hears."""
+        return min(self.base * self.mult[level], self.ctx_dim) if self.aligned else self.ctx_dim
 
 
 def sinusoidal(timesteps: Tensor, dim: int) -> Tensor:
@@ -62,8 +70,9 @@ class ResBlock(nn.Module):
 class AttentionBlock(nn.Module):
     """Self-attention over frames, then cross-attention to the audio context, both residual."""
 
-    def __init__(self, channels: int, ctx_dim: int) -> None:
+    def __init__(self, channels: int, ctx_dim: int, *, positions: bool) -> None:
         super().__init__()
+        self.positions = positions
         self.norm = nn.GroupNorm(GROUPS, channels)
         self.qkv = nn.Conv1d(channels, 3 * channels, 1)
         self.proj = nn.Conv1d(channels, channels, 1)
@@ -76,8 +85,11 @@ class AttentionBlock(nn.Module):
         """`x [B, C, T]`, `context [B, ctx_dim, S]`; returns `[B, C, T]`."""
         query, key, value = self.qkv(self.norm(x)).chunk(3, dim=1)
         x = x + self.proj(attention(query, key, value))
+        query = self.q_cross(self.cross_norm(x))
         key, value = self.kv_cross(context).chunk(2, dim=1)
-        return x + self.proj_cross(attention(self.q_cross(self.cross_norm(x)), key, value))
+        if self.positions:
+            query, key = rotate(query, HEADS), rotate(key, HEADS)
+        return x + self.proj_cross(attention(query, key, value))
 
 
 def attention(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
@@ -99,7 +111,7 @@ class EncoderLevel(nn.Module):
     """Two residual blocks, attention below the first level, and a strided convolution."""
 
     def __init__(
-        self, config: UNetConfig, in_channels: int, channels: int, *, first: bool, last: bool
+        self, config: UNetConfig, level: int, in_channels: int, channels: int, *, last: bool
     ) -> None:
         super().__init__()
         self.res = nn.ModuleList(
@@ -108,7 +120,12 @@ class EncoderLevel(nn.Module):
                 ResBlock(channels, channels, config.time_dim),
             ]
         )
-        self.attn = None if first else AttentionBlock(channels, config.ctx_dim)
+        self.audio = nn.Conv1d(config.heard(level), in_channels, 1) if config.aligned else None
+        self.attn = (
+            None
+            if level == 0
+            else AttentionBlock(channels, config.heard(level), positions=config.aligned)
+        )
         self.down = None if last else nn.Conv1d(channels, channels, 3, stride=2, padding=1)
 
     def forward(self, h: Tensor, time_emb: Tensor, context: Tensor) -> Tensor:
@@ -124,7 +141,8 @@ class Bottleneck(nn.Module):
     def __init__(self, config: UNetConfig, channels: int) -> None:
         super().__init__()
         self.res1 = ResBlock(channels, channels, config.time_dim)
-        self.attn = AttentionBlock(channels, config.ctx_dim)
+        heard = config.heard(len(config.mult) - 1)
+        self.attn = AttentionBlock(channels, heard, positions=config.aligned)
         self.res2 = ResBlock(channels, channels, config.time_dim)
 
     def forward(self, h: Tensor, time_emb: Tensor, context: Tensor) -> Tensor:
@@ -136,15 +154,19 @@ class DecoderLevel(nn.Module):
     attention; then nearest-neighbour upsampling to the next skip and a convolution."""
 
     def __init__(
-        self, config: UNetConfig, in_channels: int, channels: int, *, first: bool, last: bool
+        self, config: UNetConfig, level: int, in_channels: int, channels: int, *, last: bool
     ) -> None:
         super().__init__()
+        first = level == 0
         self.res = nn.ModuleList([ResBlock(in_channels, channels, config.time_dim)])
         if first or last:
             self.res.append(ResBlock(channels, channels, config.time_dim))
             self.attn = None
         else:
-            self.attn = AttentionBlock(channels, config.ctx_dim)
+            heard = config.heard(level)
+            self.attn = AttentionBlock(channels, heard, positions=config.aligned)
+        joins = config.aligned and not last
+        self.audio = nn.Conv1d(config.heard(level), in_channels // 2, 1) if joins else None
         self.up = None if first else nn.Conv1d(channels, channels, 3, padding=1)
 
     def forward(
@@ -173,16 +195,20 @@ class UNet1d(nn.Module):
             nn.SiLU(),
             nn.Linear(config.time_dim, config.time_dim),
         )
-        self.audio_proj = nn.Linear(AUDIO_CHANNELS, config.ctx_dim)
+        if config.aligned:
+            heard = [config.heard(level) for level in range(len(widths))]
+            self.audio_proj, self.audio = None, AudioEncoder(AUDIO_CHANNELS, heard)
+        else:
+            self.audio_proj, self.audio = nn.Linear(AUDIO_CHANNELS, config.ctx_dim), None
         self.input_conv = nn.Conv1d(MOTION_CHANNELS, widths[0], 3, padding=1)
         self.enc = nn.ModuleList(
-            EncoderLevel(config, widths[max(i - 1, 0)], width, first=i == 0, last=i == last)
+            EncoderLevel(config, i, widths[max(i - 1, 0)], width, last=i == last)
             for i, width in enumerate(widths)
         )
         self.mid = Bottleneck(config, widths[-1])
         # Level i receives the width of level i + 1's output, which is widths[i].
         self.dec = nn.ModuleList(
-            DecoderLevel(config, 2 * width, widths[max(i - 1, 0)], first=i == 0, last=i == last)
+            DecoderLevel(config, i, 2 * width, widths[max(i - 1, 0)], last=i == last)
             for i, width in enumerate(widths)
         )
         self.output_conv = nn.Conv1d(widths[0], MOTION_CHANNELS, 3, padding=1)
@@ -190,16 +216,24 @@ class UNet1d(nn.Module):
     def forward(self, x: Tensor, timesteps: Tensor, cond: Tensor) -> Tensor:
         """`x [B, 25, T]`, `timesteps [B]`, `cond [B, 163, T]`; returns `[B, 25, T]`."""
         time_emb = self.time_embed(sinusoidal(timesteps, self.config.time_dim).to(x.dtype))
-        context = self.audio_proj(cond.transpose(1, 2)).transpose(1, 2)
+        if self.audio is None:
+            context = self.audio_proj(cond.transpose(1, 2)).transpose(1, 2)
+            heard = [context] * len(self.enc)
+        else:
+            heard = self.audio(cond)
         h = self.input_conv(x)
         skips = []
-        for level in self.enc:
-            h = level(h, time_emb, context)
+        for i, level in enumerate(self.enc):
+            if level.audio is not None:
+                h = h + level.audio(heard[i])
+            h = level(h, time_emb, heard[i])
             skips.append(h)
             if level.down is not None:
                 h = level.down(h)
-        h = self.mid(h, time_emb, context)
+        h = self.mid(h, time_emb, heard[-1])
         for i in reversed(range(len(self.dec))):
             next_length = skips[max(i - 1, 0)].shape[-1]
-            h = self.dec[i](h, skips[i], next_length, time_emb, context)
+            h = self.dec[i](h, skips[i], next_length, time_emb, heard[i])
+            if i > 0 and self.dec[i - 1].audio is not None:
+                h = h + self.dec[i - 1].audio(heard[i - 1])
         return self.output_conv(h)

@@ -1,0 +1,103 @@
+//! Networks that hear when something sounds (`model.audio_conditioning = "aligned"`), beside those
+//! that do not.
+
+use std::fs;
+use std::path::Path;
+
+use kinegrad_data::{AudioFeatures, read_features, read_motion, write_features};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+
+/// Clips of 10 to 24 frames give batches of different lengths.
+const SETTINGS: &str = "--set train.max_steps=12 --set data.augment.min_frames=10";
+
+/// A sandbox with a run of each conditioning and the features of a phrase, 37 frames long.
+fn trained() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    for name in ["document", "aligned"] {
+        sandbox
+            .run(&format!(
+                "train c.toml --name {name} --set model.audio_conditioning={name} {SETTINGS}"
+            ))
+            .succeeded();
+    }
+    sandbox
+        .run("data synth --out set --phrases 2 --frames 37")
+        .succeeded();
+    sandbox
+}
+
+/// The features with the frames of `order`, as a file.
+fn write_ordered(sandbox: &Sandbox, name: &str, order: impl Iterator<Item = usize>) {
+    let path = sandbox.path("set/audio_features/synthetic_00001/features.npz");
+    let features = read_features(&path).expect("features");
+    let frames = features.frames();
+    let order: Vec<usize> = order.collect();
+    assert_eq!(order.len(), frames);
+    let values = features.as_slice().chunks(frames);
+    let values = values.flat_map(|channel| order.iter().map(|&t| channel[t]));
+    let ordered = AudioFeatures::new(frames, values.collect()).expect("as many features");
+    write_features(&sandbox.path(name), &ordered).expect("a file");
+}
+
+fn apart(one: &Path, other: &Path) -> f32 {
+    let [one, other] = [one, other].map(|path| read_motion(path).expect("a motion"));
+    assert_eq!((one.frames(), other.frames()), (37, 37));
+    let pairs = one.as_slice().iter().zip(other.as_slice());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn the_order_of_the_music_matters_to_samples_of_aligned_runs_alone() {
+    let sandbox = trained();
+    write_ordered(&sandbox, "own.npz", 0..37);
+    write_ordered(&sandbox, "reversed.npz", (0..37).rev());
+    write_ordered(&sandbox, "rolled.npz", (0..37).map(|t| (t + 5) % 37));
+    for (run, hears) in [("document", false), ("aligned", true)] {
+        for cond in ["own", "reversed", "rolled"] {
+            sandbox
+                .run(&format!(
+                    "sample runs/{run} --cond {cond}.npz --steps 3 --seed 5 --out {run}-{cond} -q"
+                ))
+                .succeeded();
+        }
+        let own = sandbox.path(format!("{run}-own.raw.npy"));
+        for cond in ["reversed", "rolled"] {
+            let changed = apart(&own, &sandbox.path(format!("{run}-{cond}.raw.npy")));
+            match hears {
+                true => assert!(changed > 1e-2, "{run} {cond}: {changed}"),
+                false => assert!(changed < 1e-3, "{run} {cond}: {changed}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fine_tuning_hears_as_its_base_does() {
+    let sandbox = trained();
+    let tuning = "train c.toml --name tuned --set train.recipe=e2e --set init.diffusion=runs/aligned \
+                  --set init.pretrain.decoder_steps=4 --set decoder.hidden_dim=32 \
+                  --set rollout.steps=2 --set train.max_steps=4";
+    sandbox
+        .run(&format!("{tuning} --set model.audio_conditioning=document"))
+        .failed(2, &["model.audio_conditioning"]);
+    sandbox
+        .run(&format!("{tuning} --set model.audio_conditioning=aligned"))
+        .succeeded();
+    sandbox
+        .run("sample runs/tuned --steps 2 --frames 31 --out tuned")
+        .succeeded();
+    let motion = read_motion(&sandbox.path("tuned.npy")).expect("a motion");
+    assert_eq!(motion.frames(), 31);
+    // An older config says nothing, and means what it meant.
+    let saved = fs::read_to_string(sandbox.path("runs/document/config.toml")).expect("a config");
+    let older: Vec<&str> = saved
+        .lines()
+        .filter(|line| !line.starts_with("audio_conditioning"))
+        .collect();
+    assert!(older.len() < saved.lines().count());
+    sandbox.write("runs/document/config.toml", older.join("\n"));
+    sandbox
+        .run("train --resume runs/document --set train.max_steps=14")
+        .succeeded();
+}
