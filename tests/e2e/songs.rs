@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::ops::ControlFlow;
+use std::ops::Range;
 use std::path::Path;
 
 use burn::tensor::Device;
@@ -291,7 +292,10 @@ fn frames_that_cannot_be_kept_are_refused() {
             .failed(2, &[option, "clips of joint features"]);
     }
     let given = Given::these(Path::new("m.npy"), "1..2").expect("a range");
-    assert_eq!(given.frames, GivenFrames::These(vec![1..2]));
+    assert_eq!(
+        given.frames,
+        GivenFrames::These(Vec::from([Range { start: 1, end: 2 }]))
+    );
 }
 
 #[test]

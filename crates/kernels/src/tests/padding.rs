@@ -114,7 +114,7 @@ fn padding_has_no_gradient() {
                 .lengths(Some(Lengths::new(LENGTHS)));
             // Also of what is asked about padding itself.
             let loss = norm.forward(x.clone()).powi_scalar(3).sum();
-            let gradient = x.grad(&mut loss.backward()).expect("a leaf");
+            let gradient = x.grad(&loss.backward()).expect("a leaf");
             for (sample, length) in LENGTHS.into_iter().enumerate() {
                 let of_sample = gradient.clone().narrow(0, sample, 1).abs();
                 if length < TIME {

@@ -93,7 +93,13 @@ impl Given {
         let (of, given) = match &self.frames {
             GivenFrames::Last => {
                 let last = phrase.frames().min(most_last.max(1));
-                (phrase.frames() - last, vec![0..last])
+                (
+                    phrase.frames() - last,
+                    Vec::from([Range {
+                        start: 0,
+                        end: last,
+                    }]),
+                )
             }
             GivenFrames::These(frames) => (0, frames.clone()),
         };
