@@ -122,7 +122,11 @@ pub fn subject(
     let mut overrides = overrides.clone();
     overrides.extend(steps.map(|n| format!("sampling.sampler.num_inference_steps={n}")));
     // A whole number has a point in TOML if it is no integer.
-    overrides.extend(guidance_scale.map(|s| format!("sampling.sampler.guidance_scale={s:?}")));
+    match guidance_scale[..] {
+        [] => {}
+        [scale] => overrides.push(format!("sampling.sampler.guidance_scale={scale:?}")),
+        ref several => overrides.push(format!("evaluation.guidance_scales={several:?}")),
+    }
     let weights = match no_ema {
         true => Weights::Model,
         false => Weights::Ema,
