@@ -109,8 +109,8 @@ impl Span {
         };
         let beats_per_bar = f64::from(self.stated.beats_per_bar);
         let frames = phase.iter().enumerate().skip(first);
-        circular::concentration(frames.map(|(t, phase)| {
-            phase * beats_per_bar - pulse.position(t as f64 / FPS)
-        }))
+        circular::concentration(
+            frames.map(|(t, phase)| phase * beats_per_bar - pulse.position(t as f64 / FPS)),
+        )
     }
 }

@@ -39,6 +39,12 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         true => Existing::Replaced,
         false => Existing::Refused,
     };
+    let scales = arguments.draw.guidance_scale.len();
+    if scales > 1 {
+        let message = format!("`--guidance-scale` names {scales} scales");
+        let hint = "give one; `kinegrad eval --listening` compares several";
+        return Err(Error::usage(message, hint));
+    }
     let mut files = Files::new(&arguments.out, existing)?;
     if arguments.json {
         files = files.keeping();

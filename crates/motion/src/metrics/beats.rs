@@ -50,12 +50,7 @@ const OFFSETS: usize = 50;
 /// What [`beat_alignment`] is by chance: its mean over random offsets, drawn from `key`, by which
 /// the motion's beats are moved on a circle of `seconds`, so that what leaves at the end returns at
 /// the beginning. They keep their number and their rhythm, and lose their place in the music.
-pub fn chance_alignment(
-    kinematic: &[f64],
-    music: &[f64],
-    seconds: f64,
-    key: Key,
-) -> Option<f64> {
+pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
     let at = |offset: f32| {
         let moved = kinematic
             .iter()

@@ -13,7 +13,8 @@ use crate::circular;
 /// Panics if the phases differ in length.
 pub fn phase_error(found: &[f64], expected: &[f64], cycles_per_bar: f64) -> f64 {
     assert_eq!(found.len(), expected.len(), "one phase a frame");
-    let distance = |(a, b): (&f64, &f64)| circular::distance(a * cycles_per_bar, b * cycles_per_bar);
+    let distance =
+        |(a, b): (&f64, &f64)| circular::distance(a * cycles_per_bar, b * cycles_per_bar);
     let sum: f64 = found.iter().zip(expected).map(distance).sum();
     sum / found.len() as f64
 }

@@ -12,9 +12,9 @@ use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
-use crate::systems::cc_motion::{CcMotionConfig, EvaluationConfig};
 use crate::systems::cc_motion::generate::{self, Generator};
 use crate::systems::cc_motion::lengths::{leading, untrained};
+use crate::systems::cc_motion::{CcMotionConfig, EvaluationConfig};
 
 /// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
 /// the differences that are measured of each.

@@ -135,7 +135,9 @@ fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     let nearest = |beat: f64| {
         let apart = |frame: &usize| (beats[*frame] - beat).abs();
         let frames = 0..beats.len();
-        frames.min_by(|a, b| apart(a).total_cmp(&apart(b))).unwrap_or(0)
+        frames
+            .min_by(|a, b| apart(a).total_cmp(&apart(b)))
+            .unwrap_or(0)
     };
     let later = beats.iter().map(|beat| {
         let mut beat = beat + 0.5;
@@ -208,9 +210,10 @@ mod tests {
             assert!(found > 0.45, "{found}");
             // Most frames are simply later ones, in the bar too.
             let half = (0.5 / beats_a_frame).round() as usize;
-            let ahead = later.iter().enumerate().filter(|(t, heard)| {
-                heard.abs_diff(t + half) <= 1
-            });
+            let ahead = later
+                .iter()
+                .enumerate()
+                .filter(|(t, heard)| heard.abs_diff(t + half) <= 1);
             assert!(ahead.count() + half + 1 >= frames, "{later:?}");
             let onset = own.phrase.audio.onset_strength();
             assert_eq!(music.audio.onset_strength()[3], onset[later[3]]);

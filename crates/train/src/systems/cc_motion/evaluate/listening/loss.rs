@@ -64,7 +64,10 @@ mod tests {
         assert!(levels.windows(2).all(|pair| pair[0] < pair[1]));
         for few in [1, 2, 5] {
             let levels = high_noise(few);
-            assert!(levels.iter().all(|&t| t < few && t >= few / 2), "{levels:?}");
+            assert!(
+                levels.iter().all(|&t| t < few && t >= few / 2),
+                "{levels:?}"
+            );
         }
     }
 }

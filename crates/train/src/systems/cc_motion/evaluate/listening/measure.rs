@@ -149,7 +149,9 @@ impl Alignment {
         Self {
             score: estimate_of(|score| score.beat_alignment),
             chance: estimate_of(|score| score.chance_alignment),
-            above_chance: estimate_of(|score| Some(score.beat_alignment? - score.chance_alignment?)),
+            above_chance: estimate_of(|score| {
+                Some(score.beat_alignment? - score.chance_alignment?)
+            }),
         }
     }
 }
@@ -197,11 +199,17 @@ pub(super) fn conditions_of(measured: &[MeasuredPhrase], seed: u64) -> Vec<Condi
         pairs.clone().next()?;
         let mean = |of: fn(&MeasuredCondition) -> Option<f64>| {
             let values = pairs.clone();
-            estimate(values.filter_map(|(song, _, this)| Some((song, of(this)?))), seed)
+            estimate(
+                values.filter_map(|(song, _, this)| Some((song, of(this)?))),
+                seed,
+            )
         };
         let difference = |of: fn(&MeasuredCondition) -> f64| {
             let values = pairs.clone();
-            estimate(values.map(|(song, own, this)| (song, of(own) - of(this))), seed)
+            estimate(
+                values.map(|(song, own, this)| (song, of(own) - of(this))),
+                seed,
+            )
         };
         let scores = pairs.clone().map(|(song, _, this)| (song, &this.score));
         Some(Condition {
@@ -301,16 +309,24 @@ mod tests {
             let beats = f64::from(beats_per_bar);
             let shifted = |beats_late: f64| {
                 let music = listened.bars.clone();
-                moved(&listened.phrase.motion, move |t| music[t] + beats_late / beats)
+                moved(&listened.phrase.motion, move |t| {
+                    music[t] + beats_late / beats
+                })
             };
             let score = |motion: Motion| dancing.score(&[motion], None, 0);
             assert!(score(shifted(0.0)).beat_phase_error < 1e-6);
             let half = score(shifted(0.5));
             assert!((half.beat_phase_error - 0.5).abs() < 1e-5, "{half:?}");
-            assert!((half.bar_phase_error - 0.5 / beats).abs() < 1e-6, "{half:?}");
+            assert!(
+                (half.bar_phase_error - 0.5 / beats).abs() < 1e-6,
+                "{half:?}"
+            );
             let whole = score(shifted(1.0));
             assert!(whole.beat_phase_error < 1e-5, "{whole:?}");
-            assert!((whole.bar_phase_error - 1.0 / beats).abs() < 1e-6, "{whole:?}");
+            assert!(
+                (whole.bar_phase_error - 1.0 / beats).abs() < 1e-6,
+                "{whole:?}"
+            );
             // Another tempo, out of step again and again.
             let other = score(moved(&listened.phrase.motion, |t| 3.1 * t as f64 / FPS));
             assert!((other.beat_phase_error - 0.25).abs() < 0.04, "{other:?}");

@@ -15,7 +15,9 @@ use kinegrad_motion::Motion;
 use serde::Serialize;
 
 pub use conditions::Heard;
-pub use measure::{Alignment, AtScale, Condition, Differences, MeasuredCondition, MeasuredPhrase, Score};
+pub use measure::{
+    Alignment, AtScale, Condition, Differences, MeasuredCondition, MeasuredPhrase, Score,
+};
 pub(super) use phrases::Listened;
 pub(super) use report::evaluated;
 
@@ -149,11 +151,19 @@ pub(super) fn listen(
         let measures: Measures = reference.measure(&motions);
         let songs = held_out.iter().map(|one| one.song.as_str());
         let scored = songs.zip(&scores);
-        guidance.push(AtScale::new(guidance_scale, scored, measures, settings.seed));
+        guidance.push(AtScale::new(
+            guidance_scale,
+            scored,
+            measures,
+            settings.seed,
+        ));
     }
     let real = held_out.iter().zip(&dancing).map(|(listened, dancing)| {
         let motion = std::slice::from_ref(&listened.phrase.motion);
-        (listened.song.as_str(), dancing.score(motion, None, settings.seed))
+        (
+            listened.song.as_str(),
+            dancing.score(motion, None, settings.seed),
+        )
     });
     let real: Vec<(&str, Score)> = real.collect();
     let real = real.iter().map(|(song, score)| (*song, score));

@@ -89,13 +89,17 @@ fn beat_step(phrase: &Phrase) -> Option<f64> {
     }
     let row = |name: &str| {
         let place = BEAT_FEATURES.iter().position(|known| *known == name);
-        phrase.audio.channel(AUDIO_CHANNELS + place.expect("a beat feature"))
+        phrase
+            .audio
+            .channel(AUDIO_CHANNELS + place.expect("a beat feature"))
     };
     let phase = row("beat_sin").iter().zip(row("beat_cos"));
     let phase: Vec<f64> = phase
         .map(|(sine, cosine)| f64::from(*sine).atan2(f64::from(*cosine)) / std::f64::consts::TAU)
         .collect();
-    let steps = phase.windows(2).map(|pair| circular::step(pair[0], pair[1]));
+    let steps = phase
+        .windows(2)
+        .map(|pair| circular::step(pair[0], pair[1]));
     Some(percentile(steps.collect(), 50.0)).filter(|step| *step > 0.0)
 }
 
