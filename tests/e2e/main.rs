@@ -12,6 +12,7 @@ mod eval;
 mod fine_tuning;
 mod goals;
 mod imports;
+mod listening;
 mod movement;
 mod newcomer;
 mod own_system;
