@@ -280,7 +280,7 @@ pub struct EvaluationConfig {
     /// Beats in a bar of the held-out phrases, for `kinegrad eval --listening`; by default what the
     /// dataset's manifest or its beat features say, else 4.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub beats_per_bar: Option<u32>,
+    pub beats_per_bar: Option<usize>,
 }
 
 impl Default for EvaluationConfig {

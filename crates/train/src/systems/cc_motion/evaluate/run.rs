@@ -117,9 +117,10 @@ fn listening<'a>(
         return Err(Error::usage(message, hint));
     }
     let frames = subject.config.data.target_frames;
+    let beats_per_bar = wanted.beats_per_bar.map(|beats| beats as f64);
     let listened = |phrases: Vec<Arc<Phrase>>| -> Vec<Listened> {
         let cut = phrases.iter().map(|phrase| leading(phrase, frames));
-        cut.filter_map(|phrase| Listened::new(phrase, songs, wanted.beats_per_bar))
+        cut.filter_map(|phrase| Listened::new(phrase, songs, beats_per_bar))
             .collect()
     };
     let all = held_out.len();

@@ -1,12 +1,10 @@
 //! What a model hears in the place of a phrase's music.
 
-use std::sync::Arc;
-
-use kinegrad_data::{AudioFeatures, Phrase};
+use kinegrad_data::AudioFeatures;
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
-use super::phrases::{Listened, bars};
+use super::phrases::Listened;
 
 /// What a model hears.
 #[derive(Clone, Copy, Debug, Eq, PartialEq, Serialize)]
@@ -163,6 +161,8 @@ pub(super) fn exchanged<'a>(held_out: &'a [Listened], training: &'a [Listened]) 
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use kinegrad_data::{Songs, synthetic};
     use kinegrad_motion::FPS;
     use kinegrad_motion::metrics::phase_error;
@@ -178,7 +178,7 @@ mod tests {
             let phase = (0.87 + rate * t as f64 / FPS).rem_euclid(1.0);
             phrase.motion.frame_mut(t)[PHASE] = phase as f32;
         }
-        Listened::new(Arc::new(phrase), &Songs::default(), Some(beats)).expect("beats")
+        Listened::new(Arc::new(phrase), &Songs::default(), Some(f64::from(beats))).expect("beats")
     }
 
     /// The frames of `audio` in its own order.

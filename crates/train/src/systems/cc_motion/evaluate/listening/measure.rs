@@ -289,7 +289,12 @@ mod tests {
         };
         let mut phrase = phrase;
         phrase.motion = moved(&phrase.motion, |t| 0.9 + rate * t as f64 / FPS);
-        Listened::new(Arc::new(phrase), &Songs::default(), Some(beats_per_bar)).expect("beats")
+        Listened::new(
+            Arc::new(phrase),
+            &Songs::default(),
+            Some(f64::from(beats_per_bar)),
+        )
+        .expect("beats")
     }
 
     /// The motion with another phase.

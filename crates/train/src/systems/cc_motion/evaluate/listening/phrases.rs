@@ -35,13 +35,13 @@ impl Listened {
     /// The phrase with what `songs` say of it; `stated` counts before everything else as the beats
     /// in a bar. `None` where its phase advances by less than a beat: nothing can be out of time
     /// with it.
-    pub fn new(phrase: Arc<Phrase>, songs: &Songs, stated: Option<u32>) -> Option<Self> {
+    pub fn new(phrase: Arc<Phrase>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
         let measured = || {
             let tempo = songs.tempo(&phrase.id);
             beats_in_a_bar(&phrase.motion, tempo.map(|tempo| tempo / 60.0 / FPS))
                 .or_else(|| beats_in_a_bar(&phrase.motion, beat_step(&phrase)))
         };
-        let known = stated.map(f64::from).or_else(measured);
+        let known = stated.or_else(measured);
         let beats_per_bar = known.unwrap_or(COMMON_TIME);
         let advance = phase_steps(&phrase.motion).iter().sum::<f64>();
         (advance * beats_per_bar >= 1.0).then(|| Self {
@@ -120,7 +120,7 @@ mod tests {
         phrase
     }
 
-    fn listened(phrase: Phrase, stated: Option<u32>) -> Option<Listened> {
+    fn listened(phrase: Phrase, stated: Option<f64>) -> Option<Listened> {
         Listened::new(Arc::new(phrase), &Songs::default(), stated)
     }
 
@@ -132,7 +132,7 @@ mod tests {
             let mut phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);
             let plain = listened(phrase.clone(), None).unwrap();
             assert_eq!((plain.beats_per_bar, plain.guessed), (4.0, true));
-            let stated = listened(phrase.clone(), Some(2)).unwrap();
+            let stated = listened(phrase.clone(), Some(2.0)).unwrap();
             assert_eq!((stated.beats_per_bar, stated.guessed), (2.0, false));
             phrase.audio = phrase.audio.with_beats(Some(&pulse));
             let heard = listened(phrase, None).unwrap();
