@@ -58,10 +58,6 @@ pub fn prepare<'a>(
     }
     let mut held_out = dataset.validation.load()?;
     held_out.truncate(wanted.phrases.unwrap_or(usize::MAX));
-    if request.listening {
-        let songs = Songs::read(&data)?;
-        return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
-    }
     let frames = held_out.iter().map(|phrase| phrase.frames() as u64);
     let of_a_seed = frames.sum::<u64>() * BYTES_A_FRAME;
     must_fit(
@@ -70,6 +66,10 @@ pub fn prepare<'a>(
         "all samples are compared with each other: choose fewer `evaluation.seeds` or \
          `evaluation.phrases`",
     )?;
+    if request.listening {
+        let songs = Songs::read(&data)?;
+        return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
+    }
     let longest = held_out.iter().map(|phrase| phrase.frames()).max();
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
     generate::must_fit(subject, wanted.seeds, longest.unwrap_or_default(), hint)?;
