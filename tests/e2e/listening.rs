@@ -123,7 +123,7 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
         }
         let own = condition(evaluation, "own");
         assert_eq!(own["heard_beat_phase_error"], own["beat_phase_error"]);
-        mean(&evaluation["real"]["above_chance"]);
+        assert!(evaluation["real"].get("above_chance").is_some());
         let scales = evaluation["guidance"].as_array().expect("scales");
         let named: Vec<f64> = scales
             .iter()
@@ -149,7 +149,10 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
                 |evaluation: &Value| mean(&condition(evaluation, heard)["own_minus"][key]).abs();
             let [set, ordered] = [0, 1].map(|run| difference(&found[run]));
             assert!(set < 1e-4, "{heard} {key}: {set}");
-            assert!(ordered > 1e-4, "{heard} {key}: {ordered}");
+            assert!(
+                ordered > 1e-5_f64.max(10.0 * set),
+                "{heard} {key}: {ordered}"
+            );
         }
     }
     let silence = &condition(&found[0], "silence")["own_minus"]["loss"];
