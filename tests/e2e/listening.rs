@@ -257,7 +257,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         ))
         .succeeded();
     let line = "eval runs/two --listening --steps 2 --set evaluation.seeds=1 \
-                --set evaluation.beats_per_bar=3";
+                --set evaluation.beats_per_bar=5";
     let finished = sandbox.run(line).succeeded();
     let told = "1 of 5 held-out phrases have no beats and are left out";
     assert!(finished.stdout.contains(told), "{}", finished.stdout);
@@ -281,7 +281,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         ("b_00000", "b"),
     ];
     assert_eq!(said, expected.map(|(id, song)| (Some(id), Some(song))));
-    assert!(measured.iter().all(|phrase| phrase["beats_per_bar"] == 3.0));
+    assert!(measured.iter().all(|phrase| phrase["beats_per_bar"] == 5.0));
     // Means are of phrases, not of songs.
     let of = |phrase: &Value| phrase["conditions"][0]["loss"].as_f64().expect("a loss");
     let expected = measured.iter().map(of).sum::<f64>() / 4.0;

@@ -283,11 +283,10 @@ mod tests {
 
     /// A phrase of so many frames that begins late in a bar of `rate` bars a second.
     fn listened(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> Listened {
-        let phrase = Phrase {
+        let mut phrase = Phrase {
             id: id.to_owned(),
             ..synthetic::phrase(frames, frames, 1)
         };
-        let mut phrase = phrase;
         phrase.motion = moved(&phrase.motion, |t| 0.9 + rate * t as f64 / FPS);
         Listened::new(
             Arc::new(phrase),

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     /// A synthetic phrase whose phase advances by `bars` a second from `start`.
-    pub fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> Phrase {
+    fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> Phrase {
         let mut phrase = synthetic::phrase(index, frames, 1);
         for t in 0..frames {
             let phase = (start + bars * t as f64 / FPS).rem_euclid(1.0);
