@@ -3,6 +3,7 @@
 
 mod conditions;
 mod loss;
+mod means;
 mod measure;
 mod phrases;
 mod report;
@@ -15,19 +16,19 @@ use kinegrad_motion::Motion;
 use serde::Serialize;
 
 pub use conditions::Heard;
-pub use measure::{
-    Alignment, AtScale, Condition, Differences, MeasuredCondition, MeasuredPhrase, Score,
-};
+pub use means::{Alignment, AtScale, Condition, Differences};
+pub use measure::{MeasuredCondition, MeasuredPhrase, Score};
 pub(super) use phrases::Listened;
 pub(super) use report::evaluated;
 
-use super::measures::{Measures, Reference};
+use super::measures::Reference;
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::sampling::item_seed;
 use crate::systems::cc_motion::generate::{Generator, keys};
 use conditions::{Music, exchanged};
-use measure::{Dancing, conditions_of};
+use means::conditions_of;
+use measure::Dancing;
 
 /// Settings of an evaluation of listening.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -73,15 +74,15 @@ pub struct Listening {
 pub(super) struct Stage<'a> {
     /// Held-out phrases with beats, at least one.
     pub held_out: &'a [Listened],
-    /// Phrases to train on, for their music and their statistics.
+    /// Phrases to train on, for their music.
     pub training: &'a [Listened],
     /// All phrases to train on, to compare samples with.
     pub real: &'a [Arc<Phrase>],
 }
 
 /// Measures how a model listens. All conditions of a phrase share their noise, in the loss and in
-/// the samples, so that what differs is what was heard; sample k with the own music is that of
-/// `kinegrad sample`. `on_step` is called with what is done, and with steps done and in all.
+/// the samples, so that what differs is what was heard; sample k of a phrase with its own music is
+/// that of `kinegrad sample`, unless the phrase was cut. `on_step` is called with what is done, and with steps done and in all.
 ///
 /// # Errors
 /// If the sampler's settings cannot work, and [`Error::Interrupted`] after `Break`.
@@ -124,40 +125,7 @@ pub(super) fn listen(
             });
         }
     }
-    let mut guidance = Vec::with_capacity(settings.guidance_scales.len());
-    let phrases: Vec<Arc<Phrase>> = held_out.iter().map(|one| one.phrase.clone()).collect();
-    let reference = Reference::new(&phrases, stage.real, generator.statistics());
-    let scales = &settings.guidance_scales;
-    for (place, &guidance_scale) in scales.iter().enumerate() {
-        let mut sampling = settings.sampling.clone();
-        sampling.sampler.guidance_scale = guidance_scale;
-        let (mut motions, mut scores) = (Vec::new(), Vec::new());
-        for (index, listened) in held_out.iter().enumerate() {
-            let before = place * held_out.len() + index;
-            let samples = draw(
-                generator,
-                listened,
-                &[&listened.phrase.audio],
-                settings,
-                &sampling,
-                &mut |done, all| {
-                    let all_phrases = scales.len() * held_out.len();
-                    on_step("guidance", before * all + done, all_phrases * all)
-                },
-            )?;
-            scores.push(dancing[index].score(&samples, None, settings.seed));
-            motions.push(samples);
-        }
-        let measures: Measures = reference.measure(&motions);
-        let songs = held_out.iter().map(|one| one.song.as_str());
-        let scored = songs.zip(&scores);
-        guidance.push(AtScale::new(
-            guidance_scale,
-            scored,
-            measures,
-            settings.seed,
-        ));
-    }
+    let guidance = sweep(generator, stage, &dancing, settings, on_step)?;
     let real = held_out.iter().zip(&dancing).map(|(listened, dancing)| {
         let motion = std::slice::from_ref(&listened.phrase.motion);
         (
@@ -182,6 +150,47 @@ pub(super) fn listen(
         guidance,
         measured,
     })
+}
+
+/// Samples with the own music at each of the guidance scales.
+fn sweep(
+    generator: &Generator,
+    stage: &Stage<'_>,
+    dancing: &[Dancing<'_>],
+    settings: &ListeningSettings,
+    on_step: &mut dyn FnMut(&'static str, usize, usize) -> ControlFlow<()>,
+) -> Result<Vec<AtScale>, Error> {
+    let (held_out, scales) = (stage.held_out, &settings.guidance_scales);
+    let phrases: Vec<Arc<Phrase>> = held_out.iter().map(|one| one.phrase.clone()).collect();
+    let reference = Reference::new(&phrases, stage.real, generator.statistics());
+    let all_phrases = scales.len() * held_out.len();
+    let mut guidance = Vec::with_capacity(scales.len());
+    for (place, &guidance_scale) in scales.iter().enumerate() {
+        let mut sampling = settings.sampling.clone();
+        sampling.sampler.guidance_scale = guidance_scale;
+        let (mut motions, mut scores) = (Vec::new(), Vec::new());
+        for (index, listened) in held_out.iter().enumerate() {
+            let before = place * held_out.len() + index;
+            let samples = draw(
+                generator,
+                listened,
+                &[&listened.phrase.audio],
+                settings,
+                &sampling,
+                &mut |done, all| on_step("guidance", before * all + done, all_phrases * all),
+            )?;
+            scores.push(dancing[index].score(&samples, None, settings.seed));
+            motions.push(samples);
+        }
+        let songs = held_out.iter().map(|one| one.song.as_str());
+        guidance.push(AtScale::new(
+            guidance_scale,
+            songs.zip(&scores),
+            reference.measure(&motions),
+            settings.seed,
+        ));
+    }
+    Ok(guidance)
 }
 
 fn go_on(flow: ControlFlow<()>) -> Result<(), Error> {
