@@ -14,7 +14,7 @@ const COMMON_TIME: f64 = 4.0;
 
 /// How far the measured number of beats in a bar may be from a whole number, as a share of it. Tempi
 /// are means of a take, and that of a phrase differs a little.
-const TOLERANCE: f64 = 0.15;
+const TOLERANCE: f64 = 0.1;
 
 /// A held-out phrase with beats.
 #[derive(Clone, Debug)]
