@@ -13,6 +13,7 @@ mod eval;
 mod fine_tuning;
 mod goals;
 mod imports;
+mod listening;
 mod movement;
 mod newcomer;
 mod own_system;

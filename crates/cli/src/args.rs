@@ -206,9 +206,10 @@ pub struct DrawArguments {
     /// Number of denoising steps [default: from the run's config]
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
-    /// Classifier-free guidance scale; 1 disables guidance [default: from the run's config]
-    #[arg(long, value_name = "SCALE")]
-    pub guidance_scale: Option<f64>,
+    /// Classifier-free guidance scale; 1 disables guidance; `eval --listening` compares several,
+    /// with commas between them [default: from the run's config]
+    #[arg(long, value_name = "SCALE", value_delimiter = ',')]
+    pub guidance_scale: Vec<f64>,
     /// Use the trained weights instead of their exponential moving average
     #[arg(long)]
     pub no_ema: bool,
@@ -312,6 +313,10 @@ pub struct CheckArguments {
 /// Writes eval.json and eval.csv, or eval-noise.json and eval-noise.csv with
 /// evaluation.cond=noise.
 ///
+/// With `--listening`, loss and samples with each phrase's own music are held against silence, its
+/// frames shuffled, reversed and half a beat ahead, and another song's, with intervals; the reports
+/// are eval-listening.json and eval-listening.csv.
+///
 /// Runs of recipe `gmd_motion` or `gmd_trajectory` are evaluated on position control: goals are
 /// taken from held-out clips, and the distance to them is measured. The reports are
 /// eval-goals.json and eval-goals.csv, or eval-goals-two-stage.json and eval-goals-two-stage.csv
@@ -322,6 +327,7 @@ Examples:
   kinegrad eval runs/phrases
   kinegrad eval runs/one runs/two --set evaluation.seeds=4 --out comparison
   kinegrad eval runs/phrases --set evaluation.cond=noise --json
+  kinegrad eval runs/phrases --listening --guidance-scale 1,1.5,2,3,4
   kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
 pub struct EvalArguments {
     /// Folders of runs (the best checkpoint of each is used) or of checkpoints
@@ -330,6 +336,9 @@ pub struct EvalArguments {
     /// Run of recipe `gmd_trajectory` that generates the ground paths in a first stage
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
+    /// Measure whether the model hears when the beats of its music fall
+    #[arg(long)]
+    pub listening: bool,
     #[command(flatten)]
     pub draw: DrawArguments,
     /// Random seed of the noise

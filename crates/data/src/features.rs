@@ -176,6 +176,23 @@ impl AudioFeatures {
         }
     }
 
+    /// The frames of these numbers in their order, `[channels, frames.len()]`.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn at_frames(&self, frames: &[usize]) -> Self {
+        let mut values = Vec::with_capacity(self.channels() * frames.len());
+        for channel in 0..self.channels() {
+            let row = self.channel(channel);
+            values.extend(frames.iter().map(|&frame| row[frame]));
+        }
+        Self {
+            frames: frames.len(),
+            layout: self.layout,
+            values,
+        }
+    }
+
     /// Frame and channel of the first value, in time, that is NaN, infinite or too large.
     pub(crate) fn first_unusable(&self) -> Option<(usize, usize)> {
         first_unusable(&self.values)?;
@@ -225,6 +242,17 @@ mod tests {
         assert_eq!(cut.channel(0), [2.0, 3.0]);
         assert_eq!(cut.channel(162), [812.0, 813.0]);
         assert!(AudioFeatures::new(5, vec![0.0; 5]).is_none());
+    }
+
+    #[test]
+    fn frames_in_another_order_keep_their_channels() {
+        let values: Vec<f32> = (0..AUDIO_CHANNELS * 5).map(|i| i as f32).collect();
+        let features = AudioFeatures::new(5, values).unwrap();
+        let other = features.at_frames(&[4, 0, 4]);
+        assert_eq!(other.frames(), 3);
+        assert_eq!(other.channel(0), [4.0, 0.0, 4.0]);
+        assert_eq!(other.channel(162), [814.0, 810.0, 814.0]);
+        assert_eq!(features.at_frames(&[2, 3]), features.slice(2..4));
     }
 
     #[test]

@@ -51,6 +51,7 @@ mod phrase;
 mod phrase_samples;
 mod phrase_set;
 mod prefetch;
+mod songs;
 mod split;
 mod store;
 mod survey;
@@ -90,6 +91,7 @@ pub use npz::{
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
+pub use songs::{Songs, song_of};
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};
 pub use survey::OpenProgress;

@@ -19,6 +19,7 @@
 
 pub mod augment;
 mod banded;
+pub mod circular;
 pub mod coherence;
 pub mod emphasis;
 pub mod error;

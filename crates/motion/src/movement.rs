@@ -8,7 +8,7 @@
 use crate::kinematics::{angular_velocity, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
 use crate::rotation::length;
-use crate::{FPS, Motion, Quaternion};
+use crate::{FPS, Motion, Quaternion, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
@@ -209,8 +209,9 @@ fn turns(motion: &Motion) -> Vec<f64> {
 /// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
 pub fn phase_steps(motion: &Motion) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
-    let steps = (1..motion.frames()).map(|t| phase(t) - phase(t - 1));
-    steps.map(|step| step - step.round()).collect()
+    (1..motion.frames())
+        .map(|t| circular::step(phase(t - 1), phase(t)))
+        .collect()
 }
 
 /// How often the phase passes from the end of a bar to the beginning of the next, less how often it

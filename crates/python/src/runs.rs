@@ -94,6 +94,7 @@ pub fn evaluate(
                 source: source.clone(),
                 trajectory: optional_checkpoint(trajectory_run.as_deref())?,
                 seed,
+                ..EvaluationRequest::default()
             };
             let (system, _) = BUILT_IN.of(&subject.config)?;
             let evaluate = system.evaluate(&subject, &request)?;

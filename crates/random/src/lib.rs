@@ -65,6 +65,13 @@ pub enum Purpose {
     Pairs = 19,
     /// Which caption describes a clip, keyed by sample.
     Caption = 20,
+    /// Frames in another order and songs of others in the place of a phrase's music, keyed by its
+    /// id.
+    Listening = 21,
+    /// Which phrases a bootstrap draws, keyed by resample.
+    Bootstrap = 22,
+    /// Offsets of motion against music, keyed by the phrase's id.
+    BeatOffset = 23,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -17,6 +17,8 @@ pub struct EvaluationRequest {
     pub trajectory: Option<PathBuf>,
     /// Seed of the noise.
     pub seed: u64,
+    /// Whether models that hear music are held against music that says something else.
+    pub listening: bool,
 }
 
 /// A validated evaluation, to be called with a progress callback.

@@ -1,10 +1,8 @@
 //! The stated beats of a take held against those of its song.
 
-use std::f64::consts::TAU;
-
 use kinegrad_audio::beats::track_near;
 use kinegrad_audio::{Beats as Tracked, Pulse};
-use kinegrad_motion::FPS;
+use kinegrad_motion::{FPS, circular};
 
 use super::grid::{Grid, GridReport};
 use super::song::Song;
@@ -110,21 +108,9 @@ impl Span {
             return 0.0;
         };
         let beats_per_bar = f64::from(self.stated.beats_per_bar);
-        let differences = phase
-            .iter()
-            .enumerate()
-            .skip(first)
-            .map(|(t, phase)| TAU * (phase * beats_per_bar - pulse.position(t as f64 / FPS)));
-        let (mut sine, mut cosine, mut frames) = (0.0, 0.0, 0.0);
-        for difference in differences {
-            sine += difference.sin();
-            cosine += difference.cos();
-            frames += 1.0;
-        }
-        if frames > 0.0 {
-            f64::hypot(sine, cosine) / frames
-        } else {
-            0.0
-        }
+        let frames = phase.iter().enumerate().skip(first);
+        circular::concentration(
+            frames.map(|(t, phase)| phase * beats_per_bar - pulse.position(t as f64 / FPS)),
+        )
     }
 }

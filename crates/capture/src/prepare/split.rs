@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use kinegrad_data::manifest::ManifestRow;
-use kinegrad_data::{Side, matches};
+use kinegrad_data::{Side, matches, song_of};
 use kinegrad_random::{Key, Purpose};
 
 use super::plan::SplitPlan;
@@ -67,13 +67,7 @@ impl SplitPlan {
 
 /// The song of a row, else its take.
 fn song(row: &ManifestRow) -> String {
-    let take = || {
-        row.id
-            .rsplit_once('_')
-            .map_or(row.id.as_str(), |(take, _)| take)
-            .to_owned()
-    };
-    row.audio_source.clone().unwrap_or_else(take)
+    song_of(&row.id, row.audio_source.as_deref())
 }
 
 #[cfg(test)]

@@ -22,6 +22,12 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
 
 fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
     let runs = &arguments.runs;
+    let scales = arguments.draw.guidance_scale.len();
+    if scales > 1 && !arguments.listening {
+        let message = format!("`--guidance-scale` names {scales} scales");
+        let hint = "give one, or compare them with `--listening`";
+        return Err(Error::usage(message, hint));
+    }
     let subjects: Vec<Subject> = runs
         .iter()
         .map(|run| subject(systems, run, &arguments.draw))
@@ -32,6 +38,7 @@ fn evaluate(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, 
         source: arguments.source,
         trajectory: trajectory.transpose()?,
         seed: arguments.seed,
+        listening: arguments.listening,
     };
     // Whatever is wrong with any run is said before the first one costs minutes.
     let mut evaluations = Vec::with_capacity(subjects.len());

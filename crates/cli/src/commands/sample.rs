@@ -39,6 +39,12 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         true => Existing::Replaced,
         false => Existing::Refused,
     };
+    let scales = arguments.draw.guidance_scale.len();
+    if scales > 1 {
+        let message = format!("`--guidance-scale` names {scales} scales");
+        let hint = "give one; `kinegrad eval --listening` compares several";
+        return Err(Error::usage(message, hint));
+    }
     let mut files = Files::new(&arguments.out, existing)?;
     if arguments.json {
         files = files.keeping();
@@ -122,7 +128,11 @@ pub fn subject(
     let mut overrides = overrides.clone();
     overrides.extend(steps.map(|n| format!("sampling.sampler.num_inference_steps={n}")));
     // A whole number has a point in TOML if it is no integer.
-    overrides.extend(guidance_scale.map(|s| format!("sampling.sampler.guidance_scale={s:?}")));
+    match guidance_scale[..] {
+        [] => {}
+        [scale] => overrides.push(format!("sampling.sampler.guidance_scale={scale:?}")),
+        ref several => overrides.push(format!("evaluation.guidance_scales={several:?}")),
+    }
     let weights = match no_ema {
         true => Weights::Model,
         false => Weights::Ema,

@@ -4,6 +4,8 @@
 //! the beats that this data allows: the phrase carries the root alone. The music's beats are
 //! whatever a beat tracker found.
 
+use kinegrad_random::Key;
+
 use crate::phrase::VELOCITY;
 use crate::rotation::length;
 use crate::{FPS, Motion};
@@ -40,6 +42,22 @@ pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
         (-nearest.powi(2) / (2.0 * BEAT_SIGMA.powi(2))).exp()
     };
     Some(kinematic.iter().map(score).sum::<f64>() / kinematic.len() as f64)
+}
+
+/// Offsets that the score of chance is the mean of.
+const OFFSETS: usize = 50;
+
+/// What [`beat_alignment`] is by chance: its mean over random offsets, drawn from `key`, by which
+/// the motion's beats are moved on a circle of `seconds`, so that what leaves at the end returns at
+/// the beginning. They keep their number and their rhythm, and lose their place in the music.
+pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key) -> Option<f64> {
+    let at = |offset: f32| {
+        let moved = kinematic
+            .iter()
+            .map(|beat| (beat + f64::from(offset) * seconds).rem_euclid(seconds));
+        beat_alignment(&moved.collect::<Vec<_>>(), music)
+    };
+    super::mean(key.uniforms(OFFSETS).into_iter().map(at))
 }
 
 /// Places, in frames, of the values that are higher than what precedes and follows them; a plateau
@@ -107,6 +125,27 @@ mod tests {
         assert!((score - (-0.5f64).exp()).abs() < 1e-12);
         assert_eq!(beat_alignment(&[], &[1.0]), None);
         assert_eq!(beat_alignment(&[1.0], &[]), None);
+    }
+
+    #[test]
+    fn chance_is_what_beats_out_of_place_score() {
+        use kinegrad_random::Purpose;
+
+        let key = Key::new(0, Purpose::BeatOffset);
+        let music: Vec<f64> = (0..16).map(|beat| 0.5 * f64::from(beat)).collect();
+        let danced: Vec<f64> = (0..8).map(f64::from).collect();
+        assert_eq!(beat_alignment(&danced, &music), Some(1.0));
+        // A bell of width 0.05 s covers 0.125 s, a quarter of each half second.
+        let chance = chance_alignment(&danced, &music, 8.0, key).unwrap();
+        assert!((0.1..0.4).contains(&chance), "{chance}");
+        assert_eq!(chance_alignment(&danced, &music, 8.0, key), Some(chance));
+        // Wherever they lie to begin with.
+        let late: Vec<f64> = danced.iter().map(|beat| beat + 0.25).collect();
+        let score = beat_alignment(&late, &music).unwrap();
+        assert!(score < 1e-4, "{score}");
+        let chance = chance_alignment(&late, &music, 8.0, key).unwrap();
+        assert!((0.1..0.4).contains(&chance), "{chance}");
+        assert_eq!(chance_alignment(&[], &music, 8.0, key), None);
     }
 
     proptest! {

@@ -9,17 +9,21 @@
 //! in [`GoalReport`]; how well they match their captions, in [`text_motion`].
 
 mod beats;
+mod bootstrap;
 mod diversity;
 mod frechet;
 mod goal;
 mod joints;
+mod phase;
 pub mod text_motion;
 
-pub use beats::{BEAT_SIGMA, beat_alignment, kinematic_beats};
+pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats};
+pub use bootstrap::Estimate;
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
 pub use goal::{GoalReport, GoalSample, inside_obstacles, keyframe_distances};
 pub use joints::{SKATING_HEIGHT, SKATING_SPEED, mean_jerk, skating_ratio};
+pub use phase::phase_error;
 
 use std::ops::Range;
 

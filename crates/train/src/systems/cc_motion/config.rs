@@ -274,6 +274,13 @@ pub struct EvaluationConfig {
     pub phrases: Option<usize>,
     /// The audio condition.
     pub cond: CondSource,
+    /// Guidance scales that `kinegrad eval --listening` also draws samples at.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub guidance_scales: Vec<f64>,
+    /// Beats in a bar of the held-out phrases, for `kinegrad eval --listening`; by default what the
+    /// dataset's manifest or its beat features say, else 4.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beats_per_bar: Option<usize>,
 }
 
 impl Default for EvaluationConfig {
@@ -282,6 +289,8 @@ impl Default for EvaluationConfig {
             seeds: 2,
             phrases: None,
             cond: CondSource::default(),
+            guidance_scales: Vec::new(),
+            beats_per_bar: None,
         }
     }
 }
@@ -307,6 +316,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)
             .hint("leave it out for all phrases that are held out")?;
+    }
+    for &scale in &own.evaluation.guidance_scales {
+        in_range("evaluation.guidance_scales", scale, 0.0..)?;
+    }
+    if let Some(beats) = own.evaluation.beats_per_bar {
+        in_range("evaluation.beats_per_bar", beats, 1..=64)
+            .hint("leave it out for what the dataset says of each phrase")?;
     }
     if name.trains_through_sampler() {
         own.decoder.validate()?;

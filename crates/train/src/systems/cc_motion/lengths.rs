@@ -1,6 +1,20 @@
-//! Lengths that a model was not trained on.
+//! Lengths that a model was trained on, and those that it was not.
 
-use kinegrad_data::DataConfig;
+use std::sync::Arc;
+
+use kinegrad_data::{DataConfig, Phrase};
+
+/// The first frames of a phrase, at most `longest`: as validation has it.
+pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
+    match phrase.frames() > longest {
+        false => phrase.clone(),
+        true => Arc::new(Phrase {
+            id: phrase.id.clone(),
+            motion: phrase.motion.slice(0..longest),
+            audio: phrase.audio.slice(0..longest),
+        }),
+    }
+}
 
 /// A sentence on those of the `frames` of samples that training with `data` did not show, if there
 /// are any: longer than its crops, or shorter than the shortest of them.

@@ -11,6 +11,7 @@ use kinegrad_models::{MotionDecoder, MotionModel, UNet1d};
 use super::CondSource;
 use super::evaluate::{Evaluation, EvaluationSettings, evaluate};
 use super::generate::Generator;
+use super::lengths::leading;
 use crate::checkpoint::State;
 use crate::config::SelectBy;
 use crate::error::Error;
@@ -68,20 +69,11 @@ impl Selection {
                 "hold out more phrases (`data.validation`), or select by \"loss\"",
             ));
         }
-        // As validation has them: the leading crop.
         let longest = state.config.data.target_frames;
-        let cut = |phrase: Arc<Phrase>| match phrase.frames() > longest {
-            false => phrase,
-            true => Arc::new(Phrase {
-                id: phrase.id.clone(),
-                motion: phrase.motion.slice(0..longest),
-                audio: phrase.audio.slice(0..longest),
-            }),
-        };
         let phrases = held_out.first(validation.select_samples)?;
         Ok(Some(Self {
             by,
-            phrases: phrases.into_iter().map(cut).collect(),
+            phrases: phrases.iter().map(|one| leading(one, longest)).collect(),
             diffusion: diffusion.clone(),
             state,
         }))

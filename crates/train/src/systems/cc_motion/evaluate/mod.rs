@@ -1,5 +1,6 @@
 //! Metrics of a trained model's samples, next to those of real phrases.
 
+pub mod listening;
 mod measures;
 mod moving;
 mod report;

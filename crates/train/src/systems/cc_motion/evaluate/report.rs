@@ -79,7 +79,7 @@ pub fn evaluated(evaluation: &Evaluation) -> Evaluated {
 
 /// Every number by its path in the JSON; one that is not finite counts as missing. People see of
 /// checks the share that passes and the mean value.
-fn numbers(measures: &Measures) -> Vec<Number> {
+pub(super) fn numbers(measures: &Measures) -> Vec<Number> {
     let mut numbers = Vec::new();
     let mut add = |name: String, value: Option<f64>, line| {
         let value = value.filter(|value| value.is_finite());

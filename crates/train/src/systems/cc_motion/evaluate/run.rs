@@ -1,21 +1,27 @@
 //! The evaluation of a trained model on its held-out phrases.
 
-use kinegrad_data::{DataKind, Dataset, Phrase};
+use std::sync::Arc;
 
+use kinegrad_data::{DataKind, Dataset, Phrase, PhraseSet, Songs};
+
+use super::listening::{self, Heard, Listened, Listening, ListeningSettings, Stage};
 use super::report::evaluated;
-use super::{EvaluationSettings, evaluate};
+use super::{CondSource, EvaluationSettings, evaluate};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
-use crate::systems::cc_motion::CcMotionConfig;
 use crate::systems::cc_motion::generate::{self, Generator};
-use crate::systems::cc_motion::lengths::untrained;
+use crate::systems::cc_motion::lengths::{leading, untrained};
+use crate::systems::cc_motion::{CcMotionConfig, EvaluationConfig};
 
 /// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
 /// the differences that are measured of each.
 const BYTES_A_FRAME: u64 = 800;
+
+/// Samples of a phrase with each thing that is heard, by the seeds, that are drawn at a time.
+const HEARD: usize = Heard::ALL.len();
 
 /// An evaluation on the held-out phrases.
 ///
@@ -60,6 +66,10 @@ pub fn prepare<'a>(
         "all samples are compared with each other: choose fewer `evaluation.seeds` or \
          `evaluation.phrases`",
     )?;
+    if request.listening {
+        let songs = Songs::read(&data)?;
+        return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
+    }
     let longest = held_out.iter().map(|phrase| phrase.frames()).max();
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
     generate::must_fit(subject, wanted.seeds, longest.unwrap_or_default(), hint)?;
@@ -88,4 +98,104 @@ pub fn prepare<'a>(
         evaluated.remarks.extend(odd);
         Ok(evaluated)
     }))
+}
+
+/// An evaluation of listening on the `held_out` phrases with beats, of each as much as training
+/// shows at a time.
+fn listening<'a>(
+    subject: &'a Subject,
+    request: &EvaluationRequest,
+    wanted: &EvaluationConfig,
+    songs: &Songs,
+    held_out: Vec<Arc<Phrase>>,
+    train: &PhraseSet,
+) -> Result<Evaluate<'a>, Error> {
+    if wanted.cond != CondSource::Phrases {
+        let message = "`--listening` with `evaluation.cond = \"noise\"`";
+        let hint = "it is about music: it compares each phrase's own with silence, with its frames \
+                    in other orders and with another song's";
+        return Err(Error::usage(message, hint));
+    }
+    let frames = subject.config.data.target_frames;
+    let beats_per_bar = wanted.beats_per_bar.map(|beats| beats as f64);
+    let listened = |phrases: Vec<Arc<Phrase>>| -> Vec<Listened> {
+        let cut = phrases.iter().map(|phrase| leading(phrase, frames));
+        cut.filter_map(|phrase| Listened::new(phrase, songs, beats_per_bar))
+            .collect()
+    };
+    let all = held_out.len();
+    let held_out = listened(held_out);
+    if held_out.is_empty() {
+        let message = format!(
+            "none of the {all} held-out phrases of {} has beats: their phase advances by less than \
+             a beat in the {frames} frames that training shows at a time",
+            subject.checkpoint.display()
+        );
+        let hint = "prepare them with the beats of their songs, or give another dataset with \
+                    `--source URI`";
+        return Err(Error::usage(message, hint));
+    }
+    let longest = held_out.iter().map(|one| one.phrase.frames()).max();
+    let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
+    let at_a_time = wanted.seeds.saturating_mul(HEARD);
+    generate::must_fit(subject, at_a_time, longest.unwrap_or_default(), hint)?;
+    let settings = ListeningSettings {
+        seeds: wanted.seeds,
+        seed: request.seed,
+        guidance_scales: wanted.guidance_scales.clone(),
+        sampling: subject.config.sampling.clone(),
+    };
+    let real = train.load()?;
+    let training = listened(real.clone());
+    Ok(Box::new(move |on_step| {
+        let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let stage = Stage {
+            held_out: &held_out,
+            training: &training,
+            real: &real,
+        };
+        let found = listening::listen(&generator, &stage, &settings, on_step)?;
+        let mut evaluated = listening::evaluated(&found);
+        evaluated.remarks = remarks(&found, &held_out, all);
+        Ok(evaluated)
+    }))
+}
+
+/// What should be known of an evaluation of listening on those of `all` held-out phrases that have
+/// beats.
+fn remarks(found: &Listening, held_out: &[Listened], all: usize) -> Vec<String> {
+    let mut remarks = vec![format!(
+        "{}: in brackets intervals of 95 %, phrases drawn again within songs drawn again; a phase \
+         without relation to the music errs by 0.25",
+        found.run
+    )];
+    if held_out.len() < all {
+        remarks.push(format!(
+            "{}: {} of {all} held-out phrases have no beats and are left out",
+            found.run,
+            all - held_out.len()
+        ));
+    }
+    if found.songs == 1 {
+        remarks.push(format!(
+            "{}: all phrases are of one song: the intervals say nothing of other songs",
+            found.run
+        ));
+    }
+    let guessed = held_out.iter().filter(|one| one.guessed).count();
+    if guessed > 0 {
+        remarks.push(format!(
+            "{}: {guessed} phrases are taken to have four beats in a bar, as nothing says how many \
+             (`evaluation.beats_per_bar`)",
+            found.run
+        ));
+    }
+    let lacks = |heard| found.conditions.iter().all(|each| each.heard != heard);
+    if lacks(Heard::OtherSong) {
+        remarks.push(format!(
+            "{}: the dataset has one song alone: no other one can be heard",
+            found.run
+        ));
+    }
+    remarks
 }

@@ -25,7 +25,7 @@ pub fn diffusion_recipe(
 }
 
 /// The loss above, with the weights w(t) where it is `weighted`.
-pub(super) fn denoising_loss(
+pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     inputs: Inputs,

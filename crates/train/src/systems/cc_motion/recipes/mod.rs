@@ -11,6 +11,7 @@ use kinegrad_models::AudioCondition;
 use crate::denoising::Inputs;
 
 pub use decoder::DecoderRecipe;
+pub(super) use diffusion::denoising_loss;
 pub use diffusion::diffusion_recipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;

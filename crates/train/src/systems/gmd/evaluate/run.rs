@@ -25,6 +25,14 @@ pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
+    if request.listening {
+        let message = format!(
+            "`--listening` with {}, a run on clips",
+            subject.checkpoint.display()
+        );
+        let hint = "only models of phrases hear music";
+        return Err(Error::usage(message, hint));
+    }
     let asked = GmdConfig::of(&subject.config)?.evaluation;
     let mut data = subject.config.data.clone();
     if let Some(source) = &request.source {

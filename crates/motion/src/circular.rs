@@ -1,0 +1,63 @@
+//! Places on a circle, in cycles: the phase in a beat or a bar, where 0.95 and 0.05 are a tenth apart.
+
+use std::f64::consts::TAU;
+
+/// The way between two places, the short way around: -0.5 to 0.5. Whole cycles do not count.
+pub fn step(from: f64, to: f64) -> f64 {
+    let step = to - from;
+    step - step.round()
+}
+
+/// How far two places are apart: 0 to 0.5. Places without any relation are 0.25 apart on average.
+pub fn distance(a: f64, b: f64) -> f64 {
+    step(a, b).abs()
+}
+
+/// Length of the mean of `exp(2 pi i d)` over differences `d` of places: 1 where all are alike,
+/// near 0 where they are spread evenly around; 0 of none.
+pub fn concentration(differences: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut sine, mut cosine, mut count) = (0.0, 0.0, 0.0);
+    for difference in differences {
+        let angle = TAU * difference;
+        sine += angle.sin();
+        cosine += angle.cos();
+        count += 1.0;
+    }
+    if count > 0.0 {
+        f64::hypot(sine, cosine) / count
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_short_way_leads_over_the_end_of_the_cycle() {
+        for (from, to, expected) in [
+            (0.95, 0.05, 0.1),
+            (0.05, 0.95, -0.1),
+            (0.2, 0.6, 0.4),
+            (3.9, -2.0, 0.1),
+            (1.25, 0.25, 0.0),
+        ] {
+            let found = step(from, to);
+            assert!((found - expected).abs() < 1e-12, "{from} {to}: {found}");
+            assert!((distance(from, to) - expected.abs()).abs() < 1e-12);
+            assert!((distance(to, from) - expected.abs()).abs() < 1e-12);
+        }
+        assert_eq!(distance(0.25, 0.75), 0.5);
+        assert!(distance(f64::NAN, 0.0).is_nan());
+    }
+
+    #[test]
+    fn differences_that_agree_are_concentrated_wherever_they_lie() {
+        assert!((concentration([0.3, 1.3, -0.7]) - 1.0).abs() < 1e-12);
+        let around = (0..10).map(|k| f64::from(k) / 10.0);
+        assert!(concentration(around) < 1e-12);
+        assert!((concentration([0.0, 0.25]) - 0.5f64.sqrt()).abs() < 1e-12);
+        assert_eq!(concentration([]), 0.0);
+    }
+}

@@ -1,0 +1,196 @@
+//! What is measured of each phrase with something heard.
+
+use kinegrad_audio::beats::track;
+use kinegrad_motion::metrics::{beat_alignment, chance_alignment, kinematic_beats, phase_error};
+use kinegrad_motion::{FPS, Motion};
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+
+use super::Heard;
+use super::phrases::{Listened, bars};
+
+/// How the samples of a phrase with one condition fall in with the music: means over the samples.
+/// Phases are compared in cycles, 0 to 0.5; NaN where a sample's is not finite.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Score {
+    /// Distance of the beat phase from that of the phrase's own music, beats.
+    pub beat_phase_error: f64,
+    /// The same of the bar phase, bars.
+    pub bar_phase_error: f64,
+    /// Distance of the beat phase from that of the music that was heard, beats.
+    pub heard_beat_phase_error: Option<f64>,
+    /// The same of the bar phase, bars.
+    pub heard_bar_phase_error: Option<f64>,
+    /// Beat alignment with the phrase's own music; mean over the samples that have beats.
+    pub beat_alignment: Option<f64>,
+    /// The same of their beats moved by random offsets.
+    pub chance_alignment: Option<f64>,
+}
+
+/// A phrase to dance to.
+pub(super) struct Dancing<'a> {
+    to: &'a Listened,
+    /// Beats of its music, seconds.
+    music: Vec<f64>,
+}
+
+impl<'a> Dancing<'a> {
+    pub fn to(listened: &'a Listened) -> Self {
+        Self {
+            to: listened,
+            music: track(listened.phrase.audio.onset_strength()).times(),
+        }
+    }
+
+    /// The score of samples, at least one, that heard music of these bar phases and beats in a bar,
+    /// if it had beats.
+    pub fn score(&self, samples: &[Motion], heard: Option<&(Vec<f64>, f64)>, seed: u64) -> Score {
+        let mean = |of: &dyn Fn(&Motion) -> f64| {
+            samples.iter().map(of).sum::<f64>() / samples.len() as f64
+        };
+        let error = |expected: &[f64], cycles: f64| {
+            mean(&|motion| phase_error(&bars(motion), expected, cycles))
+        };
+        let seconds = self.to.phrase.frames() as f64 / FPS;
+        let key = Key::new(seed, Purpose::BeatOffset).named(&self.to.phrase.id);
+        let aligned: Vec<(f64, f64)> = samples
+            .iter()
+            .filter_map(|motion| {
+                let beats = kinematic_beats(motion);
+                let score = beat_alignment(&beats, &self.music)?;
+                Some((score, chance_alignment(&beats, &self.music, seconds, key)?))
+            })
+            .collect();
+        let aligned_mean = |of: fn(&(f64, f64)) -> f64| {
+            let sum = aligned.iter().map(of).sum::<f64>();
+            (!aligned.is_empty()).then(|| sum / aligned.len() as f64)
+        };
+        Score {
+            beat_phase_error: error(&self.to.bars, self.to.beats_per_bar),
+            bar_phase_error: error(&self.to.bars, 1.0),
+            heard_beat_phase_error: heard.map(|(bars, beats)| error(bars, *beats)),
+            heard_bar_phase_error: heard.map(|(bars, _)| error(bars, 1.0)),
+            beat_alignment: aligned_mean(|(score, _)| *score),
+            chance_alignment: aligned_mean(|(_, chance)| *chance),
+        }
+    }
+}
+
+/// What was measured of a phrase.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MeasuredPhrase {
+    /// Its id.
+    pub id: String,
+    /// Its song.
+    pub song: String,
+    /// Beats in a bar of it.
+    pub beats_per_bar: f64,
+    /// The values by what was heard.
+    pub conditions: Vec<MeasuredCondition>,
+}
+
+/// What was measured of a phrase with something heard.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MeasuredCondition {
+    /// What was heard.
+    pub heard: Heard,
+    /// The loss at high noise.
+    pub loss: f64,
+    /// The samples' score.
+    #[serde(flatten)]
+    pub score: Score,
+}
+
+impl MeasuredPhrase {
+    /// A phrase with nothing measured yet.
+    pub(super) fn new(listened: &Listened) -> Self {
+        Self {
+            id: listened.phrase.id.clone(),
+            song: listened.song.clone(),
+            beats_per_bar: listened.beats_per_bar,
+            conditions: Vec::new(),
+        }
+    }
+
+    /// What was measured with that.
+    pub(super) fn with(&self, heard: Heard) -> Option<&MeasuredCondition> {
+        self.conditions.iter().find(|each| each.heard == heard)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use kinegrad_data::{Phrase, Songs, synthetic};
+    use kinegrad_motion::phrase::PHASE;
+
+    use super::*;
+
+    /// A phrase of so many frames that begins late in a bar of `rate` bars a second.
+    fn listened(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> Listened {
+        let mut phrase = Phrase {
+            id: id.to_owned(),
+            ..synthetic::phrase(frames, frames, 1)
+        };
+        phrase.motion = moved(&phrase.motion, |t| 0.9 + rate * t as f64 / FPS);
+        Listened::new(
+            Arc::new(phrase),
+            &Songs::default(),
+            Some(f64::from(beats_per_bar)),
+        )
+        .expect("beats")
+    }
+
+    /// The motion with another phase.
+    fn moved(motion: &Motion, phase: impl Fn(usize) -> f64) -> Motion {
+        let mut motion = motion.clone();
+        for t in 0..motion.frames() {
+            motion.frame_mut(t)[PHASE] = phase(t).rem_euclid(1.0) as f32;
+        }
+        motion
+    }
+
+    #[test]
+    fn dancers_are_scored_by_their_phase_against_the_music() {
+        for (beats_per_bar, frames) in [(3, 97), (4, 120), (4, 61)] {
+            let listened = listened("a_0", frames, 0.53, beats_per_bar);
+            let dancing = Dancing::to(&listened);
+            let beats = f64::from(beats_per_bar);
+            let shifted = |beats_late: f64| {
+                let music = listened.bars.clone();
+                moved(&listened.phrase.motion, move |t| {
+                    music[t] + beats_late / beats
+                })
+            };
+            let score = |motion: Motion| dancing.score(&[motion], None, 0);
+            assert!(score(shifted(0.0)).beat_phase_error < 1e-6);
+            let half = score(shifted(0.5));
+            assert!((half.beat_phase_error - 0.5).abs() < 1e-5, "{half:?}");
+            assert!(
+                (half.bar_phase_error - 0.5 / beats).abs() < 1e-6,
+                "{half:?}"
+            );
+            let whole = score(shifted(1.0));
+            assert!(whole.beat_phase_error < 1e-5, "{whole:?}");
+            assert!(
+                (whole.bar_phase_error - 1.0 / beats).abs() < 1e-6,
+                "{whole:?}"
+            );
+            // Another tempo, out of step again and again.
+            let other = score(moved(&listened.phrase.motion, |t| 3.1 * t as f64 / FPS));
+            assert!((other.beat_phase_error - 0.25).abs() < 0.04, "{other:?}");
+            // Two samples: the mean.
+            let both = dancing.score(&[shifted(0.0), shifted(0.5)], None, 0);
+            assert!((both.beat_phase_error - 0.25).abs() < 1e-5, "{both:?}");
+            // Who follows music half a beat ahead is right by what was heard.
+            let ahead: Vec<f64> = listened.bars.iter().map(|bar| bar + 0.5 / beats).collect();
+            let heard = dancing.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
+            assert!(heard.heard_beat_phase_error.unwrap() < 1e-5, "{heard:?}");
+            assert!((heard.beat_phase_error - 0.5).abs() < 1e-5);
+            let mut broken = shifted(0.0);
+            broken.frame_mut(3)[PHASE] = f32::NAN;
+            assert!(score(broken).beat_phase_error.is_nan());
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! The phrases that listening is measured on, and where in beat and bar each frame of them is.
+
+use std::sync::Arc;
+
+use kinegrad_audio::pulse::BEAT_FEATURES;
+use kinegrad_data::{AUDIO_CHANNELS, Phrase, Songs};
+use kinegrad_motion::movement::phase_steps;
+use kinegrad_motion::phrase::PHASE;
+use kinegrad_motion::statistics::percentile;
+use kinegrad_motion::{FPS, Motion, circular};
+
+/// Beats in a bar where nothing is known of them.
+const COMMON_TIME: f64 = 4.0;
+
+/// How far the measured number of beats in a bar may be from a whole number, as a share of it. Tempi
+/// are means of a take, and that of a phrase differs a little.
+const TOLERANCE: f64 = 0.1;
+
+/// A held-out phrase with beats.
+#[derive(Clone, Debug)]
+pub(in super::super) struct Listened {
+    /// The part of it that is heard and danced.
+    pub phrase: Arc<Phrase>,
+    /// What it is danced to.
+    pub song: String,
+    /// Beats in a bar.
+    pub beats_per_bar: f64,
+    /// Whether that number is a guess.
+    pub guessed: bool,
+    /// The bar phase that its music has in each frame.
+    pub bars: Vec<f64>,
+}
+
+impl Listened {
+    /// The phrase with what `songs` say of it; `stated` counts before everything else as the beats
+    /// in a bar. `None` where its phase advances by less than a beat: nothing can be out of time
+    /// with it.
+    pub fn new(phrase: Arc<Phrase>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
+        let measured = || {
+            let tempo = songs.tempo(&phrase.id);
+            beats_in_a_bar(&phrase.motion, tempo.map(|tempo| tempo / 60.0 / FPS))
+                .or_else(|| beats_in_a_bar(&phrase.motion, beat_step(&phrase)))
+        };
+        let known = stated.or_else(measured);
+        let beats_per_bar = known.unwrap_or(COMMON_TIME);
+        let advance = phase_steps(&phrase.motion).iter().sum::<f64>();
+        (advance * beats_per_bar >= 1.0).then(|| Self {
+            song: songs.song(&phrase.id),
+            beats_per_bar,
+            guessed: known.is_none(),
+            bars: bars(&phrase.motion),
+            phrase,
+        })
+    }
+
+    /// Beats from the first frame to each.
+    pub fn beats(&self) -> Vec<f64> {
+        let steps = phase_steps(&self.phrase.motion);
+        let mut beats = vec![0.0];
+        for step in steps {
+            beats.push(beats[beats.len() - 1] + step * self.beats_per_bar);
+        }
+        beats
+    }
+}
+
+/// The bar phase in each frame of a motion.
+pub(super) fn bars(motion: &Motion) -> Vec<f64> {
+    let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+    (0..motion.frames()).map(phase).collect()
+}
+
+/// The whole number of steps of the beat phase, in beats a frame, that are one of the bar phase of
+/// `motion`; `None` where there is none near.
+fn beats_in_a_bar(motion: &Motion, beat_step: Option<f64>) -> Option<f64> {
+    let steps = phase_steps(motion);
+    if steps.is_empty() {
+        return None;
+    }
+    let ratio = beat_step? / percentile(steps, 50.0);
+    let whole = ratio.round();
+    (ratio.is_finite() && whole >= 1.0 && (ratio / whole - 1.0).abs() <= TOLERANCE).then_some(whole)
+}
+
+/// The median advance of the beat phase from frame to frame, by the phrase's beat features.
+fn beat_step(phrase: &Phrase) -> Option<f64> {
+    if !phrase.audio.layout().beats || phrase.frames() < 2 {
+        return None;
+    }
+    let row = |name: &str| {
+        let place = BEAT_FEATURES.iter().position(|known| *known == name);
+        phrase
+            .audio
+            .channel(AUDIO_CHANNELS + place.expect("a beat feature"))
+    };
+    let phase = row("beat_sin").iter().zip(row("beat_cos"));
+    let phase: Vec<f64> = phase
+        .map(|(sine, cosine)| f64::from(*sine).atan2(f64::from(*cosine)) / std::f64::consts::TAU)
+        .collect();
+    let steps = phase
+        .windows(2)
+        .map(|pair| circular::step(pair[0], pair[1]));
+    Some(percentile(steps.collect(), 50.0)).filter(|step| *step > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_audio::Pulse;
+    use kinegrad_data::{AudioLayout, synthetic};
+
+    use super::*;
+
+    /// A synthetic phrase whose phase advances by `bars` a second from `start`.
+    fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> Phrase {
+        let mut phrase = synthetic::phrase(index, frames, 1);
+        for t in 0..frames {
+            let phase = (start + bars * t as f64 / FPS).rem_euclid(1.0);
+            phrase.motion.frame_mut(t)[PHASE] = phase as f32;
+        }
+        phrase
+    }
+
+    fn listened(phrase: Phrase, stated: Option<f64>) -> Option<Listened> {
+        Listened::new(Arc::new(phrase), &Songs::default(), stated)
+    }
+
+    #[test]
+    fn beats_of_a_bar_are_stated_or_found_in_beat_features_or_four() {
+        // 96 beats a minute are 0.4 bars of four and 0.533 of three a second.
+        let pulse = Pulse::even(-0.4, 60.0 / 96.0).unwrap();
+        for (beats_per_bar, start) in [(3.0, 0.9), (4.0, 0.2)] {
+            let mut phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);
+            let plain = listened(phrase.clone(), None).unwrap();
+            assert_eq!((plain.beats_per_bar, plain.guessed), (4.0, true));
+            let stated = listened(phrase.clone(), Some(2.0)).unwrap();
+            assert_eq!((stated.beats_per_bar, stated.guessed), (2.0, false));
+            phrase.audio = phrase.audio.with_beats(Some(&pulse));
+            let heard = listened(phrase, None).unwrap();
+            assert_eq!((heard.beats_per_bar, heard.guessed), (beats_per_bar, false));
+            let beats = heard.beats();
+            assert_eq!((beats.len(), beats[0]), (90, 0.0));
+            assert!((beats[60] - 3.2).abs() < 1e-4, "{}", beats[60]);
+        }
+    }
+
+    #[test]
+    fn tempi_are_divided_by_the_advance_of_the_phase() {
+        let waltz = with_phase(0, 60, 0.5, 0.5);
+        let of_tempo = |tempo: f64| beats_in_a_bar(&waltz.motion, Some(tempo / 60.0 / FPS));
+        assert_eq!(of_tempo(90.0), Some(3.0));
+        assert_eq!(of_tempo(93.0), Some(3.0));
+        assert_eq!(of_tempo(105.0), None);
+        assert_eq!(of_tempo(5.0), None);
+        assert_eq!(beats_in_a_bar(&waltz.motion, None), None);
+        let still = with_phase(0, 60, 0.5, 0.0);
+        assert_eq!(beats_in_a_bar(&still.motion, Some(0.05)), None);
+    }
+
+    #[test]
+    fn phrases_of_less_than_a_beat_are_none() {
+        assert!(listened(with_phase(0, 60, 0.0, 0.0), None).is_none());
+        // 23 steps of 1 / 100 bars are 0.92 beats.
+        assert!(listened(with_phase(0, 24, 0.9, 0.3), None).is_none());
+        let enough = listened(with_phase(0, 30, 0.9, 0.3), None).unwrap();
+        assert_eq!(enough.song, "synthetic_00000");
+        let one = synthetic::phrase_in(AudioLayout::WITH_BEATS, 0, 1, 1);
+        assert!(listened(one, None).is_none());
+    }
+}

@@ -1,0 +1,185 @@
+//! The numbers of an evaluation of listening as columns.
+
+use kinegrad_motion::metrics::Estimate;
+use serde_json::to_value;
+
+use super::{Alignment, AtScale, Condition, Heard, Listening};
+use crate::evaluation::{Column, Evaluated, Group, Number};
+use crate::systems::cc_motion::evaluate::report::numbers as numbers_of;
+
+/// The evaluation as columns, with all of it as JSON.
+pub fn evaluated(listening: &Listening) -> Evaluated {
+    let counts = |step: Option<u64>, seeds: Option<u64>| {
+        vec![
+            ("step", step),
+            ("phrases", Some(listening.phrases as u64)),
+            ("songs", Some(listening.songs as u64)),
+            ("seeds", seeds),
+        ]
+    };
+    let drawn = |heard: Heard| {
+        let mut conditions = listening.conditions.iter();
+        let found = conditions.find(|condition| condition.heard == heard);
+        found.map(of_condition).unwrap_or_default()
+    };
+    let real = |heard: Heard| match heard {
+        Heard::Own => of_alignment(&listening.real),
+        _ => Vec::new(),
+    };
+    let seeds = listening.settings.seeds as u64;
+    Evaluated {
+        run: listening.run.clone(),
+        report: "eval-listening",
+        json: to_value(listening).expect("plain data"),
+        drawn: Column {
+            facts: counts(Some(listening.step), Some(seeds)),
+            groups: groups(drawn, of_scales(&listening.guidance)),
+        },
+        real: Column {
+            facts: counts(None, None),
+            groups: groups(real, Vec::new()),
+        },
+        remarks: Vec::new(),
+    }
+}
+
+/// A group for each condition and one for the guidance scales.
+fn groups(numbers: impl Fn(Heard) -> Vec<Number>, scales: Vec<Number>) -> Vec<Group> {
+    let conditions = Heard::ALL.into_iter().map(|heard| Group {
+        key: heard.name(),
+        title: heard.title(),
+        numbers: numbers(heard),
+    });
+    let guidance = Group {
+        key: "guidance",
+        title: "GUIDANCE SCALES, OWN MUSIC",
+        numbers: scales,
+    };
+    conditions.chain([guidance]).collect()
+}
+
+fn of_condition(condition: &Condition) -> Vec<Number> {
+    let mut numbers = Vec::new();
+    add(&mut numbers, "loss", "loss at high noise", condition.loss);
+    for (name, title, estimate) in [
+        (
+            "beat_phase_error",
+            "beat-phase error, beats",
+            condition.beat_phase_error,
+        ),
+        (
+            "bar_phase_error",
+            "bar-phase error, bars",
+            condition.bar_phase_error,
+        ),
+    ] {
+        add(&mut numbers, name, title, estimate);
+    }
+    // With the own music it is the same.
+    if condition.heard != Heard::Own && condition.heard_beat_phase_error.is_some() {
+        for (name, title, estimate) in [
+            (
+                "heard_beat_phase_error",
+                "beat-phase error to what was heard, beats",
+                condition.heard_beat_phase_error,
+            ),
+            (
+                "heard_bar_phase_error",
+                "bar-phase error to what was heard, bars",
+                condition.heard_bar_phase_error,
+            ),
+        ] {
+            add(&mut numbers, name, title, estimate);
+        }
+    }
+    if let Some(differences) = &condition.own_minus {
+        for (name, title, estimate) in [
+            ("own_minus.loss", "own minus this: loss", differences.loss),
+            (
+                "own_minus.beat_phase_error",
+                "own minus this: beat-phase error",
+                differences.beat_phase_error,
+            ),
+            (
+                "own_minus.bar_phase_error",
+                "own minus this: bar-phase error",
+                differences.bar_phase_error,
+            ),
+        ] {
+            add(&mut numbers, name, title, estimate);
+        }
+    }
+    numbers.extend(of_alignment(&condition.beat_alignment));
+    numbers
+}
+
+fn of_alignment(alignment: &Alignment) -> Vec<Number> {
+    let mut numbers = Vec::new();
+    for (name, title, estimate) in [
+        ("beat_alignment.score", "beat alignment", alignment.score),
+        (
+            "beat_alignment.chance",
+            "beat alignment by chance",
+            alignment.chance,
+        ),
+        (
+            "beat_alignment.above_chance",
+            "beat alignment above chance",
+            alignment.above_chance,
+        ),
+    ] {
+        add(&mut numbers, name, title, estimate);
+    }
+    numbers
+}
+
+/// The numbers of each scale, their names and titles behind it.
+fn of_scales(guidance: &[AtScale]) -> Vec<Number> {
+    let of_scale = |at: &AtScale| {
+        let scale = at.guidance_scale;
+        let mut numbers = Vec::new();
+        for (name, title, estimate) in [
+            (
+                "beat_phase_error",
+                "beat-phase error, beats",
+                at.beat_phase_error,
+            ),
+            (
+                "bar_phase_error",
+                "bar-phase error, bars",
+                at.bar_phase_error,
+            ),
+        ] {
+            add(&mut numbers, name, title, estimate);
+        }
+        numbers.extend(numbers_of(&at.measures));
+        let named = numbers.into_iter().map(move |number| Number {
+            name: format!("{scale}.{}", number.name),
+            value: number.value,
+            line: number
+                .line
+                .map(|(title, shown)| (format!("{scale}: {title}"), shown)),
+        });
+        named.collect::<Vec<_>>()
+    };
+    guidance.iter().flat_map(of_scale).collect()
+}
+
+/// A line for people, and the mean and both ends for files.
+fn add(numbers: &mut Vec<Number>, name: &str, title: &str, estimate: Option<Estimate>) {
+    let shown = estimate.map(|estimate| {
+        let Estimate { mean, low, high } = estimate;
+        format!("{mean:.4} ({low:.4} to {high:.4})")
+    });
+    for (end, value) in [
+        ("mean", estimate.map(|estimate| estimate.mean)),
+        ("low", estimate.map(|estimate| estimate.low)),
+        ("high", estimate.map(|estimate| estimate.high)),
+    ] {
+        numbers.push(Number {
+            name: format!("{name}.{end}"),
+            value,
+            line: (end == "mean").then(|| (title.to_owned(), shown.clone())),
+        });
+    }
+}
