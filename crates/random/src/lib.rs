@@ -65,6 +65,9 @@ pub enum Purpose {
     Pairs = 19,
     /// Which caption describes a clip, keyed by sample.
     Caption = 20,
+    /// Which style conditions are dropped for classifier-free guidance, keyed by step and
+    /// micro-batch.
+    StyleDropout = 21,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.
