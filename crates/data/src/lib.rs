@@ -36,6 +36,7 @@ pub mod humanml;
 mod inspect;
 mod item;
 mod item_set;
+mod labels;
 mod layout;
 mod library;
 mod listing;
@@ -53,6 +54,7 @@ mod phrase_set;
 mod prefetch;
 mod split;
 mod store;
+mod style_conditions;
 mod survey;
 pub mod synthetic;
 
@@ -74,6 +76,7 @@ pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::Item;
 pub use item_set::ItemSet;
+pub use labels::is_label;
 pub use layout::{
     AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
 };
@@ -92,4 +95,5 @@ pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};
+pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};
 pub use survey::OpenProgress;

@@ -20,6 +20,7 @@ pub(in crate::manifest) fn row(id: &str) -> ManifestRow {
         audio_bytes: 40_000,
         audio_sha256: Digest::of(b"audio"),
         audio_features: Some(vec![AudioGroup::Document, AudioGroup::Beats]),
+        label: Some("cha-cha".to_owned()),
         flags: vec![Flag::JoinedUnits, Flag::FilledGaps],
     }
 }
@@ -39,6 +40,7 @@ fn what_is_written_is_read_and_equal_rows_make_equal_bytes() {
         tempo: None,
         split: None,
         audio_features: None,
+        label: None,
         flags: vec![Flag::NoAudio, Flag::NoBeats],
         ..row("a")
     };

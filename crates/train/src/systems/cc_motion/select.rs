@@ -76,6 +76,7 @@ impl Selection {
                 id: phrase.id.clone(),
                 motion: phrase.motion.slice(0..longest),
                 audio: phrase.audio.slice(0..longest),
+                label: phrase.label.clone(),
             }),
         };
         let phrases = held_out.first(validation.select_samples)?;
