@@ -123,6 +123,7 @@ impl Case {
                 timesteps: timesteps.indices(),
                 noise: self.tensor("in.noise"),
                 keep_cond: None,
+                keep_style: None,
                 dropout: None,
             },
             starts: self.starts(),

@@ -79,7 +79,9 @@ impl<T: Item> ItemSet<T> {
     /// # Panics
     /// Panics if there are not so many.
     pub fn label(&self, position: usize) -> Option<&str> {
-        self.library.entries[self.indices[position]].label.as_deref()
+        self.library.entries[self.indices[position]]
+            .label
+            .as_deref()
     }
 
     /// Their labels, each once, in order.

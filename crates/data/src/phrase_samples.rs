@@ -243,12 +243,18 @@ mod tests {
             .with_numbers(&statistics)
             .with_labels(known);
         let set: PhraseSet = phrases.clone().into();
-        assert_eq!(set.labels().into_iter().collect::<Vec<_>>(), ["rumba", "tango", "waltz"]);
+        assert_eq!(
+            set.labels().into_iter().collect::<Vec<_>>(),
+            ["rumba", "tango", "waltz"]
+        );
         let given = Arc::new(statistics.clone());
         let samples = PhraseSamples::new(set, given, &config, 3);
         let plain = samples.collate(0..4).unwrap();
         let batch = samples.with_style(style).collate(0..4).unwrap();
-        assert_eq!((&plain.x_start, plain.conditions.len()), (&batch.x_start, 1));
+        assert_eq!(
+            (&plain.x_start, plain.conditions.len()),
+            (&batch.x_start, 1)
+        );
         let of_labels = batch.condition(crate::LABEL).unwrap();
         assert_eq!(of_labels.values, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
         let numbers = batch.condition(crate::STYLE).unwrap();

@@ -158,7 +158,11 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         split: None,
         warnings,
         listed: phrases,
-        origin: Box::new(PhraseFiles(files, layout, Labels::new(&config.labels, labels))),
+        origin: Box::new(PhraseFiles(
+            files,
+            layout,
+            Labels::new(&config.labels, labels),
+        )),
     })
 }
 

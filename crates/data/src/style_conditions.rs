@@ -114,7 +114,10 @@ mod tests {
     fn conditions_are_as_many_as_are_asked_for() {
         let labels = || vec!["rumba".to_owned(), "waltz".to_owned()];
         let none = StyleConditions::default();
-        let both = none.clone().with_numbers(&statistics()).with_labels(labels());
+        let both = none
+            .clone()
+            .with_numbers(&statistics())
+            .with_labels(labels());
         assert!(none.shapes().is_empty() && none.values(None, Some("waltz")).is_empty());
         assert_eq!(both.shapes(), [(STYLE, 9), (LABEL, 2)]);
         assert_eq!(none.with_labels(labels()).shapes(), [(LABEL, 2)]);
@@ -127,7 +130,10 @@ mod tests {
             ]
         );
         // Nothing said, and a label that is not known, are null.
-        assert_eq!(both.values(None, Some("tango")), [vec![0.0; 9], vec![0.0; 2]]);
+        assert_eq!(
+            both.values(None, Some("tango")),
+            [vec![0.0; 9], vec![0.0; 2]]
+        );
     }
 
     #[test]

@@ -18,8 +18,8 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Path, Prediction, SamplerConfig, Time, ddim,
-    guided,
+    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Path, Prediction, SamplerConfig,
+    Time, ddim, guided,
 };
 
 /// What a rollout keeps for its backward pass.

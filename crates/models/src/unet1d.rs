@@ -4,6 +4,8 @@ mod adapters;
 mod audio;
 mod style;
 #[cfg(test)]
+mod style_tests;
+#[cfg(test)]
 mod tests;
 
 use burn::module::Module;
@@ -250,9 +252,10 @@ impl UNet1dConfig {
             "labels where `model.style` is \"label\" or \"both\"",
         )
         .hint("leave the key out: labels are those of the training phrases")?;
-        let differ = labels.iter().enumerate().all(|(place, label)| {
-            !label.trim().is_empty() && !labels[..place].contains(label)
-        });
+        let differ = labels
+            .iter()
+            .enumerate()
+            .all(|(place, label)| !label.trim().is_empty() && !labels[..place].contains(label));
         require(
             differ && labels.len() <= MAX_WIDTH,
             "model.style_labels",

@@ -95,9 +95,7 @@ impl StyleEmbedding {
             numbers_at_0: part(has_numbers, &|| {
                 Linear::new(STYLE_VALUES, width, &numbers.at("0"))
             }),
-            numbers_at_2: part(has_numbers, &|| {
-                Linear::new(width, width, &numbers.at("2"))
-            }),
+            numbers_at_2: part(has_numbers, &|| Linear::new(width, width, &numbers.at("2"))),
             label: part(style.has_label(), &|| {
                 Linear::new(labels, width, &init.at("label"))
             }),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, GuidanceScales, RolloutMode as Graph, must_suit};
-use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
+use kinegrad_models::{DecoderConfig, LoraConfig, StyleConditioning, UNet1dConfig};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -311,6 +311,27 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let CcMotionNetwork::Unet1d(unet) = &own.model.network;
     unet.validate()?;
     must_suit(&config.sampling.sampler, &own.diffusion)?;
+    let of_style = [
+        (
+            "sampling.sampler.style_guidance_scale",
+            config.sampling.sampler.style_guidance_scale,
+        ),
+        (
+            "rollout.style_guidance_scale",
+            own.rollout.style_guidance_scale,
+        ),
+        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
+    ];
+    for (key, value) in of_style {
+        let Some(value) = value else { continue };
+        require(
+            unet.style != StyleConditioning::None,
+            key,
+            value,
+            "nothing where `model.style` is \"none\"",
+        )
+        .hint("leave the key out, or train with `model.style`")?;
+    }
     in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)
