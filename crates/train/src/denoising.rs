@@ -428,3 +428,70 @@ impl HeldOut {
         sum / (draws * all) as f64
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Conditions of so many samples with parts of these names, all ones.
+    fn conditions(batch: usize, names: &[&'static str]) -> Conditions {
+        let ones = Tensor::ones([batch, 2, 1], &Device::flex());
+        Conditions::new(names.iter().map(|&name| (name, ones.clone())))
+    }
+
+    /// Shares of samples that keep numbers and label, numbers, label, and neither.
+    fn shares(names: &[&'static str], probability: f64) -> [f64; 4] {
+        let (batch, key) = (4000, Key::new(7, Purpose::StyleDropout));
+        let cond = conditions(batch, names);
+        let keep = KeptStyle::draw(&cond, probability, key, &Device::flex()).expect("a style");
+        let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("float32");
+        let (numbers, label) = (host(keep.numbers.clone()), host(keep.label.clone()));
+        let mut counts = [0.0; 4];
+        for (numbers, label) in numbers.iter().zip(&label) {
+            let place = match (*numbers > 0.0, *label > 0.0) {
+                (true, true) => 0,
+                (true, false) => 1,
+                (false, true) => 2,
+                (false, false) => 3,
+            };
+            counts[place] += 1.0 / batch as f64;
+        }
+        // What is kept is as it was, the rest zero, and the audio not touched.
+        let kept = cond.kept_style(&keep);
+        for (name, values) in kept.0 {
+            let sum = values.sum().into_scalar::<f32>() / 2.0;
+            let expected: f32 = match name {
+                STYLE => numbers.iter().sum(),
+                LABEL => label.iter().sum(),
+                _ => batch as f32,
+            };
+            assert_eq!(sum, expected, "{name}");
+        }
+        counts
+    }
+
+    #[test]
+    fn a_style_is_dropped_as_a_whole_and_in_parts() {
+        let near = |found: [f64; 4], expected: [f64; 4]| {
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() < 0.02, "{found} {expected}");
+            }
+        };
+        near(shares(&["audio", STYLE, LABEL], 0.2), [0.4, 0.2, 0.2, 0.2]);
+        near(shares(&["audio", STYLE, LABEL], 0.05), [0.85, 0.05, 0.05, 0.05]);
+        // Of one part alone, that one as often.
+        near(shares(&["audio", STYLE], 0.2), [0.8, 0.0, 0.0, 0.2]);
+        near(shares(&["audio", LABEL], 0.3), [0.7, 0.0, 0.0, 0.3]);
+        let (key, device) = (Key::new(7, Purpose::StyleDropout), Device::flex());
+        assert!(KeptStyle::draw(&conditions(3, &["audio"]), 0.2, key, &device).is_none());
+        assert!(KeptStyle::draw(&conditions(3, &[STYLE]), 0.0, key, &device).is_none());
+    }
+
+    #[test]
+    fn dropped_audio_leaves_the_style() {
+        let cond = conditions(3, &["audio", STYLE, LABEL]);
+        let kept = cond.kept(&Tensor::zeros([3, 1, 1], &Device::flex()));
+        let sum = |name| kept.get(name).clone().sum().into_scalar::<f32>();
+        assert_eq!([sum("audio"), sum(STYLE), sum(LABEL)], [0.0, 6.0, 6.0]);
+    }
+}
