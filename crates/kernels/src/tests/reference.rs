@@ -189,13 +189,13 @@ fn erf(x: f64) -> f64 {
     if x.is_nan() || x.abs() > 5.0 {
         return if x.is_nan() { x } else { x.signum() };
     }
+    // The series whose terms have one sign: those of the other cancel to a few digits.
     let (mut term, mut sum) = (x, x);
-    for n in 1..120 {
-        let n = f64::from(n);
-        term *= -x * x / n;
-        sum += term / (2.0 * n + 1.0);
+    for n in 1..200 {
+        term *= 2.0 * x * x / f64::from(2 * n + 1);
+        sum += term;
     }
-    sum * 2.0 / std::f64::consts::PI.sqrt()
+    sum * (-x * x).exp() * 2.0 / std::f64::consts::PI.sqrt()
 }
 
 fn group_norm(
