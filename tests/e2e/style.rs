@@ -45,7 +45,10 @@ fn state(sandbox: &Sandbox, run: &str) -> Value {
     let step = sandbox.list(&format!("runs/{run}/checkpoints"));
     let step = step.iter().rfind(|name| name.starts_with("step-"));
     let step = step.expect("a checkpoint");
-    record(sandbox, &format!("runs/{run}/checkpoints/{step}/state.json"))
+    record(
+        sandbox,
+        &format!("runs/{run}/checkpoints/{step}/state.json"),
+    )
 }
 
 /// Draws with these options and returns the raw motion.
@@ -88,18 +91,22 @@ fn a_sample_has_the_style_that_it_is_asked_for() {
     assert_eq!(said["condition"]["style"][6], -0.1);
     assert_eq!(said["condition"]["style"].as_array().map(Vec::len), Some(8));
     of("");
-    assert!(record(&sandbox, "drawn.json")["condition"].get("style").is_none());
+    assert!(
+        record(&sandbox, "drawn.json")["condition"]
+            .get("style")
+            .is_none()
+    );
 
     // A scale of its own: the same as that of all, nothing, more.
     let guided = of("--style waltz --guidance-scale 2");
     let scale = |style: &str| of(&format!("--style waltz --guidance-scale 2 {style}"));
     assert_eq!(scale("--style-guidance-scale 2"), guided);
-    assert_eq!(
-        scale("--style-guidance-scale 0"),
-        of("--guidance-scale 2")
-    );
+    assert_eq!(scale("--style-guidance-scale 0"), of("--guidance-scale 2"));
     assert_ne!(scale("--style-guidance-scale 5"), guided);
-    assert_eq!(record(&sandbox, "drawn.json")["sampler"]["style_guidance_scale"], 5.0);
+    assert_eq!(
+        record(&sandbox, "drawn.json")["sampler"]["style_guidance_scale"],
+        5.0
+    );
     // Without a style it changes nothing.
     assert_eq!(of("--style-guidance-scale 5"), all[0]);
     // Of several in a batch, each is as alone.
@@ -152,7 +159,11 @@ fn wrong_styles_are_refused_and_leave_nothing() {
             format!("--style {NUMBERS}"),
             ["numbers", "\"label\""],
         ),
-        ("numbers", "--style waltz".into(), ["a label", "\"numbers\""]),
+        (
+            "numbers",
+            "--style waltz".into(),
+            ["a label", "\"numbers\""],
+        ),
         (
             "numbers",
             format!("--style {seven}"),
@@ -195,9 +206,15 @@ fn wrong_styles_are_refused_and_leave_nothing() {
         assert_eq!(sandbox.list("."), before, "{options}");
     }
     for (settings, expected) in [
-        ("--set data.labels={} --set model.style=label", "no training phrase has one"),
+        (
+            "--set data.labels={} --set model.style=label",
+            "no training phrase has one",
+        ),
         ("--set model.style=loud", "loud"),
-        ("--set model.style=both --set diffusion.style_drop_prob=0.5", "style_drop_prob"),
+        (
+            "--set model.style=both --set diffusion.style_drop_prob=0.5",
+            "style_drop_prob",
+        ),
         ("--set diffusion.style_drop_prob=0.2", "model.style"),
         ("--set model.style_labels=[\"a\"]", "model.style_labels"),
         (
@@ -241,12 +258,12 @@ fn style_is_fine_tuned_and_merged() {
     for key in ["style", "style_labels"] {
         assert_eq!(tuned["config"]["model"][key], base["config"]["model"][key]);
     }
-    let [waltz, tango] = ["waltz", "tango"]
-        .map(|style| drawn(&sandbox, "full", &format!("--style {style}")));
+    let [waltz, tango] =
+        ["waltz", "tango"].map(|style| drawn(&sandbox, "full", &format!("--style {style}")));
     assert_ne!(waltz, tango);
     sandbox.run("merge runs/full --out runs/merged").succeeded();
-    let merged = ["waltz", "tango"]
-        .map(|style| drawn(&sandbox, "merged", &format!("--style {style}")));
+    let merged =
+        ["waltz", "tango"].map(|style| drawn(&sandbox, "merged", &format!("--style {style}")));
     assert_ne!(merged[0], merged[1]);
     sandbox
         .run("sample runs/merged --style foxtrot --out wrong")
@@ -269,9 +286,9 @@ fn dropping_all_styles_and_having_none_are_told_apart_by_the_metrics() {
         let sandbox = trained(settings);
         let text = fs::read_to_string(sandbox.path("runs/smallest/metrics.jsonl"));
         let lines = text.expect("metrics");
-        let lines = lines.lines().map(|line| -> Value {
-            serde_json::from_str(line).expect("JSON")
-        });
+        let lines = lines
+            .lines()
+            .map(|line| -> Value { serde_json::from_str(line).expect("JSON") });
         lines.map(|line| line["loss"].clone()).collect::<Vec<_>>()
     };
     let none = losses("");

@@ -97,6 +97,7 @@ impl Case {
             straight_through: false,
             gradient_decay: 1.0,
             guidance_scale: 1.0,
+            style_guidance_scale: None,
         };
         let sampler = Rollouts::new(self.diffusion.clone(), &config, statistics);
         let sampler = sampler.expect("nothing is clipped");

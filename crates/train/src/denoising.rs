@@ -478,7 +478,10 @@ mod tests {
             }
         };
         near(shares(&["audio", STYLE, LABEL], 0.2), [0.4, 0.2, 0.2, 0.2]);
-        near(shares(&["audio", STYLE, LABEL], 0.05), [0.85, 0.05, 0.05, 0.05]);
+        near(
+            shares(&["audio", STYLE, LABEL], 0.05),
+            [0.85, 0.05, 0.05, 0.05],
+        );
         // Of one part alone, that one as often.
         near(shares(&["audio", STYLE], 0.2), [0.8, 0.0, 0.0, 0.2]);
         near(shares(&["audio", LABEL], 0.3), [0.7, 0.0, 0.0, 0.3]);

@@ -26,7 +26,7 @@ use crate::run::{Material, Outcome, Setup};
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let own = CcMotionConfig::of(&setup.config)?;
     let mut setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = Dataset::<Phrase>::open_with_progress(&config.data, &*observer.reading())?;
+    let dataset = Dataset::<Phrase>::open_with_progress(&setup.config.data, &*observer.reading())?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
