@@ -103,7 +103,7 @@ fn golden_res_block(golden: Golden) {
         let block = parameters::load(block, weights(&golden, &format!("model.{case}.")))
             .expect("the weights fit");
 
-        let y = block.forward(x.clone(), temb.clone(), None);
+        let y = block.forward(x.clone(), temb.clone(), None, None);
         golden
             .reference(&format!("out.{case}.y"))
             .assert_close_tensor(&case, y.clone(), OUTPUT);
@@ -159,7 +159,7 @@ fn golden_attention_block(golden: Golden) {
         let block = parameters::load(block, weights(&golden, &format!("model.{owner}.")))
             .expect("the weights fit");
 
-        let y = block.forward(x.clone(), context.clone());
+        let y = block.forward(x.clone(), context.clone(), None);
         golden
             .reference(&format!("out.{case}.y"))
             .assert_close_tensor(&case, y.clone(), OUTPUT);
