@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use burn::tensor::Device;
-use kinegrad_data::{load_audio, read_motion};
+use kinegrad_data::{AudioLayout, load_audio, read_motion};
 use kinegrad_motion::phrase::POSITION;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{Motion, Movement};
@@ -134,7 +134,11 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
     sandbox
         .run("audio features song.wav --out features")
         .succeeded();
-    let audio = load_audio(&sandbox.path("features/song/features.npz")).expect("features");
+    let audio = load_audio(
+        &sandbox.path("features/song/features.npz"),
+        AudioLayout::DOCUMENT,
+    )
+    .expect("features");
     let audio = audio.slice(0..95);
     let checkpoint = sandbox.path("runs/smallest/checkpoints/step-00000004");
     let generator =
