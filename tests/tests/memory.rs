@@ -42,7 +42,7 @@ fn memory_stays_flat_over_200_sampler_calls() {
             &diffusion,
             &model,
             tensor(25),
-            &tensor(163),
+            &tensor(163).into(),
             &sampler,
             &ClipRange::None,
             key.at(index),
