@@ -78,7 +78,7 @@ fn golden_ddim_sampling(golden: Golden) {
                 &diffusion,
                 &model,
                 start.clone(),
-                &cond,
+                &cond.clone().into(),
                 sampler,
                 &clip,
                 key,
