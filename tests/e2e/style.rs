@@ -6,13 +6,14 @@ use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::{Value, json};
 
-/// Labels of most phrases; some have none.
+/// Labels of most phrases; some have none, and the one that is held out has its own.
 const LABELS: &str = "
 [data.labels]
 \"*0\" = \"waltz\"
 \"*1\" = \"tango\"
 \"*5\" = \"tango\"
-\"*3\" = \"slow waltz\"
+\"*4\" = \"slow waltz\"
+\"*3\" = \"rumba\"
 \"*_00010\" = \"\"
 ";
 
@@ -60,7 +61,15 @@ fn drawn(sandbox: &Sandbox, run: &str, options: &str) -> Vec<u8> {
 
 #[test]
 fn a_sample_has_the_style_that_it_is_asked_for() {
-    let sandbox = trained("--set model.style=both");
+    let sandbox = sandbox();
+    let train = "train c.toml --set train.max_steps=6 --set model.style=both";
+    let told = sandbox.run(train).succeeded().stderr;
+    for expected in [
+        "6 of 11 training phrases have no label",
+        "held-out phrases have the label `rumba`",
+    ] {
+        assert!(told.contains(expected), "{told}");
+    }
     let labels = json!(["slow waltz", "tango", "waltz"]);
     assert_eq!(
         state(&sandbox, "smallest")["config"]["model"]["style_labels"],
@@ -151,8 +160,8 @@ fn wrong_styles_are_refused_and_leave_nothing() {
     for (run, options, expected) in [
         (
             "smallest",
-            "--style foxtrot".to_string(),
-            ["`foxtrot`", "it knows `slow waltz`, `tango`, `waltz`"],
+            "--style rumba".to_string(),
+            ["`rumba`", "it knows `slow waltz`, `tango`, `waltz`"],
         ),
         (
             "smallest",
