@@ -40,9 +40,14 @@ pub(super) fn with_labels(
         return Ok(config);
     }
     let found = dataset.train.labels();
+    let phrase_of = |label: &str| {
+        let mut positions = 0..dataset.train.len();
+        let position = positions.find(|&p| dataset.train.label(p) == Some(label));
+        position.map_or("", |position| dataset.train.id(position))
+    };
     if let Some(odd) = found.iter().find(|label| !is_label(label)) {
         return Err(Error::usage(
-            format!("a training phrase has the label `{odd}`"),
+            format!("phrase `{}` has the label `{odd}`", phrase_of(odd)),
             "labels are words that are no numbers and have no comma; `data.labels` sets others",
         ));
     }
@@ -59,7 +64,10 @@ pub(super) fn with_labels(
     let known: BTreeSet<&str> = unet.style_labels.iter().map(String::as_str).collect();
     if let Some(unknown) = found.difference(&known).next() {
         return Err(Error::usage(
-            format!("a training phrase has the label `{unknown}`, which the network does not know"),
+            format!(
+                "phrase `{}` has the label `{unknown}`, which the network does not know",
+                phrase_of(unknown)
+            ),
             format!(
                 "it knows {}; `data.labels` gives phrases other labels, or none",
                 listed(&unet.style_labels)
@@ -179,20 +187,17 @@ impl Asked {
 /// [`Error::Usage`], for an unknown label with those that it knows.
 pub(super) fn must_know(style: &Style, config: &Config) -> Result<(), Error> {
     let unet = network(config)?;
-    let (there, asked, others) = match style {
-        Style::Numbers(_) => (unet.style.has_numbers(), "numbers", "--style LABEL"),
-        Style::Label(_) => (
-            unet.style.has_label(),
-            "a label",
-            "--style with eight numbers",
-        ),
+    let (there, asked) = match style {
+        Style::Numbers(_) => (unet.style.has_numbers(), "eight numbers"),
+        Style::Label(_) => (unet.style.has_label(), "a label"),
     };
     if !there {
         let hint = match unet.style {
             StyleConditioning::None => {
                 "train with `model.style` = \"numbers\", \"label\" or \"both\"".to_string()
             }
-            _ => format!("this run takes `{others}`"),
+            StyleConditioning::Numbers => "this run takes eight numbers".to_string(),
+            _ => format!("this run takes a label: {}", listed(&unet.style_labels)),
         };
         let named = serde_json::to_string(&unet.style).unwrap_or_default();
         let message = format!("`--style` is {asked}, and `model.style` of the run is {named}");
