@@ -248,7 +248,7 @@ impl Work for Sampling {
             &self.diffusion,
             &self.unet,
             self.start_noise.clone(),
-            &self.cond,
+            &self.cond.clone().into(),
             &self.sampler,
             &ClipRange::None,
             Key::new(0, Purpose::Noise), // no noise is drawn: eta is 0
