@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use kinegrad_tests::captures::wav;
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+use kinegrad_tests::captures::{self, PLAN, wav};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, finish};
 use serde_json::{Value, json};
 
 /// Labels of most phrases; some have none, and the one that is held out has its own.
@@ -304,4 +304,37 @@ fn dropping_all_styles_and_having_none_are_told_apart_by_the_metrics() {
     let kept = losses("--set model.style=numbers --set diffusion.style_drop_prob=0");
     let dropped = losses("--set model.style=numbers --set diffusion.style_drop_prob=0.3");
     assert!(none != kept && kept != dropped);
+}
+
+#[test]
+fn labels_of_a_plan_are_those_of_the_manifest_and_train() {
+    let sandbox = sandbox();
+    captures::write(&sandbox);
+    let labelled = PLAN.replacen("[[take]]", "[[take]]\nlabel = \"waltz\"", 1);
+    sandbox.write("labelled.toml", &labelled);
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.run("data prepare labelled.toml").succeeded();
+    let chosen = |condition: &str| {
+        let mut command =
+            sandbox.command(["data", "inspect", "set", "--json", "--where", condition]);
+        command.stdin(std::process::Stdio::null());
+        let found = finish(command).succeeded().stdout;
+        serde_json::from_str::<Vec<String>>(&found).expect("a list of ids")
+    };
+    let (waltz, all) = (chosen("label = waltz"), chosen("frames > 0"));
+    assert!(!waltz.is_empty() && waltz.len() < all.len(), "{waltz:?}");
+    let train = "train c.toml --set data.kind=phrases --set data.source=set \
+                 --set train.max_steps=2 --set model.style=label";
+    sandbox.run(train).succeeded();
+    assert_eq!(
+        state(&sandbox, "smallest")["config"]["model"]["style_labels"],
+        json!(["waltz"])
+    );
+    for bad in ["a,b", "7", ""] {
+        let text = labelled.replace("\"waltz\"", &format!("\"{bad}\""));
+        sandbox.write("bad.toml", text);
+        sandbox
+            .run("data prepare bad.toml")
+            .failed(2, &["label", "no comma allowed"]);
+    }
 }

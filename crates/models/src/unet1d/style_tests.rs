@@ -3,6 +3,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GuidanceScales, Time, guided};
 use kinegrad_random::{Key, Purpose};
+use serde::de::value::{Error as ValueError, MapDeserializer};
 
 use super::*;
 use crate::parameters;
@@ -257,6 +258,14 @@ fn adapters_reach_the_style_and_merge() {
         parameters::infos(&both(&device))
     );
     assert!(largest(predicted(&merged, &cond) - with) < 1e-4);
+}
+
+#[test]
+fn old_configs_have_no_style() {
+    let entries = MapDeserializer::<_, ValueError>::new([("num_heads", 4usize)].into_iter());
+    let config = UNet1dConfig::deserialize(entries).expect("a known key");
+    assert_eq!(config.style, StyleConditioning::None);
+    assert!(config.style_labels.is_empty());
 }
 
 #[test]
