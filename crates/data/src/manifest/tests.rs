@@ -53,6 +53,20 @@ fn what_is_written_is_read_and_equal_rows_make_equal_bytes() {
 }
 
 #[test]
+fn a_manifest_without_labels_has_no_column_of_them() {
+    let unlabelled = |id| ManifestRow {
+        label: None,
+        ..row(id)
+    };
+    let columns = |rows| {
+        let bytes = table::encode(rows).unwrap();
+        table::decode(bytes, None).unwrap().width()
+    };
+    let without = columns(vec![unlabelled("a"), unlabelled("b")]);
+    assert_eq!(columns(vec![unlabelled("a"), row("b")]), without + 1);
+}
+
+#[test]
 fn ids_that_lead_elsewhere_and_broken_columns_are_refused() {
     for (id, expected) in [
         ("../a", "no slash"),
