@@ -29,6 +29,7 @@ mod run_folders;
 mod sizes;
 mod songs;
 mod stages;
+mod style;
 mod targets;
 mod train;
 mod view;

@@ -134,6 +134,15 @@ fn killed_run_ends_the_same_with_a_worker_and_accumulation() {
 }
 
 #[test]
+fn killed_run_ends_the_same_with_style() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    let labels = "[data.labels]\n\"*1\" = \"tango\"\n\"*5\" = \"waltz\"\n";
+    sandbox.write("c.toml", format!("{SMALLEST}\n{labels}"));
+    let style = "--set model.style=both --set diffusion.style_drop_prob=0.25";
+    check_kills_in(&sandbox, style);
+}
+
+#[test]
 fn killed_run_ends_the_same_with_four_workers() {
     check_kills("--set data.num_workers=4");
 }

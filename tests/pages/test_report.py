@@ -71,7 +71,7 @@ def test_sections_and_charts_are_there(report, opened):
         })"""
     ):
         assert min(box) >= 0, box
-    assert "584,604" in page.locator(".highlights").inner_text()
+    assert "684,188" in page.locator(".highlights").inner_text()
     rows = page.locator("section:has(h2:text-is('Samples')) tbody tr")
     assert rows.count() == 2
 

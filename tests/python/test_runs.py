@@ -100,6 +100,34 @@ def test_samples_of_which_frames_are_given(command, phrases, song, tmp_path):
             phrases.sample(progress=False, **bad)
 
 
+def test_samples_of_a_style(command, phrases, runs, tmp_path):
+    settings = ["model.style=both", 'data.labels={"*0" = "waltz", "*1" = "tango"}']
+    settings = [word for setting in settings for word in ("--set", setting)]
+    command("train", runs / "phrases.toml", "--runs-dir", tmp_path, "--name", "styled", *settings)
+    styled = kinegrad.Run(tmp_path / "styled")
+    numbers = [0.8, -0.1, 0.5, 0.1, 1, 0.2, 0, 1e-5]
+    for name, style, text in [
+        ("label", "waltz", "waltz"),
+        ("numbers", numbers, "0.8,-0.1,0.5,0.1,1,0.2,0,1e-5"),
+        ("array", np.array(numbers), "0.8,-0.1,0.5,0.1,1,0.2,0,1e-5"),
+    ]:
+        (tmp_path / name).mkdir()
+        options = ["--style", text, "--steps", "2"]
+        (sample,) = compare(command, styled, tmp_path / name, options, style=style, steps=2)
+        said = sample.record["condition"]["style"]
+        assert said == ("waltz" if name == "label" else numbers)
+    for bad, message in [
+        ("foxtrot", "`tango`, `waltz`"),
+        (numbers[:7], "7 numbers"),
+        ([*numbers, 1], "9 numbers"),
+        ([*numbers[:7], float("nan")], "not finite"),
+    ]:
+        with pytest.raises(kinegrad.UsageError, match=message):
+            styled.sample(progress=False, style=bad)
+    with pytest.raises(kinegrad.UsageError, match="model.style"):
+        phrases.sample(progress=False, style="waltz")
+
+
 def test_samples_of_songs_and_their_features(command, phrases, song, tmp_path):
     options = ["--audio", song, "--start", "1.5", "--frames", "20", "--no-ema"]
     (sample,) = compare(

@@ -97,6 +97,7 @@ impl Case {
             straight_through: false,
             gradient_decay: 1.0,
             guidance_scale: 1.0,
+            style_guidance_scale: None,
         };
         let sampler = Rollouts::new(self.diffusion.clone(), &config, statistics);
         let sampler = sampler.expect("nothing is clipped");
@@ -123,6 +124,7 @@ impl Case {
                 timesteps: timesteps.indices(),
                 noise: self.tensor("in.noise"),
                 keep_cond: None,
+                keep_style: None,
                 dropout: None,
             },
             starts: self.starts(),

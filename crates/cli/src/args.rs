@@ -163,6 +163,10 @@ pub struct SampleArguments {
     /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
+    /// Style of the sample, for runs with `model.style`: a label, such as `waltz`, or eight numbers
+    /// with commas between them [default: none]
+    #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]
+    pub style: Option<String>,
     /// Phrase to go on from: the sample begins with its last frames, a quarter of the length that
     /// the run was trained on
     #[arg(long, value_name = "MOTION.npy", conflicts_with = "keep")]
@@ -210,6 +214,9 @@ pub struct DrawArguments {
     /// with commas between them [default: from the run's config]
     #[arg(long, value_name = "SCALE", value_delimiter = ',')]
     pub guidance_scale: Vec<f64>,
+    /// Guidance scale of the style [default: from the run's config, else that of all conditions]
+    #[arg(long, value_name = "SCALE")]
+    pub style_guidance_scale: Option<f64>,
     /// Use the trained weights instead of their exponential moving average
     #[arg(long)]
     pub no_ema: bool,

@@ -2,6 +2,7 @@
 
 mod clips;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -11,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::audio_layout::{AudioGroup, AudioLayout, check_groups};
+use crate::labels::check_patterns;
 use crate::location::Location;
 use crate::prefetch::LOOK_AHEAD_PER_WORKER;
 use crate::{Error, Humanml3dConfig};
@@ -60,6 +62,11 @@ pub struct DataConfig {
     /// Use only this many ids, in sorted order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub num_phrases: Option<usize>,
+    /// Labels of phrases, such as the kind of dance, for networks with `model.style`: a label for each
+    /// id or pattern with `*`, of which the longest that matches decides. They go before those of
+    /// the dataset's manifest; an empty one is none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<String, String>,
     /// Held-out phrases.
     pub validation: ValidationSplit,
     /// Data augmentation.
@@ -88,6 +95,7 @@ impl Default for DataConfig {
             num_workers: 4,
             on_bad_phrase: OnBadPhrase::Error,
             num_phrases: None,
+            labels: BTreeMap::new(),
             validation: ValidationSplit::default(),
             augment: AugmentConfig::default(),
             cache: CacheConfig::default(),
@@ -331,6 +339,7 @@ impl DataConfig {
         if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
             clips::validate(self)?;
         }
+        check_patterns(&self.labels)?;
         self.validation.validate()?;
         self.cache.validate()?;
         self.store.validate()?;

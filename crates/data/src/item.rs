@@ -25,6 +25,11 @@ pub trait Item: Debug + Send + Sync + 'static {
     /// Its motion as rows of `representation`, `[frames, channels]`.
     fn rows(&self, representation: &Self::Representation) -> Cow<'_, [f32]>;
 
+    /// What it is called, such as the kind of dance.
+    fn label(&self) -> Option<&str> {
+        None
+    }
+
     /// Numbers of its conditions, by name.
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         Vec::new()

@@ -1,5 +1,6 @@
 //! Some of the items of a dataset.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -71,6 +72,22 @@ impl<T: Item> ItemSet<T> {
     /// Panics if there are not so many.
     pub fn id(&self, position: usize) -> &str {
         &self.library.entries[self.indices[position]].id
+    }
+
+    /// Label of item `position`, without reading it.
+    ///
+    /// # Panics
+    /// Panics if there are not so many.
+    pub fn label(&self, position: usize) -> Option<&str> {
+        self.library.entries[self.indices[position]]
+            .label
+            .as_deref()
+    }
+
+    /// Their labels, each once, in order.
+    pub fn labels(&self) -> BTreeSet<&str> {
+        let labels = (0..self.len()).filter_map(|position| self.label(position));
+        labels.collect()
     }
 
     /// Item `position`.

@@ -36,6 +36,7 @@ pub mod humanml;
 mod inspect;
 mod item;
 mod item_set;
+mod labels;
 mod layout;
 mod library;
 mod listing;
@@ -54,6 +55,7 @@ mod prefetch;
 mod songs;
 mod split;
 mod store;
+mod style_conditions;
 mod survey;
 pub mod synthetic;
 
@@ -75,6 +77,7 @@ pub use humanml::Humanml3dConfig;
 pub use inspect::{ChannelSummary, Inspection, Problem, inspect, statistics};
 pub use item::Item;
 pub use item_set::ItemSet;
+pub use labels::is_label;
 pub use layout::{
     AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
 };
@@ -94,4 +97,5 @@ pub use phrase_set::PhraseSet;
 pub use songs::{Songs, song_of};
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};
+pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};
 pub use survey::OpenProgress;

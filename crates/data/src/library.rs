@@ -33,6 +33,8 @@ pub(crate) struct Entry {
     pub frames: usize,
     /// Its side of the split, where the dataset states one.
     pub side: Option<Side>,
+    /// What the item is called, such as the kind of dance.
+    pub label: Option<String>,
     /// Checksums of its files; none where there are no files.
     content: Vec<Digest>,
     /// Number of the item in its origin.
@@ -122,6 +124,7 @@ pub(crate) fn meet<T: Item>(
         id: listed.id.clone(),
         frames: read.item.frames(),
         side: listed.side,
+        label: read.item.label().map(str::to_owned),
         content: read.content.clone(),
         number,
     };
@@ -162,6 +165,7 @@ impl<T: Item> Library<T> {
             id: item.id().to_owned(),
             frames: item.frames(),
             side: None,
+            label: item.label().map(str::to_owned),
             content: Vec::new(),
             number,
         };

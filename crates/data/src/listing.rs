@@ -1,6 +1,6 @@
 //! Which phrases a dataset holds: from its manifest, else by listing its folders.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use crate::audio_layout::AudioLayout;
 use crate::digest::Digest;
@@ -58,6 +58,8 @@ pub(crate) struct Listing {
     pub warnings: Vec<String>,
     /// The first phrase that the manifest says has no beat features.
     pub without_beats: Option<String>,
+    /// Labels that the manifest states, by id.
+    pub labels: HashMap<String, String>,
 }
 
 impl Listing {
@@ -95,6 +97,11 @@ impl Listing {
             groups.is_some_and(|groups| !AudioLayout::of(groups).beats)
         };
         let without_beats = rows.iter().find(lacking).map(|row| row.id.clone());
+        let labels = rows.iter().filter_map(|row| {
+            let label = row.label.clone()?;
+            Some((row.id.clone(), label))
+        });
+        let labels = labels.collect();
         let phrase = |row: ManifestRow| Listed {
             id: row.id,
             side: row.split,
@@ -107,6 +114,7 @@ impl Listing {
         Self {
             phrases,
             without_beats,
+            labels,
             ..Self::default()
         }
     }

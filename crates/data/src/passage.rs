@@ -143,7 +143,10 @@ impl Passages {
             .map(|part| self.phrases.get(part))
             .collect::<Result<_, _>>()?;
         Ok(Passage {
-            take: Arc::new(join(&parts)),
+            take: Arc::new(Phrase {
+                label: parts[position - first].label.clone(),
+                ..join(&parts)
+            }),
             own: before..before + own,
             id: self.phrases.id(position).to_owned(),
         })
@@ -214,6 +217,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
         id: first.id.clone(),
         motion,
         audio,
+        label: first.label.clone(),
     }
 }
 
@@ -241,6 +245,7 @@ mod tests {
                     id: format!("song_{:05}", 100 + 30 * i),
                     motion,
                     audio,
+                    label: None,
                 })
             })
             .collect();

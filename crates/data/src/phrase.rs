@@ -19,6 +19,8 @@ pub struct Phrase {
     pub motion: Motion,
     /// Audio features as stored.
     pub audio: AudioFeatures,
+    /// What it is called, such as the kind of dance.
+    pub label: Option<String>,
 }
 
 impl Phrase {
@@ -63,6 +65,7 @@ impl Phrase {
             id: id.to_owned(),
             motion,
             audio: features,
+            label: None,
         };
         Ok((phrase, note))
     }

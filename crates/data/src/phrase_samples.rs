@@ -9,7 +9,9 @@ use crate::augment::Augmentation;
 use crate::batch::{AUDIO, ConditionRows, SampleShape};
 use crate::loader::Samples;
 use crate::passage::{Passage, Passages, Window};
-use crate::{Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf};
+use crate::{
+    Batch, DataConfig, Error, Phrase, PhraseSet, StatisticsOf, StyleConditions, mean_style,
+};
 
 /// Crops of each phrase that statistics are measured of.
 const CROPS: u64 = 8;
@@ -26,6 +28,7 @@ pub struct PhraseSamples {
     target_frames: usize,
     targets: Targets,
     audio_channels: usize,
+    style: StyleConditions,
 }
 
 impl PhraseSamples {
@@ -44,7 +47,15 @@ impl PhraseSamples {
             target_frames: config.target_frames,
             targets: Targets::default(),
             audio_channels: config.audio_layout().channels(),
+            style: StyleConditions::default(),
         }
+    }
+
+    /// The same samples with conditions on their style: the mean of their own style channels, and
+    /// their phrase's label.
+    #[must_use]
+    pub fn with_style(self, style: StyleConditions) -> Self {
+        Self { style, ..self }
     }
 
     /// The same samples in the channels that a denoiser of these `targets` predicts, which the
@@ -111,7 +122,12 @@ impl Samples for PhraseSamples {
         SampleShape {
             channels: self.targets.channels(),
             frames: self.target_frames,
-            conditions: vec![(AUDIO, self.audio_channels, self.target_frames)],
+            conditions: {
+                let style = self.style.shapes().into_iter();
+                let style = style.map(|(name, values)| (name, values, 1));
+                let audio = (AUDIO, self.audio_channels, self.target_frames);
+                [audio].into_iter().chain(style).collect()
+            },
         }
     }
 
@@ -139,8 +155,16 @@ impl Samples for PhraseSamples {
             range: audio.frames,
         };
         let rows = &motion.of.as_slice()[rows];
+        let numbers = Some(mean_style(rows));
+        let style = self.style.values(numbers, passage.take.label.as_deref());
+        let style = style.iter().map(|values| ConditionRows {
+            values,
+            frames: 1,
+            range: 0..1,
+        });
+        let conditions: Vec<ConditionRows<'_>> = [heard].into_iter().chain(style).collect();
         let rows = self.targets.encode(rows);
-        batch.push(&passage.id, &rows, &self.statistics, &[heard]);
+        batch.push(&passage.id, &rows, &self.statistics, &conditions);
     }
 }
 
@@ -194,6 +218,56 @@ mod tests {
                     .chunks(7)
                     .all(|row| row[frames..].iter().all(|v| *v == 0.0))
             );
+        }
+    }
+
+    #[test]
+    fn samples_say_their_own_style_and_label() {
+        let config = DataConfig {
+            target_frames: 7,
+            ..DataConfig::default()
+        };
+        let labels = [Some("waltz"), None, Some("tango"), Some("rumba")];
+        let phrases: Vec<Arc<Phrase>> = (0..4)
+            .map(|index| {
+                Arc::new(Phrase {
+                    label: labels[index].map(str::to_owned),
+                    ..synthetic::phrase(index, 5 + 2 * index, 2)
+                })
+            })
+            .collect();
+        let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
+        // A label that is not known is none.
+        let known = ["rumba", "waltz"].map(str::to_owned).to_vec();
+        let style = StyleConditions::default()
+            .with_numbers(&statistics)
+            .with_labels(known);
+        let set: PhraseSet = phrases.clone().into();
+        assert_eq!(
+            set.labels().into_iter().collect::<Vec<_>>(),
+            ["rumba", "tango", "waltz"]
+        );
+        let given = Arc::new(statistics.clone());
+        let samples = PhraseSamples::new(set, given, &config, 3);
+        let plain = samples.collate(0..4).unwrap();
+        let batch = samples.with_style(style).collate(0..4).unwrap();
+        assert_eq!(
+            (&plain.x_start, plain.conditions.len()),
+            (&batch.x_start, 1)
+        );
+        let of_labels = batch.condition(crate::LABEL).unwrap();
+        assert_eq!(of_labels.values, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        let numbers = batch.condition(crate::STYLE).unwrap();
+        assert_eq!((numbers.channels, numbers.frames), (9, 1));
+        for (sample, found) in numbers.values.chunks(9).enumerate() {
+            let frames = phrases[sample].frames().min(7);
+            for (i, &value) in found[..8].iter().enumerate() {
+                // The mean of what the sample's own frames are normalised to.
+                let row = &batch.x_start[(sample * CHANNELS + 17 + i) * 7..][..frames];
+                let mean = row.iter().sum::<f32>() / frames as f32;
+                assert!((value - mean).abs() < 1e-4, "{sample} {i}: {value} {mean}");
+            }
+            assert_eq!(found[8], 1.0);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Phrases of a dataset: how they are listed, read and made up.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use kinegrad_motion::Phrases;
 use kinegrad_settings::InvalidSetting;
@@ -10,6 +11,7 @@ use crate::features::{BEATS, FEATURES};
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
+use crate::labels::Labels;
 use crate::layout::{features_path, motion_path};
 use crate::library::{Origin, Reading, Wanted};
 use crate::listing::{Listed, Listing, ids};
@@ -45,6 +47,10 @@ impl Item for Phrase {
         Cow::Borrowed(self.motion.as_slice())
     }
 
+    fn label(&self) -> Option<&str> {
+        self.label.as_deref()
+    }
+
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         let mut rest = self.audio.as_slice();
         let beats = self.audio.layout().beats.then_some(BEATS);
@@ -69,6 +75,7 @@ impl Listable for Phrase {
                 origin: Box::new(MadeUpPhrases(
                     config.synthetic.clone(),
                     config.audio_layout(),
+                    Labels::new(&config.labels, HashMap::new()),
                 )),
                 warnings: Vec::new(),
                 listed: Listed::made_up(config.synthetic.phrases, synthetic::id),
@@ -84,6 +91,10 @@ impl Listable for Phrase {
         survey
             .warnings
             .extend(split.idle_entries(ids(&survey.listed)));
+        let labels = Labels::new(&config.labels, HashMap::new());
+        survey
+            .warnings
+            .extend(labels.idle_patterns(ids(&survey.listed)));
         survey.split = Some(split);
         Ok(survey)
     }
@@ -98,6 +109,7 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         only_audio,
         mut warnings,
         without_beats,
+        labels,
     } = Listing::read(&store)?;
     let layout = config.audio_layout();
     if let Some(id) = without_beats.filter(|_| layout.beats) {
@@ -146,13 +158,18 @@ fn phrase_files(config: &DataConfig) -> Result<Survey<Phrase>, Error> {
         split: None,
         warnings,
         listed: phrases,
-        origin: Box::new(PhraseFiles(files, layout)),
+        origin: Box::new(PhraseFiles(
+            files,
+            layout,
+            Labels::new(&config.labels, labels),
+        )),
     })
 }
 
-/// Phrases of the layout of CC-MotionGen, section 1.3, and the audio features read of them.
+/// Phrases of the layout of CC-MotionGen, section 1.3, the audio features read of them, and their
+/// labels.
 #[derive(Debug)]
-pub(crate) struct PhraseFiles(pub Files, pub AudioLayout);
+pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
 impl Origin<Phrase> for PhraseFiles {
     fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
@@ -160,12 +177,13 @@ impl Origin<Phrase> for PhraseFiles {
         let [motion, audio] = wanted.expected else {
             unreachable!("a phrase has two files");
         };
-        let Self(files, layout) = self;
+        let Self(files, layout, labels) = self;
         let paths = (motion_path(id), features_path(id));
         let (motion, motion_digest) = files.read(&paths.0, motion, MAX_MOTION_BYTES, recorded)?;
         let (audio, audio_digest) = files.read(&paths.1, audio, MAX_FEATURES_BYTES, recorded)?;
         let names = (files.store.name_of(&paths.0), files.store.name_of(&paths.1));
         let (phrase, note) = Phrase::parse(id, (&motion, &names.0), (&audio, &names.1), *layout)?;
+        let phrase = labelled(phrase, labels);
         Ok(Reading {
             note,
             content: vec![motion_digest, audio_digest],
@@ -176,18 +194,30 @@ impl Origin<Phrase> for PhraseFiles {
     fn files(&self) -> Option<&Files> {
         Some(&self.0)
     }
+
+    fn fingerprint(&self) -> String {
+        self.2.fingerprint()
+    }
 }
 
-/// Phrases that are made up anew each time, and the audio features made of them.
+/// A phrase with its label.
+fn labelled(phrase: Phrase, labels: &Labels) -> Phrase {
+    Phrase {
+        label: labels.of(&phrase.id).map(str::to_owned),
+        ..phrase
+    }
+}
+
+/// Phrases that are made up anew each time, the audio features made of them, and their labels.
 #[derive(Debug)]
-pub(crate) struct MadeUpPhrases(pub SyntheticConfig, pub AudioLayout);
+pub(crate) struct MadeUpPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 
 impl Origin<Phrase> for MadeUpPhrases {
     fn read(&self, wanted: Wanted<'_>) -> Result<Reading<Phrase>, FileError> {
         let SyntheticConfig { frames, seed, .. } = self.0;
-        let Self(_, layout) = self;
+        let Self(_, layout, labels) = self;
         let phrase = synthetic::phrase_in(*layout, wanted.number, frames, seed);
-        Ok(Reading::of(phrase))
+        Ok(Reading::of(labelled(phrase, labels)))
     }
 
     fn fingerprint(&self) -> String {

@@ -82,6 +82,12 @@ pub struct DiffusionConfig {
     /// Probability of replacing the condition by the null condition in training, for
     /// classifier-free guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
     pub cond_drop_prob: f64,
+    /// Probability of replacing the style by the null style in training, apart from the other
+    /// conditions, for networks with a style (`model.style`). Of a style of both numbers and label,
+    /// the numbers alone and the label alone are replaced as often. If not set, the same as
+    /// `cond_drop_prob`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub style_drop_prob: Option<f64>,
 }
 
 impl Default for DiffusionConfig {
@@ -98,12 +104,17 @@ impl Default for DiffusionConfig {
             snr_gamma: None,
             rescale_betas_zero_snr: false,
             cond_drop_prob: 0.1,
+            style_drop_prob: None,
         }
     }
 }
 
 /// More timesteps than this are rejected as a mistake.
 const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
+
+/// Of a style of numbers and label, three things are dropped with this probability each, which leaves
+/// some samples both.
+const MAX_STYLE_DROP: f64 = 0.3;
 
 /// Least share of the motion's variance at the last timestep: below, the factors that undo the
 /// noising leave the range of single precision. The source's cosine schedule leaves 2.4e-10.
@@ -147,6 +158,13 @@ impl DiffusionConfig {
         in_range("cond_drop_prob", self.cond_drop_prob, 0.0..1.0).hint(
             "0.1 is usual; 0 trains without a null condition, and then only guidance_scale 1 works",
         )?;
+        let of_style = "style_drop_prob";
+        in_range(
+            of_style,
+            self.style_drop_prob.unwrap_or(0.0),
+            0.0..=MAX_STYLE_DROP,
+        )
+        .hint("0.1 is usual; it falls on the style as a whole, on its numbers and on its label")?;
         let left: f64 = self.betas().iter().map(|beta| 1.0 - beta).product();
         let allowed = format!(
             "as many as leave {MIN_SIGNAL:e} of the motion's variance at the last timestep; these \
@@ -162,6 +180,13 @@ impl DiffusionConfig {
             "use fewer timesteps, or smaller betas: they do not shrink by themselves as the \
              timesteps grow",
         )
+    }
+
+    /// The probability that the style of a sample is dropped in training.
+    pub fn style_drop_prob(&self) -> f64 {
+        // As much as there can be of it.
+        let same = self.cond_drop_prob.min(MAX_STYLE_DROP);
+        self.style_drop_prob.unwrap_or(same)
     }
 
     /// The betas, one per timestep, before any rescaling.
@@ -284,6 +309,7 @@ mod tests {
             ),
             (r#"{"cond_drop_prob": 1.0}"#, "cond_drop_prob", "1"),
             (r#"{"cond_drop_prob": -0.5}"#, "cond_drop_prob", "-0.5"),
+            (r#"{"style_drop_prob": 0.5}"#, "style_drop_prob", "0.5"),
         ];
         for (json, key, found) in cases {
             let error = parse(json).unwrap().validate().unwrap_err();

@@ -19,6 +19,47 @@ pub trait Denoiser {
 
     /// The null condition, of the same shape as `cond`, that training uses for dropped conditions.
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
+
+    /// `cond` without its style, where the condition has a style that is guided by a scale of its
+    /// own; the null condition has none either.
+    fn null_style(&self, _cond: &Self::Cond) -> Option<Self::Cond> {
+        None
+    }
+}
+
+/// How strongly a prediction follows its conditions; 1 is as trained.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuidanceScales {
+    /// Of the condition without its style.
+    pub cond: f64,
+    /// Of the style.
+    pub style: f64,
+}
+
+impl GuidanceScales {
+    /// The scale of the condition, and of the style where that has one of its own.
+    pub fn new(cond: f64, style: Option<f64>) -> Self {
+        Self {
+            cond,
+            style: style.unwrap_or(cond),
+        }
+    }
+
+    /// Most calls of the network for one prediction.
+    pub fn calls(&self) -> u64 {
+        match (self.cond == self.style, self.cond == 1.0) {
+            (true, true) => 1,
+            (true, false) | (false, true) => 2,
+            (false, false) => 3,
+        }
+    }
+}
+
+impl From<f64> for GuidanceScales {
+    /// One scale for all conditions.
+    fn from(scale: f64) -> Self {
+        Self::new(scale, None)
+    }
 }
 
 /// The prediction under classifier-free guidance (CC-MotionGen, section 8.3; docs/sources.md,
@@ -32,6 +73,14 @@ pub trait Denoiser {
 /// velocity are affine in each other, and the two factors `1 - scale` and `scale` add up to 1, so
 /// that mixing before or after a conversion is the same. (Not so after clipping.)
 ///
+/// Where the style has another scale than the rest of the condition, the two are composed as in
+/// InstructPix2Pix (Brooks et al. 2023, <https://arxiv.org/abs/2211.09800>, equation 3), of which
+/// equal scales are the case above:
+///
+/// ```text
+/// uncond + scales.cond (unstyled - uncond) + scales.style (cond - unstyled)
+/// ```
+///
 /// # Shapes
 /// - x_t, output: `[batch, channels, time]`
 pub fn guided<D: Denoiser + ?Sized>(
@@ -39,8 +88,27 @@ pub fn guided<D: Denoiser + ?Sized>(
     x_t: Tensor<3>,
     time: &[Time],
     cond: &D::Cond,
-    guidance_scale: f64,
+    scales: impl Into<GuidanceScales>,
 ) -> Tensor<3> {
+    let scales = scales.into();
+    let guidance_scale = scales.cond;
+    if scales.style != guidance_scale
+        && let Some(unstyled_cond) = denoiser.null_style(cond)
+    {
+        let unstyled = denoiser.predict(x_t.clone(), time, &unstyled_cond);
+        let followed = if guidance_scale == 1.0 {
+            unstyled.clone()
+        } else {
+            let null = denoiser.null_cond(cond);
+            let uncond = denoiser.predict(x_t.clone(), time, &null);
+            uncond.clone() + (unstyled.clone() - uncond) * guidance_scale
+        };
+        if scales.style == 0.0 {
+            return followed;
+        }
+        let styled = denoiser.predict(x_t, time, cond);
+        return followed + (styled - unstyled) * scales.style;
+    }
     if guidance_scale == 1.0 {
         return denoiser.predict(x_t, time, cond);
     }
@@ -94,6 +162,60 @@ mod tests {
             );
             assert_eq!(network.0.get(), calls, "calls at scale {scale}");
         }
+    }
+
+    /// Predicts `audio + 10 style`, null being 0 for both, and counts its calls.
+    struct Styled(Cell<usize>);
+
+    impl Denoiser for Styled {
+        type Cond = (f64, Option<f64>);
+
+        fn predict(&self, x_t: Tensor<3>, _: &[Time], cond: &Self::Cond) -> Tensor<3> {
+            self.0.set(self.0.get() + 1);
+            // What style does depends on the audio, so that the order of the terms can be seen.
+            let (audio, style) = (cond.0, cond.1.unwrap_or(0.0));
+            x_t * 0.0 + (audio + 10.0 * style + audio * style)
+        }
+
+        fn null_cond(&self, _: &Self::Cond) -> Self::Cond {
+            (0.0, None)
+        }
+
+        fn null_style(&self, cond: &Self::Cond) -> Option<Self::Cond> {
+            cond.1.map(|_| (cond.0, None))
+        }
+    }
+
+    #[test]
+    fn conditions_with_scales_of_their_own_are_composed() {
+        // uncond 0, audio alone 2, audio and style 2 + 30 + 6 = 38.
+        let cond = (2.0, Some(3.0));
+        for (scales, expected, calls) in [
+            ((1.0, Some(2.0)), 2.0 + 2.0 * 36.0, 2),
+            ((3.0, Some(2.0)), 3.0 * 2.0 + 2.0 * 36.0, 3),
+            ((3.0, Some(0.0)), 3.0 * 2.0, 2),
+            ((0.0, Some(2.0)), 2.0 * 36.0, 3),
+            ((3.0, Some(3.0)), 3.0 * 38.0, 2),
+            ((3.0, None), 3.0 * 38.0, 2),
+            ((1.0, None), 38.0, 1),
+        ] {
+            let network = Styled(Cell::new(0));
+            let scales = GuidanceScales::new(scales.0, scales.1);
+            let found = guided(&network, ones(), &[Time(7.0)], &cond, scales);
+            assert_eq!(
+                found.into_data().try_to_vec::<f32>().unwrap(),
+                [expected as f32; 6],
+                "{scales:?}"
+            );
+            assert_eq!(network.0.get(), calls, "calls at {scales:?}");
+            assert!(calls as u64 <= scales.calls());
+        }
+        // A condition without style is guided by its own scale alone.
+        let network = Styled(Cell::new(0));
+        let scales = GuidanceScales::new(3.0, Some(7.0));
+        let found = guided(&network, ones(), &[Time(7.0)], &(2.0, None), scales);
+        assert_eq!(found.into_data().try_to_vec::<f32>().unwrap(), [6.0; 6]);
+        assert_eq!(network.0.get(), 2);
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub mod steering;
 mod time;
 
 pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
-pub use denoiser::{Denoiser, guided};
+pub use denoiser::{Denoiser, GuidanceScales, guided};
 pub use error::Error;
 pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;

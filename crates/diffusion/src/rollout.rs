@@ -18,8 +18,8 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::sampler::timesteps_of;
 use crate::{
-    ClipRange, Denoiser, Error, GaussianDiffusion, Path, Prediction, SamplerConfig, Time, ddim,
-    guided,
+    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Path, Prediction, SamplerConfig,
+    Time, ddim, guided,
 };
 
 /// What a rollout keeps for its backward pass.
@@ -43,8 +43,8 @@ pub struct Rollout {
     pub diffusion: GaussianDiffusion,
     /// What the predicted clean motion is clipped to.
     pub clip: ClipRange,
-    /// Weight of the condition: 1 as trained ([`guided`]).
-    pub guidance_scale: f64,
+    /// Weights of the conditions: 1 as trained ([`guided`]).
+    pub guidance: GuidanceScales,
     /// Factor on the gradient that a step hands to the one before it: 1 leaves it exact.
     pub gradient_decay: f64,
 }
@@ -177,7 +177,7 @@ impl Rollout {
         time: &[Time],
         cond: &D::Cond,
     ) -> Result<Prediction<'static>, Error> {
-        let output = guided(network, x.clone(), time, cond, self.guidance_scale);
+        let output = guided(network, x.clone(), time, cond, self.guidance);
         Prediction::new(&self.diffusion, output, x, &timesteps_of(time), &self.clip)
     }
 

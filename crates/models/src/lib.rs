@@ -43,4 +43,7 @@ pub use low_rank::LowRank;
 pub use motion_model::MotionModel;
 pub use stages::Stages;
 pub use text_denoiser::{Backbone, TextDenoiser};
-pub use unet1d::{AudioCondition, AudioConditioning, UNet1d, UNet1dConfig};
+pub use unet1d::{
+    AudioCondition, AudioConditioning, STYLE_VALUES, StyleCondition, StyleConditioning, UNet1d,
+    UNet1dConfig,
+};

@@ -16,8 +16,8 @@ pub enum LoraTarget {
     /// The residual blocks' convolutions and shortcuts, the convolutions between levels, and the
     /// first and the last.
     Convolution,
-    /// The projections that feed the conditions in: of the audio features, and of the time
-    /// embedding in each residual block.
+    /// The projections that feed the conditions in: of the audio features, of the style,
+    /// and of the time embedding in each residual block.
     Conditioning,
 }
 

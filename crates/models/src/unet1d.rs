@@ -2,6 +2,9 @@
 
 mod adapters;
 mod audio;
+mod style;
+#[cfg(test)]
+mod style_tests;
 #[cfg(test)]
 mod tests;
 
@@ -22,6 +25,8 @@ use crate::time_embedding::TimeEmbedding;
 use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 pub use audio::{AudioCondition, AudioConditioning};
 use audio::{AudioEncoder, Heard, widths};
+use style::StyleEmbedding;
+pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 /// The sizes of a [`UNet1d`]. Level `i` has `model_channels * channel_mult[i]` channels and runs at
 /// the input's length divided by `2^i`, rounded up.
@@ -54,6 +59,12 @@ pub struct UNet1dConfig {
     /// What is predicted of the orientation. `data.augment.flip_quaternion` goes with
     /// `quaternion` alone: to the others q and -q are the same.
     pub orientation_target: OrientationTarget,
+    /// What the network is told of the style, in addition to the audio.
+    pub style: StyleConditioning,
+    /// The labels of `style = "label"` and `"both"`. If empty, those of the training phrases; the
+    /// run's saved config and its checkpoints state them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub style_labels: Vec<String>,
 }
 
 impl Default for UNet1dConfig {
@@ -105,6 +116,8 @@ impl UNet1dConfig {
             dropout: 0.1,
             phase_target: PhaseTarget::Scalar,
             orientation_target: OrientationTarget::Quaternion,
+            style: StyleConditioning::None,
+            style_labels: Vec::new(),
         }
     }
 
@@ -225,7 +238,31 @@ impl UNet1dConfig {
         .hint("half are cosines, half sines")?;
         in_range("model.context_dim", self.context_dim, 1..=MAX_WIDTH)
             .hint("CC-MotionGen has 256")?;
-        in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")
+        in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
+        self.validate_style()
+    }
+
+    fn validate_style(&self) -> Result<(), InvalidSetting> {
+        let labels = &self.style_labels;
+        let found = || format!("{labels:?}");
+        require(
+            labels.is_empty() || self.style.has_label(),
+            "model.style_labels",
+            found(),
+            "labels where `model.style` is \"label\" or \"both\"",
+        )
+        .hint("leave the key out: labels are those of the training phrases")?;
+        let differ = labels
+            .iter()
+            .enumerate()
+            .all(|(place, label)| !label.trim().is_empty() && !labels[..place].contains(label));
+        require(
+            differ && labels.len() <= MAX_WIDTH,
+            "model.style_labels",
+            found(),
+            format!("up to {MAX_WIDTH} labels that differ, none of them empty"),
+        )
+        .hint("leave the key out: labels are those of the training phrases")
     }
 
     /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
@@ -319,6 +356,7 @@ struct DecoderLevel {
 #[derive(Module, Debug)]
 pub struct UNet1d {
     time_embed: TimeEmbedding,
+    style: Option<StyleEmbedding>,
     audio_proj: Option<Linear>,
     audio: Option<AudioEncoder>,
     input_conv: Conv1d,
@@ -430,6 +468,10 @@ impl Builder<'_> {
         let mid = self.init.at("mid");
         UNet1d {
             time_embed: TimeEmbedding::new(config.time_embed_dim, &self.init.at("time_embed")),
+            style: {
+                let (width, init) = (config.time_embed_dim, self.init.at("style"));
+                StyleEmbedding::new(config.style, config.style_labels.len(), width, &init)
+            },
             audio_proj: (!self.aligned()).then(|| {
                 let init = self.init.at("audio_proj");
                 Linear::new(cond_channels, config.context_dim, &init)
@@ -469,7 +511,8 @@ impl UNet1d {
         self.forward_stages(x_t, time, cond, dropout, &mut ())
     }
 
-    /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`,
+    /// [`forward`](Self::forward), and what each stage gives: `time_emb [batch, time_embed_dim]`
+    /// with the style in it,
     /// `audio_ctx` (`audio_ctx.i` of each level, where audio is aligned), `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and
     /// `dec.i` after its length is doubled, from the coarsest level to the finest.
     pub fn forward_stages(
@@ -480,9 +523,14 @@ impl UNet1d {
         dropout: DropoutKey,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
+        let cond = cond.into();
         let time_emb = self.time_embed.forward(time, &x_t.device());
+        let time_emb = match &self.style {
+            Some(style) => style.add_to(time_emb, cond.style.as_ref()),
+            None => time_emb,
+        };
         stages.stage(format_args!("time_emb"), || time_emb.clone());
-        let heard = self.hear(cond.into(), stages);
+        let heard = self.hear(cond, stages);
         let attend = |block: &Option<AttentionBlock>, level: usize, h: Tensor<3>| match block {
             Some(block) => block.forward(h, Some(heard.context(level)), heard.lengths(level)),
             None => h,
@@ -564,5 +612,9 @@ impl Denoiser for UNet1d {
 
     fn null_cond(&self, cond: &AudioCondition) -> AudioCondition {
         cond.null()
+    }
+
+    fn null_style(&self, cond: &AudioCondition) -> Option<AudioCondition> {
+        self.style.as_ref().and_then(|_| cond.null_style())
     }
 }

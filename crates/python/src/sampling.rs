@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_motion::PostProcessProfile;
-use kinegrad_train::sampling::{self, Conditions, Contents, Given, GivenFrames, Receiver, Request};
+use kinegrad_train::sampling::{
+    self, Conditions, Contents, Given, GivenFrames, Receiver, Request, Style,
+};
 use kinegrad_train::song::KnownBeats;
 use kinegrad_train::systems::BUILT_IN;
 use kinegrad_train::{Error, Reading};
@@ -36,6 +38,7 @@ pub struct Wanted {
     keep: Option<String>,
     keep_from: Option<PathBuf>,
     postprocess: String,
+    style: Option<String>,
 }
 
 impl Wanted {
@@ -84,6 +87,7 @@ impl Wanted {
                 trajectory: optional_checkpoint(self.trajectory_run.as_deref())?,
                 text_embedding: self.text_embedding.clone(),
                 given: self.given()?,
+                style: self.style.as_deref().map(Style::parse).transpose()?,
                 held_out: self.held_out,
             },
             count: self.count,

@@ -72,6 +72,9 @@ pub enum Purpose {
     Bootstrap = 22,
     /// Offsets of motion against music, keyed by the phrase's id.
     BeatOffset = 23,
+    /// Which style conditions are dropped for classifier-free guidance, keyed by step and
+    /// micro-batch.
+    StyleDropout = 24,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

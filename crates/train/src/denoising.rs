@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_data::{Batch, Samples};
+use kinegrad_data::{Batch, LABEL, STYLE, Samples};
 use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_kernels::Lengths;
 use kinegrad_models::DropoutKey;
@@ -66,15 +66,76 @@ impl Conditions {
     /// # Panics
     /// Panics if there is none: recipes use conditions that their dataset provides.
     pub fn get(&self, name: &str) -> &Tensor<3> {
-        let found = self.0.iter().find(|(known, _)| *known == name);
-        &found.unwrap_or_else(|| panic!("no condition `{name}`")).1
+        let found = self.find(name);
+        found.unwrap_or_else(|| panic!("no condition `{name}`"))
     }
 
-    /// All of them times `keep`, `[batch, 1, 1]`, which is 0 where they are dropped.
+    /// The condition of that name, if there is one.
+    pub fn find(&self, name: &str) -> Option<&Tensor<3>> {
+        let found = self.0.iter().find(|(known, _)| *known == name);
+        found.map(|(_, cond)| cond)
+    }
+
+    /// All of them but the style times `keep`, `[batch, 1, 1]`, which is 0 where they are dropped.
     #[must_use]
     pub fn kept(self, keep: &Tensor<3>) -> Self {
-        let named = self.0.into_iter();
-        Self::new(named.map(|(name, cond)| (name, cond * keep.clone())))
+        let named = self.0.into_iter().map(|(name, cond)| match name {
+            STYLE | LABEL => (name, cond),
+            _ => (name, cond * keep.clone()),
+        });
+        Self::new(named)
+    }
+
+    /// The style's numbers and label times those of `keep`, each `[batch, 1, 1]`.
+    #[must_use]
+    pub fn kept_style(self, keep: &KeptStyle) -> Self {
+        let named = self.0.into_iter().map(|(name, cond)| match name {
+            STYLE => (name, cond * keep.numbers.clone()),
+            LABEL => (name, cond * keep.label.clone()),
+            _ => (name, cond),
+        });
+        Self::new(named)
+    }
+}
+
+/// 0 where a part of a sample's style is dropped, else 1: `[batch, 1, 1]` each.
+#[derive(Clone, Debug)]
+pub struct KeptStyle {
+    /// The eight numbers.
+    pub numbers: Tensor<3>,
+    /// The label.
+    pub label: Tensor<3>,
+}
+
+impl KeptStyle {
+    /// Which parts of the style that `cond` has are kept: all is dropped with `probability`, and of
+    /// numbers and label together the one alone and the other alone as often. None drops none.
+    fn draw(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
+        let there = [STYLE, LABEL].map(|name| cond.find(name));
+        let batch = there.into_iter().flatten().next()?.dims()[0];
+        if probability <= 0.0 {
+            return None;
+        }
+        let parts = if there.iter().all(Option::is_some) {
+            3
+        } else {
+            1
+        };
+        // All, the numbers alone, the label alone, nothing.
+        let uniforms = key.uniforms(batch);
+        let dropped = uniforms
+            .iter()
+            .map(|&u| ((f64::from(u) / probability) as usize).min(3))
+            .map(|part| if part < parts { part } else { 3 });
+        let dropped: Vec<usize> = dropped.collect();
+        let kept = |parts: [usize; 2]| {
+            let keep = dropped.iter().map(|part| f32::from(!parts.contains(part)));
+            Tensor::from_data(TensorData::new(keep.collect(), [batch, 1, 1]), device)
+        };
+        Some(Self {
+            numbers: kept([0, 1]),
+            label: kept([0, 2]),
+        })
     }
 }
 
@@ -87,19 +148,22 @@ pub struct Draws {
     pub noise: Tensor<3>,
     /// 0 where the condition is dropped, else 1: `[batch, 1, 1]`. None drops none.
     pub keep_cond: Option<Tensor<3>>,
+    /// Which parts of the style are kept. None drops none.
+    pub keep_style: Option<KeptStyle>,
     /// The network's dropout.
     pub dropout: DropoutKey,
 }
 
 impl Draws {
-    /// The draws of `key` for a batch of this shape.
+    /// The draws of `key` for a batch.
     pub fn new(
         diffusion: &GaussianDiffusion,
-        shape: [usize; 3],
+        inputs: &Inputs,
         key: StepKey,
         device: &Device,
     ) -> Self {
         let config = &diffusion.config;
+        let shape = inputs.x_start.dims();
         let batch = shape[0];
         let keep_cond = (config.cond_drop_prob > 0.0).then(|| {
             let keep: Vec<f32> = key
@@ -116,6 +180,10 @@ impl Draws {
                 .integers(batch, config.num_train_timesteps),
             noise: noise(key.of(Purpose::Noise), shape, device),
             keep_cond,
+            keep_style: {
+                let key = key.of(Purpose::StyleDropout);
+                KeptStyle::draw(&inputs.cond, config.style_drop_prob(), key, device)
+            },
             dropout: Some(key.of(Purpose::Dropout)),
         }
     }
@@ -152,11 +220,16 @@ pub fn denoising_loss(
         timesteps,
         noise,
         keep_cond,
+        keep_style,
         dropout,
     } = draws;
     let x_t = diffusion.add_noise(x_start.clone(), noise.clone(), &timesteps);
     let cond = match keep_cond {
         Some(keep) => cond.kept(&keep),
+        None => cond,
+    };
+    let cond = match keep_style {
+        Some(keep) => cond.kept_style(&keep),
         None => cond,
     };
     let model_output = network(x_t.clone(), &Time::of(&timesteps), &cond, dropout);
@@ -244,7 +317,7 @@ impl<M: Module> Recipe for DenoisingRecipe<M> {
 
     fn loss(&self, model: &M, batch: &Batch, key: StepKey, device: &Device) -> Loss {
         let inputs = Inputs::new(batch, device);
-        let draws = Draws::new(&self.diffusion, inputs.x_start.dims(), key, device);
+        let draws = Draws::new(&self.diffusion, &inputs, key, device);
         self.loss_of(model, inputs, draws)
     }
 
@@ -345,6 +418,7 @@ impl HeldOut {
                     timesteps: range.clone().map(timestep).collect(),
                     noise: self.noise(range.clone(), draw as u64, &inputs.x_start),
                     keep_cond: None,
+                    keep_style: None,
                     dropout: None,
                 };
                 let loss = loss(inputs, given).into_scalar::<f32>();
@@ -352,5 +426,75 @@ impl HeldOut {
             }
         }
         sum / (draws * all) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Conditions of so many samples with parts of these names, all ones.
+    fn conditions(batch: usize, names: &[&'static str]) -> Conditions {
+        let ones = Tensor::ones([batch, 2, 1], &Device::flex());
+        Conditions::new(names.iter().map(|&name| (name, ones.clone())))
+    }
+
+    /// Shares of samples that keep numbers and label, numbers, label, and neither.
+    fn shares(names: &[&'static str], probability: f64) -> [f64; 4] {
+        let (batch, key) = (4000, Key::new(7, Purpose::StyleDropout));
+        let cond = conditions(batch, names);
+        let keep = KeptStyle::draw(&cond, probability, key, &Device::flex()).expect("a style");
+        let host = |x: Tensor<3>| x.try_into_vec_as::<f32>().expect("float32");
+        let (numbers, label) = (host(keep.numbers.clone()), host(keep.label.clone()));
+        let mut counts = [0.0; 4];
+        for (numbers, label) in numbers.iter().zip(&label) {
+            let place = match (*numbers > 0.0, *label > 0.0) {
+                (true, true) => 0,
+                (true, false) => 1,
+                (false, true) => 2,
+                (false, false) => 3,
+            };
+            counts[place] += 1.0 / batch as f64;
+        }
+        // What is kept is as it was, the rest zero, and the audio not touched.
+        let kept = cond.kept_style(&keep);
+        for (name, values) in kept.0 {
+            let sum = values.sum().into_scalar::<f32>() / 2.0;
+            let expected: f32 = match name {
+                STYLE => numbers.iter().sum(),
+                LABEL => label.iter().sum(),
+                _ => batch as f32,
+            };
+            assert_eq!(sum, expected, "{name}");
+        }
+        counts
+    }
+
+    #[test]
+    fn a_style_is_dropped_as_a_whole_and_in_parts() {
+        let near = |found: [f64; 4], expected: [f64; 4]| {
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() < 0.02, "{found} {expected}");
+            }
+        };
+        near(shares(&["audio", STYLE, LABEL], 0.2), [0.4, 0.2, 0.2, 0.2]);
+        near(
+            shares(&["audio", STYLE, LABEL], 0.05),
+            [0.85, 0.05, 0.05, 0.05],
+        );
+        // Of one part alone, that one as often.
+        near(shares(&["audio", STYLE], 0.2), [0.8, 0.0, 0.0, 0.2]);
+        near(shares(&["audio", LABEL], 0.3), [0.7, 0.0, 0.0, 0.3]);
+        let (key, device) = (Key::new(7, Purpose::StyleDropout), Device::flex());
+        assert!(KeptStyle::draw(&conditions(3, &["audio"]), 0.2, key, &device).is_none());
+        assert!(KeptStyle::draw(&conditions(3, &[STYLE]), 0.0, key, &device).is_none());
+    }
+
+    #[test]
+    fn dropped_audio_leaves_the_style() {
+        let cond = conditions(3, &["audio", STYLE, LABEL]);
+        let kept = cond.kept(&Tensor::zeros([3, 1, 1], &Device::flex()));
+        let sum = |name| kept.get(name).clone().sum().into_scalar::<f32>();
+        assert_eq!([sum("audio"), sum(STYLE), sum(LABEL)], [0.0, 6.0, 6.0]);
     }
 }

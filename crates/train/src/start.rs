@@ -12,10 +12,11 @@ use crate::config::{self, Config, SystemTables};
 use crate::error::Error;
 
 /// Keys that fine-tuning may change, because the weights do not depend on them.
-const FREE_KEYS: [&str; 8] = [
+const FREE_KEYS: [&str; 9] = [
     "model.dropout",
     "model.activation_checkpointing",
     "diffusion.cond_drop_prob",
+    "diffusion.style_drop_prob",
     "diffusion.loss_type",
     "diffusion.snr_gamma",
     "decoder.dropout",

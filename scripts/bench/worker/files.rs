@@ -66,6 +66,7 @@ impl NamedTensors {
             timesteps: self.timesteps.clone(),
             noise: self.tensor("noise")?,
             keep_cond: None,
+            keep_style: None,
             dropout: None,
         })
     }

@@ -173,7 +173,7 @@ fn rollout(case: &Case) -> Rollout {
     Rollout {
         diffusion: case.diffusion.clone(),
         clip: ClipRange::None,
-        guidance_scale: 1.0,
+        guidance: 1.0.into(),
         gradient_decay: 1.0,
     }
 }

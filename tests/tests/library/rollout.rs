@@ -50,13 +50,14 @@ fn gradients(
     let rollout = Rollout {
         diffusion: GaussianDiffusion::new(&config).expect("a valid process"),
         clip: ClipRange::StraightThrough(Box::new(ClipRange::Symmetric(3.0))),
-        guidance_scale,
+        guidance: guidance_scale.into(),
         gradient_decay: 1.0,
     };
     let start = normal(0, [2, 25, 16]);
     let cond = AudioCondition {
         features: normal(1, [2, 163, 16]),
         lengths: Some(Lengths::new([11, 16])),
+        style: None,
     };
     let timesteps = rollout_timesteps(&[999, 500], steps);
     let output = rollout

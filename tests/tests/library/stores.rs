@@ -51,6 +51,7 @@ fn rows(set: &Path) -> Vec<ManifestRow> {
                 audio_bytes: audio.len() as i64,
                 audio_sha256: Digest::of(&audio),
                 audio_features: None,
+                label: None,
                 flags: Vec::new(),
                 id,
             }

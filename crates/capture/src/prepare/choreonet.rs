@@ -121,6 +121,7 @@ fn take(
         markers: Some(choreonet.markers.clone()),
         name: Some(name),
         grid: choreonet.grid,
+        label: choreonet.labels.get(&dance.dance_type).cloned(),
         ..TakePlan::default()
     })
 }

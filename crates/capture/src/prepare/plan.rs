@@ -1,11 +1,12 @@
 //! Plans: which motion belongs to which music, and how phrases are cut.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_data::{
-    AudioGroup, AudioLayout, MAX_FRAMES, MIN_FRAMES, StoreConfig, check_groups, check_id,
+    AudioGroup, AudioLayout, MAX_FRAMES, MIN_FRAMES, StoreConfig, check_groups, check_id, is_label,
 };
 use kinegrad_settings::{in_words, must_be_finite, must_be_tables};
 use schemars::JsonSchema;
@@ -135,6 +136,9 @@ pub struct TakePlan {
     pub markers: Option<MarkerMap>,
     /// Frames per second of arrays, which do not state it; 30 unless stated.
     pub fps: Option<f64>,
+    /// What is danced, such as `waltz`: what models with `model.style` can be asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
 }
 
 /// A piece of a capture file.
@@ -170,6 +174,10 @@ pub struct ChoreonetPlan {
     pub markers: MarkerMap,
     /// Which beats units lie on; see `take.grid`.
     pub grid: Option<Grid>,
+    /// What is danced, by dance type, for example `{ W = "waltz" }`: labels of the phrases, see
+    /// `take.label`.
+    #[serde(default)]
+    pub labels: BTreeMap<String, String>,
 }
 
 fn waltz() -> Vec<String> {
@@ -244,6 +252,13 @@ impl Plan {
 impl TakePlan {
     /// In an error, the key and what is wrong with it.
     pub(super) fn check(&self) -> Result<(), String> {
+        if let Some(label) = &self.label
+            && !is_label(label)
+        {
+            return Err(format!(
+                "label = \"{label}\": a word that is no number and has no comma allowed"
+            ));
+        }
         match (&self.motion, self.segments.is_empty()) {
             (Some(_), true) => {}
             (None, false) if self.beats.is_none() => {

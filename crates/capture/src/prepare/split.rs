@@ -92,6 +92,7 @@ mod tests {
             audio_bytes: 0,
             audio_sha256: Digest::of(b""),
             audio_features: None,
+            label: None,
             flags: Vec::new(),
         };
         let of = |(take, song, phrases): &(&str, Option<&str>, usize)| {

@@ -193,6 +193,7 @@ impl Ready<'_> {
             audio_bytes: audio.len() as i64,
             audio_sha256: Digest::of(&audio),
             audio_features: Some(self.layout.groups()),
+            label: self.take.plan.label.clone(),
             flags,
         };
         Ok(Made { row, motion, audio })

@@ -6,7 +6,9 @@ use std::process::ExitCode;
 use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{self, Conditions, Given, GivenFrames, Remark, Request, Subject};
+use kinegrad_train::sampling::{
+    self, Conditions, Given, GivenFrames, Remark, Request, Style, Subject,
+};
 use kinegrad_train::systems::Systems;
 use serde::Serialize;
 
@@ -72,6 +74,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             trajectory: trajectory.transpose()?,
             text_embedding: arguments.text_embedding,
             given,
+            style: arguments.style.as_deref().map(Style::parse).transpose()?,
             held_out: None,
         },
         count: arguments.count,
@@ -122,6 +125,7 @@ pub fn subject(
         overrides,
         steps,
         guidance_scale,
+        style_guidance_scale,
         no_ema,
         device,
     } = arguments;
@@ -133,6 +137,8 @@ pub fn subject(
         [scale] => overrides.push(format!("sampling.sampler.guidance_scale={scale:?}")),
         ref several => overrides.push(format!("evaluation.guidance_scales={several:?}")),
     }
+    let of_style = style_guidance_scale;
+    overrides.extend(of_style.map(|s| format!("sampling.sampler.style_guidance_scale={s:?}")));
     let weights = match no_ema {
         true => Weights::Model,
         false => Weights::Ema,

@@ -290,7 +290,7 @@ mod tests {
             footer.key_value_metadata = Some(vec![schema]);
         });
         let frame = decode(file, None).unwrap();
-        assert_eq!((frame.height(), frame.width()), (2, 13));
+        assert_eq!((frame.height(), frame.width()), (2, 14));
         assert!(frame.column("id").is_ok() && frame.column("frames").is_err());
     }
 

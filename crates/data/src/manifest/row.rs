@@ -39,6 +39,9 @@ pub struct ManifestRow {
     /// The groups of audio features in its audio file; none where the manifest does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audio_features: Option<Vec<AudioGroup>>,
+    /// What it is called, such as the kind of dance; none where the plan does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
     /// What is notable about it, see [`Flag`].
     pub flags: Vec<Flag>,
 }

@@ -22,6 +22,9 @@ use super::{filter, footer};
 use crate::layout::check_id;
 use crate::{AudioGroup, Digest, Side};
 
+/// The column of labels, which only some manifests have.
+const LABEL_COLUMN: &str = "label";
+
 /// The Parquet file of `rows`, sorted by id.
 pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
     rows.sort_unstable_by(|a, b| a.id.cmp(&b.id));
@@ -75,7 +78,7 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
     let integers = |value: &dyn Fn(&ManifestRow) -> i64| rows.iter().map(value).collect::<Vec<_>>();
     let numbers =
         |value: &dyn Fn(&ManifestRow) -> Option<f64>| rows.iter().map(value).collect::<Vec<_>>();
-    df!(
+    let mut frame = df!(
         "id" => texts(&|row| row.id.clone()),
         "motion_source" => texts(&|row| row.motion_source.clone()),
         "audio_source" => some_texts(&|row| row.audio_source.clone()),
@@ -93,7 +96,13 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
         "flags" => texts(&|row| {
             row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
-    )
+    )?;
+    // A dataset without labels has the columns that it had before there were any.
+    if rows.iter().any(|row| row.label.is_some()) {
+        let labels = some_texts(&|row| row.label.clone());
+        frame.with_column(Column::new(LABEL_COLUMN.into(), labels))?;
+    }
+    Ok(frame)
 }
 
 /// The rows of a Parquet file; in an error, what is wrong with it. Only ids and checksums must be
@@ -104,6 +113,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
         .columns()
         .iter()
         .map(|c| c.name().as_str())
+        .chain([LABEL_COLUMN])
         .collect();
     let frame = &decode(bytes, Some(&columns))?;
     for name in ["id", "motion_sha256", "audio_sha256"] {
@@ -129,6 +139,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let split = texts("split")?;
     let flags = texts("flags")?;
     let audio_features = texts("audio_features")?;
+    let label = texts(LABEL_COLUMN)?;
     let first_frame = numbers("first_frame")?;
     let frames = numbers("frames")?;
     let fps = numbers("fps")?;
@@ -179,6 +190,7 @@ pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
                 audio_bytes: whole(audio_bytes[row]),
                 audio_sha256: digest("audio_sha256", &audio_sha256[row])?,
                 audio_features: groups.transpose()?,
+                label: label[row].clone().filter(|label| !label.is_empty()),
                 flags: flags.filter_map(named).collect(),
                 id,
             })

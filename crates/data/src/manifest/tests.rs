@@ -20,6 +20,7 @@ pub(in crate::manifest) fn row(id: &str) -> ManifestRow {
         audio_bytes: 40_000,
         audio_sha256: Digest::of(b"audio"),
         audio_features: Some(vec![AudioGroup::Document, AudioGroup::Beats]),
+        label: Some("cha-cha".to_owned()),
         flags: vec![Flag::JoinedUnits, Flag::FilledGaps],
     }
 }
@@ -39,6 +40,7 @@ fn what_is_written_is_read_and_equal_rows_make_equal_bytes() {
         tempo: None,
         split: None,
         audio_features: None,
+        label: None,
         flags: vec![Flag::NoAudio, Flag::NoBeats],
         ..row("a")
     };
@@ -48,6 +50,20 @@ fn what_is_written_is_read_and_equal_rows_make_equal_bytes() {
     assert_eq!(read, [rows[1].clone(), rows[0].clone()]);
     assert_eq!(bytes, table::encode(rows).unwrap());
     assert_eq!(read[0].id, "a");
+}
+
+#[test]
+fn a_manifest_without_labels_has_no_column_of_them() {
+    let unlabelled = |id| ManifestRow {
+        label: None,
+        ..row(id)
+    };
+    let columns = |rows| {
+        let bytes = table::encode(rows).unwrap();
+        table::decode(bytes, None).unwrap().width()
+    };
+    let without = columns(vec![unlabelled("a"), unlabelled("b")]);
+    assert_eq!(columns(vec![unlabelled("a"), row("b")]), without + 1);
 }
 
 #[test]

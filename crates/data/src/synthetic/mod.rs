@@ -40,6 +40,7 @@ pub fn phrase(index: usize, frames: usize, seed: u64) -> Phrase {
         id: id(index),
         motion,
         audio: music.features(frames, key),
+        label: None,
     }
 }
 

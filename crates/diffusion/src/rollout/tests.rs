@@ -37,7 +37,7 @@ fn rollout(prediction_type: PredictionType) -> Rollout {
     Rollout {
         diffusion: GaussianDiffusion::new(&config).unwrap(),
         clip: ClipRange::Symmetric(1.5),
-        guidance_scale: 1.0,
+        guidance: 1.0.into(),
         gradient_decay: 1.0,
     }
 }
@@ -112,7 +112,7 @@ fn checkpointed_gradients_are_those_of_the_full_graph() {
             ] {
                 let rollout = Rollout {
                     clip,
-                    guidance_scale,
+                    guidance: guidance_scale.into(),
                     gradient_decay,
                     ..rollout(prediction_type)
                 };

@@ -6,6 +6,8 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::GuidanceScales;
+
 /// The sampling algorithm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -71,6 +73,10 @@ pub struct SamplerConfig {
     pub eta: f64,
     /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
+    /// Guidance scale of the style, for models with one (`model.style`); if not set, the same as
+    /// `guidance_scale`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub style_guidance_scale: Option<f64>,
     /// Spacing of the timesteps.
     pub timestep_spacing: TimestepSpacing,
     /// Where DDIM's last step lands; other samplers end at the clean motion.
@@ -87,6 +93,7 @@ impl Default for SamplerConfig {
             num_inference_steps: 20,
             eta: 0.0,
             guidance_scale: 1.0,
+            style_guidance_scale: None,
             timestep_spacing: TimestepSpacing::default(),
             final_alpha: FinalAlpha::default(),
             recompute_epsilon: true,
@@ -114,7 +121,18 @@ impl SamplerConfig {
             self.guidance_scale,
             0.0..,
         )
-        .hint("1 is the condition as trained; 2 to 3 exaggerate it")
+        .hint("1 is the condition as trained; 2 to 3 exaggerate it")?;
+        in_range(
+            "sampling.sampler.style_guidance_scale",
+            self.style_guidance_scale.unwrap_or(1.0),
+            0.0..,
+        )
+        .hint("leave it out for the same as `guidance_scale`")
+    }
+
+    /// The guidance scales of the conditions.
+    pub fn guidance(&self) -> GuidanceScales {
+        GuidanceScales::new(self.guidance_scale, self.style_guidance_scale)
     }
 
     /// Where the last step lands: a timestep, or `None` for the clean motion.
@@ -188,6 +206,13 @@ mod tests {
                     ..base()
                 },
                 "guidance_scale` is -1",
+            ),
+            (
+                SamplerConfig {
+                    style_guidance_scale: Some(-0.5),
+                    ..base()
+                },
+                "style_guidance_scale` is -0.5",
             ),
             (
                 SamplerConfig {

@@ -35,6 +35,12 @@ impl Linear {
         }
     }
 
+    /// Features that it takes.
+    pub fn inputs(&self) -> usize {
+        let [_, inputs] = self.weight.lazy_shape().dims();
+        inputs
+    }
+
     /// # Shapes
     /// - x: `[rows, in]`
     /// - output: `[rows, out]`

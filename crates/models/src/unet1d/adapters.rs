@@ -46,6 +46,9 @@ impl UNet1d {
             audio: self
                 .audio
                 .map(|encoder| encoder.adapting(&adapting.at("audio"))),
+            style: self
+                .style
+                .map(|style| style.adapting(&adapting.at("style"))),
             input_conv: conv("input_conv", self.input_conv),
             enc: numbered(self.enc, &enc, |level, at| EncoderLevel {
                 res: numbered(level.res, &at.at("res"), ResBlock::adapting),

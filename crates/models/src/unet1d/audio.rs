@@ -10,6 +10,8 @@ use crate::Initializer;
 use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
+use super::StyleCondition;
+
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
 
@@ -35,17 +37,31 @@ pub struct AudioCondition {
     /// Frames of each sample that are not padding; all where nothing is said.
     /// [`AudioConditioning::Document`] does not look at them.
     pub lengths: Option<Lengths>,
+    /// The style of each sample; the null style where nothing is said. Networks without style do
+    /// not look at it.
+    pub style: Option<StyleCondition>,
 }
 
 impl AudioCondition {
-    /// The condition without audio: features of zeros, in aligned networks what the encoder's
-    /// biases make of them, which is learned.
+    /// The condition without audio and style: features of zeros, in aligned networks what the
+    /// encoder's biases make of them, which is learned.
     #[must_use]
     pub fn null(&self) -> Self {
         Self {
             features: self.features.zeros_like(),
             lengths: self.lengths.clone(),
+            style: self.style.as_ref().map(StyleCondition::null),
         }
+    }
+
+    /// The same audio without a style; none where there is no style.
+    #[must_use]
+    pub fn null_style(&self) -> Option<Self> {
+        let style = self.style.as_ref()?.null();
+        Some(Self {
+            style: Some(style),
+            ..self.clone()
+        })
     }
 }
 
@@ -55,6 +71,7 @@ impl From<Tensor<3>> for AudioCondition {
         Self {
             features,
             lengths: None,
+            style: None,
         }
     }
 }
@@ -152,6 +169,7 @@ impl AudioEncoder {
         let AudioCondition {
             features,
             mut lengths,
+            style: _,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
         let mut h = stem.forward(features);

@@ -114,6 +114,7 @@ fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
         let together = AudioCondition {
             features: features.clone(),
             lengths: Some(Lengths::new(lengths)),
+            style: None,
         };
         let times = Time::of(&[700, 3]);
         let together = network.forward(x.clone(), &times, together, None);
@@ -167,6 +168,7 @@ fn loss_and_gradients(network: &UNet1d, mode: Mode) -> (f64, Vec<Vec<f32>>, Vec<
         let cond = AudioCondition {
             features: features.clone(),
             lengths: Some(lengths.clone()),
+            style: None,
         };
         let x = normal(0, [2, 25, time], &device);
         let output = network.forward(x, &Time::of(&[700, 3]), cond, None);
@@ -259,6 +261,7 @@ fn the_null_condition_is_silence_of_the_same_lengths() {
     let cond = AudioCondition {
         features: normal(1, [2, FEATURES, time], &device),
         lengths: Some(Lengths::new([7, 11])),
+        style: None,
     };
     let null = network.null_cond(&cond);
     assert_eq!(null.lengths, cond.lengths);
@@ -271,6 +274,7 @@ fn the_null_condition_is_silence_of_the_same_lengths() {
     let dropped = AudioCondition {
         features: cond.features * Tensor::zeros([2, 1, 1], &device),
         lengths: null.lengths,
+        style: None,
     };
     let dropped = network.predict(x, &times, &dropped);
     assert_eq!(largest(dropped - without), 0.0);

@@ -173,6 +173,7 @@ class Run:
         keep: str | Sequence[tuple[int, int]] | None = None,
         keep_from: PathArgument | None = None,
         postprocess: Literal["default", "document", "none"] = "default",
+        style: str | Sequence[float] | None = None,
         count: int = 1,
         frames: int | None = None,
         seed: int = 0,
@@ -204,6 +205,8 @@ class Run:
             keep_from: Motion file that the frames of `keep` are taken from.
             postprocess: Repairs of the generated phrase: `"default"`, `"document"` (CC-MotionGen's
                 to the letter) or `"none"`.
+            style: Style of the sample, for runs with `model.style`: a label, such as `"waltz"`, or
+                eight numbers in the units of the motion's style channels.
             count: Samples per condition.
             frames: Frames to generate, by default as many as the condition has.
             seed: Random seed of the noise.
@@ -227,6 +230,8 @@ class Run:
             goals = [goal]
         else:
             goals = list(goal)
+        if style is not None and not isinstance(style, str):
+            style = ",".join(repr(float(number)) for number in style)
         kept = keep
         if keep is not None and not isinstance(keep, str):
             kept = ",".join(f"{start}..{end}" for start, end in keep)
@@ -247,6 +252,7 @@ class Run:
             "keep": kept,
             "keep_from": keep_from,
             "postprocess": postprocess,
+            "style": style,
         }
         model = self._model(settings, steps, guidance_scale, weights, device)
         with reporting(progress, "denoising steps") as report:

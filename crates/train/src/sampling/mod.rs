@@ -4,6 +4,7 @@ mod given;
 mod record;
 mod request;
 mod seed;
+mod style;
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -15,6 +16,7 @@ pub use given::{Given, GivenFrames, GivenMotion};
 pub use record::{BatchRecord, Condition, GoalRecord, Kept, Record, SamplerRecord, WindowsRecord};
 pub use request::{Conditions, Request};
 pub use seed::item_seed;
+pub use style::Style;
 
 use crate::checkpoint::Weights;
 use crate::config::Config;

@@ -7,7 +7,7 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 
-use super::Subject;
+use super::{Style, Subject};
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, SteeringConfig};
 use crate::song::KnownBeats;
@@ -127,6 +127,9 @@ pub struct Condition {
     /// Position in the song, in seconds, at which the motion starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
+    /// The style that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub style: Option<Style>,
     /// Frames that were given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kept: Option<Kept>,

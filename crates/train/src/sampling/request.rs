@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{Refused, in_range};
 
-use super::{Given, GivenFrames};
+use super::{Given, GivenFrames, Style};
 use crate::error::Error;
 use crate::song::KnownBeats;
 
@@ -47,6 +47,8 @@ pub struct Conditions {
     pub text_embedding: Option<String>,
     /// Frames of a phrase that the sample has as they are.
     pub given: Option<Given>,
+    /// The style, for models that are conditioned on one.
+    pub style: Option<Style>,
     /// Use the first so many held-out items of the run's own dataset.
     pub held_out: Option<usize>,
 }
@@ -78,7 +80,7 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 9] {
+    fn given(&self) -> [(&'static str, bool); 10] {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
@@ -96,6 +98,7 @@ impl Conditions {
                 "--keep",
                 self.given.as_ref().is_some_and(|given| !continues(given)),
             ),
+            ("--style", self.style.is_some()),
         ]
     }
 

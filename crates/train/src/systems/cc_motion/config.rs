@@ -4,8 +4,8 @@ use std::ops::Bound;
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, RolloutMode as Graph, must_suit};
-use kinegrad_models::{DecoderConfig, LoraConfig, UNet1dConfig};
+use kinegrad_diffusion::{DiffusionConfig, GuidanceScales, RolloutMode as Graph, must_suit};
+use kinegrad_models::{DecoderConfig, LoraConfig, StyleConditioning, UNet1dConfig};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -149,6 +149,9 @@ pub struct RolloutConfig {
     pub gradient_decay: f64,
     /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
+    /// Guidance scale of the style, for models with one; if not set, the same as `guidance_scale`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub style_guidance_scale: Option<f64>,
 }
 
 impl Default for RolloutConfig {
@@ -163,11 +166,17 @@ impl Default for RolloutConfig {
             straight_through: true,
             gradient_decay: 1.0,
             guidance_scale: 1.0,
+            style_guidance_scale: None,
         }
     }
 }
 
 impl RolloutConfig {
+    /// The guidance scales of the conditions.
+    pub fn guidance(&self) -> GuidanceScales {
+        GuidanceScales::new(self.guidance_scale, self.style_guidance_scale)
+    }
+
     /// The mode with its number of steps.
     pub fn graph(&self) -> Graph {
         match self.mode {
@@ -185,8 +194,7 @@ impl RolloutConfig {
             RolloutMode::Checkpointed => 1,
             RolloutMode::LastK => self.last_k,
         };
-        let passes = if self.guidance_scale == 1.0 { 1 } else { 2 };
-        1 + passes * steps as u64
+        1 + self.guidance().calls() * steps as u64
     }
 }
 
@@ -312,6 +320,27 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let CcMotionNetwork::Unet1d(unet) = &own.model.network;
     unet.validate()?;
     must_suit(&config.sampling.sampler, &own.diffusion)?;
+    let of_style = [
+        (
+            "sampling.sampler.style_guidance_scale",
+            config.sampling.sampler.style_guidance_scale,
+        ),
+        (
+            "rollout.style_guidance_scale",
+            own.rollout.style_guidance_scale,
+        ),
+        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
+    ];
+    for (key, value) in of_style {
+        let Some(value) = value else { continue };
+        require(
+            unet.style != StyleConditioning::None,
+            key,
+            value,
+            "nothing where `model.style` is \"none\"",
+        )
+        .hint("leave the key out, or train with `model.style`")?;
+    }
     in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)
@@ -378,6 +407,8 @@ impl CcMotionConfig {
             ),
         )?;
         in_range("rollout.guidance_scale", rollout.guidance_scale, 0.0..)?;
+        let of_style = rollout.style_guidance_scale.unwrap_or(1.0);
+        in_range("rollout.style_guidance_scale", of_style, 0.0..)?;
         in_range("rollout.gradient_decay", rollout.gradient_decay, 0.0..=1.0)?;
         for (key, rate) in [
             ("diffusion_learning_rate", pretrain.diffusion_learning_rate),

@@ -8,19 +8,20 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::AudioFeatures;
 use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
-use kinegrad_models::{MotionDecoder, UNet1d};
+use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_motion::postprocess::{PostProcessConfig, process};
 use kinegrad_motion::{Motion, Phrases, Statistics, Targets};
 use kinegrad_random::{Key, Purpose};
 
 use super::networks::{footprint, targets};
+use super::style::Asked;
 use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
 use crate::error::Error;
 use crate::memory;
-use crate::sampling::Subject;
+use crate::sampling::{Style, Subject};
 
 /// Maximum batch size.
 const BATCH: usize = 32;
@@ -41,6 +42,7 @@ pub struct Generator {
     pub(super) diffusion: GaussianDiffusion,
     pub(super) targets: Targets,
     pub(super) post_processing: PostProcessConfig,
+    pub(super) style: Option<Asked>,
     pub(super) device: Device,
     pub(super) state: State,
 }
@@ -102,6 +104,7 @@ impl Generator {
             diffusion,
             targets: targets(&state.config)?,
             post_processing: PostProcessConfig::default(),
+            style: None,
             state,
             device: device.clone(),
         })
@@ -113,6 +116,29 @@ impl Generator {
         Self {
             post_processing,
             ..self
+        }
+    }
+
+    /// The same for samples of a style; without one they are of the null style.
+    ///
+    /// # Errors
+    /// If the model is not conditioned on such a style, or does not know the label.
+    pub fn with_style(self, style: Option<&Style>) -> Result<Self, Error> {
+        let style = style
+            .map(|style| Asked::new(style, self.config(), self.statistics()))
+            .transpose()?;
+        Ok(Self { style, ..self })
+    }
+
+    /// The condition of samples that hear `features`, `[batch, channels, time]`.
+    pub(super) fn condition(&self, features: Tensor<3>) -> AudioCondition {
+        let (batch, device) = (features.dims()[0], features.device());
+        AudioCondition {
+            style: self
+                .style
+                .as_ref()
+                .map(|style| style.repeated(batch, &device)),
+            ..features.into()
         }
     }
 
@@ -192,7 +218,7 @@ impl Generator {
                     &self.diffusion,
                     &self.unet,
                     on_device(start.flatten().collect(), drawn),
-                    &on_device(heard.flatten().collect(), channels).into(),
+                    &self.condition(on_device(heard.flatten().collect(), channels)),
                     &sampling.sampler,
                     &sampling.clip.range(normalization, drawn)?,
                     NoiseKeys::Samples(&of_steps),

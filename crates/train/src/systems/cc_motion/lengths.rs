@@ -12,6 +12,7 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
             id: phrase.id.clone(),
             motion: phrase.motion.slice(0..longest),
             audio: phrase.audio.slice(0..longest),
+            label: phrase.label.clone(),
         }),
     }
 }

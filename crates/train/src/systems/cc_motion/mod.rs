@@ -17,6 +17,7 @@ pub mod recipes;
 mod sample;
 mod select;
 mod start;
+mod style;
 mod train;
 pub mod whole;
 

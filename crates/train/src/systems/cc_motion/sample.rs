@@ -15,6 +15,7 @@ use super::CcMotion;
 use super::generate::{Generator, Sample, keys, must_fit};
 use super::lengths::untrained;
 use super::networks::targets;
+use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use crate::config::Config;
 use crate::error::Error;
@@ -58,9 +59,14 @@ pub(super) fn sample(
     if let Some(count) = request.conditions.held_out {
         return for_held_out(subject, count, request, receiver).map(Some);
     }
+    let style = request.conditions.style.as_ref();
+    if let Some(style) = style {
+        must_know(style, &subject.config)?;
+    }
     let conditions = conditions(request, &subject.config, receiver)?;
     let mut drawings = Vec::with_capacity(conditions.len());
-    for heard in conditions {
+    for mut heard in conditions {
+        heard.condition.style = style.cloned();
         drawings.push(drawing(heard, request, &subject.config)?);
     }
     let lengths = drawings.iter().map(|drawing| match &drawing.whole {
@@ -92,7 +98,8 @@ pub(super) fn sample(
     receiver.announced(&names, &[MOTION, RAW])?;
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
-        .with_post_processing(post_processing);
+        .with_post_processing(post_processing)
+        .with_style(style)?;
     for Drawing { heard, whole } in drawings {
         let seed = item_seed(request.seed, &heard.name);
         let stem = stem(&heard);

@@ -53,7 +53,7 @@ impl Starts {
         Ok(tables)
     }
 
-    /// [`tables`](Self::tables), and the split of the base where it was trained on the dataset of
+    /// [`tables`](Self::tables), and the split and the labels of the base where it was trained on the dataset of
     /// `config`: what it has seen is not held out.
     ///
     /// # Errors
@@ -63,7 +63,11 @@ impl Starts {
         let base = self.diffusion.state()?.config.data;
         if is_of_one_source(&base, &config.data) {
             let split = Table::try_from(&base.validation).expect(PLAIN);
-            let data = Table::from_iter([("validation".to_string(), split.into())]);
+            let mut data = Table::from_iter([("validation".to_string(), split.into())]);
+            if !base.labels.is_empty() {
+                let labels = Table::try_from(&base.labels).expect(PLAIN);
+                data.insert("labels".into(), labels.into());
+            }
             tables.insert("data".into(), data.into());
         }
         Ok(tables)

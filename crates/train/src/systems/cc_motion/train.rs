@@ -15,7 +15,7 @@ use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
 use super::select::{Selecting, Selection};
 use super::start::Starts;
-use super::{CcMotionConfig, leaks, pretrain};
+use super::{CcMotionConfig, leaks, pretrain, style};
 use crate::checkpoint::{FORMAT, Progress, State};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -24,14 +24,15 @@ use crate::run::{Material, Outcome, Setup};
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let config = setup.config.clone();
-    let own = CcMotionConfig::of(&config)?;
-    let setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = Dataset::<Phrase>::open_with_progress(&config.data, &*observer.reading())?;
+    let own = CcMotionConfig::of(&setup.config)?;
+    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
+    let dataset = Dataset::<Phrase>::open_with_progress(&setup.config.data, &*observer.reading())?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
     setup.same_dataset(dataset.digest)?;
+    let config = style::with_labels(setup.config.clone(), &dataset, observer)?;
+    setup.config = config.clone();
     let recipe = RecipeName::of(&config)?;
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
     if setup.dry_run && pretrains {
@@ -101,9 +102,12 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let normalized = Arc::new(network_statistics.as_ref().unwrap_or(&statistics).clone());
     let shared = normalized.clone();
+    let style = style::conditions(&config, &statistics)?;
     let samples = move |phrases, config: &Config| {
         let (statistics, seed) = (shared.clone(), config.run.seed);
-        PhraseSamples::new(phrases, statistics, &config.data, seed).with_targets(targets)
+        PhraseSamples::new(phrases, statistics, &config.data, seed)
+            .with_targets(targets)
+            .with_style(style.clone())
     };
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let state = State {

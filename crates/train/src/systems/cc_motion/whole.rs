@@ -134,13 +134,13 @@ impl Generator {
                     part.as_slice().to_vec()
                 });
                 let cond = [batch.len(), whole.audio.channels(), windows.length()];
-                let cond = self.on_device(heard.flatten().collect(), cond).into();
+                let cond = self.condition(self.on_device(heard.flatten().collect(), cond));
                 let x = x.clone().narrow(0, batch.start, batch.len());
                 // Each window as if it were drawn alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {
                     let time = &time[batch.clone()];
-                    let scale = config.guidance_scale;
-                    let output = guided(&self.unet, x.clone(), time, &cond, scale);
+                    let scales = config.guidance();
+                    let output = guided(&self.unet, x.clone(), time, &cond, scales);
                     let timesteps = &timesteps[batch.clone()];
                     Prediction::new(&self.diffusion, output, x, timesteps, &clip)
                 })?;

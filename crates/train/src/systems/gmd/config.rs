@@ -155,6 +155,17 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         require(found <= most, "data.target_frames", found, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
+    for (key, value) in [
+        (
+            "sampling.sampler.style_guidance_scale",
+            sampling.sampler.style_guidance_scale,
+        ),
+        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
+    ] {
+        let Some(value) = value else { continue };
+        let allowed = "nothing for models of clips, which have no style";
+        require(false, key, value, allowed).hint("leave the key out")?;
+    }
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;

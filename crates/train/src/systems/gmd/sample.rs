@@ -46,7 +46,7 @@ pub(super) fn sample(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--cond", "--audio", "--continue-from", "--keep"],
+        &["--cond", "--audio", "--continue-from", "--keep", "--style"],
         "a run on clips of joint features",
         "its condition is a text: `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's caption",
     )?;

@@ -6,15 +6,16 @@
 //!
 //! with `t` uniform over the timesteps, the target chosen by `diffusion.prediction_type`, the
 //! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
-//! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance.
+//! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance, and the
+//! style, of a network with one, with probability `diffusion.style_drop_prob`.
 
 use burn::tensor::Device;
-use kinegrad_data::AUDIO;
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::{AudioCondition, UNet1d};
+use kinegrad_models::UNet1d;
 
 use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
 use crate::recipe::Loss;
+use crate::systems::cc_motion::style::condition;
 
 /// Trains a [`UNet1d`] to denoise, over `diffusion`, validated on `held_out`.
 pub fn diffusion_recipe(
@@ -38,10 +39,7 @@ pub(in super::super) fn denoising_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, cond, dropout| {
-            let features = cond.get(AUDIO).clone();
-            unet.forward(x_t, time, AudioCondition { features, lengths }, dropout)
-        },
+        |x_t, time, cond, dropout| unet.forward(x_t, time, condition(cond, lengths), dropout),
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             diffusion_loss(

@@ -178,7 +178,7 @@ impl Recipe for E2eRecipe {
         let shape = inputs.x_start.dims();
         let diffusion = &self.rollouts.rollout.diffusion;
         let draws = E2eDraws {
-            denoising: Draws::new(diffusion, shape, key, device),
+            denoising: Draws::new(diffusion, &inputs, key, device),
             starts: self
                 .rollouts
                 .draw_starts(shape[0], key.of(Purpose::RolloutTimesteps)),

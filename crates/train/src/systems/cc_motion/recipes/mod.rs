@@ -5,9 +5,9 @@ pub mod diffusion;
 pub mod e2e;
 mod rollouts;
 
-use kinegrad_data::AUDIO;
 use kinegrad_models::AudioCondition;
 
+use super::style::condition;
 use crate::denoising::Inputs;
 
 pub use decoder::DecoderRecipe;
@@ -16,10 +16,7 @@ pub use diffusion::diffusion_recipe;
 pub use e2e::{E2eDraws, E2eRecipe, PendingRollout};
 pub use rollouts::Rollouts;
 
-/// What the denoiser hears of a batch.
+/// What the denoiser is told of a batch.
 fn heard(inputs: &Inputs) -> AudioCondition {
-    AudioCondition {
-        features: inputs.cond.get(AUDIO).clone(),
-        lengths: inputs.lengths.clone(),
-    }
+    condition(&inputs.cond, inputs.lengths.clone())
 }

@@ -43,7 +43,7 @@ impl Rollouts {
             rollout: Rollout {
                 diffusion,
                 clip,
-                guidance_scale: config.guidance_scale,
+                guidance: config.guidance(),
                 gradient_decay: config.gradient_decay,
             },
             config: config.clone(),

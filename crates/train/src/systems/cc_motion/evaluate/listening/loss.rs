@@ -47,6 +47,7 @@ pub(super) fn loss(generator: &Generator, phrase: &Phrase, audio: &AudioFeatures
         timesteps,
         noise,
         keep_cond: None,
+        keep_style: None,
         dropout: None,
     };
     let loss = denoising_loss(&generator.diffusion, &generator.unet, inputs, draws, false);
