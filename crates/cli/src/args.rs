@@ -56,7 +56,7 @@ pub enum Command {
     /// Train a model from a config file, or resume a run
     Train(TrainArguments),
     /// Generate motion with a trained model
-    Sample(SampleArguments),
+    Sample(Box<SampleArguments>),
     /// Convert published PyTorch weights to a run
     Import(ImportArguments),
     /// Merge the LoRA adapters of a fine-tuned model into its weights
