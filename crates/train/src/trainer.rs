@@ -270,23 +270,21 @@ impl<R: Recipe> Trainer<R> {
             self.parts.config.train.clone(),
             self.parts.config.optim.clone(),
         );
-        let mut batches = Vec::new();
-        for _ in 0..train.gradient_accumulation_steps {
+        let mut gradients: Vec<Vec<f32>> = Vec::new();
+        let mut loss = 0.0;
+        let mut terms: Vec<(&'static str, f64)> = Vec::new();
+        // One batch at a time is held, so what all of them weigh is known after the last; until
+        // then a batch counts relative to the first.
+        let (mut first_weight, mut divisor) = (None, 0.0);
+        for micro_batch in 0..train.gradient_accumulation_steps {
             let stop = || observer.stop_requested();
             let Some(batch) = self.parts.loader.next_unless(&stop)? else {
                 return Ok(None);
             };
-            batches.push(batch);
-        }
-        let weights = batches.iter().map(|batch| self.parts.recipe.weight(batch));
-        let weights: Vec<f64> = weights.collect();
-        let all: f64 = weights.iter().sum();
-        let mut gradients: Vec<Vec<f32>> = Vec::new();
-        let mut loss = 0.0;
-        let mut terms: Vec<(&'static str, f64)> = Vec::new();
-        for (micro_batch, (batch, weight)) in (0..).zip(batches.iter().zip(weights)) {
-            // What its loss is divided by: the number of batches, if they are of one size.
-            let divisor = all / weight;
+            let batch = &batch;
+            let weight = self.parts.recipe.weight(batch);
+            let weight = weight / *first_weight.get_or_insert(weight);
+            divisor += weight;
             let key = StepKey {
                 seed: self.parts.config.run.seed,
                 step: self.step,
@@ -302,22 +300,28 @@ impl<R: Recipe> Trainer<R> {
                 let tensor = find_not_finite(model, batch, computed);
                 return Err(self.not_finite(self.step + 1, tensor));
             }
-            loss += value / divisor;
+            loss += value * weight;
             for (index, (name, term)) in computed.terms.iter().enumerate() {
-                let value = f64::from(term.clone().into_scalar::<f32>()) / divisor;
+                let value = f64::from(term.clone().into_scalar::<f32>()) * weight;
                 match terms.get_mut(index) {
                     Some((_, sum)) => *sum += value,
                     None => terms.push((name, value)),
                 }
             }
             let share = Loss {
-                total: computed.total.div_scalar(divisor),
+                total: computed.total.mul_scalar(weight),
                 terms: Vec::new(),
                 probes: Vec::new(),
                 pending: computed.pending,
             };
             drop((computed.terms, computed.probes));
             accumulate(&mut gradients, self.parts.recipe.backward(model, share));
+        }
+        if train.gradient_accumulation_steps > 1 {
+            loss /= divisor;
+            terms.iter_mut().for_each(|(_, sum)| *sum /= divisor);
+            let sums = gradients.iter_mut().flatten();
+            sums.for_each(|sum| *sum = (f64::from(*sum) / divisor) as f32);
         }
 
         let grad_norm = global_norm(&gradients);
