@@ -50,6 +50,7 @@ pub use movement::Movement;
 pub use phrase::{CHANNELS, FPS, Motion, channel_name};
 pub use postprocess::{
     ClampLimits, Differences, Hemisphere, PostProcessConfig, PostProcessProfile, process,
+    process_around,
 };
 pub use representation::{
     Curves, GroundPath, JointFeatures, JointPositions, Measured, Phrases, Representation,

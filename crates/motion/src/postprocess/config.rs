@@ -113,14 +113,19 @@ pub struct PostProcessConfig {
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
-    /// Step 7: replace the angular velocity by that of the quaternions as written. CC-MotionGen
+    /// Step 7: replace position, velocity, acceleration, quaternions and phase by those of the
+    /// nearest motion that agrees with itself ([`crate::coherence`]), where the training phrases'
+    /// statistics are at hand. Not in CC-MotionGen. Positions then move as the accelerations say,
+    /// whatever the network: coherence of such motion is no merit of its training.
+    pub fit_coherent_motion: bool,
+    /// Step 8: replace the angular velocity by that of the quaternions as written. CC-MotionGen
     /// leaves the two unrelated.
     pub derive_angular_velocity: bool,
 }
 
 impl Default for PostProcessConfig {
     /// Unit norm, signs continuous in time, phase clamped, clamps no tighter than the training
-    /// range, angular velocity that of the quaternions.
+    /// range, the nearest coherent motion, angular velocity that of the quaternions.
     fn default() -> Self {
         Self {
             clamp_values: true,
@@ -128,6 +133,7 @@ impl Default for PostProcessConfig {
             normalize_quaternions: true,
             hemisphere: Hemisphere::Continuous,
             clamp_phase: true,
+            fit_coherent_motion: true,
             derive_angular_velocity: true,
             ..Self::none()
         }
@@ -136,12 +142,13 @@ impl Default for PostProcessConfig {
 
 impl PostProcessConfig {
     /// CC-MotionGen's defaults: w >= 0 in every frame, its clamps as they stand, backward
-    /// differences, angular velocity as the model says.
+    /// differences, every channel as the model says.
     pub fn document() -> Self {
         Self {
             widen_limits: false,
             hemisphere: Hemisphere::PositiveW,
             differences: Differences::Backward,
+            fit_coherent_motion: false,
             derive_angular_velocity: false,
             ..Self::default()
         }
@@ -164,6 +171,7 @@ impl PostProcessConfig {
             differences: Differences::Forward,
             apply_smoothing: false,
             smoothing_kernel_size: 3,
+            fit_coherent_motion: false,
             derive_angular_velocity: false,
         }
     }
@@ -205,7 +213,7 @@ mod tests {
         assert_eq!(read("{}").unwrap(), PostProcessConfig::default());
         let config = read(
             r#"{"hemisphere": "positive_w", "widen_limits": false, "differences": "backward",
-                "derive_angular_velocity": false}"#,
+                "fit_coherent_motion": false, "derive_angular_velocity": false}"#,
         )
         .unwrap();
         assert_eq!(config, PostProcessConfig::document());

@@ -9,10 +9,11 @@
 //! 4. phase clamped, then made monotonic
 //! 5. velocity, then acceleration, blended with the differences
 //! 6. vectors and style smoothed over time
-//! 7. angular velocity derived from the quaternions (not in CC-MotionGen)
+//! 7. the nearest coherent motion fitted (not in CC-MotionGen)
+//! 8. angular velocity derived from the quaternions (not in CC-MotionGen)
 //!
-//! All steps work in double precision; the result is rounded once, before step 7: the angular
-//! velocity is that of the quaternions as they are written.
+//! Steps 1 to 6 work in double precision and are rounded once; the angular velocity is that of the
+//! quaternions as they are written.
 
 mod config;
 mod orientation;
@@ -21,6 +22,7 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostPr
 
 use std::ops::Range;
 
+use crate::coherence::{fit_orientation, fit_phase, fit_trajectory};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
@@ -30,15 +32,30 @@ use crate::{Motion, Statistics};
 type Frames = Vec<[f64; CHANNELS]>;
 
 /// Post-processes a phrase. `statistics` widen the clamps to the training phrases' range where
-/// [`PostProcessConfig::widen_limits`] asks for it.
+/// [`PostProcessConfig::widen_limits`] asks for it, and scale the fit of coherent motion.
 ///
-/// NaN stays NaN (the sanity checks find it); infinities are clamped like other large values where
-/// the channel has a clamp.
+/// NaN stays NaN (the sanity checks find it), in a motion that nothing is fitted to; infinities are
+/// clamped like other large values where the channel has a clamp.
 pub fn process(
     motion: &Motion,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
 ) -> Motion {
+    process_around(motion, config, statistics, &vec![false; motion.frames()])
+}
+
+/// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through
+/// them. Other steps treat all frames alike.
+///
+/// # Panics
+/// Panics if there is not one flag for each frame.
+pub fn process_around(
+    motion: &Motion,
+    config: &PostProcessConfig,
+    statistics: Option<&Statistics>,
+    known: &[bool],
+) -> Motion {
+    assert_eq!(known.len(), motion.frames(), "known frames");
     let mut frames: Frames = motion
         .as_slice()
         .chunks_exact(CHANNELS)
@@ -80,15 +97,24 @@ pub fn process(
             *stored = value as f32;
         }
     }
+    if config.fit_coherent_motion
+        && let Some(Statistics { std, .. }) = statistics
+        && processed.first_non_finite().is_none()
+    {
+        fit_trajectory(&mut processed, std, known);
+        fit_orientation(&mut processed, std, known);
+        fit_phase(&mut processed, known);
+    }
     if config.derive_angular_velocity {
         derive_angular_velocity(&mut processed);
     }
     processed
 }
 
-/// Forward differences of the quaternions, the last one repeated. A single frame has none. What is
+/// Makes the angular velocity that of the quaternions: their forward differences, the last one
+/// repeated. A single frame has none. What is
 /// not finite stays for the checks to find, and does not spread to the frame before.
-fn derive_angular_velocity(motion: &mut Motion) {
+pub fn derive_angular_velocity(motion: &mut Motion) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::movement::rates(motion);
     let last = rates.last().copied();
@@ -259,6 +285,7 @@ mod tests {
     fn clamps_are_never_tighter_than_the_training_range() {
         let motion = wild(3);
         let clamped = PostProcessConfig {
+            fit_coherent_motion: false,
             derive_angular_velocity: false,
             ..PostProcessConfig::default()
         };

@@ -160,7 +160,8 @@ impl GivenMotion {
     }
 
     /// Puts the numbers of the given frames into `motion`, whose other quaternions get the sign
-    /// that fits the first of them.
+    /// that fits the first of them. Where the motion has turned around once more until a later
+    /// range, the quaternions of that range get the sign that goes on from there.
     pub fn put_into(&self, motion: &mut Motion) {
         let Some(first) = self.frames.first().map(|range| range.start) else {
             return;
@@ -170,8 +171,15 @@ impl GivenMotion {
                 motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
             }
         }
-        for t in self.frames.iter().cloned().flatten() {
-            motion.frame_mut(t).copy_from_slice(self.motion.frame(t));
+        for range in self.frames.iter().cloned() {
+            let drawn = motion.quaternion(range.start);
+            let turned = drawn.dot(self.motion.quaternion(range.start)) < 0.0;
+            for t in range {
+                motion.frame_mut(t).copy_from_slice(self.motion.frame(t));
+                if turned {
+                    motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
+                }
+            }
         }
     }
 }

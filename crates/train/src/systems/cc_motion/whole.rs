@@ -15,9 +15,11 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::make_coherent;
+use kinegrad_motion::coherence::fit_trajectory;
+use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
-use kinegrad_motion::{Motion, Statistics, process};
+use kinegrad_motion::{Motion, Quaternion, Statistics, process_around};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
@@ -79,7 +81,10 @@ impl Generator {
             }
             Some(_) => self.decoded(whole, physical.as_ref(), &latents)?,
         };
-        let mut motion = process(&raw, &self.post_processing, Some(self.statistics()));
+        let none = || vec![false; raw.frames()];
+        let is_known = physical.map_or_else(none, |known| known.is_known);
+        let statistics = Some(self.statistics());
+        let mut motion = process_around(&raw, &self.post_processing, statistics, &is_known);
         if let Some(given) = whole.given {
             given.put_into(&mut raw);
             given.put_into(&mut motion);
@@ -221,14 +226,21 @@ impl Generator {
         }
         let all = windows.stitch(&mut decoded, known, Layout::Phrase);
         let mut motion = Motion::from_channel_major(&all, windows.frames())?;
-        for t in 0..motion.frames() {
-            // Of quaternions that differ, the mean is short.
-            motion.set_quaternion(t, motion.quaternion(t).normalised());
-        }
+        // Of quaternions that differ, the mean is short.
+        let unit = (0..motion.frames()).map(|t| motion.quaternion(t).normalised());
+        let mut quaternions: Vec<Quaternion> = unit.collect();
         if decoder.coherence() == Coherence::Projection {
             let none = || vec![false; windows.frames()];
             let is_known = known.map_or_else(none, |known| known.is_known.clone());
-            make_coherent(&mut motion, &self.statistics().std, &is_known);
+            fit_trajectory(&mut motion, &self.statistics().std, &is_known);
+            make_sign_continuous(&mut quaternions);
+        }
+        for (t, quaternion) in quaternions.into_iter().enumerate() {
+            motion.set_quaternion(t, quaternion);
+        }
+        if decoder.coherence() == Coherence::Projection {
+            // As the decoder does for a phrase: that of the quaternions.
+            derive_angular_velocity(&mut motion);
         }
         Ok(motion)
     }

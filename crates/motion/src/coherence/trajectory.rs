@@ -15,17 +15,13 @@
 //! Differences are forward, as everywhere ([`crate::kinematics`]); two frames beyond the last one
 //! let the last velocity and acceleration say what follows.
 
+use super::weight;
+use crate::Motion;
 use crate::banded::{BAND, Cholesky};
-use crate::kinematics::make_sign_continuous;
 use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
-use crate::{Motion, Quaternion};
 
 /// Frames that the fitted trajectory has beyond those of the estimates.
 pub const EXTRA_FRAMES: usize = 2;
-
-/// Weight of the estimates of a frame that is known, where others have 1: 0.1 mm of tension moves
-/// it by less than single precision holds.
-const KNOWN: f64 = 1e8;
 
 /// What one frame of each estimate says of the positions from its own frame on.
 const STENCILS: [&[f64]; 3] = [
@@ -60,7 +56,7 @@ impl CoherentFit {
     pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
         let weights: [Vec<f64>; 3] = scales.map(|scale| {
-            let relative = known.iter().map(|known| if *known { KNOWN } else { 1.0 });
+            let relative = known.iter().map(|known| weight(*known));
             relative.map(|weight| weight / (scale * scale)).collect()
         });
         let mut normal = vec![[0.0; BAND]; known.len() + EXTRA_FRAMES];
@@ -133,13 +129,12 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
 }
 
 /// Replaces position, velocity and acceleration of a phrase of any length by those of the nearest
-/// coherent trajectory, except in frames that are `known`, which it passes through; the
-/// quaternion keeps its sign from frame to frame. `std` are the training deviations of the
-/// channels, `[25]`.
+/// coherent trajectory, except in frames that are `known`, which it passes through. `std` are the
+/// training deviations of the channels, `[25]`.
 ///
 /// # Panics
 /// Panics if there is not one flag for each frame, or a deviation is not positive.
-pub fn make_coherent(motion: &mut Motion, std: &[f64], known: &[bool]) {
+pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
     for axis in 0..3 {
@@ -162,11 +157,6 @@ pub fn make_coherent(motion: &mut Motion, std: &[f64], known: &[bool]) {
                 frame[channel] = value;
             }
         }
-    }
-    let mut quaternions: Vec<Quaternion> = (0..frames).map(|t| motion.quaternion(t)).collect();
-    make_sign_continuous(&mut quaternions);
-    for (t, quaternion) in quaternions.into_iter().enumerate() {
-        motion.set_quaternion(t, quaternion);
     }
 }
 
@@ -317,7 +307,7 @@ mod tests {
             motion.set_vector(t, POSITION, [x + 2.0, y, z]);
         }
         let known: Vec<bool> = (0..60).map(|t| t < 20).collect();
-        make_coherent(&mut motion, &[0.5; 25], &known);
+        fit_trajectory(&mut motion, &[0.5; 25], &known);
         for t in 0..20 {
             assert_eq!(motion.frame(t), original.frame(t), "{t}");
         }

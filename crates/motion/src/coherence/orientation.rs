@@ -1,0 +1,172 @@
+//! The orientations nearest to quaternions `Q` and angular velocities `W`, which contradict each
+//! other:
+//!
+//! ```text
+//! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
+//! ```
+//!
+//! over quaternions of any norm, which are normalised in the end. With `r_t` the rotation that the
+//! angular velocities alone lead to, and `q_t = r_t u_t`, the second term is `|u_{t+1} - u_t|^2`:
+//! the four components of `u` part, and each has one diagonal beside the main one.
+
+use super::weight;
+use crate::banded::{BAND, Cholesky};
+use crate::kinematics::make_sign_continuous;
+use crate::phrase::{ANGULAR_VELOCITY, FPS};
+use crate::{Motion, Quaternion};
+
+/// The scale `s_q`: root mean square of a component of unit quaternions.
+const QUATERNION_SCALE: f64 = 0.5;
+
+/// Replaces the quaternions of a phrase of any length by those nearest to its quaternions and
+/// angular velocities, of unit norm and continuous sign, except in frames that are `known`. `std`
+/// are the training deviations of the channels, `[25]`; angular velocities are left as they are.
+///
+/// # Panics
+/// Panics if there is not one flag for each frame, or a deviation is not positive.
+pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
+    let frames = motion.frames();
+    assert_eq!(known.len(), frames, "known frames");
+    // Half a rotation vector is what a small rotation adds to a quaternion.
+    let step_scale = std[ANGULAR_VELOCITY].iter().sum::<f64>() / 3.0 / (2.0 * FPS);
+    assert!(step_scale > 0.0, "deviations of the angular velocity");
+    let stiffness = (QUATERNION_SCALE / step_scale).powi(2);
+
+    let mut turned = Vec::with_capacity(frames);
+    let mut rotation = Quaternion::IDENTITY;
+    for t in 0..frames {
+        turned.push(rotation);
+        let step = motion.vector(t, ANGULAR_VELOCITY).map(|rate| rate / FPS);
+        rotation = (Quaternion::from_rotation_vector(step) * rotation).normalised();
+    }
+    let rest = turned.iter().enumerate();
+    let rest = rest.map(|(t, turned)| turned.conjugate() * motion.quaternion(t).normalised());
+    let mut rest: Vec<Quaternion> = rest.collect();
+    make_sign_continuous(&mut rest);
+
+    let mut normal = vec![[0.0; BAND]; frames];
+    for t in 0..frames {
+        normal[t][0] += weight(known[t]);
+        if t > 0 {
+            normal[t][0] += stiffness;
+            normal[t][1] = -stiffness;
+            normal[t - 1][0] += stiffness;
+        }
+    }
+    let factor = Cholesky::new(normal);
+    let parts: [fn(&Quaternion) -> f64; 4] = [|q| q.w, |q| q.x, |q| q.y, |q| q.z];
+    let [w, x, y, z] = parts.map(|part| {
+        let said = rest.iter().zip(known);
+        let mut fitted: Vec<f64> = said.map(|(q, known)| weight(*known) * part(q)).collect();
+        factor.solve(&mut fitted);
+        fitted
+    });
+    let mut fitted: Vec<Quaternion> = turned
+        .iter()
+        .enumerate()
+        .map(|(t, turned)| *turned * Quaternion::new(w[t], x[t], y[t], z[t]).normalised())
+        .collect();
+    make_sign_continuous(&mut fitted);
+    for (t, quaternion) in fitted.into_iter().enumerate() {
+        if !known[t] {
+            motion.set_quaternion(t, quaternion);
+        } else if motion.quaternion(t).dot(quaternion) < 0.0 {
+            motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+    use crate::wandering::wandering;
+
+    /// Mean angle in radians between the orientations of two motions.
+    fn apart(a: &Motion, b: &Motion) -> f64 {
+        let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
+        let angles = (0..a.frames()).map(|t| crate::rotation::length(apart(t)));
+        angles.sum::<f64>() / a.frames() as f64
+    }
+
+    fn turn_acceleration(motion: &Motion) -> f64 {
+        let rates = crate::movement::rates(motion);
+        let steps = rates.windows(2).map(|pair| {
+            let parts = pair[1].iter().zip(pair[0]).map(|(b, a)| (b - a).powi(2));
+            parts.sum::<f64>().sqrt()
+        });
+        steps.sum::<f64>() / (rates.len() - 1) as f64
+    }
+
+    /// The motion with noise of each quaternion, and of each angular velocity, and random signs.
+    fn shaken(motion: &Motion, quaternion: f64, rate: f64) -> Motion {
+        let mut shaken = motion.clone();
+        let noise = Key::new(9, Purpose::Noise).normals(8 * motion.frames());
+        for (t, noise) in noise.chunks(8).enumerate() {
+            let noise: Vec<f64> = noise.iter().map(|&value| f64::from(value)).collect();
+            let turn = [noise[0], noise[1], noise[2]].map(|value| value * quaternion);
+            let sign = if noise[6] < 0.0 { -1.0 } else { 1.0 };
+            let turned = Quaternion::from_rotation_vector(turn) * motion.quaternion(t);
+            shaken.set_quaternion(t, turned.scale(sign));
+            let said = motion.vector(t, ANGULAR_VELOCITY);
+            let said = [0, 1, 2].map(|axis| said[axis] + rate * noise[3 + axis]);
+            shaken.set_vector(t, ANGULAR_VELOCITY, said);
+        }
+        shaken
+    }
+
+    #[test]
+    fn orientations_that_agree_stay() {
+        for frames in [1, 2, 3, 47] {
+            let original = wandering(5, frames);
+            let mut fitted = original.clone();
+            fit_orientation(&mut fitted, &[0.7; 25], &vec![false; frames]);
+            assert!(apart(&original, &fitted) < 1e-4, "{frames}");
+        }
+    }
+
+    #[test]
+    fn shaking_goes_and_the_turn_stays() {
+        let original = wandering(6, 120);
+        let shaken = shaken(&original, 0.1, 0.1);
+        let mut fitted = shaken.clone();
+        fit_orientation(&mut fitted, &[1.0; 25], &[false; 120]);
+        let [left, before] = [&fitted, &shaken].map(|motion| apart(&original, motion));
+        assert!(left < 0.35 * before, "{left} {before}");
+        let [before, after, truth] = [&shaken, &fitted, &original].map(turn_acceleration);
+        assert!(
+            before > 5.0 * truth && after < 1.1 * truth,
+            "{before} {after} {truth}"
+        );
+        for t in 1..120 {
+            assert!(
+                fitted.quaternion(t).dot(fitted.quaternion(t - 1)) > 0.9,
+                "{t}"
+            );
+        }
+    }
+
+    #[test]
+    fn known_frames_stay_and_the_others_turn_towards_them() {
+        let original = wandering(7, 60);
+        let mut motion = original.clone();
+        for t in 20..60 {
+            // The rest faces elsewhere, and says the same of how it turns.
+            let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
+            motion.set_quaternion(t, turned.scale(-1.0));
+        }
+        let known: Vec<bool> = (0..60).map(|t| t < 20).collect();
+        fit_orientation(&mut motion, &[1.0; 25], &known);
+        for t in 0..20 {
+            assert_eq!(motion.frame(t), original.frame(t), "{t}");
+        }
+        // Half a radian at once would be 0.97.
+        let least = |motion: &Motion| {
+            let step = |t| motion.quaternion(t).dot(motion.quaternion(t - 1));
+            (1..60).map(step).fold(1.0, f64::min)
+        };
+        let [found, before] = [&motion, &original].map(least);
+        assert!(found > before - 2e-3, "{found} {before}");
+    }
+}
