@@ -94,7 +94,7 @@ pub use npz::{
 pub use phrase::{Phrase, load_audio};
 pub use phrase_samples::{PhraseSamples, target_statistics};
 pub use phrase_set::PhraseSet;
-pub use songs::{Songs, song_of};
+pub use songs::{Songs, held_out_songs, song_of};
 pub use split::{Side, matches};
 pub use store::{Object, Store, StoreError};
 pub use style_conditions::{LABEL, STYLE, STYLE_NUMBERS, StyleConditions, mean_style};

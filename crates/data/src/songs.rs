@@ -1,6 +1,8 @@
 //! Which phrases are danced to one song.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use kinegrad_random::{Key, Purpose};
 
 use crate::manifest::{self, ManifestRow};
 use crate::{DataConfig, DataKind, Error, Store, synthetic};
@@ -15,6 +17,21 @@ pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
     let take = || id.rsplit_once('_').map_or(id, |(take, _)| take);
     let song = audio_source.or_else(made_up);
     song.unwrap_or_else(take).to_owned()
+}
+
+/// The part `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
+/// hashes of their names, at least one if `fraction` is not 0, never all. Depends on the names alone.
+pub fn held_out_songs(songs: BTreeSet<String>, fraction: f64) -> Vec<String> {
+    let most = songs.len().saturating_sub(1);
+    let share = (fraction * songs.len() as f64).round() as usize;
+    let wanted = if fraction > 0.0 { share.max(1) } else { 0 };
+    let hash = |song: &String| Key::new(0, Purpose::Split).named(song).uniform();
+    let mut order: Vec<(f64, String)> = songs.into_iter().map(|song| (hash(&song), song)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    order.truncate(wanted.min(most));
+    let mut held_out: Vec<String> = order.into_iter().map(|(_, song)| song).collect();
+    held_out.sort_unstable();
+    held_out
 }
 
 /// What a dataset says of the music of its phrases.

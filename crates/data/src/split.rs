@@ -1,5 +1,6 @@
 //! Which phrases are held out for validation.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
@@ -7,6 +8,7 @@ use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
 use crate::file::read_text;
+use crate::songs::{held_out_songs, song_of};
 use crate::{Error, ValidationSplit};
 
 /// Share held out where neither the config nor the dataset says anything.
@@ -73,19 +75,25 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// Whether the phrase `id` is held out, where the manifest says `stated` of it. Depends on
-    /// nothing else.
-    pub fn holds_out(&self, id: &str, stated: Option<Side>) -> bool {
+    /// Whether each of the phrases is held out, by its id and what the manifest says of it. Where
+    /// neither config nor manifest says anything, whole songs are held out
+    /// ([`held_out_songs`]); phrases by themselves, if each is a song of its own or all are one.
+    pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
         // The same phrases whatever the run's seed, so that runs can be compared.
-        let hashed = |fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
-        match self.rule {
-            Rule::Listed => self.patterns.iter().any(|pattern| matches(pattern, id)),
-            Rule::Fraction(fraction) => hashed(fraction),
-            Rule::Manifest => match stated {
-                Some(side) => side == Side::Validation,
-                None => hashed(DEFAULT_FRACTION),
-            },
-        }
+        let hashed =
+            |id: &str, fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
+        let unstated = || phrases.iter().filter(|(_, stated)| stated.is_none());
+        let songs: BTreeSet<String> = unstated().map(|(id, _)| song_of(id, None)).collect();
+        let by_song = songs.len() > 1 && songs.len() < unstated().count();
+        let songs = by_song.then(|| held_out_songs(songs, DEFAULT_FRACTION));
+        let holds_out = |(id, stated): &(&str, Option<Side>)| match (&self.rule, stated, &songs) {
+            (Rule::Listed, ..) => self.patterns.iter().any(|pattern| matches(pattern, id)),
+            (Rule::Fraction(fraction), ..) => hashed(id, *fraction),
+            (Rule::Manifest, Some(side), _) => *side == Side::Validation,
+            (Rule::Manifest, None, Some(songs)) => songs.contains(&song_of(id, None)),
+            (Rule::Manifest, None, None) => hashed(id, DEFAULT_FRACTION),
+        };
+        phrases.iter().map(holds_out).collect()
     }
 
     /// A warning for each id or pattern of the rule that holds out none of `ids`.
@@ -140,6 +148,11 @@ mod tests {
         .unwrap()
     }
 
+    /// Whether the rule holds out one phrase by itself.
+    fn alone(split: &Split, id: &str, stated: Option<Side>) -> bool {
+        split.holds_out(&[(id, stated)])[0]
+    }
+
     #[test]
     fn stars_stand_for_any_run_of_characters() {
         for (pattern, text, expected) in [
@@ -164,16 +177,16 @@ mod tests {
     fn the_fraction_is_met_and_adding_phrases_moves_none() {
         let rule = split(0.1, &[], None);
         let ids: Vec<String> = (0..5000).map(|i| format!("song_{i:05}")).collect();
-        let held = ids.iter().filter(|id| rule.holds_out(id, None)).count();
+        let held = ids.iter().filter(|id| alone(&rule, id, None)).count();
         assert!((430..570).contains(&held), "{held}");
         assert!(
             ids.iter()
-                .all(|id| !split(0.0, &[], None).holds_out(id, None))
+                .all(|id| !alone(&split(0.0, &[], None), id, None))
         );
         let more = split(0.3, &[], None);
         assert!(
             ids.iter()
-                .all(|id| !rule.holds_out(id, None) || more.holds_out(id, None))
+                .all(|id| !alone(&rule, id, None) || alone(&more, id, None))
         );
     }
 
@@ -185,7 +198,7 @@ mod tests {
         let rule = split(0.99, &["C_5_*"], Some(file.clone()));
         let ids = ["C_5_1", "C_2_1", "W_1", "W_10"];
         assert_eq!(
-            ids.map(|id| rule.holds_out(id, None)),
+            ids.map(|id| alone(&rule, id, None)),
             [true, false, true, false]
         );
         assert_eq!(
@@ -193,25 +206,76 @@ mod tests {
             ["data.validation: `X_*` matches no phrase"]
         );
         fs::write(&file, "").unwrap();
-        assert!(!split(0.99, &[], Some(file)).holds_out("C_5_1", None));
+        assert!(!alone(&split(0.99, &[], Some(file)), "C_5_1", None));
     }
 
     #[test]
     fn the_manifest_s_split_counts_where_the_config_says_nothing() {
         let rule = split(None, &[], None);
-        assert!(rule.holds_out("a", Some(Side::Validation)));
-        assert!(!rule.holds_out("a", Some(Side::Train)));
+        assert!(alone(&rule, "a", Some(Side::Validation)));
+        assert!(!alone(&rule, "a", Some(Side::Train)));
         let tenth = split(0.1, &[], None);
         for id in ["a", "b", "c_00120", "d"] {
-            assert_eq!(rule.holds_out(id, None), tenth.holds_out(id, None));
+            assert_eq!(alone(&rule, id, None), alone(&tenth, id, None));
             assert_eq!(
-                tenth.holds_out(id, Some(Side::Validation)),
-                tenth.holds_out(id, None)
+                alone(&tenth, id, Some(Side::Validation)),
+                alone(&tenth, id, None)
             );
         }
         let listed = split(None, &["a"], None);
-        assert!(!listed.holds_out("b", Some(Side::Validation)));
-        assert!(listed.holds_out("a", Some(Side::Train)));
+        assert!(!alone(&listed, "b", Some(Side::Validation)));
+        assert!(alone(&listed, "a", Some(Side::Train)));
+    }
+
+    #[test]
+    fn songs_are_held_out_whole_where_nothing_is_said() {
+        let rule = split(None, &[], None);
+        let held_out = |ids: &[String]| -> BTreeSet<String> {
+            let phrases: Vec<_> = ids.iter().map(|id| (id.as_str(), None)).collect();
+            let held = ids.iter().zip(rule.holds_out(&phrases));
+            held.filter(|(_, held)| *held)
+                .map(|(id, _)| id.clone())
+                .collect()
+        };
+        let of = |songs: &[&str], phrases: usize| -> Vec<String> {
+            let of = |song: &&str| {
+                (0..phrases)
+                    .map(|k| format!("{song}_{:05}", 120 * k))
+                    .collect()
+            };
+            songs
+                .iter()
+                .flat_map(|song| -> Vec<String> { of(song) })
+                .collect()
+        };
+        // Phrases of a song lie on one side, of a few songs as of many.
+        for songs in [&["C_2", "W_1"][..], &["a", "b", "c", "d", "e", "f", "g"]] {
+            let ids = of(songs, 9);
+            let held = held_out(&ids);
+            let sides: BTreeSet<&str> = held
+                .iter()
+                .map(|id| id.rsplit_once('_').unwrap().0)
+                .collect();
+            assert_eq!((held.len(), sides.len()), (9, 1), "{held:?}");
+        }
+        // What the manifest states is left alone, and does not count.
+        let stated = [
+            ("x_0", Some(Side::Train)),
+            ("x_1", None),
+            ("y_0", None),
+            ("y_1", None),
+        ];
+        let held = rule.holds_out(&stated);
+        assert!(
+            !held[0] && held[1] != held[2] && held[2] == held[3],
+            "{held:?}"
+        );
+        // Of one song there is nothing else than its phrases, and made-up phrases are a song each.
+        let one = of(&["C_2"], 200);
+        assert!((5..40).contains(&held_out(&one).len()));
+        let made_up: Vec<String> = (0..200).map(crate::synthetic::id).collect();
+        let alone = made_up.iter().filter(|id| alone(&rule, id, None)).count();
+        assert_eq!(held_out(&made_up).len(), alone);
     }
 
     #[test]

@@ -151,12 +151,15 @@ impl<T: Item> Survey<T> {
         entries: Vec<Entry>,
         memory: MemoryCache<T>,
     ) -> (ItemSet<T>, ItemSet<T>, Digest) {
-        let held_out = |entry: &Entry| match &self.split {
-            Some(split) => split.holds_out(&entry.id, entry.side),
-            None => entry.side == Some(Side::Validation),
+        let stated = entries.iter().map(|entry| (entry.id.as_str(), entry.side));
+        let held_out = match &self.split {
+            Some(split) => split.holds_out(&stated.collect::<Vec<_>>()),
+            None => stated
+                .map(|(_, side)| side == Some(Side::Validation))
+                .collect(),
         };
         let (validation, train): (Vec<usize>, Vec<usize>) =
-            (0..entries.len()).partition(|&index| held_out(&entries[index]));
+            (0..entries.len()).partition(|&index| held_out[index]);
         let library = Arc::new(Library::new(self.origin, entries, memory));
         let digest = library.digest(&validation);
         let train = ItemSet::new(library.clone(), train);

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use burn::tensor::Tensor;
 use kinegrad_motion::phrase::QUATERNION;
-use kinegrad_motion::targets::LEAST_SQUARE;
+use kinegrad_motion::targets::{LEAST_HARMONICS, LEAST_SQUARE};
 use kinegrad_motion::{OrientationTarget, PhaseTarget, Targets};
 
 /// Square of the radius below which the gradient of an angle does not grow any more.
@@ -36,12 +36,37 @@ pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
             part(targets.angular_velocity_channels()),
             match targets.phase {
                 PhaseTarget::Scalar => phase,
-                PhaseTarget::SinCos => turns(phase),
+                PhaseTarget::SinCos | PhaseTarget::Harmonics => turns_of(phase),
             },
             part(targets.style_channels()),
         ],
         1,
     )
+}
+
+/// The turns from 0 to 1, `[batch, 1, time]`, of pairs of sine and cosine of an angle and its
+/// multiples, `[batch, 2 multiples, time]`, as [`Targets::decode`] has it.
+fn turns_of(pairs: Tensor<3>) -> Tensor<3> {
+    let multiples = pairs.dims()[1] / 2;
+    let first = turns(pairs.clone().narrow(1, 0, 2));
+    if multiples == 1 {
+        return first;
+    }
+    let (mut moved, mut all) = (first.zeros_like(), first.zeros_like() + LEAST_HARMONICS);
+    for k in 1..=multiples {
+        let pair = pairs.clone().narrow(1, 2 * (k - 1), 2);
+        let rest = turns(pair.clone()) - first.clone() * k as f64;
+        let whole = rest.clone().without_autodiff().round();
+        let weight = pair.square().sum_dim(1) * (k * k) as f64;
+        moved = moved + weight.clone() * (rest - whole) / k as f64;
+        all = all + weight;
+    }
+    let turn = first + moved / all;
+    let whole = turn.clone().without_autodiff().floor();
+    let turn = turn - whole;
+    // Just below a whole turn rounds to it.
+    let known = turn.clone().without_autodiff();
+    turn - known.greater_equal_elem(1.0).float()
 }
 
 /// The angle of `[batch, (sine, cosine), time]` in turns from 0 to 1: `[batch, 1, time]`.
@@ -143,7 +168,11 @@ mod tests {
 
     fn all() -> Vec<Targets> {
         use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
-        let phases = [PhaseTarget::Scalar, PhaseTarget::SinCos];
+        let phases = [
+            PhaseTarget::Scalar,
+            PhaseTarget::SinCos,
+            PhaseTarget::Harmonics,
+        ];
         let of_phase = |phase| {
             [Quaternion, CanonicalQuaternion, Rotation6d]
                 .map(|orientation| Targets { phase, orientation })

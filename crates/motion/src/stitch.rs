@@ -39,9 +39,9 @@ pub struct Windows {
 /// What the channels of windows are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// The 25 of a phrase in physical units. Phases are blended on their circle.
+    /// The 25 of a phrase in physical units.
     Phrase,
-    /// Those that a denoiser predicts, normalised.
+    /// Those that a denoiser predicts, normalised; a phase that is one number is in -1 to 1.
     Predicted(Targets),
 }
 
@@ -65,12 +65,12 @@ impl Layout {
         }
     }
 
-    /// The channel of a phase that jumps at the end of a bar.
-    fn jumping_phase(self) -> Option<usize> {
+    /// The channel of a phase that jumps at the end of a bar, and its values at start and end.
+    fn jumping_phase(self) -> Option<(usize, [f64; 2])> {
         match self {
-            Self::Phrase => Some(PHASE),
+            Self::Phrase => Some((PHASE, [0.0, 1.0])),
             Self::Predicted(targets) if targets.phase == PhaseTarget::Scalar => {
-                Some(targets.phase_channels().start)
+                Some((targets.phase_channels().start, [-1.0, 1.0]))
             }
             Self::Predicted(_) => None,
         }
@@ -235,24 +235,29 @@ impl Windows {
             let heaviest = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
             let reference = frame(windows.start + heaviest.map_or(0, |(place, _)| place));
             let mut sum = vec![0.0; channels];
+            let phase = layout.jumping_phase();
             for (window, weight) in windows.zip(&weights) {
                 let value = frame(window);
                 let dot: f64 = quaternions.clone().map(|c| value(c) * reference(c)).sum();
                 for (channel, sum) in sum.iter_mut().enumerate() {
                     let floor = FLOOR.iter().position(|floor| *floor == channel);
-                    let value = match floor {
-                        Some(axis) => value(channel) + places[window][axis],
-                        None if quaternions.contains(&channel) && dot < 0.0 => -value(channel),
-                        None if layout == Layout::Phrase && channel == PHASE => {
-                            value(channel) + (reference(channel) - value(channel)).round()
+                    let value = match (floor, phase) {
+                        (Some(axis), _) => value(channel) + places[window][axis],
+                        _ if quaternions.contains(&channel) && dot < 0.0 => -value(channel),
+                        (None, Some((phase, [start, end]))) if channel == phase => {
+                            let bar = end - start;
+                            let bars = (reference(channel) - value(channel)) / bar;
+                            value(channel) + bar * bars.round()
                         }
-                        None => value(channel),
+                        _ => value(channel),
                     };
                     *sum += weight / all * value;
                 }
             }
-            if layout == Layout::Phrase && !(0.0..=1.0).contains(&sum[PHASE]) {
-                sum[PHASE] = sum[PHASE].rem_euclid(1.0);
+            if let Some((phase, [start, end])) = phase
+                && !(start..=end).contains(&sum[phase])
+            {
+                sum[phase] = start + (sum[phase] - start).rem_euclid(end - start);
             }
             for (channel, sum) in sum.into_iter().enumerate() {
                 motion[channel * self.frames + t] = sum as f32;
@@ -357,7 +362,8 @@ fn put(motion: &mut [f32], known: &Known, layout: Layout) {
                 }
             }
         }
-        for channel in (0..channels).filter(|channel| Some(*channel) != layout.jumping_phase()) {
+        let jumping = layout.jumping_phase().map(|(channel, _)| channel);
+        for channel in (0..channels).filter(|channel| Some(*channel) != jumping) {
             let rest = at(&known.values, channel, edge) - at(motion, channel, edge);
             for (d, &t) in reached.iter().enumerate() {
                 let share = (d + 1) as f32 / (FADE + 1) as f32;

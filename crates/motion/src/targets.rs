@@ -6,8 +6,8 @@
 //! says what stands in their place; everything on disk keeps the 25 channels.
 //!
 //! ```text
-//! network   position velocity acceleration orientation angular velocity phase   style
-//! channels      3        3          3        4 or 6            3        1 or 2    8
+//! network   position velocity acceleration orientation angular velocity    phase    style
+//! channels      3        3          3        4 or 6            3        1, 2 or 8     8
 //! ```
 
 use std::borrow::Cow;
@@ -33,6 +33,59 @@ pub enum PhaseTarget {
     Scalar,
     /// Sine and cosine of the angle in the bar.
     SinCos,
+    /// Sine and cosine of the angle in the bar, of its double, threefold and fourfold. Music tells
+    /// where a beat falls before it tells which beat of the bar it is: the mean over the beats of a
+    /// bar, which a denoiser predicts then, is zero in the first pair, and the beat itself in the
+    /// pair of as many as the bar has beats. Together they are the first Fourier coefficients of
+    /// where in the bar the motion may be.
+    Harmonics,
+}
+
+/// Multiples of the angle in the bar whose sines and cosines [`PhaseTarget::Harmonics`] predicts.
+pub const HARMONICS: usize = 4;
+
+/// Square of the sizes of all harmonics together below which they do not say where in a beat the
+/// motion is.
+pub const LEAST_HARMONICS: f64 = 1e-8;
+
+impl PhaseTarget {
+    /// Multiples of the angle in the bar that are predicted by sine and cosine.
+    pub fn harmonics(self) -> usize {
+        match self {
+            Self::Scalar => 0,
+            Self::SinCos => 1,
+            Self::Harmonics => HARMONICS,
+        }
+    }
+}
+
+/// The turns in [0, 1) of the bar that sines and cosines, in pairs, of its angle and the multiples of
+/// it say: the turn `t` of the first pair, moved by what the others differ from its multiples, each
+/// weighted as a least-squares step has it:
+///
+/// ```text
+/// d_k = (turns of pair k - k t, the shortest way) / k     w_k = k^2 |pair k|^2
+/// turn = t + sum_k w_k d_k / sum_k w_k
+/// ```
+fn turn_of(pairs: &[f32]) -> f32 {
+    let turns = |pair: &[f32]| f64::from(pair[0]).atan2(f64::from(pair[1])) / TAU;
+    let first = turns(&pairs[..2]);
+    let (mut moved, mut all) = (0.0, LEAST_HARMONICS);
+    for (k, pair) in (1..).zip(pairs.chunks_exact(2)) {
+        let k = f64::from(k);
+        let rest = turns(pair) - k * first;
+        let weight = k
+            * k
+            * pair
+                .iter()
+                .map(|&part| f64::from(part).powi(2))
+                .sum::<f64>();
+        moved += weight * (rest - rest.round()) / k;
+        all += weight;
+    }
+    let turn = (first + moved / all).rem_euclid(1.0) as f32;
+    // Just below a whole turn rounds to it.
+    if turn >= 1.0 { 0.0 } else { turn }
 }
 
 /// What is predicted of the orientation.
@@ -89,10 +142,7 @@ impl Targets {
     /// Channels of the phase.
     pub fn phase_channels(self) -> Range<usize> {
         let start = self.angular_velocity_channels().end;
-        match self.phase {
-            PhaseTarget::Scalar => start..start + 1,
-            PhaseTarget::SinCos => start..start + 2,
-        }
+        start..start + (2 * self.phase.harmonics()).max(1)
     }
 
     /// Channels of the style descriptors.
@@ -153,9 +203,11 @@ impl Targets {
             encoded.extend_from_slice(&frame[ANGULAR_VELOCITY]);
             match self.phase {
                 PhaseTarget::Scalar => encoded.push(frame[PHASE]),
-                PhaseTarget::SinCos => {
-                    let (sin, cos) = (TAU * f64::from(frame[PHASE])).sin_cos();
-                    encoded.extend([sin as f32, cos as f32]);
+                PhaseTarget::SinCos | PhaseTarget::Harmonics => {
+                    for k in 1..=self.phase.harmonics() {
+                        let (sin, cos) = (TAU * k as f64 * f64::from(frame[PHASE])).sin_cos();
+                        encoded.extend([sin as f32, cos as f32]);
+                    }
                 }
             }
             encoded.extend_from_slice(&frame[STYLE]);
@@ -191,12 +243,7 @@ impl Targets {
             let phase = &frame[self.phase_channels()];
             decoded.push(match self.phase {
                 PhaseTarget::Scalar => phase[0],
-                PhaseTarget::SinCos => {
-                    let angle = f64::from(phase[0]).atan2(f64::from(phase[1]));
-                    let turn = (angle / TAU).rem_euclid(1.0) as f32;
-                    // Just below a whole turn rounds to it.
-                    if turn >= 1.0 { 0.0 } else { turn }
-                }
+                PhaseTarget::SinCos | PhaseTarget::Harmonics => turn_of(phase),
             });
             decoded.extend_from_slice(&frame[self.style_channels()]);
         }
@@ -213,11 +260,13 @@ impl Targets {
         statistics.std[orientation].fill(1.0);
         let (mean, std) = match self.phase {
             PhaseTarget::Scalar => (0.5, 0.5),
-            PhaseTarget::SinCos => (0.0, 1.0),
+            PhaseTarget::SinCos | PhaseTarget::Harmonics => (0.0, 1.0),
         };
         statistics.mean[phase.clone()].fill(mean);
         statistics.std[phase.clone()].fill(std);
-        if let (PhaseTarget::SinCos, Some([min, max])) = (self.phase, &mut statistics.range) {
+        if let Some([min, max]) = &mut statistics.range
+            && self.phase != PhaseTarget::Scalar
+        {
             min[phase.clone()].fill(-1.0);
             max[phase].fill(1.0);
         }

@@ -1,10 +1,9 @@
 //! Which phrases a preparation holds out.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use kinegrad_data::manifest::ManifestRow;
-use kinegrad_data::{Side, matches, song_of};
-use kinegrad_random::{Key, Purpose};
+use kinegrad_data::{Side, held_out_songs, matches, song_of};
 
 use super::plan::SplitPlan;
 
@@ -31,31 +30,14 @@ impl SplitPlan {
             }
             return Divided::default();
         }
-        let mut hashes = BTreeMap::new();
-        for row in rows.iter() {
-            let song = song(row);
-            let hash = Key::new(0, Purpose::Split).named(&song).uniform();
-            hashes.insert(song, hash);
-        }
-        let mut order: Vec<(&String, f64)> = hashes.iter().map(|(s, hash)| (s, *hash)).collect();
-        order.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let share = (self.fraction * order.len() as f64).round() as usize;
-        let most = order.len().saturating_sub(1);
-        let wanted = match self.fraction > 0.0 {
-            true => share.max(1),
-            false => 0,
-        };
-        let mut held_out: Vec<String> = order[..wanted.min(most)]
-            .iter()
-            .map(|(s, _)| (*s).clone())
-            .collect();
-        held_out.sort_unstable();
+        let songs: BTreeSet<String> = rows.iter().map(song).collect();
+        let alone = songs.len() == 1 && self.fraction > 0.0;
+        let held_out = held_out_songs(songs, self.fraction);
         for row in rows {
             row.split = side(held_out.contains(&song(row)));
         }
-        let alone = wanted > most;
         Divided {
-            note: (alone && held_out.is_empty()).then(|| {
+            note: alone.then(|| {
                 "one song alone: no phrase is held out, as phrases of a song that is trained on \
                  say little of other songs (name some in `split.validation` to hold them out)"
                     .to_owned()

@@ -269,12 +269,12 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             })
             .collect::<Result<_, Error>>()?;
         let split = Split::new(&ValidationSplit::default())?;
-        let (held_out, train): (Vec<&str>, Vec<&str>) = captions
-            .iter()
-            .map(|(id, _)| id.as_str())
-            .partition(|id| split.holds_out(id, None));
-        for (list, ids) in [(&train_list, train), (&validation_list, held_out)] {
-            let text: String = ids.iter().map(|id| format!("{id}\n")).collect();
+        let ids = captions.iter().map(|(id, _)| (id.as_str(), None));
+        let ids: Vec<_> = ids.collect();
+        let held_out = split.holds_out(&ids);
+        for (list, side) in [(&train_list, false), (&validation_list, true)] {
+            let of_side = ids.iter().zip(&held_out).filter(|(_, held)| **held == side);
+            let text: String = of_side.map(|((id, _), _)| format!("{id}\n")).collect();
             atomic::write(&staging.join(list), text.as_bytes())?;
         }
         let rows = captions.iter().map(|(id, captions)| {

@@ -8,7 +8,11 @@ use crate::{channel_name, mirror};
 /// All combinations.
 fn all() -> Vec<Targets> {
     use OrientationTarget::{CanonicalQuaternion, Quaternion, Rotation6d};
-    let phases = [PhaseTarget::Scalar, PhaseTarget::SinCos];
+    let phases = [
+        PhaseTarget::Scalar,
+        PhaseTarget::SinCos,
+        PhaseTarget::Harmonics,
+    ];
     let of_phase = |phase| {
         [Quaternion, CanonicalQuaternion, Rotation6d]
             .map(|orientation| Targets { phase, orientation })
@@ -183,7 +187,7 @@ fn statistics_leave_circles_and_rotations_as_they_are() {
         let low = values.iter().copied().fold(low, f32::min);
         let high = values.iter().copied().fold(high, f32::max);
         assert!(low < -0.8 && high > 0.8, "{targets:?}: {low} {high}");
-        if targets.phase == PhaseTarget::SinCos {
+        if targets.phase != PhaseTarget::Scalar {
             let [min, max] = statistics.range.unwrap();
             assert_eq!((min[phase.start], max[phase.end - 1]), (-1.0, 1.0));
         }
@@ -212,6 +216,54 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
     let broken = Motion::new(targets.decode(rows)).unwrap();
     assert!(broken.first_non_finite().is_some());
     assert!(broken.quaternion(2).norm().is_finite());
+}
+
+#[test]
+fn beats_place_what_the_bar_leaves_open() {
+    let targets = Targets {
+        phase: PhaseTarget::Harmonics,
+        ..Targets::default()
+    };
+    let decoded = |bar: f64, of_bar: f32, beats: usize, beat: f64| {
+        let mut rows = vec![0.0; targets.channels()];
+        let phase = &mut rows[targets.phase_channels()];
+        let mut say = |k: usize, angle: f64, size: f32| {
+            phase[2 * k - 2] = size * angle.sin() as f32;
+            phase[2 * k - 1] = size * angle.cos() as f32;
+        };
+        say(1, TAU * bar, of_bar);
+        say(beats, TAU * beat, 1.0);
+        f64::from(targets.decode(rows)[PHASE])
+    };
+    // Where in the bar is roughly known and where in the beat well: 0.3 beats from the second.
+    for beats in [2, 3, 4] {
+        let truth = 1.3 / beats as f64;
+        for error in [-0.06, 0.0, 0.08] {
+            let found = decoded(truth + error, 0.3, beats, 0.3);
+            let left = (found - truth).abs();
+            assert!(
+                left < 0.1 * f64::abs(error) + 1e-6,
+                "{beats}: {found} {truth}"
+            );
+        }
+    }
+    // The first beat of a bar is also near the end of the bar before.
+    assert!(decoded(0.98, 0.5, 4, 0.02) < 0.01);
+    // A mean over all beats of a bar says nothing of the bar.
+    let mut mean = vec![0.0; targets.channels()];
+    for beat in 0..4 {
+        let mut motion = wandering(0, 1);
+        motion.frame_mut(0)[PHASE] = 0.25 * beat as f32 + 0.05;
+        let rows = targets.encode(motion.as_slice());
+        mean.iter_mut()
+            .zip(rows.iter())
+            .for_each(|(sum, row)| *sum += row / 4.0);
+    }
+    let size = |k: usize| {
+        let pair = &mean[targets.phase_channels()][2 * k - 2..2 * k];
+        pair.iter().map(|part| part * part).sum::<f32>()
+    };
+    assert!([1, 2, 3].iter().all(|k| size(*k) < 1e-9) && (size(4) - 1.0).abs() < 1e-5);
 }
 
 proptest! {

@@ -14,8 +14,10 @@ use kinegrad_motion::postprocess::{PostProcessConfig, process};
 use kinegrad_motion::{Motion, Phrases, Statistics, Targets};
 use kinegrad_random::{Key, Purpose};
 
+use super::lengths::windows;
 use super::networks::{footprint, targets};
 use super::style::Asked;
+use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use super::{CcMotionConfig, Trained};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SamplingConfig, SystemTables};
@@ -57,7 +59,11 @@ pub(super) fn must_fit(
     frames: usize,
     hint: &str,
 ) -> Result<(), Error> {
-    let batch = count.min(BATCH);
+    let windows = windows(&subject.config, frames)?;
+    let (batch, frames) = match &windows {
+        Some(windows) => (windows.len().min(WINDOWS_IN_FLIGHT), windows.length()),
+        None => (count.min(BATCH), frames),
+    };
     let networks = footprint(&subject.config, frames)?;
     let needed = networks.of_sampling(batch, false, subject.on_host);
     let work = format!("drawing {batch} phrases of {frames} frames");
@@ -159,6 +165,7 @@ impl Generator {
 
     /// Generates one sample per condition, as a batch; all conditions have the same number of
     /// frames. Sample i depends on `seed` and i alone, on the CPU to the bit, elsewhere up to rounding.
+    /// Samples longer than those of training are drawn [in windows](Self::sample_whole).
     /// `on_step` is called with the number of sampling steps done and in total.
     ///
     /// # Errors
@@ -192,7 +199,8 @@ impl Generator {
         take: &mut dyn FnMut(Sample) -> Result<(), Error>,
     ) -> Result<(), Error> {
         let (drawn, normalization) = (self.targets.channels(), self.state.normalization());
-        let all = conditions.len().div_ceil(BATCH);
+        let count = conditions.len();
+        let all = count.div_ceil(BATCH);
         for done in 0..all {
             let (conditions, keys): (Vec<AudioFeatures>, Vec<Key>) =
                 conditions.by_ref().take(BATCH).unzip();
@@ -204,6 +212,23 @@ impl Generator {
                     format!("a condition of {found} audio features, the model hears {channels}"),
                     "read it in the layout of the run's `data.audio_features`",
                 ));
+            }
+            if let Some(windows) = windows(self.config(), frames)? {
+                for (number, (audio, key)) in conditions.iter().zip(keys).enumerate() {
+                    let whole = Whole {
+                        audio,
+                        windows: windows.clone(),
+                        given: None,
+                        in_flight: WINDOWS_IN_FLIGHT,
+                    };
+                    let before = done * BATCH + number;
+                    take(
+                        self.sample_whole(&whole, sampling, key, &mut |windows, of| {
+                            on_step(before * of + windows, count * of)
+                        })?,
+                    )?;
+                }
+                continue;
             }
             let on_device = |values: Vec<f32>, channels: usize| -> Tensor<3> {
                 let data = TensorData::new(values, [conditions.len(), channels, frames]);

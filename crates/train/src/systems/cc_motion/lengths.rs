@@ -2,7 +2,13 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::{DataConfig, Phrase};
+use kinegrad_data::Phrase;
+use kinegrad_motion::OrientationTarget;
+use kinegrad_motion::stitch::Windows;
+
+use super::networks::targets;
+use crate::config::Config;
+use crate::error::Error;
 
 /// The first frames of a phrase, at most `longest`: as validation has it.
 pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
@@ -17,12 +23,25 @@ pub(super) fn leading(phrase: &Arc<Phrase>, longest: usize) -> Arc<Phrase> {
     }
 }
 
-/// A sentence on those of the `frames` of samples that training with `data` did not show, if there
-/// are any: longer than its crops, or shorter than the shortest of them.
+/// The windows of the training length that a motion of `frames` frames is drawn in; none if it is
+/// not longer. Nor if each sample of the model is in the frame of its own first heading: such
+/// windows do not fit together.
+///
+/// # Errors
+/// If the config names no network.
+pub(super) fn windows(config: &Config, frames: usize) -> Result<Option<Windows>, Error> {
+    let longest = config.data.target_frames;
+    let fit = targets(config)?.orientation != OrientationTarget::CanonicalQuaternion;
+    Ok((fit && frames > longest).then(|| Windows::new(frames, longest)))
+}
+
+/// A sentence on those of the `frames` of windows or samples that training did not show, if there are
+/// any: longer than its crops, or shorter than the shortest of them.
 pub(super) fn untrained(
-    data: &DataConfig,
+    config: &Config,
     frames: impl IntoIterator<Item = usize>,
 ) -> Option<String> {
+    let data = &config.data;
     let longest = data.target_frames;
     let shortest = data.augment.min_frames.unwrap_or(0);
     let frames: Vec<usize> = frames.into_iter().collect();
@@ -51,26 +70,44 @@ pub(super) fn untrained(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::systems::BUILT_IN;
 
     #[test]
     fn only_lengths_that_training_did_not_show_are_told() {
-        let mut data = DataConfig {
-            target_frames: 60,
-            ..DataConfig::default()
-        };
-        assert_eq!(untrained(&data, [60, 59, 4]), None);
-        let told = untrained(&data, [60, 90, 61]).unwrap();
+        let mut config = BUILT_IN
+            .parse("", "c.toml", &["data.target_frames=60".to_string()])
+            .expect("a config");
+        assert_eq!(untrained(&config, [60, 59, 4]), None);
+        let told = untrained(&config, [60, 90, 61]).unwrap();
         assert!(
             told.starts_with("2 of 3 samples are of 61 to 90 frames"),
             "{told}"
         );
         assert!(told.contains("saw at most 60 frames"), "{told}");
-        data.augment.min_frames = Some(30);
-        let told = untrained(&data, [30, 29]).unwrap();
+        config.data.augment.min_frames = Some(30);
+        let told = untrained(&config, [30, 29]).unwrap();
         assert!(
             told.starts_with("1 of 2 samples are of 29 frames"),
             "{told}"
         );
         assert!(told.contains("saw 30 to 60 frames"), "{told}");
+    }
+
+    #[test]
+    fn what_is_longer_than_training_is_drawn_in_windows_of_its_length() {
+        let windows_of = |frames, target: &str| {
+            let overrides = ["data.target_frames=60", target].map(String::from);
+            let config = BUILT_IN.parse("", "c.toml", &overrides).expect("a config");
+            windows(&config, frames).expect("a network")
+        };
+        let plain = "model.orientation_target=rotation_6d";
+        assert_eq!(
+            [1, 60].map(|frames| windows_of(frames, plain)),
+            [None, None]
+        );
+        let two = windows_of(61, plain).expect("windows");
+        assert_eq!((two.len(), two.length(), two.frames()), (2, 60, 61));
+        let headings = "model.orientation_target=canonical_quaternion";
+        assert_eq!(windows_of(61, headings), None);
     }
 }

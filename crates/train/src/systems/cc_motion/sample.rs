@@ -13,7 +13,7 @@ use kinegrad_random::{Key, Purpose};
 
 use super::CcMotion;
 use super::generate::{Generator, Sample, keys, must_fit};
-use super::lengths::untrained;
+use super::lengths::{untrained, windows};
 use super::networks::targets;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
@@ -73,7 +73,7 @@ pub(super) fn sample(
         Some((windows, _)) => windows.length(),
         None => drawing.heard.audio.frames(),
     });
-    if let Some(odd) = untrained(&subject.config.data, lengths) {
+    if let Some(odd) = untrained(&subject.config, lengths) {
         receiver.warning(&odd);
     }
     for drawing in &drawings {
@@ -122,11 +122,7 @@ pub(super) fn sample(
                 )?;
                 let record = Record {
                     index,
-                    windows: Some(WindowsRecord {
-                        frames: windows.length(),
-                        count: windows.len(),
-                        in_flight: WINDOWS_IN_FLIGHT,
-                    }),
+                    windows: Some(windows_record(windows)),
                     condition: heard.condition.clone(),
                     ..record(subject, request, &sample)
                 };
@@ -175,7 +171,7 @@ fn for_held_out(
     let header = ["sample", "document", "strict", "fails"];
     let mut rows = vec![header.map(String::from).to_vec()];
     let mut done_before = 0;
-    // Phrases of one length form a batch; each has the first sample that is drawn for its name.
+    // Phrases of one length form a batch, if they are not longer than training saw; each has the first sample that is drawn for its name.
     for phrases in chosen.chunk_by(|a, b| a.audio.frames() == b.audio.frames()) {
         let conditions: Vec<_> = phrases
             .iter()
@@ -198,7 +194,9 @@ fn for_held_out(
         )?;
         for (phrase, sample) in phrases.iter().zip(samples) {
             rows.push(checked(&phrase.id, &sample.motion, generator.statistics())?);
+            let windows = windows(&subject.config, phrase.audio.frames())?;
             let record = Record {
+                windows: windows.as_ref().map(windows_record),
                 condition: of_item(&phrase.id, &subject.config.data),
                 ..record(subject, request, &sample)
             };
@@ -245,6 +243,14 @@ fn record(subject: &Subject, request: &Request, sample: &Sample) -> Record {
     }
 }
 
+fn windows_record(windows: &Windows) -> WindowsRecord {
+    WindowsRecord {
+        frames: windows.length(),
+        count: windows.len(),
+        in_flight: WINDOWS_IN_FLIGHT,
+    }
+}
+
 /// The condition of an item of a dataset.
 fn of_item(id: &str, data: &DataConfig) -> Condition {
     Condition {
@@ -281,8 +287,8 @@ struct Drawing {
     whole: Option<(Windows, Option<GivenMotion>)>,
 }
 
-/// What is drawn for `heard`: in windows, if it is a song that is longer than the training or if
-/// frames are given.
+/// What is drawn for `heard`: in windows, if it is longer than what training saw or if frames are
+/// given.
 fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawing, Error> {
     let (frames, trained) = (heard.audio.frames(), config.data.target_frames);
     let is_song = request.conditions.song.is_some();
@@ -298,16 +304,20 @@ fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawi
             Some(motion)
         }
     };
-    let length = if is_song { trained } else { frames };
-    let in_windows = frames > length || given.is_some();
-    if in_windows && targets(config)?.orientation == OrientationTarget::CanonicalQuaternion {
-        let message = "a run with `model.orientation = \"canonical_quaternion\"` draws each motion \
+    let length = frames.min(trained);
+    let must_join = given.is_some() || (is_song && frames > length);
+    if must_join && targets(config)?.orientation == OrientationTarget::CanonicalQuaternion {
+        let message = "a run with `model.orientation_target = \"canonical_quaternion\"` draws each motion \
                        from its own first heading: windows of a song and given frames do not fit \
                        together";
         let hint = "draw parts of a song (`--frames`), or train with `rotation_6d`";
         return Err(Error::usage(message, hint));
     }
-    let whole = in_windows.then(|| (Windows::new(frames, length), given));
+    let windows = match given {
+        Some(_) => Some(Windows::new(frames, length)),
+        None => windows(config, frames)?,
+    };
+    let whole = windows.map(|windows| (windows, given));
     Ok(Drawing { heard, whole })
 }
 

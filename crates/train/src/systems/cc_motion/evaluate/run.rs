@@ -13,7 +13,7 @@ use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
 use crate::systems::cc_motion::generate::{self, Generator};
-use crate::systems::cc_motion::lengths::{leading, untrained};
+use crate::systems::cc_motion::lengths::{leading, untrained, windows};
 use crate::systems::cc_motion::{CcMotionConfig, EvaluationConfig};
 
 /// Bytes of memory that a frame of a sample takes: the raw motion and the post-processed one, and
@@ -80,8 +80,12 @@ pub fn prepare<'a>(
         sampling: subject.config.sampling.clone(),
     };
     let training = dataset.train.load()?;
-    let lengths = held_out.iter().map(|phrase| phrase.frames());
-    let odd = untrained(&subject.config.data, lengths);
+    let drawn = |phrase: &Arc<Phrase>| {
+        let windows = windows(&subject.config, phrase.frames())?;
+        Ok(windows.map_or(phrase.frames(), |windows| windows.length()))
+    };
+    let lengths = held_out.iter().map(drawn);
+    let odd = untrained(&subject.config, lengths.collect::<Result<Vec<_>, Error>>()?);
     Ok(Box::new(move |on_step| {
         let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?;
         let mut told = |done, all| on_step("", done, all);

@@ -159,7 +159,7 @@ impl Rollouts {
         let std = channels(&self.std, &decoded.device());
         match self.targets.phase {
             PhaseTarget::Scalar => normalized_error(decoded, target, mask, weights, &std),
-            PhaseTarget::SinCos => {
+            PhaseTarget::SinCos | PhaseTarget::Harmonics => {
                 let target = with_nearer_phase(target, decoded);
                 normalized_error(decoded, &target, mask, weights, &std)
             }
