@@ -123,6 +123,8 @@ def ddim(steps: int) -> dict[str, Any]:
 
 BASE_64 = unet1d(64, [1, 2, 4, 8])
 BASE_64_PARAMETERS = 16_342_361
+ALIGNED = BASE_64 | {"audio_conditioning": "aligned"}
+ALIGNED_PARAMETERS = 17_581_017
 DECODER_PARAMETERS = 1_591_321
 BASE_128 = unet1d(128, [1, 2, 4, 8])
 CC116M = unet1d(256, [1, 2, 4, 4])
@@ -141,6 +143,15 @@ ROWS: list[Row] = [
         train(),
         batch_size=4,
         prediction_type="epsilon",
+        quick=True,
+    ),
+    Row(
+        "train_aligned",
+        "training step, UNet of base 64 with aligned conditioning, batch 4",
+        ALIGNED_PARAMETERS,
+        ALIGNED,
+        train(),
+        batch_size=4,
         quick=True,
     ),
     Row(
@@ -175,6 +186,17 @@ ROWS: list[Row] = [
             ddim(20),
             batch_size,
             quick=batch_size == 1,
+        )
+        for batch_size in (1, 8)
+    ),
+    *(
+        Row(
+            f"sample_aligned_batch{batch_size}",
+            f"DDIM-20 sampling, base 64 with aligned conditioning, batch {batch_size}",
+            ALIGNED_PARAMETERS,
+            ALIGNED,
+            ddim(20),
+            batch_size,
         )
         for batch_size in (1, 8)
     ),

@@ -296,11 +296,23 @@ fn fine_tuning_holds_out_what_its_base_did_or_says_what_leaks() {
 }
 
 #[test]
-fn samples_longer_than_training_saw_are_told() {
+fn samples_longer_than_training_saw_are_drawn_in_windows_or_told() {
     let sandbox = sandbox();
     sandbox.run(&base("base", "")).succeeded();
-    let told = sandbox
+    let drawn = sandbox
         .run("sample runs/base --frames 40 --steps 3 --out long")
+        .succeeded();
+    assert!(!drawn.stderr.contains("training saw"), "{}", drawn.stderr);
+    let record = json(&sandbox.path("long.json"));
+    assert_eq!(
+        (&record["frames"], &record["windows"]["frames"]),
+        (&40.into(), &24.into())
+    );
+    // Samples that each face the way they begin do not fit together.
+    let headings = "--set model.orientation_target=canonical_quaternion";
+    sandbox.run(&base("headings", headings)).succeeded();
+    let told = sandbox
+        .run("sample runs/headings --frames 40 --steps 3 --out turned")
         .succeeded();
     let words: Vec<&str> = told.stderr.split_whitespace().collect();
     let expected = "1 of 1 samples are of 40 frames, and training saw at most 24 frames";

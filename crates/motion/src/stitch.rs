@@ -522,6 +522,32 @@ mod tests {
     }
 
     #[test]
+    fn predicted_phases_of_one_number_are_blended_around_the_bar() {
+        // Two windows that differ by a little, across the end of a bar.
+        let windows = Windows::new(30, 20);
+        assert_eq!(windows.starts(), [0, 10]);
+        let layout = Layout::Predicted(Targets::default());
+        let turn = |window: usize, t: usize| 0.9 + 0.01 * t as f64 + 0.04 * window as f64;
+        let mut values = vec![0.0; 2 * CHANNELS * 20];
+        for (window, values) in values.chunks_mut(CHANNELS * 20).enumerate() {
+            for (t, value) in values[PHASE * 20..][..20].iter_mut().enumerate() {
+                let turn = turn(window, t + windows.starts()[window]);
+                *value = (2.0 * turn.rem_euclid(1.0) - 1.0) as f32;
+            }
+        }
+        let stitched = windows.stitch(&mut values, None, layout);
+        for (t, value) in stitched[PHASE * 30..][..30].iter().enumerate() {
+            let found = 0.5 * f64::from(*value) + 0.5;
+            let between = turn(0, t) + 0.02;
+            let apart = crate::circular::distance(found, between);
+            assert!(
+                (0.0..=1.0).contains(&found) && apart < 0.021,
+                "{t}: {found} {between}"
+            );
+        }
+    }
+
+    #[test]
     fn windows_that_differ_agree_afterwards() {
         let windows = Windows::new(50, 20);
         let mut values: Vec<f32> = (0..windows.len())

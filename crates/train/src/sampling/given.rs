@@ -189,6 +189,36 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_sign_of_quaternions_goes_on_into_later_ranges() {
+        // Given: facing +z in two ranges. Drawn: a whole turn between them.
+        let facing = |angle: f64| {
+            let mut frame = vec![0.0; CHANNELS];
+            let Quaternion { w, x, y, z } = Quaternion::from_yaw(angle);
+            frame[9..13].copy_from_slice(&[w, x, y, z].map(|part| part as f32));
+            frame
+        };
+        let motion = |angles: &[f64]| {
+            let frames = angles.iter().flat_map(|angle| facing(*angle));
+            Motion::new(frames.collect()).expect("frames")
+        };
+        let given = GivenMotion {
+            motion: motion(&[0.0; 12]),
+            frames: vec![0..2, 10..12],
+        };
+        let turn = |t: usize| std::f64::consts::TAU * (t.clamp(1, 10) - 1) as f64 / 9.0;
+        let mut drawn = motion(&(0..12).map(turn).collect::<Vec<f64>>());
+        given.put_into(&mut drawn);
+        for t in 1..12 {
+            assert!(
+                drawn.quaternion(t).dot(drawn.quaternion(t - 1)) > 0.9,
+                "{t}"
+            );
+        }
+        assert_eq!(drawn.frame(1), given.motion.frame(1));
+        assert_eq!(drawn.quaternion(11).w, -1.0);
+    }
+
+    #[test]
     fn ranges_ascend() {
         let these = |text: &str| Given::these(Path::new("m.npy"), text);
         let given = these("0..30, 90..120").expect("ranges");
