@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use kinegrad_matching::rotation6d;
 use kinegrad_matching::{
-    Axis, CoarseRatio, Distance, Frames, Matches, Pool, Preset, Request, Search, Settings,
-    Start, displacements, places, pyramid_lengths, start, step, synthesize_from, vote, with_ends,
+    Axis, CoarseRatio, Distance, Frames, Matches, Pool, Preset, Request, Search, Settings, Start,
+    displacements, places, pyramid_lengths, start, step, synthesize_from, vote, with_ends,
     without_ends,
 };
 use kinegrad_motion::Quaternion;
@@ -183,10 +183,17 @@ fn golden_rotations_of_six_numbers(golden: Golden) {
         .iter()
         .zip(&back)
         .map(|(&six, &quaternion)| {
-            rotation6d::to_quaternion(six).dot(to(quaternion).normalised()).abs()
+            rotation6d::to_quaternion(six)
+                .dot(to(quaternion).normalised())
+                .abs()
         })
         .collect();
-    golden.compare_lists("repr6d_noisy_quat", &apart, &vec![1.0; back.len()], TOLERANCE);
+    golden.compare_lists(
+        "repr6d_noisy_quat",
+        &apart,
+        &vec![1.0; back.len()],
+        TOLERANCE,
+    );
 }
 
 /// A run: each step from its stored input, then all of it from the stored noise.
@@ -240,7 +247,11 @@ fn run(golden: Golden) {
             .map(|index| examples[index].resampled(levels.examples[index][level]))
             .collect();
         for (index, example) in own.iter().enumerate() {
-            golden.compare(&at(&format!("example_{index}")), &tensor(example), TOLERANCE);
+            golden.compare(
+                &at(&format!("example_{index}")),
+                &tensor(example),
+                TOLERANCE,
+            );
         }
         if level == 0 {
             let started = start(&own, &noise, sigma, Start::Examples);
