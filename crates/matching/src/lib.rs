@@ -23,6 +23,8 @@
 
 mod displacement;
 mod distance;
+mod error;
+mod figure;
 mod frames;
 mod held;
 mod nearest;
@@ -34,6 +36,8 @@ mod synthesis;
 mod vote;
 
 pub use displacement::{displacements, places};
+pub use error::Error;
+pub use figure::{Example, Figure};
 pub use frames::Frames;
 pub use held::Held;
 pub use kinegrad_capture::Axis;

@@ -1,0 +1,373 @@
+//! Motions of any skeleton as matrices, and back to BVH.
+//!
+//! A frame is, in this order: six numbers of each joint's rotation within its parent
+//! ([`rotation6d`](crate::rotation6d)); the place within the parent of every other joint whose
+//! place changes; the contact of each foot in the first of six channels; and the way of the joint
+//! that travels, its height as it is and its horizontal place as the displacement from the frame
+//! before. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
+//! docs/sources.md, section 6.
+
+use kinegrad_capture::{Axis, Bvh, Channel, RootPose, UpAxis};
+use kinegrad_motion::rotation::length;
+
+use crate::{Error, Frames, displacements, places, rotation6d};
+
+/// Channels of a rotation.
+const ROTATION: usize = 6;
+/// Longest frame time, in seconds, at which every second frame is left out.
+const THINNED_BELOW: f64 = 0.017;
+/// Largest part by which the frame rates of examples may differ.
+const SAME_RATE: f64 = 0.01;
+/// Distance between two frames, in scaled units, below which a foot is in contact.
+const CONTACT: f64 = 0.018;
+/// Change of a place, in scaled units, that is no more than the rounding of a file.
+const STILL: f64 = 1e-5;
+
+/// A motion to learn from.
+#[derive(Clone, Debug)]
+pub struct Example {
+    /// Its file, for messages.
+    pub file: String,
+    /// The motion.
+    pub bvh: Bvh,
+}
+
+/// How the motions of one skeleton are matrices.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    file: String,
+    bvh: Bvh,
+    up: Axis,
+    scale: f64,
+    frame_time: f64,
+    travelling: usize,
+    shifting: Vec<usize>,
+    contacts: Vec<usize>,
+    start: [f64; 3],
+}
+
+impl Figure {
+    /// The figure of the examples, which have one skeleton; with contacts of these joints, by
+    /// their indices. Motions of more than about 45 frames a second are thinned, by every second
+    /// frame as often as needed.
+    ///
+    /// # Errors
+    /// If there are no examples, their joints or frame rates differ, no bone has a length, or no
+    /// joint turns or travels.
+    pub fn new(examples: &[Example], up: UpAxis, contacts: Vec<usize>) -> Result<Self, Error> {
+        let Some(first) = examples.first() else {
+            return Err(Error::file(
+                "no example",
+                "none is given",
+                "name a BVH file",
+            ));
+        };
+        let scale = scale(first)?;
+        let (_, frame_time) = thinning(&first.bvh);
+        let mut figure = Self {
+            file: first.file.clone(),
+            bvh: first.bvh.clone(),
+            up: match up {
+                UpAxis::Y => Axis::Y,
+                UpAxis::Z => Axis::Z,
+            },
+            scale,
+            frame_time,
+            travelling: 0,
+            shifting: Vec::new(),
+            contacts,
+            start: [0.0; 3],
+        };
+        let mut ranges = vec![0.0f64; figure.bvh.joints().len()];
+        for example in examples {
+            figure.must_fit(example)?;
+            for (range, joint) in ranges.iter_mut().zip(travel(&example.bvh)) {
+                *range = range.max(joint * scale);
+            }
+        }
+        // The first of those that travel furthest: of a root that stays and hips that move, these.
+        let most = ranges.iter().copied().fold(0.0, f64::max);
+        let travelling = ranges
+            .iter()
+            .position(|&range| range == most && range > STILL);
+        figure.travelling = travelling.unwrap_or(0);
+        figure.shifting = (0..ranges.len())
+            .filter(|&joint| joint != figure.travelling && ranges[joint] > STILL)
+            .collect();
+        figure.start = first.bvh.locals(0)[figure.travelling].position;
+        Ok(figure)
+    }
+
+    /// Rejects a motion of another skeleton or frame rate.
+    ///
+    /// # Errors
+    /// Names the first joint that differs.
+    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
+        let (own, other) = (self.bvh.joints(), example.bvh.joints());
+        let hint = "motions of one skeleton can be matched: the same joints in the same order";
+        for (index, joint) in other.iter().enumerate() {
+            let same = own
+                .get(index)
+                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
+            if !same {
+                let expected = match own.get(index) {
+                    Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
+                    None => "no more joints".to_string(),
+                };
+                let place = below(&example.bvh, joint.parent);
+                let problem = format!(
+                    "joint {} is `{}`{place}, in {} {expected}",
+                    index + 1,
+                    joint.name,
+                    self.file
+                );
+                return Err(Error::file(&example.file, problem, hint));
+            }
+        }
+        if let Some(missing) = own.get(other.len()) {
+            let problem = format!("has no joint `{}`, which {} has", missing.name, self.file);
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        let (_, frame_time) = thinning(&example.bvh);
+        if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
+            let problem = format!(
+                "{:.4} frames a second, in {} {:.4}",
+                1.0 / frame_time,
+                self.file,
+                1.0 / self.frame_time
+            );
+            let hint = "examples have one frame rate, 30 or the same: resample the file";
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        Ok(())
+    }
+
+    /// The joints, as in the file.
+    pub fn joints(&self) -> &[kinegrad_capture::Joint] {
+        self.bvh.joints()
+    }
+
+    /// Seconds from one frame to the next, after thinning.
+    pub fn frame_time(&self) -> f64 {
+        self.frame_time
+    }
+
+    /// The joint whose way is followed.
+    pub fn travelling(&self) -> usize {
+        self.travelling
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        let joints = ROTATION * (self.joints().len() + self.contacts.len());
+        joints + 3 * self.shifting.len() + 3
+    }
+
+    /// Channels of a joint: its rotation, its place if that changes, its contact. The way of the
+    /// joint that travels is in [`way`](Self::way).
+    pub fn channels_of(&self, joint: usize) -> Vec<usize> {
+        let mut channels: Vec<usize> = self.rotation_of(joint).collect();
+        let places = ROTATION * self.joints().len();
+        if let Some(place) = self.shifting.iter().position(|&shifting| shifting == joint) {
+            channels.extend(places + 3 * place..places + 3 * place + 3);
+        }
+        let contacts = places + 3 * self.shifting.len();
+        if let Some(place) = self.contacts.iter().position(|&contact| contact == joint) {
+            let first = contacts + ROTATION * place;
+            channels.extend(first..first + ROTATION);
+        }
+        channels
+    }
+
+    /// Channels of a joint's rotation.
+    pub fn rotation_of(&self, joint: usize) -> std::ops::Range<usize> {
+        ROTATION * joint..ROTATION * (joint + 1)
+    }
+
+    /// Channels of the way of the joint that travels: x, y and z.
+    pub fn way(&self) -> std::ops::Range<usize> {
+        self.channels() - 3..self.channels()
+    }
+
+    /// The channel of the height of the joint that travels.
+    pub fn height(&self) -> usize {
+        self.way().start + self.up as usize
+    }
+
+    /// Indices of the joints that are in contact with the ground at times.
+    pub fn contacts(&self) -> &[usize] {
+        &self.contacts
+    }
+
+    /// The motion of an example, `[frames, channels]`, after thinning.
+    ///
+    /// # Errors
+    /// As [`must_fit`](Self::must_fit), and for numbers beyond single precision.
+    pub fn frames(&self, example: &Example) -> Result<Frames, Error> {
+        self.must_fit(example)?;
+        let bvh = &example.bvh;
+        let (every, _) = thinning(bvh);
+        let times: Vec<usize> = (0..bvh.frames()).step_by(every).collect();
+        let poses: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.locals(t)).collect();
+        let start = poses[0][self.travelling].position;
+        let way = poses.iter().map(|pose| {
+            let place = pose[self.travelling].position;
+            [0, 1, 2].map(|axis| {
+                let origin = if axis == self.up as usize {
+                    0.0
+                } else {
+                    start[axis]
+                };
+                (place[axis] - origin) * self.scale
+            })
+        });
+        let way = displacements(&way.collect::<Vec<_>>(), Some(self.up));
+        let contacts = self.contacts_of(bvh, &times);
+        let mut values: Vec<f32> = Vec::with_capacity(times.len() * self.channels());
+        for (t, pose) in poses.iter().enumerate() {
+            for joint in pose {
+                let rotation = rotation6d::from_quaternion(joint.orientation);
+                values.extend(rotation.map(|value| value as f32));
+            }
+            for &joint in &self.shifting {
+                values.extend(
+                    pose[joint]
+                        .position
+                        .map(|value| (value * self.scale) as f32),
+                );
+            }
+            for contact in &contacts {
+                values.extend([if contact[t] { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            }
+            values.extend(way[t].map(|value| value as f32));
+        }
+        if !values.iter().all(|value| value.is_finite()) {
+            let hint = "lengths are scaled by the longest bone: check the positions";
+            let problem = "holds positions too large for single precision";
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        Ok(Frames::new(self.channels(), values))
+    }
+
+    /// A motion, `[frames, channels]`, as a file with the joints, channels and units of the first
+    /// example, which starts where that does.
+    ///
+    /// # Errors
+    /// If it is not finite.
+    ///
+    /// # Panics
+    /// Panics if it has other channels.
+    pub fn bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
+        assert_eq!(frames.channels(), self.channels());
+        let joints = self.joints().len();
+        let still = self.bvh.locals(0);
+        let way = self.path(frames);
+        let mut locals = Vec::with_capacity(frames.frames() * joints);
+        for (t, place) in way.into_iter().enumerate() {
+            let frame = frames.frame(t);
+            let numbers = |from: usize| frame[from..].iter().copied().map(f64::from);
+            for (joint, still) in still.iter().enumerate() {
+                let mut six = numbers(ROTATION * joint);
+                let six = [(); 6].map(|()| six.next().expect("a rotation"));
+                locals.push(RootPose {
+                    position: still.position,
+                    orientation: rotation6d::to_quaternion(six),
+                });
+            }
+            let own = &mut locals[t * joints..];
+            for (index, &joint) in self.shifting.iter().enumerate() {
+                let mut values = numbers(ROTATION * joints + 3 * index);
+                own[joint].position =
+                    [(); 3].map(|()| values.next().expect("a place") / self.scale);
+            }
+            own[self.travelling].position = place;
+        }
+        Ok(self.bvh.reposed(self.frame_time, &locals)?)
+    }
+
+    /// The way of the joint that travels, `[frames]`, in the file's units.
+    pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
+        let way = self.way();
+        let displaced: Vec<[f64; 3]> = (0..frames.frames())
+            .map(|t| {
+                let values = &frames.frame(t)[way.clone()];
+                [0, 1, 2].map(|axis| f64::from(values[axis]))
+            })
+            .collect();
+        let start = self.start.map(|value| value * self.scale);
+        let path = places(&displaced, start, Some(self.up));
+        path.into_iter()
+            .map(|place| place.map(|value| value / self.scale))
+            .collect()
+    }
+
+    /// Whether each contact joint rests in each of the frames `times`, `[contacts][times]`.
+    fn contacts_of(&self, bvh: &Bvh, times: &[usize]) -> Vec<Vec<bool>> {
+        if self.contacts.is_empty() {
+            return Vec::new();
+        }
+        let world: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.world(t)).collect();
+        let moved = |joint: usize, t: usize| {
+            let (now, before) = (world[t][joint].position, world[t - 1][joint].position);
+            length([0, 1, 2].map(|axis| now[axis] - before[axis])) * self.scale
+        };
+        let rests = |joint: usize| {
+            let rests = |t: usize| t > 0 && moved(joint, t) < CONTACT;
+            (0..times.len()).map(rests).collect()
+        };
+        self.contacts.iter().map(|&joint| rests(joint)).collect()
+    }
+}
+
+/// ` below `PARENT``, for messages.
+fn below(bvh: &Bvh, parent: Option<usize>) -> String {
+    parent.map_or(String::new(), |parent| {
+        format!(" below `{}`", bvh.joints()[parent].name)
+    })
+}
+
+/// Every how many frames one is kept, and the time between those.
+fn thinning(bvh: &Bvh) -> (usize, f64) {
+    let mut every = 1;
+    while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < bvh.frames() {
+        every *= 2;
+    }
+    (every, bvh.frame_time() * every as f64)
+}
+
+/// What lengths are multiplied by.
+fn scale(example: &Example) -> Result<f64, Error> {
+    let offsets = example.bvh.joints().iter().flat_map(|joint| {
+        let ends = joint.end_sites.iter().copied();
+        ends.chain([joint.offset])
+    });
+    let largest = offsets.flatten().fold(0.0f64, |most, v| most.max(v.abs()));
+    if largest == 0.0 || !largest.ceil().is_finite() {
+        let problem = "every bone has the length 0, allowed: at least one OFFSET that is not 0";
+        let hint = "motions are scaled by the longest bone: export the skeleton with its offsets";
+        return Err(Error::file(&example.file, problem, hint));
+    }
+    Ok(1.0 / largest.ceil())
+}
+
+/// How far each joint travels within its parent, in file units: the most along one axis.
+fn travel(bvh: &Bvh) -> Vec<f64> {
+    let mut travel = vec![0.0; bvh.joints().len()];
+    let mut first = 0;
+    for (joint, travel) in bvh.joints().iter().zip(&mut travel) {
+        for (place, channel) in joint.channels.iter().enumerate() {
+            if matches!(channel, Channel::Position(_)) {
+                let values = (0..bvh.frames()).map(|t| bvh.frame(t)[first + place]);
+                let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |range, v| {
+                    (range.0.min(v), range.1.max(v))
+                });
+                *travel = f64::max(*travel, high - low);
+            }
+        }
+        first += joint.channels.len();
+    }
+    travel
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,162 @@
+//! Motions as matrices, and back.
+
+use std::fmt::Write;
+
+use super::*;
+
+/// A figure of hips and two legs below a root that stays, `frames` of it.
+pub(crate) fn text(frames: usize, frame_time: f64) -> String {
+    let mut text = "HIERARCHY\nROOT Root\n{\nOFFSET 0 0 0\n\
+        CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
+        JOINT Hips\n{\nOFFSET 0 90 0\n\
+        CHANNELS 6 Xposition Yposition Zposition Yrotation Xrotation Zrotation\n"
+        .to_string();
+    for side in ["Left", "Right"] {
+        let x = if side == "Left" { 9 } else { -9 };
+        write!(
+            text,
+            "JOINT {side}Leg\n{{\nOFFSET {x} -5 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n\
+             JOINT {side}Foot\n{{\nOFFSET 0 -42.5 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n\
+             End Site\n{{\nOFFSET 0 -40 12\n}}\n}}\n}}\n"
+        )
+        .unwrap();
+    }
+    write!(
+        text,
+        "}}\n}}\nMOTION\nFrames: {frames}\nFrame Time: {frame_time}\n"
+    )
+    .unwrap();
+    for t in 0..frames {
+        let seconds = t as f64 * frame_time;
+        let swing = |phase: f64| 30.0 * (5.0 * seconds + phase).sin();
+        let (x, y) = (20.0 * seconds, 90.0 + 2.0 * (9.0 * seconds).cos());
+        write!(
+            text,
+            "0 0 0 0 0 0 {x} {y} {} {} 0 3",
+            80.0 * seconds,
+            swing(1.0) / 3.0
+        )
+        .unwrap();
+        for phase in [0.0, 3.1] {
+            write!(text, " {} 0 0 0 0 {}", swing(phase), swing(phase + 0.7)).unwrap();
+        }
+        text.push('\n');
+    }
+    text
+}
+
+pub(crate) fn example(file: &str, frames: usize, frame_time: f64) -> Example {
+    let bvh = Bvh::parse(text(frames, frame_time).as_bytes(), file).unwrap();
+    Example {
+        file: file.to_string(),
+        bvh,
+    }
+}
+
+fn figure(examples: &[Example]) -> Figure {
+    Figure::new(examples, UpAxis::Y, Vec::new()).unwrap()
+}
+
+#[test]
+fn a_motion_comes_back_as_it_was() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let figure = figure(std::slice::from_ref(&walk));
+    assert_eq!(figure.joints()[figure.travelling()].name, "Hips");
+    let frames = figure.frames(&walk).unwrap();
+    assert_eq!((frames.frames(), frames.channels()), (60, 6 * 6 + 3));
+    let back = figure.bvh(&frames).unwrap();
+    assert_eq!(back.joints(), walk.bvh.joints());
+    for t in 0..60 {
+        for (found, value) in back.frame(t).iter().zip(walk.bvh.frame(t)) {
+            assert!((found - value).abs() < 2e-3, "{t}: {found} {value}");
+        }
+    }
+    // The first displacement is one, and the height stays a height.
+    let way = figure.way();
+    let first = &frames.frame(0)[way.clone()];
+    assert_eq!(first[0], frames.frame(1)[way.start]);
+    assert!((f64::from(first[1]) * 90.0 - 92.0).abs() < 1e-4);
+}
+
+#[test]
+fn fast_captures_are_thinned_to_30_frames_a_second() {
+    for (rate, every) in [(240.0, 8), (120.0, 4), (60.0, 2), (30.0, 1), (25.0, 1)] {
+        let walk = example("walk.bvh", 97, 1.0 / rate);
+        let figure = figure(std::slice::from_ref(&walk));
+        let frames = figure.frames(&walk).unwrap().frames();
+        assert_eq!(frames, 97usize.div_ceil(every), "{rate}");
+        assert!((figure.frame_time() - every as f64 / rate).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn joints_whose_place_changes_keep_it() {
+    let changed = text(20, 1.0 / 30.0).replacen("0 0 0 0 0 0 0 92", "0 0.25 0 0 0 0 0 92", 1);
+    let walk = Example {
+        file: "walk.bvh".to_string(),
+        bvh: Bvh::parse(changed.as_bytes(), "walk.bvh").unwrap(),
+    };
+    let figure = figure(std::slice::from_ref(&walk));
+    assert_eq!(figure.channels_of(0).len(), 9);
+    assert_eq!(figure.channels_of(1).len(), 6);
+    let back = figure.bvh(&figure.frames(&walk).unwrap()).unwrap();
+    assert!((back.frame(0)[1] - 0.25).abs() < 1e-5 && back.frame(1)[1].abs() < 1e-5);
+}
+
+#[test]
+fn feet_that_rest_are_in_contact() {
+    let mut walk = example("walk.bvh", 40, 1.0 / 30.0);
+    let figure = Figure::new(std::slice::from_ref(&walk), UpAxis::Y, vec![3, 5]).unwrap();
+    let frames = figure.frames(&walk).unwrap();
+    let channels = figure.channels_of(3);
+    assert_eq!(channels.len(), 12);
+    let contact = channels[6];
+    assert_eq!(frames.frame(0)[contact], 0.0);
+    // A figure that stands still.
+    let still = walk.bvh.locals(7).repeat(12);
+    walk.bvh = walk.bvh.reposed(1.0 / 30.0, &still).unwrap();
+    let frames = figure.frames(&walk).unwrap();
+    let rests: Vec<f32> = (0..12).map(|t| frames.frame(t)[contact]).collect();
+    assert_eq!(rests[0], 0.0);
+    assert!(rests[1..].iter().all(|&rest| rest == 1.0));
+    assert!((0..12).all(|t| frames.frame(t)[contact + 1] == 0.0));
+}
+
+#[test]
+fn other_skeletons_and_rates_are_named() {
+    let walk = example("walk.bvh", 20, 1.0 / 30.0);
+    let refused = |text: String| {
+        let bvh = Bvh::parse(text.as_bytes(), "other.bvh").unwrap();
+        let other = Example {
+            file: "other.bvh".to_string(),
+            bvh,
+        };
+        let examples = [walk.clone(), other];
+        let error = Figure::new(&examples, UpAxis::Y, Vec::new()).unwrap_err();
+        error.to_string()
+    };
+    let said = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
+    assert_eq!(
+        said,
+        "other.bvh: joint 5 is `RightKnee` below `Hips`, in walk.bvh `RightLeg` below `Hips`"
+    );
+    let said = refused(text(20, 1.0 / 25.0));
+    assert_eq!(
+        said,
+        "other.bvh: 25.0000 frames a second, in walk.bvh 30.0000"
+    );
+    let flat: String = text(20, 1.0 / 30.0)
+        .lines()
+        .map(|line| match line.starts_with("OFFSET") {
+            true => "OFFSET 0 0 0\n".to_string(),
+            false => format!("{line}\n"),
+        })
+        .collect();
+    let bvh = Bvh::parse(flat.as_bytes(), "flat.bvh").unwrap();
+    let flat = Example {
+        file: "flat.bvh".to_string(),
+        bvh,
+    };
+    let error = Figure::new(&[flat], UpAxis::Y, Vec::new()).unwrap_err();
+    assert!(error.to_string().contains("every bone has the length 0"));
+}
