@@ -16,6 +16,8 @@ use crate::{Error, Frames, displacements, places, rotation6d};
 const ROTATION: usize = 6;
 /// Longest frame time, in seconds, at which every second frame is left out.
 const THINNED_BELOW: f64 = 0.017;
+/// Of how many frames one is kept at most.
+const MOST_THINNED: usize = 1 << 20;
 /// Largest part by which the frame rates of examples may differ.
 const SAME_RATE: f64 = 0.01;
 /// Distance between two frames, in scaled units, below which a foot is in contact.
@@ -48,8 +50,8 @@ pub struct Figure {
 
 impl Figure {
     /// The figure of the examples, which have one skeleton; with contacts of these joints, by
-    /// their indices. Motions of more than about 45 frames a second are thinned, by every second
-    /// frame as often as needed.
+    /// their indices. Motions of 59 frames a second and more are thinned to every second frame, as
+    /// often as needed.
     ///
     /// # Errors
     /// If there are no examples, their joints or frame rates differ, no bone has a length, or no
@@ -329,7 +331,7 @@ fn below(bvh: &Bvh, parent: Option<usize>) -> String {
 /// Every how many frames one is kept, and the time between those.
 fn thinning(bvh: &Bvh) -> (usize, f64) {
     let mut every = 1;
-    while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < bvh.frames() {
+    while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < MOST_THINNED {
         every *= 2;
     }
     (every, bvh.frame_time() * every as f64)
@@ -370,4 +372,4 @@ fn travel(bvh: &Bvh) -> Vec<f64> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
