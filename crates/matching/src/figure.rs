@@ -303,6 +303,16 @@ impl Figure {
             .collect()
     }
 
+    /// A place from above: to the right and towards the viewer, in the file's units.
+    pub fn from_above(&self, place: [f64; 3]) -> (f64, f64) {
+        let up = match self.up {
+            Axis::Z => UpAxis::Z,
+            Axis::X | Axis::Y => UpAxis::Y,
+        };
+        let [x, _, z] = up.to_y_up(place);
+        (x, z)
+    }
+
     /// Whether each contact joint rests in each of the frames `times`, `[contacts][times]`.
     fn contacts_of(&self, bvh: &Bvh, times: &[usize]) -> Vec<Vec<bool>> {
         if self.contacts.is_empty() {

@@ -107,7 +107,7 @@ pub fn as_bvh(
 }
 
 /// The axis along which feet are further below the root; y where no joint is named as a foot.
-fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
+pub fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     let feet = names
         .iter()
         .zip(places)
