@@ -28,7 +28,7 @@ pub use data::{
     PrepareArguments, SynthArguments,
 };
 
-pub use matching::{Completeness, MatchArguments};
+pub use matching::MatchArguments;
 pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 pub use talk::TalkArguments;

@@ -86,29 +86,31 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     columns: &[f32],
     stride: usize,
 ) -> [[f32; C]; R] {
-    let rows: [&[S::f32s]; R] = std::array::from_fn(|r| {
-        let (registers, _) = S::as_simd_f32s(&rows[r * stride..(r + 1) * stride]);
-        registers
-    });
-    let columns: [&[S::f32s]; C] = std::array::from_fn(|c| {
-        let (registers, _) = S::as_simd_f32s(&columns[c * stride..(c + 1) * stride]);
-        registers
-    });
+    // Loops, not closures: those would be compiled without the instruction set and called.
+    let mut a: [&[S::f32s]; R] = [&[]; R];
+    for (r, row) in rows.chunks_exact(stride).enumerate() {
+        a[r] = S::as_simd_f32s(row).0;
+    }
+    let mut b: [&[S::f32s]; C] = [&[]; C];
+    for (c, column) in columns.chunks_exact(stride).enumerate() {
+        b[c] = S::as_simd_f32s(column).0;
+    }
     let mut sums = [[simd.splat_f32s(0.0); C]; R];
-    let registers = rows[0].len();
-    let rows: [&[S::f32s]; R] = rows.map(|row| &row[..registers]);
-    let columns: [&[S::f32s]; C] = columns.map(|column| &column[..registers]);
-    for k in 0..registers {
-        let b: [S::f32s; C] = std::array::from_fn(|c| columns[c][k]);
+    for k in 0..a[0].len() {
         for r in 0..R {
-            let a = rows[r][k];
             for c in 0..C {
-                let apart = simd.sub_f32s(a, b[c]);
+                let apart = simd.sub_f32s(a[r][k], b[c][k]);
                 sums[r][c] = simd.mul_add_f32s(apart, apart, sums[r][c]);
             }
         }
     }
-    sums.map(|sums| sums.map(|sum| simd.reduce_sum_f32s(sum)))
+    let mut found = [[0.0; C]; R];
+    for r in 0..R {
+        for c in 0..C {
+            found[r][c] = simd.reduce_sum_f32s(sums[r][c]);
+        }
+    }
+    found
 }
 
 #[cfg(test)]
