@@ -137,6 +137,7 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
             seed,
             up: UpAxis::Y,
             contacts: false,
+            heading: false,
             parts: PartChoice::Whole,
             keyframes: Vec::new(),
             fixed: Vec::new(),

@@ -4,10 +4,14 @@
 //! ([`rotation6d`](crate::rotation6d)); the place within the parent of every other joint whose
 //! place changes; the contact of each foot in the first of six channels; and the way of the joint
 //! that travels, its height as it is and its horizontal place as the displacement from the frame
-//! before. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
+//! before. On request that joint's rotation and displacement are seen from its heading, and the
+//! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
 //! docs/sources.md, section 6.
 
+use std::f64::consts::TAU;
+
 use kinegrad_capture::{Axis, Bvh, Channel, RootPose, UpAxis};
+use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, places, rotation6d};
@@ -34,6 +38,18 @@ pub struct Example {
     pub bvh: Bvh,
 }
 
+/// What of a motion is matched, and how it is seen.
+#[derive(Clone, Debug, Default)]
+pub struct FigureOptions {
+    /// The axis that points up in the files.
+    pub up: UpAxis,
+    /// Joints, by their indices, whose contact with the ground is matched as well.
+    pub contacts: Vec<usize>,
+    /// Whether the body is seen from its heading: a walk to the north is then like one to the east.
+    /// The published program sees it from outside.
+    pub heading: bool,
+}
+
 /// How the motions of one skeleton are matrices.
 #[derive(Clone, Debug)]
 pub struct Figure {
@@ -45,18 +61,20 @@ pub struct Figure {
     travelling: usize,
     shifting: Vec<usize>,
     contacts: Vec<usize>,
+    /// Heading of the first example's first frame, in radians; none if motions are seen from
+    /// outside.
+    heading: Option<f64>,
     start: [f64; 3],
 }
 
 impl Figure {
-    /// The figure of the examples, which have one skeleton; with contacts of these joints, by
-    /// their indices. Motions of 59 frames a second and more are thinned to every second frame, as
+    /// The figure of the examples, which have one skeleton. Motions of 59 frames a second and more are thinned to every second frame, as
     /// often as needed.
     ///
     /// # Errors
     /// If there are no examples, their joints or frame rates differ, no bone has a length, or no
     /// joint turns or travels.
-    pub fn new(examples: &[Example], up: UpAxis, contacts: Vec<usize>) -> Result<Self, Error> {
+    pub fn new(examples: &[Example], options: FigureOptions) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
             return Err(Error::file(
                 "no example",
@@ -69,7 +87,7 @@ impl Figure {
         let mut figure = Self {
             file: first.file.clone(),
             bvh: first.bvh.clone(),
-            up: match up {
+            up: match options.up {
                 UpAxis::Y => Axis::Y,
                 UpAxis::Z => Axis::Z,
             },
@@ -77,7 +95,8 @@ impl Figure {
             frame_time,
             travelling: 0,
             shifting: Vec::new(),
-            contacts,
+            contacts: options.contacts,
+            heading: None,
             start: [0.0; 3],
         };
         let mut ranges = vec![0.0f64; figure.bvh.joints().len()];
@@ -96,7 +115,9 @@ impl Figure {
         figure.shifting = (0..ranges.len())
             .filter(|&joint| joint != figure.travelling && ranges[joint] > STILL)
             .collect();
-        figure.start = first.bvh.locals(0)[figure.travelling].position;
+        let pose = first.bvh.locals(0)[figure.travelling];
+        figure.start = pose.position;
+        figure.heading = options.heading.then(|| figure.heading_of(pose.orientation));
         Ok(figure)
     }
 
@@ -162,7 +183,7 @@ impl Figure {
     /// Number of channels.
     pub fn channels(&self) -> usize {
         let joints = ROTATION * (self.joints().len() + self.contacts.len());
-        joints + 3 * self.shifting.len() + 3
+        joints + 3 * self.shifting.len() + usize::from(self.heading.is_some()) + 3
     }
 
     /// Channels of a joint: its rotation, its place if that changes, its contact. The way of the
@@ -186,14 +207,15 @@ impl Figure {
         ROTATION * joint..ROTATION * (joint + 1)
     }
 
-    /// Channels of the way of the joint that travels: x, y and z.
+    /// Channels of the way of the joint that travels: the turn of its heading in radians, if motions
+    /// are seen from there, and x, y and z.
     pub fn way(&self) -> std::ops::Range<usize> {
-        self.channels() - 3..self.channels()
+        self.channels() - 3 - usize::from(self.heading.is_some())..self.channels()
     }
 
     /// The channel of the height of the joint that travels.
     pub fn height(&self) -> usize {
-        self.way().start + self.up as usize
+        self.channels() - 3 + self.up as usize
     }
 
     /// Indices of the joints that are in contact with the ground at times.
@@ -210,7 +232,7 @@ impl Figure {
         let bvh = &example.bvh;
         let (every, _) = thinning(bvh);
         let times: Vec<usize> = (0..bvh.frames()).step_by(every).collect();
-        let poses: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.locals(t)).collect();
+        let mut poses: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.locals(t)).collect();
         let start = poses[0][self.travelling].position;
         let way = poses.iter().map(|pose| {
             let place = pose[self.travelling].position;
@@ -223,7 +245,10 @@ impl Figure {
                 (place[axis] - origin) * self.scale
             })
         });
-        let way = displacements(&way.collect::<Vec<_>>(), Some(self.up));
+        let mut way = displacements(&way.collect::<Vec<_>>(), Some(self.up));
+        let turns = self
+            .heading
+            .map(|_| self.seen_from_heading(&mut poses, &mut way));
         let contacts = self.contacts_of(bvh, &times);
         let mut values: Vec<f32> = Vec::with_capacity(times.len() * self.channels());
         for (t, pose) in poses.iter().enumerate() {
@@ -241,6 +266,7 @@ impl Figure {
             for contact in &contacts {
                 values.extend([if contact[t] { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0, 0.0, 0.0]);
             }
+            values.extend(turns.as_ref().map(|turns| turns[t] as f32));
             values.extend(way[t].map(|value| value as f32));
         }
         if !values.iter().all(|value| value.is_finite()) {
@@ -263,9 +289,9 @@ impl Figure {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();
         let still = self.bvh.locals(0);
-        let way = self.path(frames);
+        let way = self.way_of(frames);
         let mut locals = Vec::with_capacity(frames.frames() * joints);
-        for (t, place) in way.into_iter().enumerate() {
+        for (t, (place, heading)) in way.into_iter().enumerate() {
             let frame = frames.frame(t);
             let numbers = |from: usize| frame[from..].iter().copied().map(f64::from);
             for (joint, still) in still.iter().enumerate() {
@@ -282,25 +308,82 @@ impl Figure {
                 own[joint].position =
                     [(); 3].map(|()| values.next().expect("a place") / self.scale);
             }
-            own[self.travelling].position = place;
+            let travelling = &mut own[self.travelling];
+            travelling.position = place;
+            travelling.orientation = self.turned(heading) * travelling.orientation;
         }
         Ok(self.bvh.reposed(self.frame_time, &locals)?)
     }
 
     /// The way of the joint that travels, `[frames]`, in the file's units.
     pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
-        let way = self.way();
-        let displaced: Vec<[f64; 3]> = (0..frames.frames())
-            .map(|t| {
-                let values = &frames.frame(t)[way.clone()];
-                [0, 1, 2].map(|axis| f64::from(values[axis]))
-            })
-            .collect();
-        let start = self.start.map(|value| value * self.scale);
-        let path = places(&displaced, start, Some(self.up));
-        path.into_iter()
-            .map(|place| place.map(|value| value / self.scale))
+        self.way_of(frames)
+            .into_iter()
+            .map(|(place, _)| place)
             .collect()
+    }
+
+    /// Place of the joint that travels, in the file's units, and the heading that its rotation is
+    /// seen from, in radians, `[frames]`.
+    fn way_of(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {
+        let mut heading = self.heading.unwrap_or(0.0);
+        let (mut headings, mut displaced) = (Vec::new(), Vec::new());
+        for t in 0..frames.frames() {
+            let values = &frames.frame(t)[self.way()];
+            let (turn, values) = values.split_at(values.len() - 3);
+            if t > 0 {
+                heading += turn.iter().copied().map(f64::from).sum::<f64>();
+            }
+            headings.push(heading);
+            let moved = [0, 1, 2].map(|axis| f64::from(values[axis]));
+            displaced.push(self.turned(heading).rotate(moved));
+        }
+        let start = self.start.map(|value| value * self.scale);
+        let path = places(&displaced, start, Some(self.up)).into_iter();
+        path.map(|place| place.map(|value| value / self.scale))
+            .zip(headings)
+            .collect()
+    }
+
+    /// The turn about the vertical by `heading` radians.
+    fn turned(&self, heading: f64) -> Quaternion {
+        let mut vector = [0.0; 3];
+        vector[self.up as usize] = heading;
+        Quaternion::from_rotation_vector(vector)
+    }
+
+    /// How far a rotation turns about the vertical, in radians.
+    fn heading_of(&self, rotation: Quaternion) -> f64 {
+        let about = [rotation.x, rotation.y, rotation.z][self.up as usize];
+        2.0 * about.atan2(rotation.w)
+    }
+
+    /// Turns rotations and displacements of the joint that travels to where it heads, and returns
+    /// the turns of the heading since the frame before, `[frames]`. The first frame moves and turns
+    /// as the second does.
+    fn seen_from_heading(&self, poses: &mut [Vec<RootPose>], way: &mut [[f64; 3]]) -> Vec<f64> {
+        let headings: Vec<f64> = poses
+            .iter()
+            .map(|pose| self.heading_of(pose[self.travelling].orientation))
+            .collect();
+        for ((pose, moved), heading) in poses.iter_mut().zip(way.iter_mut()).zip(&headings) {
+            let back = self.turned(-heading);
+            *moved = back.rotate(*moved);
+            let travelling = &mut pose[self.travelling];
+            travelling.orientation = back * travelling.orientation;
+        }
+        let turn = |pair: &[f64]| {
+            let turn = pair[1] - pair[0];
+            turn - TAU * (turn / TAU).round()
+        };
+        let mut turns: Vec<f64> = headings.windows(2).map(turn).collect();
+        turns.insert(0, turns.first().copied().unwrap_or(0.0));
+        if let [first, second, ..] = way {
+            let height = first[self.up as usize];
+            *first = *second;
+            first[self.up as usize] = height;
+        }
+        turns
     }
 
     /// A place from above: to the right and towards the viewer, in the file's units.

@@ -6,8 +6,8 @@ use kinegrad_settings::{Refused, in_range};
 
 use crate::synthesis::synthesize;
 use crate::{
-    Channels, Error, Example, Figure, Frames, Held, Keyframe, Length, Part, Request, Settings,
-    Synthesis, feet,
+    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Part, Request,
+    Settings, Synthesis, feet,
 };
 
 /// How the body is divided.
@@ -49,6 +49,8 @@ pub struct Job {
     pub up: UpAxis,
     /// Whether contacts of the feet are matched as well.
     pub contacts: bool,
+    /// Whether the body is seen from its heading.
+    pub heading: bool,
     /// How the body is divided.
     pub parts: PartChoice,
     /// Poses that the motion takes, each with the motion it is from: none is the first example.
@@ -84,7 +86,12 @@ impl Job {
             (true, Some(first)) => feet(first.bvh.joints()),
             _ => Vec::new(),
         };
-        let figure = Figure::new(examples, self.up, contacts)?;
+        let options = FigureOptions {
+            up: self.up,
+            contacts,
+            heading: self.heading,
+        };
+        let figure = Figure::new(examples, options)?;
         let matrices = examples.iter().map(|example| figure.frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
         for (example, frames) in examples.iter().zip(&matrices) {

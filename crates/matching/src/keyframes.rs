@@ -105,15 +105,14 @@ impl Keyframe {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_capture::UpAxis;
-
     use super::*;
+    use crate::FigureOptions;
     use crate::figure::tests::example;
 
     #[test]
     fn key_frames_are_read_and_bounded() {
         let walk = example("walk.bvh", 60, 1.0 / 30.0);
-        let figure = Figure::new(std::slice::from_ref(&walk), UpAxis::Y, Vec::new()).unwrap();
+        let figure = Figure::new(std::slice::from_ref(&walk), FigureOptions::default()).unwrap();
         let poses = figure.frames(&walk).unwrap();
         let read = |text: &str| Keyframe::read(text, "k.toml");
         let text = "[[keyframe]]\ntime = 2.0\nsource_time = 0.5\npart = 'LeftLeg'\n";

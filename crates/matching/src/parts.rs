@@ -285,14 +285,13 @@ fn reach(joints: &[Joint]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_capture::UpAxis;
-
     use super::*;
+    use crate::FigureOptions;
     use crate::figure::tests::example;
 
     fn walk() -> Figure {
         let walk = example("walk.bvh", 20, 1.0 / 30.0);
-        Figure::new(&[walk], UpAxis::Y, Vec::new()).unwrap()
+        Figure::new(&[walk], FigureOptions::default()).unwrap()
     }
 
     #[test]

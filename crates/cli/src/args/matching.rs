@@ -73,6 +73,10 @@ pub struct MatchArguments {
     /// Lead the end of the motion into its beginning
     #[arg(long = "loop")]
     pub looping: bool,
+    /// See the body from its heading: walks in all directions are alike, and the motion turns as they
+    /// do. For examples that turn around
+    #[arg(long)]
+    pub heading: bool,
     /// Match body parts each by itself: `whole`, `auto` (trunk and limbs), or a TOML file of parts
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]

@@ -35,6 +35,7 @@ struct Record {
     coherence: Option<f64>,
     frames: usize,
     fps: f64,
+    heading: bool,
     parts: Vec<PartRecord>,
     #[serde(skip_serializing_if = "Option::is_none")]
     keyframes: Option<PathBuf>,
@@ -186,6 +187,7 @@ fn job(arguments: &MatchArguments, examples: &[Example]) -> Result<Job, Error> {
         seed: arguments.seed,
         up: up(arguments, &examples[0]),
         contacts: is_paper,
+        heading: arguments.heading,
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
@@ -258,6 +260,7 @@ fn record(arguments: &MatchArguments, job: &Job, made: &Made) -> Record {
         coherence: arguments.coherence,
         frames: made.bvh.frames(),
         fps: 1.0 / made.figure.frame_time(),
+        heading: arguments.heading,
         parts: parts.collect(),
         keyframes: arguments.keyframes.clone(),
         fixed: fixed

@@ -54,7 +54,7 @@ pub(crate) fn example(file: &str, frames: usize, frame_time: f64) -> Example {
 }
 
 fn figure(examples: &[Example]) -> Figure {
-    Figure::new(examples, UpAxis::Y, Vec::new()).unwrap()
+    Figure::new(examples, FigureOptions::default()).unwrap()
 }
 
 #[test]
@@ -76,6 +76,44 @@ fn a_motion_comes_back_as_it_was() {
     let first = &frames.frame(0)[way.clone()];
     assert_eq!(first[0], frames.frame(1)[way.start]);
     assert!((f64::from(first[1]) * 90.0 - 92.0).abs() < 1e-4);
+}
+
+#[test]
+fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let by_heading = FigureOptions {
+        heading: true,
+        ..FigureOptions::default()
+    };
+    let of = |walk: &Example| {
+        let figure = Figure::new(std::slice::from_ref(walk), by_heading.clone()).unwrap();
+        let frames = figure.frames(walk).unwrap();
+        (figure, frames)
+    };
+    // The same walk in another direction, with more than half a turn on the way.
+    let mut turned = walk.clone();
+    let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
+    let turn = Quaternion::from_yaw(2.0);
+    for pose in locals.iter_mut().skip(1).step_by(6) {
+        pose.position = turn.rotate(pose.position);
+        pose.orientation = turn * pose.orientation;
+    }
+    turned.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
+    let ((figure, frames), (other, others)) = (of(&walk), of(&turned));
+    assert_eq!(frames.channels(), 6 * 6 + 4);
+    assert_eq!(figure.way().len(), 4);
+    for (a, b) in frames.values().iter().zip(others.values()) {
+        assert!((a - b).abs() < 1e-4, "{a} {b}");
+    }
+    for (figure, frames, walk) in [(figure, frames, walk), (other, others, turned)] {
+        let back = figure.bvh(&frames).unwrap();
+        for t in 0..60 {
+            for (found, pose) in back.world(t).iter().zip(walk.bvh.world(t)) {
+                let apart = [0, 1, 2].map(|axis| found.position[axis] - pose.position[axis]);
+                assert!(length(apart) < 0.01, "{t}: {apart:?}");
+            }
+        }
+    }
 }
 
 #[test]
@@ -106,7 +144,11 @@ fn joints_whose_place_changes_keep_it() {
 #[test]
 fn feet_that_rest_are_in_contact() {
     let mut walk = example("walk.bvh", 40, 1.0 / 30.0);
-    let figure = Figure::new(std::slice::from_ref(&walk), UpAxis::Y, vec![3, 5]).unwrap();
+    let with_contacts = FigureOptions {
+        contacts: vec![3, 5],
+        ..FigureOptions::default()
+    };
+    let figure = Figure::new(std::slice::from_ref(&walk), with_contacts).unwrap();
     let frames = figure.frames(&walk).unwrap();
     let channels = figure.channels_of(3);
     assert_eq!(channels.len(), 12);
@@ -132,7 +174,7 @@ fn other_skeletons_and_rates_are_named() {
             bvh,
         };
         let examples = [walk.clone(), other];
-        let error = Figure::new(&examples, UpAxis::Y, Vec::new()).unwrap_err();
+        let error = Figure::new(&examples, FigureOptions::default()).unwrap_err();
         error.to_string()
     };
     let said = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
@@ -157,6 +199,6 @@ fn other_skeletons_and_rates_are_named() {
         file: "flat.bvh".to_string(),
         bvh,
     };
-    let error = Figure::new(&[flat], UpAxis::Y, Vec::new()).unwrap_err();
+    let error = Figure::new(&[flat], FigureOptions::default()).unwrap_err();
     assert!(error.to_string().contains("every bone has the length 0"));
 }

@@ -11,6 +11,7 @@ fn job() -> Job {
         seed: 0,
         up: UpAxis::Y,
         contacts: false,
+        heading: false,
         parts: PartChoice::Whole,
         keyframes: Vec::new(),
         fixed: Vec::new(),
