@@ -6,7 +6,7 @@ use kinegrad_capture::Axis;
 /// `kept`, which stays as it is. Frame 0 has no frame before it and gets the place of frame 1, as
 /// in the published program; of a path that starts at the origin, that is its first displacement.
 ///
-/// Source: GenMM; docs/sources.md, section 6.
+/// Source: GenMM; docs/sources/genmm.md.
 pub fn displacements(path: &[[f64; 3]], kept: Option<Axis>) -> Vec<[f64; 3]> {
     let of = |t: usize, axis: usize| match t {
         _ if kept.is_some_and(|kept| kept as usize == axis) => path[t][axis],

@@ -6,7 +6,7 @@
 //! that travels, its height as it is and its horizontal place as the displacement from the frame
 //! before. On request that joint's rotation and displacement are seen from its heading, and the
 //! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
-//! docs/sources.md, section 6.
+//! docs/sources/genmm.md.
 
 use std::f64::consts::TAU;
 

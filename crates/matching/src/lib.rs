@@ -3,7 +3,7 @@
 //! Short stretches of the examples, the patches, are matched with a coarse start of noise and
 //! averaged where they overlap, from coarse to fine. So the result is made of the examples' own
 //! movements in another order. Source: W. Li and others, Example-based Motion Synthesis via
-//! Generative Motion Matching (2023), and its published program; docs/sources.md, section 6.
+//! Generative Motion Matching (2023), and its published program; docs/sources/genmm.md.
 //!
 //! ```
 //! use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize};

@@ -4,7 +4,7 @@
 /// coarse_ratio`, then each `1 / pyr_factor` times as long, rounded with halves to even and always
 /// longer than the one before, up to `frames`. With a ratio of 1 or more there is one level.
 ///
-/// Source: GenMM; docs/sources.md, section 6.
+/// Source: GenMM; docs/sources/genmm.md.
 pub fn pyramid_lengths(frames: usize, coarse_ratio: f64, pyr_factor: f64) -> Vec<usize> {
     let rounded = |value: f64| value.round_ties_even() as usize;
     let mut lengths = vec![rounded(frames as f64 * coarse_ratio)];

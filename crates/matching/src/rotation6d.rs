@@ -1,7 +1,7 @@
 //! Rotations as six numbers: the first two rows of their matrix, one after the other.
 //!
-//! Means of six numbers are made rotations again on export alone. Source: GenMM; docs/sources.md,
-//! section 6.
+//! Means of six numbers are made rotations again on export alone. Source: GenMM;
+//! docs/sources/genmm.md.
 
 use kinegrad_motion::Quaternion;
 use kinegrad_motion::targets::from_columns;

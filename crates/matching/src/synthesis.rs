@@ -80,7 +80,7 @@ pub fn start_noise(seed: u64, frames: usize, channels: usize) -> Frames {
 /// The motion that the coarsest level starts from: of the coarsest `examples` and `noise`, which
 /// has its length and is standard normal.
 ///
-/// Source: GenMM; docs/sources.md, section 6.
+/// Source: GenMM; docs/sources/genmm.md.
 ///
 /// # Panics
 /// Panics if the channels differ.

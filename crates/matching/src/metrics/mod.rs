@@ -21,7 +21,7 @@ const MOST_PAIRS: usize = 200_000_000;
 
 /// Measures of a new motion. Distances are Euclidean, of the six numbers of each joint's rotation,
 /// averaged over the frames of a window. The definitions are those of the evaluation published with
-/// GANimator, which the paper follows; docs/sources.md, section 6.
+/// GANimator, which the paper follows; docs/sources/genmm.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measures {
     /// Part of the examples' windows of 30 frames, the last of each left out, whose distance to the
