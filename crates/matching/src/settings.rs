@@ -144,8 +144,9 @@ impl Settings {
         }
     }
 
-    /// One control from mixing (0) to copying (1), in place of K and alpha: K goes from 8 to 2
-    /// patch sizes and alpha from 0.001 to 10, both by equal factors.
+    /// One control from mixing (0) to copying (1), in place of K and alpha: K goes from 12 to 2
+    /// patch sizes and alpha from 0.001 to 0.1, both by equal factors. Beyond 0.1 less of the example
+    /// appears and no more is copied.
     ///
     /// # Errors
     /// If `coherence` is not between 0 and 1.
@@ -154,8 +155,8 @@ impl Settings {
             .hint("0 mixes most, 1 copies long stretches of the example")?;
         let between = |from: f64, to: f64| from * (to / from).powf(coherence);
         Ok(Self {
-            coarse_ratio: CoarseRatio::Patches(between(8.0, 2.0)),
-            alpha: Some(between(0.001, 10.0)),
+            coarse_ratio: CoarseRatio::Patches(between(12.0, 2.0)),
+            alpha: Some(between(0.001, 0.1)),
             ..self
         })
     }
@@ -228,7 +229,7 @@ mod tests {
             (settings.coarse_ratio.ratio(1, 1), settings.alpha.unwrap())
         };
         let close = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() + (a.1 - b.1).abs() < 1e-9;
-        assert!(close(at(0.0), (8.0, 0.001)) && close(at(1.0), (2.0, 10.0)));
+        assert!(close(at(0.0), (12.0, 0.001)) && close(at(1.0), (2.0, 0.1)));
         assert!(at(0.5).0 < at(0.2).0 && at(0.5).1 > at(0.2).1);
     }
 }
