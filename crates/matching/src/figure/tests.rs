@@ -117,6 +117,28 @@ fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
 }
 
 #[test]
+fn the_axis_that_points_up_keeps_its_place() {
+    let walk = example("walk.bvh", 40, 1.0 / 30.0);
+    let options = FigureOptions {
+        up: UpAxis::Z,
+        ..FigureOptions::default()
+    };
+    let figure = Figure::new(std::slice::from_ref(&walk), options).unwrap();
+    assert_eq!(figure.height(), figure.channels() - 1);
+    let frames = figure.frames(&walk).unwrap();
+    let height = |t: usize| f64::from(frames.frame(t)[figure.height()]) * 90.0;
+    assert!((height(30) - 80.0).abs() < 1e-3 && height(0).abs() < 1e-3);
+    assert_eq!(figure.from_above([1.0, 2.0, 3.0]), (1.0, -2.0));
+    let path = figure.path(&frames);
+    for t in 0..40 {
+        let place = walk.bvh.locals(t)[1].position;
+        for axis in 0..3 {
+            assert!((path[t][axis] - place[axis]).abs() < 1e-2);
+        }
+    }
+}
+
+#[test]
 fn fast_captures_are_thinned_to_30_frames_a_second() {
     for (rate, every) in [(240.0, 8), (120.0, 4), (60.0, 2), (30.0, 1), (25.0, 1)] {
         let walk = example("walk.bvh", 97, 1.0 / rate);

@@ -17,7 +17,7 @@ const LOCAL: usize = 15;
 /// Distance below which a window is covered.
 const THRESHOLD: f64 = 2.0;
 /// Most pairs of frames that are compared.
-const MOST_PAIRS: usize = 200_000_000;
+const MOST_PAIRS: usize = 20_000_000;
 
 /// Measures of a new motion. Distances are Euclidean, of the six numbers of each joint's rotation,
 /// averaged over the frames of a window. The definitions are those of the evaluation published with
@@ -42,7 +42,7 @@ pub struct Measures {
 
 impl Measures {
     /// Measures `motion` against `examples`, both `[frames, channels]` of rotations alone. None
-    /// where one has fewer than 31 frames, or all have so many that more than 200 million pairs of
+    /// where one has fewer than 31 frames, or all have so many that more than 20 million pairs of
     /// frames would be compared.
     ///
     /// # Panics
@@ -106,5 +106,38 @@ fn rotations(figure: &Figure, joints: &[usize]) -> Vec<usize> {
             .iter()
             .flat_map(|&joint| figure.rotation_of(joint))
             .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(frames: std::ops::Range<usize>) -> Frames {
+        Frames::new(1, frames.map(|t| t as f32).collect())
+    }
+
+    #[test]
+    fn a_copy_covers_what_it_copies_and_has_no_diversity() {
+        let example = line(0..100);
+        let copy = Measures::of(&example, std::slice::from_ref(&example)).unwrap();
+        assert_eq!((copy.coverage, copy.window_cost), (1.0, 0.0));
+        assert_eq!((copy.local_diversity, copy.global_diversity), (0.0, 0.0));
+        // The first half covers its own windows, and those that are less than 2 frames away: 22 of
+        // the 70 that start before frame 70.
+        let half = Measures::of(&line(0..50), &[example]).unwrap();
+        assert_eq!(half.coverage, 22.0 / 70.0);
+        assert_eq!(half.local_diversity, 0.0);
+        let apart = Measures::of(&line(0..100), &[line(500..600)]).unwrap();
+        assert_eq!(apart.coverage, 0.0);
+        assert!(apart.local_diversity > 400.0 && apart.furthest_window > 480.0);
+    }
+
+    #[test]
+    fn what_cannot_be_measured_is_none() {
+        assert!(Measures::of(&line(0..30), &[line(0..100)]).is_none());
+        assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
+        assert!(Measures::of(&line(0..100), &[]).is_none());
+        assert!(Measures::of(&line(0..5000), &[line(0..5000)]).is_none());
     }
 }
