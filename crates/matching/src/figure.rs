@@ -8,13 +8,12 @@
 //! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
 //! docs/sources/genmm.md.
 
-use std::f64::consts::TAU;
-
 use kinegrad_capture::{Axis, Bvh, Channel, RootPose, UpAxis};
-use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
-use crate::{Error, Frames, displacements, places, rotation6d};
+use crate::{Error, Frames, displacements, rotation6d};
+
+mod way;
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
@@ -68,12 +67,11 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// The figure of the examples, which have one skeleton. Motions of 59 frames a second and more are thinned to every second frame, as
-    /// often as needed.
+    /// The figure of the examples, which have one skeleton. Motions of 59 frames a second and more
+    /// are thinned to every second frame, as often as needed.
     ///
     /// # Errors
-    /// If there are no examples, their joints or frame rates differ, no bone has a length, or no
-    /// joint turns or travels.
+    /// If there are no examples, their joints or frame rates differ, or no bone has a length.
     pub fn new(examples: &[Example], options: FigureOptions) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
             return Err(Error::file(
@@ -313,87 +311,6 @@ impl Figure {
             travelling.orientation = self.turned(heading) * travelling.orientation;
         }
         Ok(self.bvh.reposed(self.frame_time, &locals)?)
-    }
-
-    /// The way of the joint that travels, `[frames]`, in the file's units.
-    pub fn path(&self, frames: &Frames) -> Vec<[f64; 3]> {
-        self.way_of(frames)
-            .into_iter()
-            .map(|(place, _)| place)
-            .collect()
-    }
-
-    /// Place of the joint that travels, in the file's units, and the heading that its rotation is
-    /// seen from, in radians, `[frames]`.
-    fn way_of(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {
-        let mut heading = self.heading.unwrap_or(0.0);
-        let (mut headings, mut displaced) = (Vec::new(), Vec::new());
-        for t in 0..frames.frames() {
-            let values = &frames.frame(t)[self.way()];
-            let (turn, values) = values.split_at(values.len() - 3);
-            if t > 0 {
-                heading += turn.iter().copied().map(f64::from).sum::<f64>();
-            }
-            headings.push(heading);
-            let moved = [0, 1, 2].map(|axis| f64::from(values[axis]));
-            displaced.push(self.turned(heading).rotate(moved));
-        }
-        let start = self.start.map(|value| value * self.scale);
-        let path = places(&displaced, start, Some(self.up)).into_iter();
-        path.map(|place| place.map(|value| value / self.scale))
-            .zip(headings)
-            .collect()
-    }
-
-    /// The turn about the vertical by `heading` radians.
-    fn turned(&self, heading: f64) -> Quaternion {
-        let mut vector = [0.0; 3];
-        vector[self.up as usize] = heading;
-        Quaternion::from_rotation_vector(vector)
-    }
-
-    /// How far a rotation turns about the vertical, in radians.
-    fn heading_of(&self, rotation: Quaternion) -> f64 {
-        let about = [rotation.x, rotation.y, rotation.z][self.up as usize];
-        2.0 * about.atan2(rotation.w)
-    }
-
-    /// Turns rotations and displacements of the joint that travels to where it heads, and returns
-    /// the turns of the heading since the frame before, `[frames]`. The first frame moves and turns
-    /// as the second does.
-    fn seen_from_heading(&self, poses: &mut [Vec<RootPose>], way: &mut [[f64; 3]]) -> Vec<f64> {
-        let headings: Vec<f64> = poses
-            .iter()
-            .map(|pose| self.heading_of(pose[self.travelling].orientation))
-            .collect();
-        for ((pose, moved), heading) in poses.iter_mut().zip(way.iter_mut()).zip(&headings) {
-            let back = self.turned(-heading);
-            *moved = back.rotate(*moved);
-            let travelling = &mut pose[self.travelling];
-            travelling.orientation = back * travelling.orientation;
-        }
-        let turn = |pair: &[f64]| {
-            let turn = pair[1] - pair[0];
-            turn - TAU * (turn / TAU).round()
-        };
-        let mut turns: Vec<f64> = headings.windows(2).map(turn).collect();
-        turns.insert(0, turns.first().copied().unwrap_or(0.0));
-        if let [first, second, ..] = way {
-            let height = first[self.up as usize];
-            *first = *second;
-            first[self.up as usize] = height;
-        }
-        turns
-    }
-
-    /// A place from above: to the right and towards the viewer, in the file's units.
-    pub fn from_above(&self, place: [f64; 3]) -> (f64, f64) {
-        let up = match self.up {
-            Axis::Z => UpAxis::Z,
-            Axis::X | Axis::Y => UpAxis::Y,
-        };
-        let [x, _, z] = up.to_y_up(place);
-        (x, z)
     }
 
     /// Whether each contact joint rests in each of the frames `times`, `[contacts][times]`.

@@ -187,8 +187,9 @@ mod tests {
     #[test]
     fn a_copy_costs_nothing() {
         let original = motion(1, 80);
-        let costs = cheapest(&original, std::slice::from_ref(&original), 30);
+        let itself = std::slice::from_ref(&original);
+        let costs = cheapest(&original, itself, 30);
         assert!(costs.iter().all(|&cost| cost == 0.0));
-        assert_eq!(segmented(&original, &[original.clone()], 30), 0.0);
+        assert_eq!(segmented(&original, itself, 30), 0.0);
     }
 }
