@@ -13,14 +13,13 @@ use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
 
+mod survey;
 mod way;
+
+use survey::{carriers, scale, thinning, travel, travelling};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
-/// Longest frame time, in seconds, at which every second frame is left out.
-const THINNED_BELOW: f64 = 0.017;
-/// Of how many frames one is kept at most.
-const MOST_THINNED: usize = 1 << 20;
 /// Largest part by which the frame rates of examples may differ.
 const SAME_RATE: f64 = 0.01;
 /// Distance between two frames, in scaled units, below which a foot is in contact.
@@ -58,6 +57,8 @@ pub struct Figure {
     scale: f64,
     frame_time: f64,
     travelling: usize,
+    /// Joints above the one that travels, where nothing else hangs on them.
+    carriers: Vec<usize>,
     shifting: Vec<usize>,
     contacts: Vec<usize>,
     /// Heading of the first example's first frame, in radians; none if motions are seen from
@@ -80,7 +81,6 @@ impl Figure {
                 "name a BVH file",
             ));
         };
-        let scale = scale(first)?;
         let (_, frame_time) = thinning(&first.bvh);
         let mut figure = Self {
             file: first.file.clone(),
@@ -89,9 +89,10 @@ impl Figure {
                 UpAxis::Y => Axis::Y,
                 UpAxis::Z => Axis::Z,
             },
-            scale,
+            scale: 1.0,
             frame_time,
             travelling: 0,
+            carriers: Vec::new(),
             shifting: Vec::new(),
             contacts: options.contacts,
             heading: None,
@@ -101,17 +102,17 @@ impl Figure {
         for example in examples {
             figure.must_fit(example)?;
             for (range, joint) in ranges.iter_mut().zip(travel(&example.bvh)) {
-                *range = range.max(joint * scale);
+                *range = range.max(joint);
             }
         }
-        // The first of those that travel furthest: of a root that stays and hips that move, these.
-        let most = ranges.iter().copied().fold(0.0, f64::max);
-        let travelling = ranges
-            .iter()
-            .position(|&range| range == most && range > STILL);
-        figure.travelling = travelling.unwrap_or(0);
+        figure.travelling = travelling(&figure.bvh, &ranges);
+        figure.carriers = carriers(&figure.bvh, figure.travelling);
+        figure.scale = scale(first, figure.travelling)?;
+        let shifts = |joint: &usize| ranges[*joint] * figure.scale > STILL;
+        let carries =
+            |joint: &usize| *joint == figure.travelling || figure.carriers.contains(joint);
         figure.shifting = (0..ranges.len())
-            .filter(|&joint| joint != figure.travelling && ranges[joint] > STILL)
+            .filter(|joint| shifts(joint) && !carries(joint))
             .collect();
         let pose = first.bvh.locals(0)[figure.travelling];
         figure.start = pose.position;
@@ -221,6 +222,28 @@ impl Figure {
         &self.contacts
     }
 
+    /// Poses within the parents. What moves the joints above the one that travels moves it instead:
+    /// in some files the hips travel, in others of the same skeleton the root does and takes them
+    /// along.
+    fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
+        let mut poses = bvh.locals(t);
+        let Some(parent) = self.carriers.first() else {
+            return poses;
+        };
+        let (still, base) = (self.bvh.locals(0), self.bvh.world(0)[*parent]);
+        for &joint in &self.carriers {
+            poses[joint] = still[joint];
+        }
+        let world = bvh.world(t)[self.travelling];
+        let back = base.orientation.conjugate();
+        let apart = [0, 1, 2].map(|axis| world.position[axis] - base.position[axis]);
+        poses[self.travelling] = RootPose {
+            position: back.rotate(apart),
+            orientation: back * world.orientation,
+        };
+        poses
+    }
+
     /// The motion of an example, `[frames, channels]`, after thinning.
     ///
     /// # Errors
@@ -230,7 +253,7 @@ impl Figure {
         let bvh = &example.bvh;
         let (every, _) = thinning(bvh);
         let times: Vec<usize> = (0..bvh.frames()).step_by(every).collect();
-        let mut poses: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.locals(t)).collect();
+        let mut poses: Vec<Vec<RootPose>> = times.iter().map(|&t| self.locals(bvh, t)).collect();
         let start = poses[0][self.travelling].position;
         let way = poses.iter().map(|pose| {
             let place = pose[self.travelling].position;
@@ -336,49 +359,6 @@ fn below(bvh: &Bvh, parent: Option<usize>) -> String {
     parent.map_or(String::new(), |parent| {
         format!(" below `{}`", bvh.joints()[parent].name)
     })
-}
-
-/// Every how many frames one is kept, and the time between those.
-fn thinning(bvh: &Bvh) -> (usize, f64) {
-    let mut every = 1;
-    while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < MOST_THINNED {
-        every *= 2;
-    }
-    (every, bvh.frame_time() * every as f64)
-}
-
-/// What lengths are multiplied by.
-fn scale(example: &Example) -> Result<f64, Error> {
-    let offsets = example.bvh.joints().iter().flat_map(|joint| {
-        let ends = joint.end_sites.iter().copied();
-        ends.chain([joint.offset])
-    });
-    let largest = offsets.flatten().fold(0.0f64, |most, v| most.max(v.abs()));
-    if largest == 0.0 || !largest.ceil().is_finite() {
-        let problem = "every bone has the length 0, allowed: at least one OFFSET that is not 0";
-        let hint = "motions are scaled by the longest bone: export the skeleton with its offsets";
-        return Err(Error::file(&example.file, problem, hint));
-    }
-    Ok(1.0 / largest.ceil())
-}
-
-/// How far each joint travels within its parent, in file units: the most along one axis.
-fn travel(bvh: &Bvh) -> Vec<f64> {
-    let mut travel = vec![0.0; bvh.joints().len()];
-    let mut first = 0;
-    for (joint, travel) in bvh.joints().iter().zip(&mut travel) {
-        for (place, channel) in joint.channels.iter().enumerate() {
-            if matches!(channel, Channel::Position(_)) {
-                let values = (0..bvh.frames()).map(|t| bvh.frame(t)[first + place]);
-                let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |range, v| {
-                    (range.0.min(v), range.1.max(v))
-                });
-                *travel = f64::max(*travel, high - low);
-            }
-        }
-        first += joint.channels.len();
-    }
-    travel
 }
 
 #[cfg(test)]

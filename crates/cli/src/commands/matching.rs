@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::args::MatchArguments;
 use crate::output::unusable;
-use crate::scene::guess_up;
+use crate::scene::{guess_units, guess_up};
 use crate::{folder, interrupt, output};
 
 mod picture;
@@ -76,11 +76,9 @@ pub fn run(arguments: MatchArguments) -> Result<ExitCode, Error> {
     }
     interrupt::not_during(|| {
         if let Some(svg) = &arguments.svg {
-            let examples = arguments
-                .examples
-                .iter()
-                .map(|path| path.display().to_string());
-            picture::draw(&made, &examples.collect::<Vec<_>>(), svg)?;
+            let names = arguments.examples.iter().map(|path| name(path));
+            let metres = metres(&examples[0], job.up);
+            picture::draw(&made, &names.collect::<Vec<_>>(), metres, svg)?;
         }
         write_whole(&arguments.out, text.as_bytes())?;
         write_whole(&record_path, described.as_bytes())?;
@@ -230,9 +228,25 @@ fn up(arguments: &MatchArguments, first: &Example) -> UpAxis {
     arguments.up.unwrap_or_else(|| {
         let joints = first.bvh.joints().iter();
         let names: Vec<String> = joints.map(|joint| joint.name.clone()).collect();
-        let places = first.bvh.world(0).into_iter().map(|pose| pose.position);
-        guess_up(&names, &places.collect::<Vec<_>>())
+        guess_up(&names, &places(first))
     })
+}
+
+/// Metres of a unit of the file, if the body is as tall as a person.
+fn metres(first: &Example, up: UpAxis) -> f64 {
+    guess_units(&places(first), up).metres()
+}
+
+/// Where the joints are in the first frame.
+fn places(example: &Example) -> Vec<[f64; 3]> {
+    let world = example.bvh.world(0).into_iter();
+    world.map(|pose| pose.position).collect()
+}
+
+/// A file's name without its folder and extension.
+fn name(path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default();
+    stem.to_string_lossy().into_owned()
 }
 
 fn record(arguments: &MatchArguments, job: &Job, made: &Made) -> Record {

@@ -11,10 +11,10 @@ use crate::output;
 /// Pixels of a panel.
 const SIZE: (u32, u32) = (900, 260);
 
-/// Draws the panels below each other.
-pub fn draw(made: &Made, examples: &[String], out: &Path) -> Result<(), Error> {
-    let mut panels: Vec<Panel> = vec![origins(made), coverage(made, examples)];
-    panels.push(path(made));
+/// Draws the panels below each other; `examples` are the names of the files, whose units are so many
+/// metres.
+pub fn draw(made: &Made, examples: &[String], metres: f64, out: &Path) -> Result<(), Error> {
+    let panels = [origins(made), coverage(made, examples), path(made, metres)];
     output::draw(&panels, 1, SIZE, out)
 }
 
@@ -73,15 +73,16 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
     )
 }
 
-/// The way from above, in units of the file, and that of the first example.
-fn path(made: &Made) -> Panel {
+/// The way from above, and that of the first example.
+fn path(made: &Made, metres: f64) -> Panel {
     let of = |frames| {
         let path = made.figure.path(frames).into_iter();
-        path.map(|place| made.figure.from_above(place)).collect()
+        path.map(|place| made.figure.from_above(place.map(|value| value * metres)))
+            .collect()
     };
     let series = vec![
         ("first example".to_string(), of(&made.examples[0])),
         ("new motion".to_string(), of(&made.synthesis.frames)),
     ];
-    Panel::map("way from above, in units of the file", series)
+    Panel::map("way from above", series)
 }
