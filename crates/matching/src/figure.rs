@@ -5,10 +5,10 @@
 //! place changes; the contact of each foot in the first of six channels; and the way of the joint
 //! that travels, its height as it is and its horizontal place as the displacement from the frame
 //! before. On request that joint's rotation and displacement are seen from its heading, and the
-//! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
-//! docs/sources/genmm.md.
+//! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 /
+//! ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
 
-use kinegrad_capture::{Axis, Bvh, Channel, RootPose, UpAxis};
+use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
