@@ -98,7 +98,7 @@ impl Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
             values: channels.iter().map(|&channel| pose[channel]).collect(),
             channels,
-            reach: frame(self.reach.unwrap_or(REACH)),
+            reach: frame(self.reach.unwrap_or(REACH)).min(frames),
         })
     }
 }

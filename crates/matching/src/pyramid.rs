@@ -31,7 +31,7 @@ impl Levels {
     /// Levels of examples of `examples` frames and a synthesis of `synthesis`.
     ///
     /// Examples of different lengths keep as many levels as the one with the fewest, from the
-    /// finest down. The synthesis has as many: where rounding would give it another number, its
+    /// finest down, without levels at which none of them has a patch. The synthesis has as many: where rounding would give it another number, its
     /// lengths are in the proportion of the longest example's. No level of the synthesis is
     /// shorter than a patch.
     ///
@@ -46,7 +46,14 @@ impl Levels {
     ) -> Self {
         let lengths = |frames| pyramid_lengths(frames, coarse_ratio, pyr_factor);
         let mut all: Vec<Vec<usize>> = examples.iter().map(|&frames| lengths(frames)).collect();
-        let levels = all.iter().map(Vec::len).min().expect("an example");
+        let mut levels = all.iter().map(Vec::len).min().expect("an example");
+        let has_patch = |level: usize| {
+            let mut lengths = all.iter().map(|lengths| lengths[lengths.len() - level]);
+            lengths.any(|length| length >= patch_size)
+        };
+        while levels > 1 && !has_patch(levels) {
+            levels -= 1;
+        }
         for lengths in &mut all {
             lengths.drain(..lengths.len() - levels);
         }
@@ -97,15 +104,18 @@ mod tests {
         fn all_have_one_number_of_levels(
             examples in proptest::collection::vec(11..900usize, 1..5),
             synthesis in 11..2000usize,
-            patches in 2..8usize,
+            patches in 0.05..8.0f64,
             factor in 0.5..0.9f64,
         ) {
             let longest = *examples.iter().max().unwrap();
-            let ratio = (11 * patches) as f64 / longest as f64;
+            let ratio = 11.0 * patches / longest as f64;
             let levels = Levels::new(&examples, synthesis, ratio, factor, 11);
             for (lengths, frames) in levels.examples.iter().zip(&examples) {
                 prop_assert_eq!(lengths.len(), levels.count());
                 prop_assert_eq!(lengths.last(), Some(frames));
+            }
+            for level in 0..levels.count() {
+                prop_assert!(levels.examples.iter().any(|lengths| lengths[level] >= 11));
             }
             prop_assert_eq!(levels.synthesis.last(), Some(&synthesis));
             prop_assert!(levels.synthesis.iter().all(|&length| length >= 11));

@@ -37,6 +37,8 @@ proptest! {
         frames in 11..200usize,
         looping: bool,
         paper: bool,
+        ratio in 0.001..1.5f64,
+        direct: bool,
     ) {
         let examples: Vec<Frames> = lengths
             .iter()
@@ -46,6 +48,10 @@ proptest! {
         let settings = Settings {
             patch_size: 2 * half + 1,
             looping,
+            coarse_ratio: match direct {
+                true => CoarseRatio::Ratio(ratio),
+                false => CoarseRatio::Patches(4.0 * ratio),
+            },
             ..Settings::of(if paper { Preset::Paper } else { Preset::Published })
         };
         let request = Request {
