@@ -165,6 +165,36 @@ fn threads_change_no_bit() {
 }
 
 #[test]
+fn the_end_of_a_loop_leads_into_its_beginning() {
+    let step = |frames: &Frames, from: usize, to: usize| {
+        let pairs = frames.frame(from).iter().zip(frames.frame(to));
+        pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
+    };
+    for seed in 0..6 {
+        let seams = [true, false].map(|looping| {
+            let settings = Settings {
+                looping,
+                ..settings(11)
+            };
+            let request = Request {
+                examples: &[motion(2, 200, 5)],
+                frames: 150,
+                settings: &settings,
+                groups: &[],
+                held: &[],
+            };
+            let frames = synthesize(&request, seed).unwrap().frames;
+            let largest = (1..150)
+                .map(|t| step(&frames, t - 1, t))
+                .fold(0.0, f32::max);
+            step(&frames, 149, 0) / largest
+        });
+        assert!(seams[0] <= 1.0, "seed {seed}: {seams:?}");
+        assert!(seams[1] > seams[0], "seed {seed}: {seams:?}");
+    }
+}
+
+#[test]
 fn seeds_differ_and_repeat() {
     let settings = settings(7);
     let request = Request {
