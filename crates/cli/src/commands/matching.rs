@@ -91,6 +91,7 @@ pub fn run(arguments: MatchArguments) -> Result<ExitCode, Error> {
                 say!("{}", path.display());
             }
             summarize(&record);
+            note_short(&job, &made);
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -281,6 +282,21 @@ fn record(arguments: &MatchArguments, job: &Job, made: &Made) -> Record {
             .map(|(part, path)| format!("{part}={}", path.display()))
             .collect(),
         measures: made.measures(&[]),
+    }
+}
+
+/// Says that the examples are short, where the coarsest level is hardly coarser than they are: noise is
+/// then not sorted into longer stretches.
+fn note_short(job: &Job, made: &Made) {
+    let longest = made.examples.iter().map(|example| example.frames()).max();
+    let (settings, longest) = (&job.settings, longest.unwrap_or(1));
+    let ratio = settings.coarse_ratio.ratio(settings.patch_size, longest);
+    if ratio > 0.5 && settings.sigma > 0.0 {
+        tell!(
+            "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which \
+             leaves many splices; `--coarse-ratio 2x` or `--coherence 1` makes fewer",
+            100.0 * ratio.min(1.0)
+        );
     }
 }
 
