@@ -133,7 +133,12 @@ impl Job {
             groups: &groups,
             held: &held,
         };
-        let synthesis = synthesize(&request, self.seed)?;
+        let mut synthesis = synthesize(&request, self.seed)?;
+        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
+            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            Some((frame, keyframe.place?))
+        });
+        figure.lead(&mut synthesis.frames, &points.collect::<Vec<_>>());
         Ok(Made {
             bvh: figure.bvh(&synthesis.frames)?,
             synthesis,

@@ -20,6 +20,9 @@ pub struct Keyframe {
     /// The part of the body that takes the pose, named as in [`Part::named`]; without one all of
     /// it.
     pub part: Option<String>,
+    /// Where the joint that travels is then, on the two axes that do not point up, in the file's
+    /// units. The way before it is bent evenly; without it the way goes on as it does.
+    pub place: Option<[f64; 2]>,
     /// Seconds before and after it that bend towards the pose; without it 0.4.
     pub reach: Option<f64>,
 }
@@ -32,7 +35,7 @@ struct Document {
 
 impl Keyframe {
     /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in seconds,
-    /// and where they are needed `file`, `part` and `reach`.
+    /// and where they are needed `file`, `part`, `place` and `reach`.
     ///
     /// # Errors
     /// For a file that cannot be read so.
@@ -41,6 +44,13 @@ impl Keyframe {
         let document: Document = toml::from_str(text)
             .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
         for keyframe in &document.keyframe {
+            if let Some(place) = keyframe
+                .place
+                .filter(|place| !place.iter().all(|v| v.is_finite()))
+            {
+                let problem = format!("`place` is {place:?}, allowed: two finite numbers");
+                return Err(Error::file(file, problem, hint));
+            }
             let seconds = [
                 Some(keyframe.time),
                 Some(keyframe.source_time),
@@ -150,6 +160,10 @@ mod tests {
             (
                 "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",
                 "a time is -1",
+            ),
+            (
+                "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [nan, 1.0]",
+                "`place` is [NaN, 1.0]",
             ),
             ("[[keyframe]]\ntime = 1.0", "missing field `source_time`"),
             (

@@ -17,6 +17,37 @@ impl Figure {
             .collect()
     }
 
+    /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
+    /// point up, in the file's units, for each of `points`. Each bends what is behind the one before
+    /// it evenly. The first frame is where it starts and stays there.
+    pub fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])]) {
+        let mut points = points.to_vec();
+        points.sort_by_key(|(t, _)| *t);
+        let level = [0, 1, 2]
+            .into_iter()
+            .filter(|&axis| axis != self.up as usize);
+        let level: Vec<usize> = level.collect();
+        let first = self.channels() - 3;
+        let mut before = 0;
+        for (t, place) in points.into_iter().filter(|(t, _)| *t > 0) {
+            if t == before {
+                continue;
+            }
+            let way = self.way_of(frames);
+            let mut missed = [0.0; 3];
+            for (&axis, place) in level.iter().zip(place) {
+                missed[axis] = (place - way[t].0[axis]) * self.scale / (t - before) as f64;
+            }
+            for (frame, (_, heading)) in way.iter().enumerate().take(t + 1).skip(before + 1) {
+                let moved = self.turned(-heading).rotate(missed);
+                for &axis in &level {
+                    frames.frame_mut(frame)[first + axis] += moved[axis] as f32;
+                }
+            }
+            before = t;
+        }
+    }
+
     /// Place of the joint that travels, in the file's units, and the heading that its rotation is
     /// seen from, in radians, `[frames]`.
     pub(super) fn way_of(&self, frames: &Frames) -> Vec<([f64; 3], f64)> {

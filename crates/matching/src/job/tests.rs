@@ -102,6 +102,7 @@ fn key_frames_are_met() {
         source_time: 0.5,
         file: None,
         part: None,
+        place: None,
         reach: None,
     };
     let job = Job {
@@ -115,6 +116,36 @@ fn key_frames_are_met() {
         assert!(turn.iter().all(|angle| angle.abs() < 1e-4));
     }
     assert!((found[1].position[1] - pose[1].position[1]).abs() < 1e-4);
+}
+
+#[test]
+fn places_of_key_frames_are_passed() {
+    for heading in [false, true] {
+        let at = |time: f64, place| Keyframe {
+            time,
+            source_time: 0.5,
+            file: None,
+            part: None,
+            place: Some(place),
+            reach: None,
+        };
+        let (one, two) = (at(3.0, [50.0, -80.0]), at(1.0, [-20.0, 30.0]));
+        let job = Job {
+            keyframes: vec![(one, None), (two, None)],
+            heading,
+            ..job()
+        };
+        let made = job.make(&[walk(70)]).unwrap();
+        for (t, place) in [(90, [50.0, -80.0]), (30, [-20.0, 30.0])] {
+            let [x, _, z] = made.bvh.locals(t)[1].position;
+            assert!(
+                (x - place[0]).abs() < 0.01 && (z - place[1]).abs() < 0.01,
+                "{x} {z}"
+            );
+        }
+        let start = made.bvh.locals(0)[1].position;
+        assert!(start[0].abs() < 1e-3 && start[2].abs() < 1e-3);
+    }
 }
 
 #[test]
