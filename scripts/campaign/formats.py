@@ -50,7 +50,8 @@ class Format:
             self.sealed(folder)
 
 
-WRITES = {"sample": "out*.npy", "plot": "out.svg", "import": "out", "audio": "out", "merge": "out"}
+WRITES = {"sample": "out*.npy", "plot": "out.svg", "import": "out", "audio": "out", "merge": "out",
+          "match": "out.bvh"}
 """By command, what it has written when it exits with 0."""
 
 
@@ -140,6 +141,14 @@ class Formats:
                 plan = plan.replace('units = "cm"\nup = "y"\n', "")
             staged = self.staged(f"capture {name}", {"plan.toml": plan.encode()})
             yield Format(f"capture {name}", f"motion.{name}", files, damage, prepare, staged)
+        matching = ["match", "motion.bvh", "--out", "out.bvh"]
+        yield Format("match", "motion.bvh", [seeds.bvh(40), seeds.bvh(60, spine=True)], mutated_text,
+                     [matching, [*matching, "--heading", "--loop", "--parts", "auto"]])
+        staged = self.staged("match", {"motion.bvh": seeds.bvh(40, spine=True)})
+        yield Format("match parts", "parts.toml", [seeds.PARTS.encode()], mutated_text,
+                     [[*matching, "--parts", "parts.toml"]], staged)
+        yield Format("match keyframes", "poses.toml", [seeds.POSES.encode()], mutated_text,
+                     [[*matching, "--keyframes", "poses.toml"]], staged)
         bvh = self.staged("plan", {"motion.bvh": seeds.bvh(40)})
         yield Format("plan", "plan.toml", [seeds.PLAN.encode()], mutated_text, prepare, bvh)
 

@@ -134,6 +134,22 @@ def features(frames: int, packed: bool) -> bytes:
     return file.getvalue()
 
 
+PARTS = """[[part]]
+name = "upper"
+below = ["Spine"]
+joints = ["Hips"]
+
+[[part]]
+name = "lower"
+joints = ["Hips"]
+way = true
+"""
+POSES = """[[keyframe]]
+time = 1.0
+source_time = 0.5
+reach = 0.3
+part = "Spine"
+"""
 PLAN = """\
 output = "set"
 [phrases]

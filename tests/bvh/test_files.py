@@ -132,6 +132,22 @@ class Files(unittest.TestCase):
         motion = np.load(self.folder / "walk.npy")
         self.near(one["pelvis"] / CENTIMETRES, motion[:, 0])
 
+    def test_new_motions_have_the_bones_of_their_example_in_both_readers(self):
+        example, _ = self.written(body())
+        for options in [], ["--heading", "--loop"], ["--preset", "paper"]:
+            self.kinegrad("match", "motion.bvh", "--out", "new.bvh", "--overwrite", *options)
+            one, other = (read(self.folder / "new.bvh") for read in (by_bvhio, by_pymotion))
+            self.assertEqual(len(one["pelvis"]), 120)
+            of_example = by_bvhio(example)
+            self.assertEqual(list(one), list(of_example))
+            bones = [(NAMES[joint], NAMES[PARENTS[joint]]) for joint in range(1, len(NAMES))]
+            for name in one:
+                self.near(one[name] / CENTIMETRES, other[name] / CENTIMETRES)
+            for end, start in bones:
+                lengths = [np.linalg.norm(joints[end] - joints[start], axis=1).mean()
+                           for joints in (one, of_example)]
+                self.assertAlmostEqual(*lengths, places=3)
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -10,6 +10,7 @@ fn help() {
         "train",
         "sample",
         "import",
+        "match",
         "merge",
         "check",
         "eval",

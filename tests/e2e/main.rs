@@ -14,6 +14,7 @@ mod fine_tuning;
 mod goals;
 mod imports;
 mod listening;
+mod matching;
 mod movement;
 mod newcomer;
 mod own_system;

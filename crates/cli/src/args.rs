@@ -2,6 +2,7 @@
 
 mod config;
 mod data;
+mod matching;
 mod reading;
 mod reports;
 mod talk;
@@ -27,6 +28,7 @@ pub use data::{
     PrepareArguments, SynthArguments,
 };
 
+pub use matching::MatchArguments;
 pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 pub use talk::TalkArguments;
@@ -57,6 +59,8 @@ pub enum Command {
     Train(TrainArguments),
     /// Generate motion with a trained model
     Sample(Box<SampleArguments>),
+    /// Make new motion from example motions, without training
+    Match(Box<MatchArguments>),
     /// Convert published PyTorch weights to a run
     Import(ImportArguments),
     /// Merge the LoRA adapters of a fine-tuned model into its weights

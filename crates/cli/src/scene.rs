@@ -23,7 +23,7 @@ use kinegrad_train::systems::gmd::read_goal;
 use crate::args::ReadingArguments;
 
 pub use body::figure as body;
-pub use bvh::as_bvh;
+pub use bvh::{as_bvh, guess_units, guess_up};
 pub use music::{Music, song};
 
 /// Most figures of a scene: more can neither be told apart nor drawn in time.

@@ -289,9 +289,12 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation whose matrix has nearly these first two columns, by Gram and Schmidt; its sign is
-/// arbitrary. Not finite where the columns are not.
-fn from_columns(columns: &[f64]) -> Quaternion {
+/// The rotation whose matrix has nearly these first two columns, `[6]`, by Gram and Schmidt; its sign
+/// is arbitrary. Not finite where the columns are not.
+///
+/// # Panics
+/// Panics if there are fewer than six numbers.
+pub fn from_columns(columns: &[f64]) -> Quaternion {
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
     if !columns.iter().all(|part| part.is_finite()) {

@@ -75,6 +75,8 @@ pub enum Purpose {
     /// Which style conditions are dropped for classifier-free guidance, keyed by step and
     /// micro-batch.
     StyleDropout = 24,
+    /// Noise that matching by patches starts from.
+    Matching = 25,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

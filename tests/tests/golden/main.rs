@@ -7,6 +7,7 @@ mod decoder;
 mod diffusion_loss;
 mod diffusion_steps;
 mod e2e;
+mod genmm;
 mod gmd;
 mod humanml;
 mod optim;
@@ -26,6 +27,7 @@ fn main() -> ExitCode {
         diffusion_loss::tests(),
         diffusion_steps::tests(),
         e2e::tests(),
+        genmm::tests(),
         gmd::tests(),
         humanml::tests(),
         optim::tests(),

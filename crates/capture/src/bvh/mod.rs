@@ -6,10 +6,12 @@
 
 mod convert;
 mod deviation;
+mod euler;
 mod figure;
 mod parse;
 mod phrase;
 mod pose;
+mod repose;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -66,7 +68,8 @@ pub struct Joint {
 }
 
 /// A BVH file: the hierarchy and all frames. Read by [`Bvh::parse`] or made of a figure's rotations
-/// by [`Bvh::from_rotations`], [`Bvh::from_joints`] and [`Bvh::from_phrase`].
+/// by [`Bvh::from_rotations`], [`Bvh::from_joints`] and [`Bvh::from_phrase`]; [`Bvh::reposed`] is
+/// another motion of the same hierarchy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,

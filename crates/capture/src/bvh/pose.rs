@@ -25,7 +25,7 @@ impl Bvh {
     }
 
     /// Place and orientation of a joint within its parent.
-    fn local(&self, joint: &Joint, t: usize) -> RootPose {
+    pub(super) fn local(&self, joint: &Joint, t: usize) -> RootPose {
         let values = &self.frame(t)[joint.first_channel..];
         let mut position = joint.offset;
         let mut orientation = Quaternion::IDENTITY;

@@ -4,16 +4,13 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
+use super::euler::degrees;
 use super::{Axis, Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
 use crate::error::{require, require_positive};
 
 /// Turns of every written joint, in the order of most BVH files.
-const ROTATION: [Channel; 3] = [
-    Channel::Rotation(Axis::Z),
-    Channel::Rotation(Axis::X),
-    Channel::Rotation(Axis::Y),
-];
+const ZXY: [Axis; 3] = [Axis::Z, Axis::X, Axis::Y];
 /// Coordinates of the written root.
 const POSITION: [Channel; 3] = [
     Channel::Position(Axis::X),
@@ -69,12 +66,12 @@ impl Bvh {
         for (index, &of_figure) in order.iter().enumerate() {
             place[of_figure] = index;
             let mut joint = figure[of_figure].clone();
-            joint.channels = ROTATION.to_vec();
+            joint.channels = ZXY.map(Channel::Rotation).to_vec();
             match &mut joint.parent {
                 Some(parent) => *parent = place[*parent],
                 None => {
                     joint.offset = [0.0; 3];
-                    joint.channels = [POSITION, ROTATION].concat();
+                    joint.channels = [POSITION, ZXY.map(Channel::Rotation)].concat();
                 }
             }
             joint.first_channel = first_channel;
@@ -86,7 +83,7 @@ impl Bvh {
         for (root, rotations) in root.iter().zip(rotations.chunks_exact(figure.len())) {
             values.extend(root);
             for &joint in &order {
-                angles[joint] = zxy_degrees(rotations[joint], angles[joint]);
+                angles[joint] = degrees(rotations[joint], ZXY, angles[joint]);
                 values.extend(angles[joint]);
             }
         }
@@ -188,40 +185,6 @@ fn depth_first(figure: &[Joint]) -> Vec<usize> {
     order
 }
 
-/// The angles (z, x, y) in degrees of `Rz Rx Ry`, for a quaternion of any norm but zero: of all that
-/// make the same rotation those nearest to `before`.
-fn zxy_degrees(rotation: Quaternion, before: [f64; 3]) -> [f64; 3] {
-    let rotation = rotation.normalised();
-    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
-    let entry = |row: usize, column: usize| columns[column][row];
-    let sine = entry(2, 1).clamp(-1.0, 1.0);
-    if sine.abs() > 1.0 - 1e-12 {
-        // A quarter turn about x leaves the other two on one axis: y stays and z does the rest.
-        let both = entry(1, 0).atan2(entry(0, 0)).to_degrees();
-        let z = both - before[2] * sine.signum();
-        return nearest([z, sine.asin().to_degrees(), before[2]], before);
-    }
-    let z = (-entry(0, 1)).atan2(entry(1, 1)).to_degrees();
-    let x = sine.asin().to_degrees();
-    let y = (-entry(2, 0)).atan2(entry(2, 2)).to_degrees();
-    // The same rotation by way of the other side.
-    let [one, other] = [[z, x, y], [z + 180.0, 180.0 - x, y + 180.0]].map(|a| nearest(a, before));
-    let distance = |angles: [f64; 3]| -> f64 {
-        let apart = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
-        apart.sum()
-    };
-    if distance(other) < distance(one) {
-        other
-    } else {
-        one
-    }
-}
-
-/// Angles in degrees, each by whole turns as near as it can be to that before.
-fn nearest(angles: [f64; 3], before: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| angles[i] - 360.0 * ((angles[i] - before[i]) / 360.0).round())
-}
-
 fn line(text: &mut String, depth: usize, content: &str) {
     text.extend(std::iter::repeat_n('\t', depth));
     text.push_str(content);
@@ -283,7 +246,7 @@ mod tests {
     fn a_quarter_turn_about_x_keeps_its_heading() {
         let turns = [[0.0, 0.0, 0.7], [90f64.to_radians(), 0.0, 0.0]];
         let [yaw, pitch] = turns.map(Quaternion::from_rotation_vector);
-        let [z, x, y] = zxy_degrees(yaw * pitch, [0.0, 0.0, 25.0]).map(f64::to_radians);
+        let [z, x, y] = degrees(yaw * pitch, ZXY, [0.0, 0.0, 25.0]).map(f64::to_radians);
         assert!((y - 25f64.to_radians()).abs() < 1e-9);
         let about = |axis: usize, angle: f64| {
             let mut turn = [0.0; 3];
@@ -307,7 +270,7 @@ mod tests {
             for step in 0..155 {
                 let turn = about(axis, 7.0 * f64::from(step));
                 let rotation = about(2, 0.3) * turn * about((axis + 1) % 3, 0.2);
-                let angles = zxy_degrees(rotation, before);
+                let angles = degrees(rotation, ZXY, before);
                 let most = angles.iter().zip(before).map(|(a, b)| (a - b).abs());
                 let most = most.fold(0.0, f64::max);
                 assert!(

@@ -10,6 +10,7 @@ pub mod explain;
 pub mod files;
 pub mod import;
 pub mod init;
+pub mod matching;
 pub mod merge;
 mod plan;
 pub mod plot;

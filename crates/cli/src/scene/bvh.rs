@@ -106,15 +106,21 @@ pub fn as_bvh(
     }
 }
 
-/// The axis along which feet are further below the root; y where no joint is named as a foot.
-fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
+/// The axis along which feet are further below the body's middle; y where no joint is named as a
+/// foot. The root is no measure: some files leave it at the origin.
+pub fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     let feet = names
         .iter()
         .zip(places)
         .filter(|(name, _)| body::is_foot(name));
+    let middle = |axis: usize| {
+        let mut along: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        along.sort_by(f64::total_cmp);
+        along[along.len() / 2]
+    };
     let drop = |axis: usize| {
         feet.clone()
-            .map(|(_, place)| places[0][axis] - place[axis])
+            .map(|(_, place)| middle(axis) - place[axis])
             .sum::<f64>()
     };
     match drop(2) > 1.5 * drop(1).max(0.0) && drop(2) > 0.0 {
@@ -125,7 +131,7 @@ fn guess_up(names: &[String], places: &[[f64; 3]]) -> UpAxis {
 
 /// The unit in which the figure is most nearly as tall as a person. It stands on the ground, at 0,
 /// unless it reaches below: one without legs is as tall as it reaches above.
-fn guess_units(places: &[[f64; 3]], up: UpAxis) -> Units {
+pub fn guess_units(places: &[[f64; 3]], up: UpAxis) -> Units {
     let heights = || places.iter().map(|place| up.to_y_up(*place)[1]);
     let tall = heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(0.0, f64::min);
     let off = |units: &Units| (tall * units.metres() / PERSON).ln().abs();
@@ -169,6 +175,12 @@ mod tests {
                 assert_eq!(guess_units(&places, up), units);
             }
         }
+        // A root at the origin, far from the body.
+        let mut afar = standing(100.0, 1);
+        afar.iter_mut().for_each(|place| place[2] -= 400.0);
+        afar.insert(0, [0.0; 3]);
+        let named: Vec<String> = ["Root".to_string()].into_iter().chain(names).collect();
+        assert_eq!(guess_up(&named, &afar), UpAxis::Y);
         assert_eq!(guess_units(&[[0.0; 3]], UpAxis::Y), Units::Cm);
         // Hips and head alone, in centimetres.
         let bust = [[0.0, 90.0, 0.0], [0.0, 102.0, 0.0]];

@@ -96,11 +96,10 @@ where
     }
     for (index, (_, points)) in panel.series().iter().enumerate() {
         let style = colour(index).stroke_width(stroke);
-        let finite = points
-            .iter()
-            .copied()
-            .filter(|(x, y)| can_be_drawn(*x) && can_be_drawn(*y));
-        chart.draw_series(LineSeries::new(finite, style))?;
+        // A line ends where a point cannot be drawn, and goes on behind it.
+        for line in points.split(|(x, y)| !(can_be_drawn(*x) && can_be_drawn(*y))) {
+            chart.draw_series(LineSeries::new(line.iter().copied(), style))?;
+        }
     }
     if let Kind::Map(_) = panel.kind {
         let start = panel.series().iter().find_map(|(_, points)| points.first());

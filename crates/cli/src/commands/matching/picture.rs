@@ -1,0 +1,88 @@
+//! The picture of a new motion: where its frames come from, what of the examples appears, its way.
+
+use std::path::Path;
+
+use kinegrad_matching::Made;
+use kinegrad_report::{Panel, Series};
+use kinegrad_train::Error;
+
+use crate::output;
+
+/// Pixels of a panel.
+const SIZE: (u32, u32) = (900, 260);
+
+/// Draws the panels below each other; `examples` are the names of the files, whose units are so many
+/// metres.
+pub fn draw(made: &Made, examples: &[String], metres: f64, out: &Path) -> Result<(), Error> {
+    let panels = [origins(made), coverage(made, examples), path(made, metres)];
+    output::draw(&panels, 1, SIZE, out)
+}
+
+/// First frame of each example, where they stand one behind the other.
+fn starts(made: &Made) -> Vec<usize> {
+    let mut next = 0;
+    let starts = made.examples.iter().map(|example| {
+        let start = next;
+        next += example.frames();
+        start
+    });
+    starts.collect()
+}
+
+/// The time in the examples that each moment of the motion comes from, for each part; a line ends
+/// where the motion goes on elsewhere.
+fn origins(made: &Made) -> Panel {
+    let (frame_time, starts) = (made.figure.frame_time(), starts(made));
+    let mut series: Vec<Series> = Vec::new();
+    for (part, origins) in made.parts.iter().zip(&made.synthesis.origins) {
+        let mut points = Vec::new();
+        let mut before = None;
+        for (t, &(example, frame)) in origins.iter().enumerate() {
+            if before.is_some_and(|before| before != (example, frame)) {
+                points.push((f64::NAN, f64::NAN));
+            }
+            let source = (starts[example] + frame) as f64 * frame_time;
+            points.push((t as f64 * frame_time, source));
+            before = Some((example, frame + 1));
+        }
+        series.push((part.name.clone(), points));
+    }
+    Panel::lines(
+        "time in the examples that each moment comes from, s",
+        "s",
+        series,
+    )
+}
+
+/// Which frames of each example appear, in any part.
+fn coverage(made: &Made, examples: &[String]) -> Panel {
+    let mut used: Vec<Vec<bool>> = made
+        .examples
+        .iter()
+        .map(|example| vec![false; example.frames()])
+        .collect();
+    for &(example, frame) in made.synthesis.origins.iter().flatten() {
+        used[example][frame] = true;
+    }
+    let tracks = examples.iter().zip(&used);
+    let tracks = tracks.map(|(name, used)| (name.as_str(), used.as_slice()));
+    Panel::strip(
+        "frames of the examples that appear",
+        1.0 / made.figure.frame_time(),
+        tracks,
+    )
+}
+
+/// The way from above, and that of the first example.
+fn path(made: &Made, metres: f64) -> Panel {
+    let of = |frames| {
+        let path = made.figure.path(frames).into_iter();
+        path.map(|place| made.figure.from_above(place.map(|value| value * metres)))
+            .collect()
+    };
+    let series = vec![
+        ("first example".to_string(), of(&made.examples[0])),
+        ("new motion".to_string(), of(&made.synthesis.frames)),
+    ];
+    Panel::map("way from above", series)
+}

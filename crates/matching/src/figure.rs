@@ -1,0 +1,365 @@
+//! Motions of any skeleton as matrices, and back to BVH.
+//!
+//! A frame is, in this order: six numbers of each joint's rotation within its parent
+//! ([`rotation6d`](crate::rotation6d)); the place within the parent of every other joint whose
+//! place changes; the contact of each foot in the first of six channels; and the way of the joint
+//! that travels, its height as it is and its horizontal place as the displacement from the frame
+//! before. On request that joint's rotation and displacement are seen from its heading, and the
+//! turn of the heading since the frame before stands in front of the way. Lengths are scaled by 1 /
+//! ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
+
+use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
+use kinegrad_motion::rotation::length;
+
+use crate::{Error, Frames, displacements, rotation6d};
+
+mod survey;
+mod way;
+
+use survey::{carriers, scale, thinning, travel, travelling};
+
+/// Channels of a rotation.
+const ROTATION: usize = 6;
+/// Largest part by which the frame rates of examples may differ.
+const SAME_RATE: f64 = 0.01;
+/// Distance between two frames, in scaled units, below which a foot is in contact.
+const CONTACT: f64 = 0.018;
+/// Change of a place, in scaled units, that is no more than the rounding of a file.
+const STILL: f64 = 1e-5;
+
+/// A motion to learn from.
+#[derive(Clone, Debug)]
+pub struct Example {
+    /// Its file, for messages.
+    pub file: String,
+    /// The motion.
+    pub bvh: Bvh,
+}
+
+/// What of a motion is matched, and how it is seen.
+#[derive(Clone, Debug, Default)]
+pub struct FigureOptions {
+    /// The axis that points up in the files.
+    pub up: UpAxis,
+    /// Joints, by their indices, whose contact with the ground is matched as well.
+    pub contacts: Vec<usize>,
+    /// Whether the body is seen from its heading: a walk to the north is then like one to the east.
+    /// The published program sees it from outside.
+    pub heading: bool,
+}
+
+/// How the motions of one skeleton are matrices.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    file: String,
+    bvh: Bvh,
+    up: Axis,
+    scale: f64,
+    frame_time: f64,
+    travelling: usize,
+    /// Joints above the one that travels, where nothing else hangs on them.
+    carriers: Vec<usize>,
+    shifting: Vec<usize>,
+    contacts: Vec<usize>,
+    /// Heading of the first example's first frame, in radians; none if motions are seen from
+    /// outside.
+    heading: Option<f64>,
+    start: [f64; 3],
+}
+
+impl Figure {
+    /// The figure of the examples, which have one skeleton. Motions of 59 frames a second and more
+    /// are thinned to every second frame, as often as needed.
+    ///
+    /// # Errors
+    /// If there are no examples, their joints or frame rates differ, or no bone has a length.
+    pub fn new(examples: &[Example], options: FigureOptions) -> Result<Self, Error> {
+        let Some(first) = examples.first() else {
+            return Err(Error::file(
+                "no example",
+                "none is given",
+                "name a BVH file",
+            ));
+        };
+        let (_, frame_time) = thinning(&first.bvh);
+        let mut figure = Self {
+            file: first.file.clone(),
+            bvh: first.bvh.clone(),
+            up: match options.up {
+                UpAxis::Y => Axis::Y,
+                UpAxis::Z => Axis::Z,
+            },
+            scale: 1.0,
+            frame_time,
+            travelling: 0,
+            carriers: Vec::new(),
+            shifting: Vec::new(),
+            contacts: options.contacts,
+            heading: None,
+            start: [0.0; 3],
+        };
+        let mut ranges = vec![0.0f64; figure.bvh.joints().len()];
+        for example in examples {
+            figure.must_fit(example)?;
+            for (range, joint) in ranges.iter_mut().zip(travel(&example.bvh)) {
+                *range = range.max(joint);
+            }
+        }
+        figure.travelling = travelling(&figure.bvh, &ranges);
+        figure.carriers = carriers(&figure.bvh, figure.travelling);
+        figure.scale = scale(first, figure.travelling)?;
+        let shifts = |joint: &usize| ranges[*joint] * figure.scale > STILL;
+        let carries =
+            |joint: &usize| *joint == figure.travelling || figure.carriers.contains(joint);
+        figure.shifting = (0..ranges.len())
+            .filter(|joint| shifts(joint) && !carries(joint))
+            .collect();
+        let pose = first.bvh.locals(0)[figure.travelling];
+        figure.start = pose.position;
+        figure.heading = options.heading.then(|| figure.heading_of(pose.orientation));
+        Ok(figure)
+    }
+
+    /// Rejects a motion of another skeleton or frame rate.
+    ///
+    /// # Errors
+    /// Names the first joint that differs.
+    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
+        let (own, other) = (self.bvh.joints(), example.bvh.joints());
+        let hint = "motions of one skeleton can be matched: the same joints in the same order";
+        for (index, joint) in other.iter().enumerate() {
+            let same = own
+                .get(index)
+                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
+            if !same {
+                let expected = match own.get(index) {
+                    Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
+                    None => "no more joints".to_string(),
+                };
+                let place = below(&example.bvh, joint.parent);
+                let problem = format!(
+                    "joint {} is `{}`{place}, in {} {expected}",
+                    index + 1,
+                    joint.name,
+                    self.file
+                );
+                return Err(Error::file(&example.file, problem, hint));
+            }
+        }
+        if let Some(missing) = own.get(other.len()) {
+            let problem = format!("has no joint `{}`, which {} has", missing.name, self.file);
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        let (_, frame_time) = thinning(&example.bvh);
+        if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
+            let problem = format!(
+                "{:.4} frames a second, in {} {:.4}",
+                1.0 / frame_time,
+                self.file,
+                1.0 / self.frame_time
+            );
+            let hint = "examples have one frame rate, 30 or the same: resample the file";
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        Ok(())
+    }
+
+    /// The joints, as in the file.
+    pub fn joints(&self) -> &[kinegrad_capture::Joint] {
+        self.bvh.joints()
+    }
+
+    /// Seconds from one frame to the next, after thinning.
+    pub fn frame_time(&self) -> f64 {
+        self.frame_time
+    }
+
+    /// The joint whose way is followed.
+    pub fn travelling(&self) -> usize {
+        self.travelling
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        let joints = ROTATION * (self.joints().len() + self.contacts.len());
+        joints + 3 * self.shifting.len() + usize::from(self.heading.is_some()) + 3
+    }
+
+    /// Channels of a joint: its rotation, its place if that changes, its contact. The way of the
+    /// joint that travels is in [`way`](Self::way).
+    pub fn channels_of(&self, joint: usize) -> Vec<usize> {
+        let mut channels: Vec<usize> = self.rotation_of(joint).collect();
+        let places = ROTATION * self.joints().len();
+        if let Some(place) = self.shifting.iter().position(|&shifting| shifting == joint) {
+            channels.extend(places + 3 * place..places + 3 * place + 3);
+        }
+        let contacts = places + 3 * self.shifting.len();
+        if let Some(place) = self.contacts.iter().position(|&contact| contact == joint) {
+            let first = contacts + ROTATION * place;
+            channels.extend(first..first + ROTATION);
+        }
+        channels
+    }
+
+    /// Channels of a joint's rotation.
+    pub fn rotation_of(&self, joint: usize) -> std::ops::Range<usize> {
+        ROTATION * joint..ROTATION * (joint + 1)
+    }
+
+    /// Channels of the way of the joint that travels: the turn of its heading in radians, if motions
+    /// are seen from there, and x, y and z.
+    pub fn way(&self) -> std::ops::Range<usize> {
+        self.channels() - 3 - usize::from(self.heading.is_some())..self.channels()
+    }
+
+    /// The channel of the height of the joint that travels.
+    pub fn height(&self) -> usize {
+        self.channels() - 3 + self.up as usize
+    }
+
+    /// Indices of the joints that are in contact with the ground at times.
+    pub fn contacts(&self) -> &[usize] {
+        &self.contacts
+    }
+
+    /// Poses within the parents. What moves the joints above the one that travels moves it instead:
+    /// in some files the hips travel, in others of the same skeleton the root does and takes them
+    /// along.
+    fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
+        let mut poses = bvh.locals(t);
+        let Some(parent) = self.carriers.first() else {
+            return poses;
+        };
+        let (still, base) = (self.bvh.locals(0), self.bvh.world(0)[*parent]);
+        for &joint in &self.carriers {
+            poses[joint] = still[joint];
+        }
+        let world = bvh.world(t)[self.travelling];
+        let back = base.orientation.conjugate();
+        let apart = [0, 1, 2].map(|axis| world.position[axis] - base.position[axis]);
+        poses[self.travelling] = RootPose {
+            position: back.rotate(apart),
+            orientation: back * world.orientation,
+        };
+        poses
+    }
+
+    /// The motion of an example, `[frames, channels]`, after thinning.
+    ///
+    /// # Errors
+    /// As [`must_fit`](Self::must_fit), and for numbers beyond single precision.
+    pub fn frames(&self, example: &Example) -> Result<Frames, Error> {
+        self.must_fit(example)?;
+        let bvh = &example.bvh;
+        let (every, _) = thinning(bvh);
+        let times: Vec<usize> = (0..bvh.frames()).step_by(every).collect();
+        let mut poses: Vec<Vec<RootPose>> = times.iter().map(|&t| self.locals(bvh, t)).collect();
+        let start = poses[0][self.travelling].position;
+        let way = poses.iter().map(|pose| {
+            let place = pose[self.travelling].position;
+            [0, 1, 2].map(|axis| {
+                let origin = if axis == self.up as usize {
+                    0.0
+                } else {
+                    start[axis]
+                };
+                (place[axis] - origin) * self.scale
+            })
+        });
+        let mut way = displacements(&way.collect::<Vec<_>>(), Some(self.up));
+        let turns = self
+            .heading
+            .map(|_| self.seen_from_heading(&mut poses, &mut way));
+        let contacts = self.contacts_of(bvh, &times);
+        let mut values: Vec<f32> = Vec::with_capacity(times.len() * self.channels());
+        for (t, pose) in poses.iter().enumerate() {
+            for joint in pose {
+                let rotation = rotation6d::from_quaternion(joint.orientation);
+                values.extend(rotation.map(|value| value as f32));
+            }
+            for &joint in &self.shifting {
+                values.extend(
+                    pose[joint]
+                        .position
+                        .map(|value| (value * self.scale) as f32),
+                );
+            }
+            for contact in &contacts {
+                values.extend([if contact[t] { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            }
+            values.extend(turns.as_ref().map(|turns| turns[t] as f32));
+            values.extend(way[t].map(|value| value as f32));
+        }
+        if !values.iter().all(|value| value.is_finite()) {
+            let hint = "lengths are scaled by the longest bone: check the positions";
+            let problem = "holds positions too large for single precision";
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        Ok(Frames::new(self.channels(), values))
+    }
+
+    /// A motion, `[frames, channels]`, as a file with the joints, channels and units of the first
+    /// example, which starts where that does.
+    ///
+    /// # Errors
+    /// If it is not finite.
+    ///
+    /// # Panics
+    /// Panics if it has other channels.
+    pub fn bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
+        assert_eq!(frames.channels(), self.channels());
+        let joints = self.joints().len();
+        let still = self.bvh.locals(0);
+        let way = self.way_of(frames);
+        let mut locals = Vec::with_capacity(frames.frames() * joints);
+        for (t, (place, heading)) in way.into_iter().enumerate() {
+            let frame = frames.frame(t);
+            let numbers = |from: usize| frame[from..].iter().copied().map(f64::from);
+            for (joint, still) in still.iter().enumerate() {
+                let mut six = numbers(ROTATION * joint);
+                let six = [(); 6].map(|()| six.next().expect("a rotation"));
+                locals.push(RootPose {
+                    position: still.position,
+                    orientation: rotation6d::to_quaternion(six),
+                });
+            }
+            let own = &mut locals[t * joints..];
+            for (index, &joint) in self.shifting.iter().enumerate() {
+                let mut values = numbers(ROTATION * joints + 3 * index);
+                own[joint].position =
+                    [(); 3].map(|()| values.next().expect("a place") / self.scale);
+            }
+            let travelling = &mut own[self.travelling];
+            travelling.position = place;
+            travelling.orientation = self.turned(heading) * travelling.orientation;
+        }
+        Ok(self.bvh.reposed(self.frame_time, &locals)?)
+    }
+
+    /// Whether each contact joint rests in each of the frames `times`, `[contacts][times]`.
+    fn contacts_of(&self, bvh: &Bvh, times: &[usize]) -> Vec<Vec<bool>> {
+        if self.contacts.is_empty() {
+            return Vec::new();
+        }
+        let world: Vec<Vec<RootPose>> = times.iter().map(|&t| bvh.world(t)).collect();
+        let moved = |joint: usize, t: usize| {
+            let (now, before) = (world[t][joint].position, world[t - 1][joint].position);
+            length([0, 1, 2].map(|axis| now[axis] - before[axis])) * self.scale
+        };
+        let rests = |joint: usize| {
+            let rests = |t: usize| t > 0 && moved(joint, t) < CONTACT;
+            (0..times.len()).map(rests).collect()
+        };
+        self.contacts.iter().map(|&joint| rests(joint)).collect()
+    }
+}
+
+/// ` below `PARENT``, for messages.
+fn below(bvh: &Bvh, parent: Option<usize>) -> String {
+    parent.map_or(String::new(), |parent| {
+        format!(" below `{}`", bvh.joints()[parent].name)
+    })
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

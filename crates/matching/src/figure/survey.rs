@@ -1,0 +1,84 @@
+//! What a file says of its skeleton: rate, size, and which joint travels.
+
+use kinegrad_capture::{Bvh, Channel};
+
+use super::Example;
+use crate::Error;
+
+/// Longest frame time, in seconds, at which every second frame is left out.
+const THINNED_BELOW: f64 = 0.017;
+/// Of how many frames one is kept at most.
+const MOST_THINNED: usize = 1 << 20;
+
+/// Every how many frames one is kept, and the time between those.
+pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
+    let mut every = 1;
+    while bvh.frame_time() * (every as f64) < THINNED_BELOW && every < MOST_THINNED {
+        every *= 2;
+    }
+    (every, bvh.frame_time() * every as f64)
+}
+
+/// The joint that travels furthest, or one below it that travels nearly as far by itself, in another
+/// file, where nothing else hangs between them. `ranges`: how far each travels within its parent.
+pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
+    let most = ranges.iter().copied().fold(0.0, f64::max);
+    let mut joint = ranges.iter().position(|&range| range == most).unwrap_or(0);
+    let joints = bvh.joints();
+    while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
+        && carriers(bvh, child).contains(&joint)
+        && ranges[child] > 0.5 * most
+    {
+        joint = child;
+    }
+    joint
+}
+
+/// The joints above one, its parent first; none if something else hangs on them.
+pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
+    let joints = bvh.joints();
+    let above = std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent);
+    let above: Vec<usize> = above.collect();
+    let children = |parent: usize| joints.iter().filter(|j| j.parent == Some(parent)).count();
+    match above.iter().all(|&parent| children(parent) == 1) {
+        true => above,
+        false => Vec::new(),
+    }
+}
+
+/// What lengths are multiplied by. The offset of a joint that travels within its parent is no bone;
+/// that of the root counts in the published program.
+pub(super) fn scale(example: &Example, travelling: usize) -> Result<f64, Error> {
+    let joints = example.bvh.joints().iter().enumerate();
+    let bones = joints.filter(|&(index, _)| index == 0 || index != travelling);
+    let offsets = bones.flat_map(|(_, joint)| {
+        let ends = joint.end_sites.iter().copied();
+        ends.chain([joint.offset])
+    });
+    let largest = offsets.flatten().fold(0.0f64, |most, v| most.max(v.abs()));
+    if largest == 0.0 || !largest.ceil().is_finite() {
+        let problem = "every bone has the length 0, allowed: at least one OFFSET that is not 0";
+        let hint = "motions are scaled by the longest bone: export the skeleton with its offsets";
+        return Err(Error::file(&example.file, problem, hint));
+    }
+    Ok(1.0 / largest.ceil())
+}
+
+/// How far each joint travels within its parent, in file units: the most along one axis.
+pub(super) fn travel(bvh: &Bvh) -> Vec<f64> {
+    let mut travel = vec![0.0; bvh.joints().len()];
+    let mut first = 0;
+    for (joint, travel) in bvh.joints().iter().zip(&mut travel) {
+        for (place, channel) in joint.channels.iter().enumerate() {
+            if matches!(channel, Channel::Position(_)) {
+                let values = (0..bvh.frames()).map(|t| bvh.frame(t)[first + place]);
+                let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |range, v| {
+                    (range.0.min(v), range.1.max(v))
+                });
+                *travel = f64::max(*travel, high - low);
+            }
+        }
+        first += joint.channels.len();
+    }
+    travel
+}

@@ -1,0 +1,271 @@
+//! Motions as matrices, and back.
+
+use std::fmt::Write;
+
+use kinegrad_motion::Quaternion;
+
+use super::*;
+
+/// A figure of hips and two legs below a root that stays, `frames` of it.
+pub(crate) fn text(frames: usize, frame_time: f64) -> String {
+    let mut text = "HIERARCHY\nROOT Root\n{\nOFFSET 0 0 0\n\
+        CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
+        JOINT Hips\n{\nOFFSET 0 90 0\n\
+        CHANNELS 6 Xposition Yposition Zposition Yrotation Xrotation Zrotation\n"
+        .to_string();
+    for side in ["Left", "Right"] {
+        let x = if side == "Left" { 9 } else { -9 };
+        write!(
+            text,
+            "JOINT {side}Leg\n{{\nOFFSET {x} -5 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n\
+             JOINT {side}Foot\n{{\nOFFSET 0 -42.5 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n\
+             End Site\n{{\nOFFSET 0 -40 12\n}}\n}}\n}}\n"
+        )
+        .unwrap();
+    }
+    write!(
+        text,
+        "}}\n}}\nMOTION\nFrames: {frames}\nFrame Time: {frame_time}\n"
+    )
+    .unwrap();
+    for t in 0..frames {
+        let seconds = t as f64 * frame_time;
+        let swing = |phase: f64| 30.0 * (5.0 * seconds + phase).sin();
+        let (x, y) = (20.0 * seconds, 90.0 + 2.0 * (9.0 * seconds).cos());
+        write!(
+            text,
+            "0 0 0 0 0 0 {x} {y} {} {} 0 3",
+            80.0 * seconds,
+            swing(1.0) / 3.0
+        )
+        .unwrap();
+        for phase in [0.0, 3.1] {
+            write!(text, " {} 0 0 0 0 {}", swing(phase), swing(phase + 0.7)).unwrap();
+        }
+        text.push('\n');
+    }
+    text
+}
+
+pub(crate) fn example(file: &str, frames: usize, frame_time: f64) -> Example {
+    let bvh = Bvh::parse(text(frames, frame_time).as_bytes(), file).unwrap();
+    Example {
+        file: file.to_string(),
+        bvh,
+    }
+}
+
+fn figure(examples: &[Example]) -> Figure {
+    Figure::new(examples, FigureOptions::default()).unwrap()
+}
+
+#[test]
+fn a_motion_comes_back_as_it_was() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let figure = figure(std::slice::from_ref(&walk));
+    assert_eq!(figure.joints()[figure.travelling()].name, "Hips");
+    let frames = figure.frames(&walk).unwrap();
+    assert_eq!((frames.frames(), frames.channels()), (60, 6 * 6 + 3));
+    let back = figure.bvh(&frames).unwrap();
+    assert_eq!(back.joints(), walk.bvh.joints());
+    for t in 0..60 {
+        for (found, value) in back.frame(t).iter().zip(walk.bvh.frame(t)) {
+            assert!((found - value).abs() < 2e-3, "{t}: {found} {value}");
+        }
+    }
+    // The first displacement is one, and the height stays a height.
+    let way = figure.way();
+    let first = &frames.frame(0)[way.clone()];
+    assert_eq!(first[0], frames.frame(1)[way.start]);
+    assert!((f64::from(first[1]) * 43.0 - 92.0).abs() < 1e-4);
+}
+
+#[test]
+fn a_motion_seen_from_its_heading_comes_back_and_turns_do_not_matter() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let by_heading = FigureOptions {
+        heading: true,
+        ..FigureOptions::default()
+    };
+    let of = |walk: &Example| {
+        let figure = Figure::new(std::slice::from_ref(walk), by_heading.clone()).unwrap();
+        let frames = figure.frames(walk).unwrap();
+        (figure, frames)
+    };
+    // The same walk in another direction, with more than half a turn on the way.
+    let mut turned = walk.clone();
+    let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
+    let turn = Quaternion::from_yaw(2.0);
+    for pose in locals.iter_mut().skip(1).step_by(6) {
+        pose.position = turn.rotate(pose.position);
+        pose.orientation = turn * pose.orientation;
+    }
+    turned.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
+    let ((figure, frames), (other, others)) = (of(&walk), of(&turned));
+    assert_eq!(frames.channels(), 6 * 6 + 4);
+    assert_eq!(figure.way().len(), 4);
+    for (a, b) in frames.values().iter().zip(others.values()) {
+        assert!((a - b).abs() < 1e-4, "{a} {b}");
+    }
+    for (figure, frames, walk) in [(figure, frames, walk), (other, others, turned)] {
+        let back = figure.bvh(&frames).unwrap();
+        for t in 0..60 {
+            for (found, pose) in back.world(t).iter().zip(walk.bvh.world(t)) {
+                let apart = [0, 1, 2].map(|axis| found.position[axis] - pose.position[axis]);
+                assert!(length(apart) < 0.01, "{t}: {apart:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_axis_that_points_up_keeps_its_place() {
+    let walk = example("walk.bvh", 40, 1.0 / 30.0);
+    let options = FigureOptions {
+        up: UpAxis::Z,
+        ..FigureOptions::default()
+    };
+    let figure = Figure::new(std::slice::from_ref(&walk), options).unwrap();
+    assert_eq!(figure.height(), figure.channels() - 1);
+    let frames = figure.frames(&walk).unwrap();
+    let height = |t: usize| f64::from(frames.frame(t)[figure.height()]) * 43.0;
+    assert!((height(30) - 80.0).abs() < 1e-3 && height(0).abs() < 1e-3);
+    assert_eq!(figure.from_above([1.0, 2.0, 3.0]), (1.0, -2.0));
+    let path = figure.path(&frames);
+    assert_eq!(path.len(), 40);
+    for (t, found) in path.iter().enumerate() {
+        let place = walk.bvh.locals(t)[1].position;
+        let apart = [0, 1, 2].map(|axis| found[axis] - place[axis]);
+        assert!(length(apart) < 1e-2, "{t}: {apart:?}");
+    }
+}
+
+#[test]
+fn fast_captures_are_thinned_to_30_frames_a_second() {
+    for (rate, every) in [(240.0, 8), (120.0, 4), (60.0, 2), (30.0, 1), (25.0, 1)] {
+        let walk = example("walk.bvh", 97, 1.0 / rate);
+        let figure = figure(std::slice::from_ref(&walk));
+        let frames = figure.frames(&walk).unwrap().frames();
+        assert_eq!(frames, 97usize.div_ceil(every), "{rate}");
+        assert!((figure.frame_time() - every as f64 / rate).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn hips_that_their_root_takes_along_travel_themselves() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let mut taken = walk.clone();
+    let mut locals: Vec<RootPose> = (0..60).flat_map(|t| walk.bvh.locals(t)).collect();
+    for pose in locals.chunks_exact_mut(6) {
+        // The root is where the hips were; both turn.
+        let turn = Quaternion::from_yaw(0.4);
+        pose[0].position = pose[1].position;
+        pose[0].orientation = turn;
+        pose[1].position = [0.0; 3];
+        pose[1].orientation = turn.conjugate() * pose[1].orientation;
+    }
+    taken.bvh = walk.bvh.reposed(1.0 / 30.0, &locals).unwrap();
+    let figure = figure(&[walk.clone(), taken.clone()]);
+    assert_eq!(figure.channels(), 6 * 6 + 3);
+    let (own, other) = (
+        figure.frames(&walk).unwrap(),
+        figure.frames(&taken).unwrap(),
+    );
+    for (a, b) in own.values().iter().zip(other.values()) {
+        assert!((a - b).abs() < 1e-4, "{a} {b}");
+    }
+}
+
+#[test]
+fn joints_whose_place_changes_keep_it() {
+    let changed = text(20, 1.0 / 30.0).replace(
+        "OFFSET -9 -5 0\nCHANNELS 3 ",
+        "OFFSET -9 -5 0\nCHANNELS 6 Xposition Yposition Zposition ",
+    );
+    let changed: String = changed
+        .lines()
+        .enumerate()
+        .map(|(index, line)| match line.split(' ').collect::<Vec<_>>() {
+            words if words.len() == 24 => {
+                let (before, behind) = words.split_at(18);
+                let y = if index % 2 == 0 { "-5.25" } else { "-5" };
+                format!("{} -9 {y} 0 {}\n", before.join(" "), behind.join(" "))
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    let walk = Example {
+        file: "walk.bvh".to_string(),
+        bvh: Bvh::parse(changed.as_bytes(), "walk.bvh").unwrap(),
+    };
+    let figure = figure(std::slice::from_ref(&walk));
+    assert_eq!(figure.channels_of(4).len(), 9);
+    assert_eq!(figure.channels_of(1).len(), 6);
+    let back = figure.bvh(&figure.frames(&walk).unwrap()).unwrap();
+    for t in 0..20 {
+        let (found, place) = (back.locals(t)[4].position, walk.bvh.locals(t)[4].position);
+        assert!((found[1] - place[1]).abs() < 1e-4, "{found:?} {place:?}");
+    }
+}
+
+#[test]
+fn feet_that_rest_are_in_contact() {
+    let mut walk = example("walk.bvh", 40, 1.0 / 30.0);
+    let with_contacts = FigureOptions {
+        contacts: vec![3, 5],
+        ..FigureOptions::default()
+    };
+    let figure = Figure::new(std::slice::from_ref(&walk), with_contacts).unwrap();
+    let frames = figure.frames(&walk).unwrap();
+    let channels = figure.channels_of(3);
+    assert_eq!(channels.len(), 12);
+    let contact = channels[6];
+    assert_eq!(frames.frame(0)[contact], 0.0);
+    // A figure that stands still.
+    let still = walk.bvh.locals(7).repeat(12);
+    walk.bvh = walk.bvh.reposed(1.0 / 30.0, &still).unwrap();
+    let frames = figure.frames(&walk).unwrap();
+    let rests: Vec<f32> = (0..12).map(|t| frames.frame(t)[contact]).collect();
+    assert_eq!(rests[0], 0.0);
+    assert!(rests[1..].iter().all(|&rest| rest == 1.0));
+    assert!((0..12).all(|t| frames.frame(t)[contact + 1] == 0.0));
+}
+
+#[test]
+fn other_skeletons_and_rates_are_named() {
+    let walk = example("walk.bvh", 20, 1.0 / 30.0);
+    let refused = |text: String| {
+        let bvh = Bvh::parse(text.as_bytes(), "other.bvh").unwrap();
+        let other = Example {
+            file: "other.bvh".to_string(),
+            bvh,
+        };
+        let examples = [walk.clone(), other];
+        let error = Figure::new(&examples, FigureOptions::default()).unwrap_err();
+        error.to_string()
+    };
+    let said = refused(text(20, 1.0 / 30.0).replace("RightLeg", "RightKnee"));
+    assert_eq!(
+        said,
+        "other.bvh: joint 5 is `RightKnee` below `Hips`, in walk.bvh `RightLeg` below `Hips`"
+    );
+    let said = refused(text(20, 1.0 / 25.0));
+    assert_eq!(
+        said,
+        "other.bvh: 25.0000 frames a second, in walk.bvh 30.0000"
+    );
+    let flat: String = text(20, 1.0 / 30.0)
+        .lines()
+        .map(|line| match line.starts_with("OFFSET") {
+            true => "OFFSET 0 0 0\n".to_string(),
+            false => format!("{line}\n"),
+        })
+        .collect();
+    let bvh = Bvh::parse(flat.as_bytes(), "flat.bvh").unwrap();
+    let flat = Example {
+        file: "flat.bvh".to_string(),
+        bvh,
+    };
+    let error = Figure::new(&[flat], FigureOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("every bone has the length 0"));
+}

@@ -1,0 +1,159 @@
+//! Matrices of motion, `[frames, channels]`, and their resampling.
+
+/// A motion as a matrix `[frames, channels]`, one frame after the other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frames {
+    channels: usize,
+    values: Vec<f32>,
+}
+
+impl Frames {
+    /// The matrix of `values`, `[frames, channels]` row by row.
+    ///
+    /// # Panics
+    /// Panics if there are no channels, or a frame is not whole.
+    pub fn new(channels: usize, values: Vec<f32>) -> Self {
+        assert!(channels > 0 && values.len().is_multiple_of(channels));
+        Self { channels, values }
+    }
+
+    /// A matrix of zeros, `[frames, channels]`.
+    ///
+    /// # Panics
+    /// As [`new`](Self::new).
+    pub fn zeros(frames: usize, channels: usize) -> Self {
+        Self::new(channels, vec![0.0; frames * channels])
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.values.len() / self.channels
+    }
+
+    /// All values, `[frames, channels]` row by row.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// All values, to be written to.
+    pub fn values_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+
+    /// Frame `t`, `[channels]`.
+    ///
+    /// # Panics
+    /// Panics if there is none.
+    pub fn frame(&self, t: usize) -> &[f32] {
+        &self.values[t * self.channels..(t + 1) * self.channels]
+    }
+
+    /// Frame `t`, `[channels]`, to be written to.
+    ///
+    /// # Panics
+    /// Panics if there is none.
+    pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
+        &mut self.values[t * self.channels..(t + 1) * self.channels]
+    }
+
+    /// Matrices of the same channels, one behind the other.
+    ///
+    /// # Panics
+    /// Panics if there is none, or their channels differ.
+    pub fn joined(parts: &[Self]) -> Self {
+        let channels = parts[0].channels;
+        assert!(parts.iter().all(|part| part.channels == channels));
+        let values = parts.iter().flat_map(|part| part.values.iter().copied());
+        Self::new(channels, values.collect())
+    }
+
+    /// The channels `columns` in that order, `[frames, columns]`.
+    ///
+    /// # Panics
+    /// Panics if there are no columns, or one is not there.
+    pub fn columns(&self, columns: &[usize]) -> Self {
+        let rows = self.values.chunks_exact(self.channels);
+        let values = rows.flat_map(|row| columns.iter().map(|&column| row[column]));
+        Self::new(columns.len(), values.collect())
+    }
+
+    /// Linear resampling to `frames` with half-pixel centres, `[frames, channels]`: frame i is read
+    /// at max(0, (i + 0.5) n / frames - 0.5), held at the right end. There is no low-pass filter.
+    pub fn resampled(&self, frames: usize) -> Self {
+        let scale = self.frames() as f64 / frames as f64;
+        self.read_at(frames, |i| ((i + 0.5) * scale - 0.5).max(0.0))
+    }
+
+    /// Linear resampling to `frames` with aligned ends, `[frames, channels]`: frame i is read at
+    /// i (n - 1) / (frames - 1).
+    pub fn resampled_aligned(&self, frames: usize) -> Self {
+        let scale = match frames {
+            0 | 1 => 0.0,
+            _ => (self.frames() - 1) as f64 / (frames - 1) as f64,
+        };
+        self.read_at(frames, |i| i * scale)
+    }
+
+    /// `frames` frames read at the positions that `position` gives.
+    fn read_at(&self, frames: usize, position: impl Fn(f64) -> f64) -> Self {
+        let last = self.frames() - 1;
+        let mut values = Vec::with_capacity(frames * self.channels);
+        for i in 0..frames {
+            let position = position(i as f64).min(last as f64);
+            let left = position as usize;
+            let part = (position - left as f64) as f32;
+            let right = self.frame((left + 1).min(last));
+            let pairs = self.frame(left).iter().zip(right);
+            values.extend(pairs.map(|(a, b)| (1.0 - part) * a + part * b));
+        }
+        Self::new(self.channels, values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn ramp(frames: usize) -> Frames {
+        let values = (0..frames).flat_map(|t| [t as f32, -2.0 * t as f32]);
+        Frames::new(2, values.collect())
+    }
+
+    proptest! {
+        #[test]
+        fn a_straight_line_stays_one(frames in 2..60usize, to in 2..90usize) {
+            let line = ramp(frames);
+            let aligned = line.resampled_aligned(to);
+            let step = (frames - 1) as f32 / (to - 1) as f32;
+            let centred = line.resampled(to);
+            let scale = frames as f32 / to as f32;
+            for i in 0..to {
+                let expected = i as f32 * step;
+                prop_assert!((aligned.frame(i)[0] - expected).abs() < 1e-4);
+                let expected = ((i as f32 + 0.5) * scale - 0.5).clamp(0.0, (frames - 1) as f32);
+                prop_assert!((centred.frame(i)[0] - expected).abs() < 1e-4);
+                prop_assert!((centred.frame(i)[1] + 2.0 * expected).abs() < 2e-4);
+            }
+        }
+
+        #[test]
+        fn its_own_length_changes_nothing(frames in 1..40usize) {
+            let line = ramp(frames);
+            prop_assert_eq!(&line.resampled(frames), &line);
+        }
+    }
+
+    #[test]
+    fn columns_and_joints_keep_their_order() {
+        let both = Frames::joined(&[ramp(2), ramp(3)]);
+        assert_eq!(both.frames(), 5);
+        assert_eq!(both.columns(&[1]).values(), [0.0, -2.0, 0.0, -2.0, -4.0]);
+    }
+}

@@ -1,0 +1,199 @@
+//! A whole job: from BVH motions to a new one.
+
+use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_motion::MAX_FRAMES;
+use kinegrad_settings::{Refused, in_range};
+
+use crate::synthesis::synthesize;
+use crate::{
+    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Part, Request,
+    Settings, Synthesis, feet,
+};
+
+/// How the body is divided.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum PartChoice {
+    /// Not at all.
+    #[default]
+    Whole,
+    /// By where the skeleton branches.
+    Automatic,
+    /// As the text of a TOML file says.
+    File {
+        /// The file, for messages.
+        file: String,
+        /// Its text.
+        text: String,
+    },
+}
+
+/// A body part that follows a given motion.
+#[derive(Clone, Debug)]
+pub struct Fixed {
+    /// The part, named as in [`Part::named`].
+    pub part: String,
+    /// The motion, which is as long as the new one.
+    pub motion: Example,
+}
+
+/// What is to be made.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// The settings of the synthesis.
+    pub settings: Settings,
+    /// How long the motion is; without one as long as what is fixed, else twice the examples.
+    pub length: Option<Length>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// The axis that points up in the files.
+    pub up: UpAxis,
+    /// Whether contacts of the feet are matched as well.
+    pub contacts: bool,
+    /// Whether the body is seen from its heading.
+    pub heading: bool,
+    /// How the body is divided.
+    pub parts: PartChoice,
+    /// Poses that the motion takes, each with the motion it is from: none is the first example.
+    pub keyframes: Vec<(Keyframe, Option<Example>)>,
+    /// Parts that follow given motions.
+    pub fixed: Vec<Fixed>,
+}
+
+/// A new motion and what it was made of.
+#[derive(Clone, Debug)]
+pub struct Made {
+    /// The motion, with the hierarchy of the first example.
+    pub bvh: Bvh,
+    /// The same as a matrix, and where it comes from.
+    pub synthesis: Synthesis,
+    /// How the files are matrices.
+    pub figure: Figure,
+    /// The examples as matrices.
+    pub examples: Vec<Frames>,
+    /// The parts that were matched, one for each list of origins.
+    pub parts: Vec<Part>,
+}
+
+impl Job {
+    /// Makes a motion of the examples.
+    ///
+    /// # Errors
+    /// For settings out of range, files that do not fit each other, examples shorter than a patch,
+    /// and parts or moments that are not there.
+    pub fn make(&self, examples: &[Example]) -> Result<Made, Error> {
+        self.settings.validate()?;
+        let contacts = match (self.contacts, examples.first()) {
+            (true, Some(first)) => feet(first.bvh.joints()),
+            _ => Vec::new(),
+        };
+        let options = FigureOptions {
+            up: self.up,
+            contacts,
+            heading: self.heading,
+        };
+        let figure = Figure::new(examples, options)?;
+        let matrices = examples.iter().map(|example| figure.frames(example));
+        let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
+        for (example, frames) in examples.iter().zip(&matrices) {
+            self.must_have_a_patch(example, frames, &figure)?;
+        }
+        let parts = match &self.parts {
+            PartChoice::Whole => vec![Part::whole(&figure)],
+            PartChoice::Automatic => Part::automatic(&figure),
+            PartChoice::File { file, text } => Part::read(text, file, &figure)?,
+        };
+        let known = match &self.parts {
+            PartChoice::Whole => Part::automatic(&figure),
+            _ => parts.clone(),
+        };
+        let fixed = self.fixed.iter().map(|fixed| figure.frames(&fixed.motion));
+        let fixed: Vec<Frames> = fixed.collect::<Result<_, _>>()?;
+        let frames = self.frames(&figure, &matrices, &fixed)?;
+        let mut held = Vec::new();
+        for (keyframe, source) in &self.keyframes {
+            let (source, poses) = match source {
+                Some(source) => (source, &figure.frames(source)?),
+                None => (&examples[0], &matrices[0]),
+            };
+            held.push(keyframe.held(&figure, &known, source, poses, frames)?);
+        }
+        for (fixed, motion) in self.fixed.iter().zip(fixed) {
+            held.push(Held::Channels {
+                channels: Part::named(&fixed.part, &known, &figure)?
+                    .channels(&figure)
+                    .channels,
+                motion,
+            });
+        }
+        let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
+        let request = Request {
+            examples: &matrices,
+            frames,
+            settings: &self.settings,
+            groups: &groups,
+            held: &held,
+        };
+        let mut synthesis = synthesize(&request, self.seed)?;
+        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
+            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            Some((frame, keyframe.place?))
+        });
+        figure.lead(&mut synthesis.frames, &points.collect::<Vec<_>>());
+        Ok(Made {
+            bvh: figure.bvh(&synthesis.frames)?,
+            synthesis,
+            figure,
+            examples: matrices,
+            parts,
+        })
+    }
+
+    fn must_have_a_patch(
+        &self,
+        example: &Example,
+        frames: &Frames,
+        figure: &Figure,
+    ) -> Result<(), Error> {
+        let (found, p) = (frames.frames(), self.settings.patch_size);
+        if found >= p {
+            return Ok(());
+        }
+        let rate = 1.0 / figure.frame_time();
+        let problem = format!(
+            "frames: {found} at {rate:.0} a second, allowed: at least `patch_size`, which is {p}"
+        );
+        let hint = "give a longer motion, or a smaller `--patch-size`";
+        Err(Error::file(&example.file, problem, hint))
+    }
+
+    /// Frames of the new motion.
+    fn frames(
+        &self,
+        figure: &Figure,
+        examples: &[Frames],
+        fixed: &[Frames],
+    ) -> Result<usize, Error> {
+        let all = examples.iter().map(Frames::frames).sum();
+        let asked = self
+            .length
+            .map(|length| length.frames(all, figure.frame_time()));
+        let frames = match (fixed.first(), asked) {
+            (Some(first), _) => first.frames(),
+            (None, asked) => asked.unwrap_or(2 * all),
+        };
+        let lengths = fixed.iter().map(Frames::frames).chain(asked);
+        if let Some(other) = lengths.into_iter().find(|&length| length != frames) {
+            let file = &self.fixed[0].motion.file;
+            let problem = format!("has {frames} frames, and another length asked for is {other}");
+            let hint = "a part that is fixed sets the length: leave `--length` out, and fix parts \
+                        with motions of one length";
+            return Err(Error::file(file, problem, hint));
+        }
+        in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)
+            .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
+        Ok(frames)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,178 @@
+//! Key frames of a new motion, from a TOML file.
+
+use serde::Deserialize;
+
+use crate::{Error, Example, Figure, Frames, Held, Part};
+
+/// Seconds before and after a key frame that bend towards it.
+const REACH: f64 = 0.4;
+
+/// A pose that the new motion takes at a moment.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct Keyframe {
+    /// When, in seconds.
+    pub time: f64,
+    /// The moment of the source at which it has the pose, in seconds.
+    pub source_time: f64,
+    /// File that the pose is taken from; without one the first example.
+    pub file: Option<String>,
+    /// The part of the body that takes the pose, named as in [`Part::named`]; without one all of
+    /// it.
+    pub part: Option<String>,
+    /// Where the joint that travels is then, on the two axes that do not point up, in the file's
+    /// units. The way before it is bent evenly; without it the way goes on as it does.
+    pub place: Option<[f64; 2]>,
+    /// Seconds before and after it that bend towards the pose; without it 0.4.
+    pub reach: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    keyframe: Vec<Keyframe>,
+}
+
+impl Keyframe {
+    /// The key frames of a TOML file: tables `[[keyframe]]` with `time` and `source_time` in seconds,
+    /// and where they are needed `file`, `part`, `place` and `reach`.
+    ///
+    /// # Errors
+    /// For a file that cannot be read so.
+    pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
+        let hint = "docs/matching.md describes files of key frames";
+        let document: Document = toml::from_str(text)
+            .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
+        for keyframe in &document.keyframe {
+            if let Some(place) = keyframe
+                .place
+                .filter(|place| !place.iter().all(|v| v.is_finite()))
+            {
+                let problem = format!("`place` is {place:?}, allowed: two finite numbers");
+                return Err(Error::file(file, problem, hint));
+            }
+            let seconds = [
+                Some(keyframe.time),
+                Some(keyframe.source_time),
+                keyframe.reach,
+            ];
+            for number in seconds.into_iter().flatten() {
+                if !(number.is_finite() && number >= 0.0) {
+                    let problem = format!("a time is {number}, allowed: seconds from 0");
+                    return Err(Error::file(file, problem, hint));
+                }
+            }
+        }
+        Ok(document.keyframe)
+    }
+
+    /// What a motion of `frames` frames must keep to: the pose of `source`, whose matrix is
+    /// `poses`, but for the horizontal way.
+    ///
+    /// # Errors
+    /// For a moment that the motion or the source does not have, or an unknown part.
+    pub fn held(
+        &self,
+        figure: &Figure,
+        parts: &[Part],
+        source: &Example,
+        poses: &Frames,
+        frames: usize,
+    ) -> Result<Held, Error> {
+        let frame = |seconds: f64| (seconds / figure.frame_time()).round() as usize;
+        let (t, from) = (frame(self.time), frame(self.source_time));
+        let end = |frames: usize| (frames - 1) as f64 * figure.frame_time();
+        if from >= poses.frames() {
+            let problem = format!(
+                "a key frame is taken at {} s, allowed: 0 to {:.2}",
+                self.source_time,
+                end(poses.frames())
+            );
+            let hint = "`source_time` is in seconds of that file";
+            return Err(Error::file(&source.file, problem, hint));
+        }
+        if t >= frames {
+            let problem = format!("`time` is {}, allowed: 0 to {:.2}", self.time, end(frames));
+            let hint = "a longer `--length` has room for it";
+            return Err(Error::file("key frame", problem, hint));
+        }
+        let part = match &self.part {
+            Some(name) => Part::named(name, parts, figure)?,
+            None => Part::whole(figure),
+        };
+        let mut channels = part.channels(figure).channels;
+        // The horizontal way says how the body moves on, not where it is.
+        channels.retain(|channel| *channel == figure.height() || !figure.way().contains(channel));
+        let pose = poses.frame(from);
+        Ok(Held::Keyframe {
+            at: (t as f64 + 0.5) / frames as f64,
+            values: channels.iter().map(|&channel| pose[channel]).collect(),
+            channels,
+            reach: frame(self.reach.unwrap_or(REACH)).min(frames),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FigureOptions;
+    use crate::figure::tests::example;
+
+    #[test]
+    fn key_frames_are_read_and_bounded() {
+        let walk = example("walk.bvh", 60, 1.0 / 30.0);
+        let figure = Figure::new(std::slice::from_ref(&walk), FigureOptions::default()).unwrap();
+        let poses = figure.frames(&walk).unwrap();
+        let read = |text: &str| Keyframe::read(text, "k.toml");
+        let text = "[[keyframe]]\ntime = 2.0\nsource_time = 0.5\npart = 'LeftLeg'\n";
+        let [key] = &read(text).unwrap()[..] else {
+            panic!("one")
+        };
+        let held = key.held(&figure, &[], &walk, &poses, 90).unwrap();
+        let Held::Keyframe {
+            at,
+            channels,
+            values,
+            reach,
+        } = held
+        else {
+            panic!("a key frame")
+        };
+        assert!((at - 60.5 / 90.0).abs() < 1e-12);
+        assert_eq!((channels.len(), reach), (12, 12));
+        assert_eq!(values[0], poses.frame(15)[channels[0]]);
+        let late = key
+            .held(&figure, &[], &walk, &poses, 50)
+            .unwrap_err()
+            .to_string();
+        assert_eq!(late, "key frame: `time` is 2, allowed: 0 to 1.63");
+        let whole = Keyframe {
+            part: None,
+            ..key.clone()
+        };
+        let held = whole.held(&figure, &[], &walk, &poses, 90).unwrap();
+        let Held::Keyframe { channels, .. } = held else {
+            panic!("a key frame")
+        };
+        assert_eq!(channels.len(), figure.channels() - 2);
+        for (text, said) in [
+            (
+                "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",
+                "a time is -1",
+            ),
+            (
+                "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [nan, 1.0]",
+                "`place` is [NaN, 1.0]",
+            ),
+            ("[[keyframe]]\ntime = 1.0", "missing field `source_time`"),
+            (
+                "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\npose = 1",
+                "unknown field `pose`",
+            ),
+        ] {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! New motion from one or a few examples, without training: GenMM, generative motion matching.
+//!
+//! Short stretches of the examples, the patches, are matched with a coarse start of noise and
+//! averaged where they overlap, from coarse to fine. So the result is made of the examples' own
+//! movements in another order. Source: W. Li and others, Example-based Motion Synthesis via
+//! Generative Motion Matching (2023), and its published program; docs/sources/genmm.md.
+//!
+//! ```
+//! use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize};
+//! let wave = (0..120).map(|t| (0.2 * t as f32).sin());
+//! let example = Frames::new(1, wave.collect());
+//! let request = Request {
+//!     examples: &[example],
+//!     frames: 200,
+//!     settings: &Settings::of(Preset::Published),
+//!     groups: &[],
+//!     held: &[],
+//! };
+//! let new = synthesize(&request, 0)?;
+//! assert_eq!(new.frames.frames(), 200);
+//! # Ok::<(), kinegrad_settings::InvalidSetting>(())
+//! ```
+
+mod displacement;
+mod distance;
+mod error;
+mod figure;
+mod frames;
+mod held;
+mod job;
+mod keyframes;
+mod length;
+mod metrics;
+mod nearest;
+mod parts;
+mod pool;
+mod pyramid;
+pub mod rotation6d;
+mod settings;
+mod synthesis;
+mod vote;
+
+pub use displacement::{displacements, places};
+pub use error::Error;
+pub use figure::{Example, Figure, FigureOptions};
+pub use frames::Frames;
+pub use held::Held;
+pub use job::{Fixed, Job, Made, PartChoice};
+pub use keyframes::Keyframe;
+pub use kinegrad_capture::Axis;
+pub use length::Length;
+pub use metrics::{Measures, Novelty};
+pub use nearest::{Distance, Matches, Search};
+pub use parts::{Part, feet};
+pub use pool::Pool;
+pub use pyramid::{Levels, pyramid_lengths};
+pub use settings::{CoarseRatio, Preset, Settings, Start};
+pub use synthesis::{
+    Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
+};
+pub use vote::{vote, with_ends, without_ends};

@@ -1,0 +1,143 @@
+//! What a new motion has of its examples: coverage, diversity and novelty.
+
+mod novelty;
+mod windows;
+
+use serde::Serialize;
+
+use crate::{Figure, Frames, Made};
+
+pub use novelty::Novelty;
+use windows::{cheapest, segmented};
+
+/// Frames of a window of coverage, and of the shortest segment of global diversity.
+const COVERED: usize = 30;
+/// Frames of a window of local diversity.
+const LOCAL: usize = 15;
+/// Distance below which a window is covered.
+const THRESHOLD: f64 = 2.0;
+/// Most pairs of frames that are compared.
+const MOST_PAIRS: usize = 20_000_000;
+
+/// Measures of a new motion. Distances are Euclidean, of the six numbers of each joint's rotation,
+/// averaged over the frames of a window. The definitions are those of the evaluation published with
+/// GANimator, which the paper follows; docs/sources/genmm.md.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Measures {
+    /// Part of the examples' windows of 30 frames, the last of each left out, whose distance to the
+    /// nearest window of the motion is below 2. The bound is loose: two frames of a dance are 2 to
+    /// 3 apart on average.
+    pub coverage: f64,
+    /// The mean of those distances: what coverage does not tell.
+    pub window_cost: f64,
+    /// Mean distance of the motion's windows of 15 frames, the last left out, to the nearest
+    /// window of the examples.
+    pub local_diversity: f64,
+    /// The largest of those distances.
+    pub furthest_window: f64,
+    /// Mean distance of the motion's frames to the examples', where the motion is cut into segments
+    /// of at least 30 frames that each follow one stretch of an example, so that it is least.
+    pub global_diversity: f64,
+}
+
+impl Measures {
+    /// Measures `motion` against `examples`, both `[frames, channels]` of rotations alone. None
+    /// where one has fewer than 31 frames, or all have so many that more than 20 million pairs of
+    /// frames would be compared.
+    ///
+    /// # Panics
+    /// Panics if the channels differ.
+    pub fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
+        let all: usize = examples.iter().map(Frames::frames).sum();
+        let long = |frames: &Frames| frames.frames() > COVERED;
+        let measurable = long(motion) && !examples.is_empty() && examples.iter().all(long);
+        if !measurable || motion.frames().saturating_mul(all) > MOST_PAIRS {
+            return None;
+        }
+        let motions = std::slice::from_ref(motion);
+        let mut covered = Vec::new();
+        for example in examples {
+            let mut costs = cheapest(example, motions, COVERED);
+            costs.pop();
+            covered.extend(costs);
+        }
+        let mut local = cheapest(motion, examples, LOCAL);
+        local.pop();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let hits = covered.iter().filter(|cost| **cost < THRESHOLD).count();
+        Some(Self {
+            coverage: hits as f64 / covered.len() as f64,
+            window_cost: mean(&covered),
+            local_diversity: mean(&local),
+            furthest_window: local.iter().copied().fold(0.0, f64::max),
+            global_diversity: segmented(motion, examples, COVERED),
+        })
+    }
+}
+
+impl Made {
+    /// Measures of the rotations of these joints, by their indices; all if there are none.
+    pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
+        let channels = rotations(&self.figure, joints);
+        let examples = self
+            .examples
+            .iter()
+            .map(|example| example.columns(&channels));
+        let examples: Vec<Frames> = examples.collect();
+        Measures::of(&self.synthesis.frames.columns(&channels), &examples)
+    }
+
+    /// What each part's motion copies, in the order of the parts.
+    pub fn novelty(&self) -> Vec<Novelty> {
+        let origins = self.synthesis.origins.iter();
+        origins
+            .map(|origins| Novelty::of(origins, self.figure.frame_time()))
+            .collect()
+    }
+}
+
+/// Channels of the rotations of these joints; of all, if there are none.
+fn rotations(figure: &Figure, joints: &[usize]) -> Vec<usize> {
+    match joints {
+        [] => (0..figure.joints().len())
+            .flat_map(|joint| figure.rotation_of(joint))
+            .collect(),
+        joints => joints
+            .iter()
+            .flat_map(|&joint| figure.rotation_of(joint))
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(frames: std::ops::Range<usize>) -> Frames {
+        Frames::new(1, frames.map(|t| t as f32).collect())
+    }
+
+    #[test]
+    fn a_copy_covers_what_it_copies_and_has_no_diversity() {
+        let example = line(0..100);
+        let copy = Measures::of(&example, std::slice::from_ref(&example)).unwrap();
+        assert_eq!((copy.coverage, copy.window_cost), (1.0, 0.0));
+        assert_eq!((copy.local_diversity, copy.global_diversity), (0.0, 0.0));
+        // The first half covers its own windows, and those that are less than 2 frames away: 22 of
+        // the 70 that start before frame 70.
+        let half = Measures::of(&line(0..50), &[example]).unwrap();
+        assert_eq!(half.coverage, 22.0 / 70.0);
+        assert_eq!(half.local_diversity, 0.0);
+        let apart = Measures::of(&line(0..100), &[line(500..600)]).unwrap();
+        assert_eq!(apart.coverage, 0.0);
+        assert!(apart.local_diversity > 400.0 && apart.furthest_window > 480.0);
+    }
+
+    #[test]
+    fn what_cannot_be_measured_is_none() {
+        assert!(Measures::of(&line(0..30), &[line(0..100)]).is_none());
+        assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
+        assert!(Measures::of(&line(0..100), &[]).is_none());
+        assert!(Measures::of(&line(0..5000), &[line(0..5000)]).is_none());
+    }
+}

@@ -1,0 +1,67 @@
+//! How much of a motion is copied.
+
+use serde::Serialize;
+
+/// Frames that follow each other as in an example before they count as copied: about a second.
+const COPIED: usize = 30;
+
+/// How much of a motion is copied, by where its frames come from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Novelty {
+    /// Part of the frames that are in runs of at least 30 which follow each other as in an example.
+    pub copied: f64,
+    /// The longest such run, in seconds.
+    pub longest_copied_seconds: f64,
+    /// Places a second at which the motion goes on elsewhere in the examples.
+    pub splices_per_second: f64,
+}
+
+impl Novelty {
+    /// Of a motion whose frame t continues frame `origins[t].1` of example `origins[t].0`, one
+    /// every `frame_time` seconds.
+    ///
+    /// # Panics
+    /// Panics if there are no frames.
+    pub fn of(origins: &[(usize, usize)], frame_time: f64) -> Self {
+        let follows =
+            |pair: &[(usize, usize)]| pair[0].0 == pair[1].0 && pair[0].1 + 1 == pair[1].1;
+        let mut runs = vec![1];
+        for pair in origins.windows(2) {
+            match follows(pair) {
+                true => *runs.last_mut().expect("one at least") += 1,
+                false => runs.push(1),
+            }
+        }
+        let frames = origins.len();
+        assert!(frames > 0);
+        let copied: usize = runs.iter().filter(|&&run| run >= COPIED).sum();
+        let longest = runs.iter().copied().max().unwrap_or(0);
+        Self {
+            copied: copied as f64 / frames as f64,
+            longest_copied_seconds: longest as f64 * frame_time,
+            splices_per_second: (runs.len() - 1) as f64 / (frames as f64 * frame_time),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_end_where_the_example_or_the_place_changes() {
+        let run = |example: usize, first: usize, frames: usize| {
+            (first..first + frames).map(move |frame| (example, frame))
+        };
+        let origins: Vec<_> = run(0, 5, 40)
+            .chain(run(1, 45, 10))
+            .chain(run(1, 3, 30))
+            .collect();
+        let novelty = Novelty::of(&origins, 0.05);
+        assert_eq!(novelty.copied, 70.0 / 80.0);
+        assert_eq!(novelty.longest_copied_seconds, 2.0);
+        assert_eq!(novelty.splices_per_second, 2.0 / 4.0);
+        let still = Novelty::of(&[(0, 3); 8], 0.05);
+        assert_eq!((still.copied, still.longest_copied_seconds), (0.0, 0.05));
+    }
+}

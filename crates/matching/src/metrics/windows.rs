@@ -1,0 +1,195 @@
+//! Distances of windows of one motion to the nearest window of others.
+
+use rayon::prelude::*;
+
+use crate::Frames;
+use crate::distance::{Padded, squared};
+
+/// Frames whose windows are compared at a time.
+const ROWS: usize = 64;
+
+/// The frames of all targets, one behind the other.
+struct Targets {
+    frames: Padded,
+    /// First frame and number of frames of each.
+    ranges: Vec<(usize, usize)>,
+}
+
+impl Targets {
+    fn new(targets: &[Frames]) -> Self {
+        let mut start = 0;
+        let ranges = targets.iter().map(|target| {
+            let range = (start, target.frames());
+            start += target.frames();
+            range
+        });
+        Self {
+            ranges: ranges.collect(),
+            frames: Padded::new(&Frames::joined(targets)),
+        }
+    }
+
+    /// The distances of `rows` frames from number `first` on to all frames of the targets, in
+    /// rows of those.
+    fn distances(&self, motion: &Padded, first: usize, rows: usize) -> Vec<f32> {
+        let mut distances = vec![0.0; rows * self.frames.frames()];
+        squared(motion, first, &self.frames, &mut distances);
+        distances
+            .iter_mut()
+            .for_each(|distance| *distance = distance.sqrt());
+        distances
+    }
+}
+
+/// For each window of `window` frames of `motion` its distance to the nearest window of the
+/// targets: the mean distance of their frames. Windows never span two targets.
+pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Vec<f64> {
+    let targets = Targets::new(targets);
+    let motion = Padded::new(motion);
+    let windows = motion.frames() + 1 - window;
+    let width = targets.frames.frames();
+    let firsts: Vec<usize> = (0..windows).step_by(ROWS).collect();
+    firsts
+        .par_iter()
+        .flat_map_iter(|&first| {
+            let rows = ROWS.min(windows - first);
+            let distances = targets.distances(&motion, first, rows + window - 1);
+            let of = |i: usize| {
+                let mut least = f64::INFINITY;
+                for &(start, frames) in &targets.ranges {
+                    for j in start..(start + frames + 1).saturating_sub(window) {
+                        let along = (0..window).map(|k| distances[(i + k) * width + j + k]);
+                        least = least.min(along.map(f64::from).sum());
+                    }
+                }
+                least / window as f64
+            };
+            (0..rows).map(of).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+/// Mean distance of the frames of `motion` to those of the targets, where it is cut into segments
+/// of at least `shortest` frames that each follow a stretch of a target, so that it is least:
+/// G(e) = min over s <= e - shortest of G(s) + the cheapest sum for the frames from s to e.
+pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
+    let targets = Targets::new(targets);
+    let motion = Padded::new(motion);
+    let frames = motion.frames();
+    // A segment of twice the shortest length is no cheaper than its halves.
+    let longest = 2 * shortest - 1;
+    let width = targets.frames.frames();
+    let firsts: Vec<usize> = (0..frames).step_by(ROWS).collect();
+    // For each end the cheapest sums of the segments of `shortest..=longest` frames before it.
+    let sums: Vec<Vec<f64>> = firsts
+        .par_iter()
+        .flat_map_iter(|&first| {
+            let before = first.min(longest);
+            let rows = ROWS.min(frames - first) + before;
+            let distances = targets.distances(&motion, first - before, rows);
+            let of = |end: usize| {
+                let mut least = vec![f64::INFINITY; longest - shortest + 1];
+                for &(start, frames) in &targets.ranges {
+                    for j in 0..frames {
+                        let mut sum = 0.0;
+                        for k in 0..longest.min(j + 1).min(end + 1) {
+                            sum += f64::from(distances[(end - k) * width + start + j - k]);
+                            if k + 1 >= shortest {
+                                let least = &mut least[k + 1 - shortest];
+                                *least = least.min(sum);
+                            }
+                        }
+                    }
+                }
+                least
+            };
+            (before..rows).map(of).collect::<Vec<_>>()
+        })
+        .collect();
+    let mut total = vec![f64::INFINITY; frames + 1];
+    total[0] = 0.0;
+    for end in 1..=frames {
+        for (index, sum) in sums[end - 1].iter().enumerate() {
+            if let Some(start) = end.checked_sub(shortest + index) {
+                total[end] = total[end].min(total[start] + sum);
+            }
+        }
+    }
+    total[frames] / frames as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn motion(seed: u64, frames: usize) -> Frames {
+        let key = Key::new(seed, Purpose::Matching);
+        Frames::new(3, key.normals(3 * frames))
+    }
+
+    fn apart(a: &Frames, i: usize, b: &Frames, j: usize) -> f64 {
+        let pairs = a.frame(i).iter().zip(b.frame(j));
+        pairs
+            .map(|(a, b)| f64::from(a - b).powi(2))
+            .sum::<f64>()
+            .sqrt()
+    }
+
+    /// The cheapest sum for the frames from `s` to `e`.
+    fn sum(motion: &Frames, targets: &[Frames], s: usize, e: usize) -> f64 {
+        let sums = targets.iter().flat_map(|target| {
+            let starts = 0..(target.frames() + 1 + s).saturating_sub(e);
+            starts.map(move |j| (s..e).map(|i| apart(motion, i, target, j + i - s)).sum())
+        });
+        sums.fold(f64::INFINITY, f64::min)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        #[test]
+        fn windows_and_segments_are_those_of_the_definition(
+            seed in 0..1000u64,
+            frames in 8..90usize,
+            lengths in proptest::collection::vec(6..40usize, 1..3),
+            window in 2..6usize,
+        ) {
+            let motion_frames = motion(seed, frames);
+            let targets: Vec<Frames> = lengths
+                .iter()
+                .enumerate()
+                .map(|(index, &frames)| motion(seed + 1 + index as u64, frames))
+                .collect();
+            let found = cheapest(&motion_frames, &targets, window);
+            prop_assert_eq!(found.len(), frames + 1 - window);
+            for (i, found) in found.iter().enumerate() {
+                let exact = sum(&motion_frames, &targets, i, i + window) / window as f64;
+                prop_assert!((found - exact).abs() < 1e-4);
+            }
+            // All segments, not those alone that are shorter than twice the shortest.
+            let mut total = vec![f64::INFINITY; frames + 1];
+            total[0] = 0.0;
+            for e in window..=frames {
+                for s in 0..=e - window {
+                    if total[s].is_finite() {
+                        total[e] = f64::min(total[e], total[s] + sum(&motion_frames, &targets, s, e));
+                    }
+                }
+            }
+            let found = segmented(&motion_frames, &targets, window);
+            prop_assert!((found - total[frames] / frames as f64).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_copy_costs_nothing() {
+        let original = motion(1, 80);
+        let itself = std::slice::from_ref(&original);
+        let costs = cheapest(&original, itself, 30);
+        assert!(costs.iter().all(|&cost| cost == 0.0));
+        assert_eq!(segmented(&original, itself, 30), 0.0);
+    }
+}

@@ -1,0 +1,353 @@
+//! Body parts, which are matched each by itself.
+
+use kinegrad_capture::Joint;
+use kinegrad_motion::rotation::length;
+use serde::Deserialize;
+
+use crate::{Channels, Error, Figure};
+
+/// A bone chain that is shorter than this part of the longest is no limb: fingers, ears, a tail.
+const LIMB: f64 = 0.25;
+
+/// A body part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// What it is called.
+    pub name: String,
+    /// Its joints, by their indices; neighbouring parts share the joint that connects them.
+    pub joints: Vec<usize>,
+    /// Whether the way of the joint that travels belongs to it.
+    pub way: bool,
+}
+
+/// A file of body parts.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    part: Vec<Entry>,
+}
+
+/// A part in a file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    name: String,
+    /// Joints by name.
+    #[serde(default)]
+    joints: Vec<String>,
+    /// Joints with all that hangs on them.
+    #[serde(default)]
+    below: Vec<String>,
+    #[serde(default)]
+    way: bool,
+}
+
+/// Words in the names of joints, for parts that are asked for by a common name.
+const COMMON: [(&str, &[&str], bool); 3] = [
+    (
+        "legs",
+        &[
+            "leg", "thigh", "shin", "knee", "ankle", "foot", "toe", "hipjoint",
+        ],
+        true,
+    ),
+    (
+        "arms",
+        &[
+            "arm", "shoulder", "elbow", "wrist", "hand", "clavicle", "collar",
+        ],
+        false,
+    ),
+    ("head", &["neck", "head"], false),
+];
+
+impl Part {
+    /// Its channels.
+    pub fn channels(&self, figure: &Figure) -> Channels {
+        let joints = self.joints.iter();
+        let mut channels: Vec<usize> = joints.flat_map(|&j| figure.channels_of(j)).collect();
+        if self.way {
+            channels.extend(figure.way());
+        }
+        channels.sort_unstable();
+        Channels {
+            name: self.name.clone(),
+            channels,
+        }
+    }
+
+    /// Parts by where the skeleton branches: the trunk, and a limb for each long chain that hangs
+    /// on it, with the joint of the trunk that it hangs on. The way of the body belongs to the
+    /// trunk and to limbs that hang on the joint that travels, the legs. A skeleton that does not
+    /// branch is one part.
+    pub fn automatic(figure: &Figure) -> Vec<Self> {
+        let joints = figure.joints();
+        let reach = reach(joints);
+        let long = |joint: usize| length(joints[joint].offset) + reach[joint] >= LIMB * reach[0];
+        let children = |parent: usize| {
+            (parent + 1..joints.len()).filter(move |&joint| joints[joint].parent == Some(parent))
+        };
+        let branches: Vec<bool> = (0..joints.len())
+            .map(|joint| children(joint).filter(|&child| long(child)).count() > 1)
+            .collect();
+        let mut limbs = Vec::new();
+        let mut in_trunk = vec![true; joints.len()];
+        for joint in 1..joints.len() {
+            let parent = joints[joint].parent.expect("only the root has none");
+            let subtree = subtree(joints, joint);
+            let is_limb = branches[parent] && long(joint);
+            if is_limb && !subtree.iter().any(|&below| branches[below]) {
+                subtree.iter().for_each(|&below| in_trunk[below] = false);
+                limbs.push(Self {
+                    name: bare(&joints[joint].name).to_string(),
+                    joints: [vec![parent], subtree].concat(),
+                    way: parent == figure.travelling(),
+                });
+            }
+        }
+        let trunk = Self {
+            name: "trunk".to_string(),
+            joints: (0..joints.len()).filter(|&joint| in_trunk[joint]).collect(),
+            way: true,
+        };
+        [vec![trunk], limbs].concat()
+    }
+
+    /// The whole body as one part.
+    pub fn whole(figure: &Figure) -> Self {
+        Self {
+            name: "body".to_string(),
+            joints: (0..figure.joints().len()).collect(),
+            way: true,
+        }
+    }
+
+    /// The parts of a TOML file: tables `[[part]]` with `name`, `joints` (names), `below` (joints
+    /// with all that hangs on them) and `way` (whether the body's way belongs to it). What is in
+    /// none of them is a part called `rest`.
+    ///
+    /// # Errors
+    /// For a file that cannot be read so, joints that the figure does not have, and parts without
+    /// joints.
+    pub fn read(text: &str, file: &str, figure: &Figure) -> Result<Vec<Self>, Error> {
+        let hint = "docs/matching.md describes files of parts";
+        let document: Document = toml::from_str(text)
+            .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
+        let mut parts = Vec::with_capacity(document.part.len());
+        for entry in document.part {
+            let mut joints = Vec::new();
+            for name in &entry.joints {
+                joints.push(joint(figure, name, file)?);
+            }
+            for name in &entry.below {
+                joints.extend(subtree(figure.joints(), joint(figure, name, file)?));
+            }
+            joints.sort_unstable();
+            joints.dedup();
+            if joints.is_empty() {
+                let problem = format!("part `{}` has no joints", entry.name);
+                return Err(Error::file(file, problem, hint));
+            }
+            parts.push(Self {
+                name: entry.name,
+                joints,
+                way: entry.way,
+            });
+        }
+        let mut rest = Self::whole(figure);
+        rest.name = "rest".to_string();
+        let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
+        rest.joints.retain(|joint| !taken(joint));
+        rest.way = parts.iter().all(|part| !part.way);
+        if !rest.joints.is_empty() {
+            parts.push(rest);
+        } else if rest.way {
+            let travels = figure.travelling();
+            for part in &mut parts {
+                part.way = part.joints.contains(&travels);
+            }
+        }
+        Ok(parts)
+    }
+
+    /// The part that a name means: one of `parts`, `legs`, `arms` or `head` by the words in the
+    /// names of joints, or a joint with all that hangs on it.
+    ///
+    /// # Errors
+    /// Names what there is.
+    pub fn named(name: &str, parts: &[Self], figure: &Figure) -> Result<Self, Error> {
+        if let Some(part) = parts.iter().find(|part| part.name == name) {
+            return Ok(part.clone());
+        }
+        let joints = figure.joints();
+        let of = |found: Vec<usize>, way| Self {
+            name: name.to_string(),
+            joints: found,
+            way,
+        };
+        if let Some((_, words, way)) = COMMON.iter().find(|(common, ..)| *common == name) {
+            let mut found: Vec<usize> = (1..joints.len())
+                .filter(|&joint| joint != figure.travelling())
+                .filter(|&joint| {
+                    let joint = bare(&joints[joint].name).to_lowercase();
+                    words.iter().any(|word| joint.contains(word))
+                })
+                .flat_map(|joint| subtree(joints, joint))
+                .collect();
+            found.sort_unstable();
+            found.dedup();
+            if !found.is_empty() {
+                return Ok(of(found, *way));
+            }
+        }
+        match joints
+            .iter()
+            .position(|joint| joint.name == name || bare(&joint.name) == name)
+        {
+            Some(joint) => {
+                let below = subtree(joints, joint);
+                let way = below.contains(&figure.travelling());
+                Ok(of(below, way))
+            }
+            None => {
+                let parts = parts.iter().map(|part| format!("`{}`", part.name));
+                let parts: Vec<String> = parts.collect();
+                let problem = format!("there is no part or joint `{name}`");
+                let hint = format!(
+                    "parts: {}; or a joint, with all that hangs on it; or `legs`, `arms`, `head`, \
+                     where joints are called so",
+                    parts.join(", ")
+                );
+                Err(Error::file("parts", problem, hint))
+            }
+        }
+    }
+}
+
+/// The joints whose names say that they are feet.
+pub fn feet(joints: &[Joint]) -> Vec<usize> {
+    let is_foot = |joint: &Joint| {
+        let name = bare(&joint.name).to_lowercase();
+        ["foot", "toe", "ankle"]
+            .iter()
+            .any(|word| name.contains(word))
+    };
+    (0..joints.len())
+        .filter(|&joint| is_foot(&joints[joint]))
+        .collect()
+}
+
+fn joint(figure: &Figure, name: &str, file: &str) -> Result<usize, Error> {
+    let joints = figure.joints();
+    let found = joints
+        .iter()
+        .position(|joint| joint.name == name || bare(&joint.name) == name);
+    found.ok_or_else(|| {
+        let names: Vec<&str> = joints.iter().map(|joint| bare(&joint.name)).collect();
+        let problem = format!("there is no joint `{name}`");
+        Error::file(file, problem, format!("joints: {}", names.join(", ")))
+    })
+}
+
+/// A name without its prefix up to a colon.
+fn bare(name: &str) -> &str {
+    name.rsplit(':').next().unwrap_or(name)
+}
+
+/// A joint and all that hangs on it.
+fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
+    let mut inside = vec![false; joints.len()];
+    inside[top] = true;
+    for joint in top + 1..joints.len() {
+        inside[joint] = joints[joint].parent.is_some_and(|parent| inside[parent]);
+    }
+    (top..joints.len()).filter(|&joint| inside[joint]).collect()
+}
+
+/// Length of the longest chain of bones that hangs on each joint.
+fn reach(joints: &[Joint]) -> Vec<f64> {
+    let mut reach: Vec<f64> = joints
+        .iter()
+        .map(|joint| {
+            joint
+                .end_sites
+                .iter()
+                .map(|&end| length(end))
+                .fold(0.0, f64::max)
+        })
+        .collect();
+    for joint in (1..joints.len()).rev() {
+        let parent = joints[joint].parent.expect("only the root has none");
+        reach[parent] = reach[parent].max(length(joints[joint].offset) + reach[joint]);
+    }
+    reach
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FigureOptions;
+    use crate::figure::tests::example;
+
+    fn walk() -> Figure {
+        let walk = example("walk.bvh", 20, 1.0 / 30.0);
+        Figure::new(&[walk], FigureOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn limbs_hang_on_the_trunk_by_a_shared_joint() {
+        let figure = walk();
+        let parts = Part::automatic(&figure);
+        let named: Vec<_> = parts.iter().map(|part| part.name.as_str()).collect();
+        assert_eq!(named, ["trunk", "LeftLeg", "RightLeg"]);
+        assert_eq!(parts[0].joints, [0, 1]);
+        assert_eq!(parts[1].joints, [1, 2, 3]);
+        assert!(parts.iter().all(|part| part.way));
+        let mut all: Vec<usize> = parts
+            .iter()
+            .flat_map(|p| p.channels(&figure).channels)
+            .collect();
+        all.sort_unstable();
+        all.dedup();
+        assert!(all.into_iter().eq(0..figure.channels()));
+        assert_eq!(feet(figure.joints()), [3, 5]);
+    }
+
+    #[test]
+    fn parts_are_read_and_the_rest_is_one() {
+        let figure = walk();
+        let text = "[[part]]\nname = 'left'\nbelow = ['LeftLeg']\n";
+        let parts = Part::read(text, "parts.toml", &figure).unwrap();
+        assert_eq!(parts[0].joints, [2, 3]);
+        assert_eq!((parts[1].name.as_str(), parts[1].way), ("rest", true));
+        assert_eq!(parts[1].joints, [0, 1, 4, 5]);
+        for (text, said) in [
+            (
+                "[[part]]\nname = 'a'\njoints = ['Tail']\n",
+                "no joint `Tail`",
+            ),
+            ("[[part]]\nname = 'a'\n", "part `a` has no joints"),
+            (
+                "[[part]]\nname = 'a'\njonts = []\n",
+                "unknown field `jonts`",
+            ),
+        ] {
+            let error = Part::read(text, "parts.toml", &figure)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+
+    #[test]
+    fn names_mean_parts_words_or_joints() {
+        let figure = walk();
+        let parts = Part::automatic(&figure);
+        let of =
+            |name: &str| Part::named(name, &parts, &figure).map(|part| (part.joints, part.way));
+        assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
+        assert_eq!(of("legs").unwrap(), (vec![2, 3, 4, 5], true));
+        assert_eq!(of("RightFoot").unwrap(), (vec![5], false));
+        assert!(of("arms").unwrap_err().to_string().contains("`arms`"));
+    }
+}

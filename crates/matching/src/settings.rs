@@ -1,0 +1,235 @@
+//! Settings of a synthesis, and the presets.
+
+use std::fmt::{self, Display};
+use std::str::FromStr;
+
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
+use serde::{Deserialize, Serialize};
+
+use crate::Distance;
+
+/// How long the coarsest level is.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum CoarseRatio {
+    /// So many patch sizes of the longest example, K of the paper; written `5x`.
+    Patches(f64),
+    /// This part of each motion's length; written `0.15`.
+    Ratio(f64),
+}
+
+impl CoarseRatio {
+    /// The part of each motion's length, where the longest example has `longest` frames.
+    pub fn ratio(self, patch_size: usize, longest: usize) -> f64 {
+        match self {
+            Self::Patches(patches) => patches * patch_size as f64 / longest as f64,
+            Self::Ratio(ratio) => ratio,
+        }
+    }
+}
+
+impl Display for CoarseRatio {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Patches(patches) => write!(f, "{patches}x"),
+            Self::Ratio(ratio) => write!(f, "{ratio}"),
+        }
+    }
+}
+
+impl From<CoarseRatio> for String {
+    fn from(ratio: CoarseRatio) -> Self {
+        ratio.to_string()
+    }
+}
+
+impl FromStr for CoarseRatio {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.trim().parse::<f64>().ok();
+        let parsed = match text.strip_suffix('x') {
+            Some(patches) => number(patches).map(Self::Patches),
+            None => number(text).map(Self::Ratio),
+        };
+        let allowed = "allowed: patch sizes of the longest example, as 5x, or a part of each \
+                       length, as 0.15";
+        parsed.ok_or_else(|| allowed.to_string())
+    }
+}
+
+impl TryFrom<String> for CoarseRatio {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+/// What the coarsest level begins with.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Start {
+    /// The examples joined end to end and resampled, plus noise, and of that the remainder of the
+    /// division by 1, as the published program has it.
+    Examples,
+    /// Noise alone, as the paper has it.
+    Noise,
+}
+
+/// Sets of settings.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// Those of the published program: K 5, 3 steps, the mean square, examples with noise, the whole
+    /// body at once.
+    #[default]
+    Published,
+    /// Those of the paper: K 4, 5 steps, the Euclidean distance, noise alone, by body parts, with
+    /// contacts of the feet.
+    Paper,
+}
+
+/// Settings of a synthesis.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Frames of a patch, p; odd. Smaller: less of the motion is seen at once, and transitions are
+    /// more frequent.
+    pub patch_size: usize,
+    /// Length of a level divided by that of the next finer one.
+    pub pyr_factor: f64,
+    /// Length of the coarsest level, K. More patches: more variety, and less that hangs together.
+    pub coarse_ratio: CoarseRatio,
+    /// Completeness: the smaller, the more of the example appears, as patches that nothing is near
+    /// to gain weight; none turns it off. The document says both this and the contrary; this is
+    /// what is measured.
+    pub alpha: Option<f64>,
+    /// Standard deviation of the noise that the coarsest level starts with; 0 is no noise.
+    pub sigma: f64,
+    /// Steps of matching and voting at each level, E.
+    pub num_steps: usize,
+    /// Distance of two patches.
+    pub distance: Distance,
+    /// What the coarsest level starts with.
+    pub start: Start,
+    /// Whether the motion's end leads into its beginning.
+    pub looping: bool,
+}
+
+impl Settings {
+    /// The settings of a preset; body parts and contacts are no part of them.
+    pub fn of(preset: Preset) -> Self {
+        let published = Self {
+            patch_size: 11,
+            pyr_factor: 0.75,
+            coarse_ratio: CoarseRatio::Patches(5.0),
+            alpha: Some(0.01),
+            sigma: 10.0,
+            num_steps: 3,
+            distance: Distance::MeanSquare,
+            start: Start::Examples,
+            looping: false,
+        };
+        match preset {
+            Preset::Published => published,
+            Preset::Paper => Self {
+                coarse_ratio: CoarseRatio::Patches(4.0),
+                sigma: 1.0,
+                num_steps: 5,
+                distance: Distance::L2,
+                start: Start::Noise,
+                ..published
+            },
+        }
+    }
+
+    /// One control from mixing (0) to copying (1), in place of K and alpha: K goes from 12 to 2
+    /// patch sizes and alpha from 0.001 to 0.1, both by equal factors. Beyond 0.1 less of the example
+    /// appears and no more is copied.
+    ///
+    /// # Errors
+    /// If `coherence` is not between 0 and 1.
+    pub fn with_coherence(self, coherence: f64) -> Result<Self, InvalidSetting> {
+        in_range("coherence", coherence, 0.0..=1.0)
+            .hint("0 mixes most, 1 copies long stretches of the example")?;
+        let between = |from: f64, to: f64| from * (to / from).powf(coherence);
+        Ok(Self {
+            coarse_ratio: CoarseRatio::Patches(between(12.0, 2.0)),
+            alpha: Some(between(0.001, 0.1)),
+            ..self
+        })
+    }
+
+    /// Rejects settings that no motion can be made with.
+    ///
+    /// # Errors
+    /// Names the first such setting.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        let odd = self.patch_size % 2 == 1 && self.patch_size > 1;
+        require(odd, "patch_size", self.patch_size, "an odd number from 3")
+            .hint("11 frames are a third of a second")?;
+        let hint = "0.75 makes each level a third longer than the one before";
+        in_range("pyr_factor", self.pyr_factor, 0.1..=0.99).hint(hint)?;
+        let (CoarseRatio::Patches(ratio) | CoarseRatio::Ratio(ratio)) = self.coarse_ratio;
+        in_range("coarse_ratio", ratio, ABOVE_ZERO).hint("5x is the published program's")?;
+        if let Some(alpha) = self.alpha {
+            in_range("alpha", alpha, ABOVE_ZERO).hint("0.01; `none` leaves completeness out")?;
+        }
+        in_range("sigma", self.sigma, 0.0..=1e6).hint("0 is no noise")?;
+        in_range("num_steps", self.num_steps, 1..=1000).hint("3 to 5 are usual")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coarse_ratios_are_read_as_they_are_written() {
+        for (text, ratio) in [
+            ("5x", CoarseRatio::Patches(5.0)),
+            ("0.15", CoarseRatio::Ratio(0.15)),
+        ] {
+            assert_eq!(text.parse(), Ok(ratio));
+            assert_eq!(ratio.to_string(), text);
+        }
+        assert!("five".parse::<CoarseRatio>().is_err());
+        let ratio = CoarseRatio::Patches(5.0).ratio(11, 371);
+        assert!((ratio - 0.148_247_978).abs() < 1e-8);
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let published = Settings::of(Preset::Published);
+        published.validate().unwrap();
+        Settings::of(Preset::Paper).validate().unwrap();
+        let refused = |change: fn(&mut Settings)| {
+            let mut settings = Settings::of(Preset::Published);
+            change(&mut settings);
+            settings.validate().unwrap_err().key
+        };
+        assert_eq!(refused(|s| s.patch_size = 10), "patch_size");
+        assert_eq!(refused(|s| s.patch_size = 1), "patch_size");
+        assert_eq!(refused(|s| s.pyr_factor = 1.0), "pyr_factor");
+        assert_eq!(refused(|s| s.alpha = Some(0.0)), "alpha");
+        assert_eq!(refused(|s| s.sigma = f64::NAN), "sigma");
+        assert_eq!(refused(|s| s.num_steps = 0), "num_steps");
+        let zero = |s: &mut Settings| s.coarse_ratio = CoarseRatio::Ratio(0.0);
+        assert_eq!(refused(zero), "coarse_ratio");
+        assert!(published.with_coherence(1.5).is_err());
+    }
+
+    #[test]
+    fn coherence_goes_from_many_patches_to_few() {
+        let at = |coherence| {
+            let settings = Settings::of(Preset::Published)
+                .with_coherence(coherence)
+                .unwrap();
+            (settings.coarse_ratio.ratio(1, 1), settings.alpha.unwrap())
+        };
+        let close = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() + (a.1 - b.1).abs() < 1e-9;
+        assert!(close(at(0.0), (12.0, 0.001)) && close(at(1.0), (2.0, 0.1)));
+        assert!(at(0.5).0 < at(0.2).0 && at(0.5).1 > at(0.2).1);
+    }
+}

@@ -1,0 +1,269 @@
+//! The synthesis: from a coarse start, level by level, each frame voted for by matched patches.
+
+use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+
+use crate::vote::{vote, with_ends, without_ends};
+use crate::{Frames, Held, Levels, Matches, Pool, Search, Settings, Start};
+
+/// A group of channels that is matched by itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channels {
+    /// What it is called.
+    pub name: String,
+    /// Its channels, of which other groups may have some as well: those are averaged.
+    pub channels: Vec<usize>,
+}
+
+/// A new motion and where it comes from.
+#[derive(Clone, Debug)]
+pub struct Synthesis {
+    /// The motion, `[frames, channels]`.
+    pub frames: Frames,
+    /// Of each group the example and the frame in it that each frame of the motion continues,
+    /// `[groups][frames]`: the frame's place in the patch that was chosen around it in the last
+    /// step.
+    pub origins: Vec<Vec<(usize, usize)>>,
+}
+
+/// What is to be made of which examples.
+pub struct Request<'a> {
+    /// The examples, each `[frames, channels]`.
+    pub examples: &'a [Frames],
+    /// Frames of the new motion.
+    pub frames: usize,
+    /// The settings.
+    pub settings: &'a Settings,
+    /// Groups of channels that are matched each by itself; together they have every channel. None:
+    /// all channels are matched together.
+    pub groups: &'a [Channels],
+    /// What the motion must keep to.
+    pub held: &'a [Held],
+}
+
+impl Request<'_> {
+    /// Lengths of all levels.
+    ///
+    /// # Errors
+    /// As [`synthesize`].
+    pub fn levels(&self) -> Result<Levels, InvalidSetting> {
+        let settings = self.settings;
+        settings.validate()?;
+        let p = settings.patch_size;
+        let lengths: Vec<usize> = self.examples.iter().map(Frames::frames).collect();
+        let longest = lengths.iter().copied().max().unwrap_or(0);
+        require(longest > 0, "examples", "empty", "one motion or more")?;
+        for (index, frames) in lengths.iter().enumerate() {
+            let found = format!("{p} with {frames} frames in example {}", index + 1);
+            let allowed = "at most the frames of each example";
+            require(*frames >= p, "patch_size", found, allowed)
+                .hint("give a longer example, or a smaller patch")?;
+        }
+        in_range("length", self.frames, p..).hint("a motion has at least one patch")?;
+        let coarse = settings.coarse_ratio.ratio(p, longest);
+        Ok(Levels::new(
+            &lengths,
+            self.frames,
+            coarse,
+            settings.pyr_factor,
+            p,
+        ))
+    }
+}
+
+/// The noise of a seed for a start of `frames` frames, standard normal.
+pub fn start_noise(seed: u64, frames: usize, channels: usize) -> Frames {
+    let key = Key::new(seed, Purpose::Matching);
+    Frames::new(channels, key.normals(frames * channels))
+}
+
+/// The motion that the coarsest level starts from: of the coarsest `examples` and `noise`, which
+/// has its length and is standard normal.
+///
+/// Source: GenMM; docs/sources/genmm.md.
+///
+/// # Panics
+/// Panics if the channels differ.
+pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> Frames {
+    let sigma = sigma as f32;
+    let scaled = noise.values().iter().map(|value| sigma * value);
+    if start == Start::Noise {
+        return Frames::new(noise.channels(), scaled.collect());
+    }
+    let mut first = Frames::joined(examples).resampled_aligned(noise.frames());
+    assert_eq!(first.channels(), noise.channels());
+    if sigma > 0.0 {
+        let values = first.values_mut().iter_mut();
+        // The remainder takes the sign of the sum.
+        values
+            .zip(scaled)
+            .for_each(|(value, noise)| *value = (*value + noise) % 1.0);
+    }
+    first
+}
+
+/// One step: matching against `search`, which is among the patches of `pool`, and voting.
+///
+/// # Panics
+/// As [`Search::nearest`].
+pub fn step(
+    current: &Frames,
+    pool: &Pool,
+    search: &Search<'_>,
+    alpha: Option<f64>,
+    looping: bool,
+) -> (Frames, Matches) {
+    let p = pool.patch_size();
+    if !looping {
+        let matches = search.nearest(current, alpha);
+        return (vote(pool, &matches.nearest), matches);
+    }
+    let matches = search.nearest(&with_ends(current, p), alpha);
+    (without_ends(&vote(pool, &matches.nearest), p), matches)
+}
+
+/// A new motion of the examples, from the noise of `seed`. The same request and seed give the same
+/// motion on any number of threads.
+///
+/// # Errors
+/// For settings out of range, an example or a motion shorter than a patch, or no examples.
+///
+/// # Panics
+/// Panics if the channels of the examples, groups or held motions do not fit.
+pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, InvalidSetting> {
+    let first = request.levels()?.synthesis[0];
+    let noise = start_noise(seed, first, request.examples[0].channels());
+    synthesize_from(request, &noise)
+}
+
+/// [`synthesize`] from `noise`, which is standard normal and as long as the coarsest level.
+///
+/// # Errors
+/// As [`synthesize`].
+///
+/// # Panics
+/// As [`synthesize`], and if the noise has another length.
+pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
+    let levels = request.levels()?;
+    let Settings {
+        patch_size,
+        alpha,
+        sigma,
+        num_steps,
+        distance,
+        looping,
+        ..
+    } = *request.settings;
+    let channels = request.examples[0].channels();
+    let whole = [Channels {
+        name: "body".to_string(),
+        channels: (0..channels).collect(),
+    }];
+    let groups = match request.groups {
+        [] => &whole[..],
+        groups => groups,
+    };
+    let mut current: Option<Frames> = None;
+    let mut origins = Vec::new();
+    for (level, &length) in levels.synthesis.iter().enumerate() {
+        let examples = request.examples.iter().zip(&levels.examples);
+        let examples: Vec<Frames> = examples
+            .map(|(example, lengths)| example.resampled(lengths[level]))
+            .collect();
+        let mut frames = match current {
+            None => {
+                assert_eq!(noise.frames(), length, "frames of noise");
+                start(&examples, noise, sigma, request.settings.start)
+            }
+            Some(coarser) => coarser.resampled(length),
+        };
+        request.held.iter().for_each(|held| held.hold(&mut frames));
+        let pools: Vec<Pool> = groups
+            .iter()
+            .map(|group| {
+                let own = examples
+                    .iter()
+                    .map(|example| example.columns(&group.channels));
+                Pool::new(&own.collect::<Vec<_>>(), patch_size)
+            })
+            .collect();
+        let searches: Vec<Search<'_>> = pools
+            .iter()
+            .map(|pool| Search::new(pool, distance))
+            .collect();
+        for _ in 0..num_steps {
+            let voted = groups.iter().zip(pools.iter().zip(&searches));
+            let voted: Vec<(Frames, Matches)> = voted
+                .map(|(group, (pool, search))| {
+                    step(
+                        &frames.columns(&group.channels),
+                        pool,
+                        search,
+                        alpha,
+                        looping,
+                    )
+                })
+                .collect();
+            frames = together(groups, &voted, channels);
+            request.held.iter().for_each(|held| held.hold(&mut frames));
+            origins = voted
+                .iter()
+                .zip(&pools)
+                .map(|((_, matches), pool)| origins_of(matches, pool, length, looping))
+                .collect();
+        }
+        current = Some(frames);
+    }
+    Ok(Synthesis {
+        frames: current.expect("a level"),
+        origins,
+    })
+}
+
+/// The groups' motions as one; channels that several have are their mean.
+fn together(groups: &[Channels], voted: &[(Frames, Matches)], channels: usize) -> Frames {
+    if let ([group], [(frames, _)]) = (groups, voted)
+        && group.channels.iter().copied().eq(0..channels)
+    {
+        return frames.clone();
+    }
+    let mut counts = vec![0.0f32; channels];
+    for channel in groups.iter().flat_map(|group| &group.channels) {
+        counts[*channel] += 1.0;
+    }
+    let mut whole = Frames::zeros(voted[0].0.frames(), channels);
+    for (group, (frames, _)) in groups.iter().zip(voted) {
+        for t in 0..frames.frames() {
+            let row = whole.frame_mut(t);
+            for (&channel, value) in group.channels.iter().zip(frames.frame(t)) {
+                row[channel] += value;
+            }
+        }
+    }
+    for row in whole.values_mut().chunks_exact_mut(channels) {
+        for (value, count) in row.iter_mut().zip(&counts) {
+            *value /= count.max(1.0);
+        }
+    }
+    whole
+}
+
+/// Example and frame that each frame continues: its place in the patch around it.
+fn origins_of(matches: &Matches, pool: &Pool, frames: usize, looping: bool) -> Vec<(usize, usize)> {
+    let half = pool.patch_size() / 2;
+    let last = matches.nearest.len() - 1;
+    let origin = |t: usize| {
+        // A looping motion has a patch around every frame; the first is around frame 0.
+        let patch = match looping {
+            true => t,
+            false => t.saturating_sub(half).min(last),
+        };
+        let within = if looping { half } else { t - patch };
+        let (example, first) = pool.origin(matches.nearest[patch]);
+        (example, first + within)
+    };
+    (0..frames).map(origin).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,102 @@
+//! Voting: every frame becomes the mean of all selected patches that cover it.
+
+use rayon::prelude::*;
+
+use crate::{Frames, Pool};
+
+/// The motion of `nearest.len() + patch_size - 1` frames in which patch i is the example patch
+/// `nearest[i]`, `[frames, channels]`: a frame is the mean of the patches that cover it, which are
+/// one at either end and `patch_size` in the middle.
+///
+/// # Panics
+/// Panics if `nearest` is empty or names no patch of `pool`.
+pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
+    let p = pool.patch_size();
+    let channels = pool.frames().channels();
+    let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
+    let mut voted = Frames::zeros(starts.len() + p - 1, channels);
+    let frames = voted.values_mut().par_chunks_exact_mut(channels);
+    frames.enumerate().for_each(|(t, frame)| {
+        let covering = t.saturating_sub(p - 1)..(t + 1).min(starts.len());
+        let count = covering.len() as f32;
+        for i in covering {
+            let source = pool.frames().frame(starts[i] + t - i);
+            for (sum, value) in frame.iter_mut().zip(source) {
+                *sum += value;
+            }
+        }
+        frame.iter_mut().for_each(|sum| *sum /= count);
+    });
+    voted
+}
+
+/// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
+/// over the seam.
+pub fn with_ends(frames: &Frames, patch_size: usize) -> Frames {
+    let (n, half) = (frames.frames(), patch_size / 2);
+    let wrapped = (0..n + 2 * half).flat_map(|t| frames.frame((t + n - half % n) % n));
+    Frames::new(frames.channels(), wrapped.copied().collect())
+}
+
+/// The voted result of [`with_ends`] without the added frames: the first and the last
+/// `patch_size / 2` frames become the mean of themselves and of their copies at the other end.
+pub fn without_ends(padded: &Frames, patch_size: usize) -> Frames {
+    let half = patch_size / 2;
+    let (n, channels) = (padded.frames() - 2 * half, padded.channels());
+    let inner = &padded.values()[half * channels..(half + n) * channels];
+    let mut frames = Frames::new(channels, inner.to_vec());
+    let mut meet = |t: usize, copy: usize| {
+        let pairs = frames.frame_mut(t).iter_mut().zip(padded.frame(copy));
+        pairs.for_each(|(value, copy)| *value = (*value + copy) / 2.0);
+    };
+    for k in 0..half {
+        meet(k, half + n + k);
+        meet(n - half + k, k);
+    }
+    frames
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn numbered(frames: usize) -> Frames {
+        Frames::new(1, (0..frames).map(|t| t as f32).collect())
+    }
+
+    proptest! {
+        #[test]
+        fn patches_in_their_own_place_give_the_example_back(
+            frames in 9..40usize,
+            half in 0..5usize,
+        ) {
+            let example = numbered(frames);
+            let pool = Pool::new(std::slice::from_ref(&example), 2 * half + 1);
+            let own: Vec<usize> = (0..pool.patches()).collect();
+            prop_assert_eq!(&vote(&pool, &own), &example);
+        }
+
+        #[test]
+        fn ends_come_and_go(frames in 9..40usize, half in 0..5usize) {
+            let motion = numbered(frames);
+            let padded = with_ends(&motion, 2 * half + 1);
+            prop_assert_eq!(padded.frames(), frames + 2 * half);
+            prop_assert_eq!(padded.frame(half), motion.frame(0));
+            if half > 0 {
+                prop_assert_eq!(padded.frame(0), motion.frame(frames - half));
+                prop_assert_eq!(padded.frame(frames + half), motion.frame(0));
+            }
+            prop_assert_eq!(&without_ends(&padded, 2 * half + 1), &motion);
+        }
+    }
+
+    #[test]
+    fn a_frame_is_the_mean_of_what_covers_it() {
+        let pool = Pool::new(&[numbered(6)], 3);
+        // Patches 0 1 2, 3 4 5 and 2 3 4.
+        let voted = vote(&pool, &[0, 3, 2]);
+        assert_eq!(voted.values(), [0.0, 2.0, 8.0 / 3.0, 4.0, 4.0]);
+    }
+}

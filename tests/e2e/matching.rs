@@ -1,0 +1,231 @@
+//! New motion from examples: what is written, and what is refused.
+
+use std::fmt::Write;
+use std::fs;
+
+use kinegrad_tests::sandbox::Sandbox;
+
+/// Joints of a small body with their parents and offsets in centimetres.
+const JOINTS: [(&str, Option<usize>, [i32; 3]); 9] = [
+    ("Hips", None, [0, 95, 0]),
+    ("LeftLeg", Some(0), [9, -5, 0]),
+    ("LeftFoot", Some(1), [0, -80, 0]),
+    ("RightLeg", Some(0), [-9, -5, 0]),
+    ("RightFoot", Some(3), [0, -80, 0]),
+    ("Spine", Some(0), [0, 45, 0]),
+    ("Head", Some(5), [0, 20, 0]),
+    ("LeftArm", Some(5), [18, 0, 0]),
+    ("RightArm", Some(5), [-18, 0, 0]),
+];
+
+/// A walk as BVH, of so many frames at 60 a second.
+fn walk(frames: usize) -> String {
+    let mut text = "HIERARCHY\n".to_string();
+    let mut open: Vec<usize> = Vec::new();
+    for (index, (name, parent, [x, y, z])) in JOINTS.iter().enumerate() {
+        while open.last().copied() != *parent {
+            text += "End Site\n{\nOFFSET 0 -60 5\n}\n}\n";
+            open.pop();
+            if open.last().copied() != *parent {
+                text += "}\n";
+                open.pop();
+            }
+        }
+        let (kind, places) = match parent {
+            None => ("ROOT", "6 Xposition Yposition Zposition "),
+            Some(_) => ("JOINT", "3 "),
+        };
+        writeln!(text, "{kind} {name}\n{{\nOFFSET {x} {y} {z}").expect("text");
+        writeln!(text, "CHANNELS {places}Zrotation Yrotation Xrotation").expect("text");
+        open.push(index);
+    }
+    text += "End Site\n{\nOFFSET 0 -60 5\n}\n";
+    text += &"}\n".repeat(open.len());
+    writeln!(text, "MOTION\nFrames: {frames}\nFrame Time: 0.016667").expect("text");
+    for t in 0..frames {
+        let seconds = t as f64 / 60.0;
+        write!(
+            text,
+            "{} 94.5 {}",
+            4.0 * (2.1 * seconds).sin(),
+            110.0 * seconds
+        )
+        .expect("text");
+        for joint in 0..JOINTS.len() {
+            let phase = if joint == 3 || joint == 7 { 3.1 } else { 0.0 };
+            let swing = 25.0 * (5.0 * seconds + phase + 0.2 * joint as f64).sin();
+            write!(
+                text,
+                " {} {} {swing}",
+                0.2 * swing,
+                3.0 * (1.3 * seconds).cos()
+            )
+            .expect("text");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("dance.bvh", walk(300));
+    sandbox
+}
+
+/// The lines of a BVH file above its frames, and the number of frames.
+fn head(text: &str) -> (String, usize) {
+    let (hierarchy, motion) = text.split_once("MOTION").expect("a motion");
+    let mut lines = motion.trim().lines();
+    let frames = lines.next().and_then(|line| line.strip_prefix("Frames: "));
+    let frames: usize = frames
+        .and_then(|n| n.parse().ok())
+        .expect("a number of frames");
+    assert_eq!(lines.count(), frames + 1);
+    (
+        hierarchy.split_whitespace().collect::<Vec<_>>().join(" "),
+        frames,
+    )
+}
+
+#[test]
+fn a_motion_is_written_with_its_record_and_not_over_another() {
+    let sandbox = sandbox();
+    let said = sandbox
+        .run("match dance.bvh --out new/one.bvh --svg new/one.svg")
+        .succeeded();
+    assert_eq!(said.stdout, "new/one.bvh\nnew/one.json\nnew/one.svg\n");
+    assert!(said.stderr.contains("coverage"), "{}", said.stderr);
+    let read = |name: &str| fs::read_to_string(sandbox.path(name)).expect("written");
+    let (new, example) = (read("new/one.bvh"), walk(300));
+    let ((hierarchy, frames), (of_example, _)) = (head(&new), head(&example));
+    // Offsets are written with six decimals.
+    assert_eq!(hierarchy.replace(".000000", ""), of_example);
+    assert_eq!(frames, 300);
+    assert!(new.contains("Frame Time: 0.033334"), "{new}");
+    let record: serde_json::Value = serde_json::from_str(&read("new/one.json")).expect("JSON");
+    assert_eq!(record["settings"]["patch_size"], 11);
+    assert_eq!(record["settings"]["coarse_ratio"], "5x");
+    assert!(record["measures"]["coverage"].as_f64().expect("a number") > 0.5);
+    assert!(read("new/one.svg").starts_with("<svg"));
+
+    let again = sandbox.run("match dance.bvh --out new/one.bvh --seed 1");
+    again.failed(2, &["new/one.bvh exists already", "`--overwrite`"]);
+    assert_eq!(read("new/one.bvh"), new);
+    sandbox
+        .run("match dance.bvh --out new/one.bvh --seed 1 --overwrite")
+        .succeeded();
+    assert_ne!(read("new/one.bvh"), new);
+    sandbox.run("match dance.bvh --out same.bvh").succeeded();
+    assert_eq!(read("same.bvh"), new, "the same seed gives the same motion");
+}
+
+#[test]
+fn lengths_examples_and_uses_of_all_kinds_work() {
+    let sandbox = sandbox();
+    sandbox.write("other.bvh", walk(170));
+    sandbox.write(
+        "parts.toml",
+        "[[part]]\nname = 'upper'\nbelow = ['Spine']\n",
+    );
+    sandbox.write("k.toml", "[[keyframe]]\ntime = 2.0\nsource_time = 1.0\n");
+    for (options, frames) in [
+        ("dance.bvh other.bvh", 470),
+        ("dance.bvh --length 120", 120),
+        ("dance.bvh --length 2.5s", 75),
+        ("dance.bvh --length 0.5x --loop", 75),
+        ("dance.bvh --preset paper", 300),
+        ("dance.bvh --parts parts.toml --heading", 300),
+        ("dance.bvh --coherence 0.8 --patch-size 7 --steps 2", 300),
+        ("dance.bvh --alpha none --sigma 0 --coarse-ratio 0.3", 300),
+        ("dance.bvh --keyframes k.toml", 300),
+        ("dance.bvh --fix legs=other.bvh", 85),
+    ] {
+        let run = sandbox.run(&format!("match {options} --out new.bvh --overwrite --json"));
+        let record: serde_json::Value =
+            serde_json::from_str(&run.succeeded().stdout).expect("JSON");
+        assert_eq!(record["frames"], frames, "{options}");
+        let text = fs::read_to_string(sandbox.path("new.bvh")).expect("written");
+        assert_eq!(head(&text).1, frames, "{options}");
+    }
+}
+
+#[test]
+fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
+    let sandbox = sandbox();
+    sandbox.write("one.bvh", walk(1));
+    sandbox.write("short.bvh", walk(18));
+    sandbox.write("other.bvh", walk(300).replace("RightFoot", "RightToe"));
+    sandbox.write("nan.bvh", walk(300).replacen("94.5", "nan", 1));
+    sandbox.write("cut.bvh", &walk(300)[..2000]);
+    let flat: Vec<String> = walk(300)
+        .lines()
+        .map(|line| match line.starts_with("OFFSET") {
+            true => "OFFSET 0 0 0".to_string(),
+            false => line.to_string(),
+        })
+        .collect();
+    sandbox.write("flat.bvh", flat.join("\n"));
+    sandbox.write("parts.toml", "[[part]]\nname = 'wing'\njoints = ['Wing']\n");
+    sandbox.write(
+        "late.toml",
+        "[[keyframe]]\ntime = 90.0\nsource_time = 1.0\n",
+    );
+    let before = sandbox.list(".");
+    for (options, texts) in [
+        ("none.bvh", &["none.bvh cannot be read"][..]),
+        ("dance.npy", &["dance.npy is no .bvh file"]),
+        (
+            "one.bvh",
+            &["one.bvh: frames: 1 at 30", "`patch_size`, which is 11"],
+        ),
+        (
+            "dance.bvh short.bvh",
+            &["short.bvh: frames: 9 at 30", "`--patch-size`"],
+        ),
+        (
+            "dance.bvh other.bvh",
+            &["other.bvh: joint 5 is `RightToe` below `RightLeg`, in dance.bvh `RightFoot`"],
+        ),
+        ("nan.bvh", &["nan.bvh", "line", "`nan`", "a finite number"]),
+        ("cut.bvh", &["cut.bvh", "line"]),
+        ("flat.bvh", &["flat.bvh: every bone has the length 0"]),
+        (
+            "dance.bvh --patch-size 10",
+            &["`patch_size` is 10", "an odd number from 3"],
+        ),
+        ("dance.bvh --alpha 0", &["`alpha` is 0"]),
+        ("dance.bvh --coarse-ratio 0x", &["`coarse_ratio` is 0"]),
+        ("dance.bvh --coherence 2", &["`coherence` is 2"]),
+        ("dance.bvh --coherence 1 --alpha 1", &["--alpha"]),
+        ("dance.bvh --length 3", &["`length` is 3"]),
+        ("dance.bvh --length soon", &["times all examples, as 2x"]),
+        (
+            "dance.bvh --parts parts.toml",
+            &["parts.toml: there is no joint `Wing`"],
+        ),
+        ("dance.bvh --parts none.toml", &["none.toml cannot be read"]),
+        (
+            "dance.bvh --keyframes late.toml",
+            &["`time` is 90, allowed: 0 to 9.97"],
+        ),
+        (
+            "dance.bvh --fix wings=dance.bvh",
+            &["no part or joint `wings`"],
+        ),
+        ("dance.bvh --fix legs", &["legs=walk.bvh"]),
+    ] {
+        sandbox
+            .run(&format!("match {options} --out new.bvh"))
+            .failed(2, texts);
+    }
+    for (out, texts) in [
+        ("new.npy", &["does not end in .bvh"][..]),
+        ("dance.bvh", &["dance.bvh is an example itself"]),
+    ] {
+        sandbox
+            .run(&format!("match dance.bvh --out {out}"))
+            .failed(2, texts);
+    }
+    assert_eq!(sandbox.list("."), before);
+}
