@@ -18,6 +18,7 @@ const AUDIO_NOISE: u64 = 3;
 const FLIP: u64 = 4;
 const AUDIO_MASKS: u64 = 5;
 const AUDIO_REPLACE: u64 = 6;
+const BAR_DROP: u64 = 7;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
 #[derive(Clone, Debug)]
@@ -54,6 +55,7 @@ impl Augmentation {
             audio_noise,
             audio_masks,
             audio_replace_prob,
+            bar_drop_prob,
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let mut window = self.crop(passage, n);
@@ -82,8 +84,12 @@ impl Augmentation {
                 of: Cow::Owned(changed),
             };
         }
-        if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 {
+        let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;
+        if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 || drops_bar {
             let mut changed = passage.take.audio.slice(window);
+            if drops_bar {
+                changed.forget_bars();
+            }
             if audio_noise > 0.0 {
                 changed = with_noise(changed, audio_noise, key.at(AUDIO_NOISE));
             }
@@ -168,9 +174,9 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Phrase;
     use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
+    use crate::{AudioLayout, Phrase};
     use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
     use kinegrad_motion::phrase::POSITION;
     use std::collections::BTreeSet;
@@ -182,6 +188,37 @@ mod tests {
             let (motion, audio) = self.windows(passage, n);
             (motion.of.slice(motion.frames), audio.of.slice(audio.frames))
         }
+    }
+
+    #[test]
+    fn bars_are_forgotten_in_so_many_samples_and_nothing_else_is() {
+        let with = synthetic::phrase_in(AudioLayout::WITH_BEATS, 4, 30, 2);
+        let [kept, dropping] = [0.0, 0.4].map(|p| sampler(|c| c.augment.bar_drop_prob = p));
+        let mut forgotten = 0;
+        for n in 0..500 {
+            let ((motion, before), (same, after)) = (
+                kept.sample(&alone(&with), n),
+                dropping.sample(&alone(&with), n),
+            );
+            assert_eq!(motion, same);
+            let hidden = after
+                .channel(AUDIO_CHANNELS + 4)
+                .iter()
+                .all(|known| *known == 0.0);
+            for channel in 0..before.channels() {
+                let is_bar = (AUDIO_CHANNELS + 2..AUDIO_CHANNELS + 5).contains(&channel);
+                match hidden && is_bar {
+                    true => assert!(after.channel(channel).iter().all(|value| *value == 0.0)),
+                    false => assert_eq!(before.channel(channel), after.channel(channel)),
+                }
+            }
+            forgotten += usize::from(hidden);
+        }
+        assert!((150..250).contains(&forgotten), "{forgotten}");
+        // Features without beats have no bars to forget.
+        let without = synthetic::phrase(4, 30, 2);
+        let samples = [&kept, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
+        assert_eq!(samples[0], samples[1]);
     }
 
     fn sampler(change: impl Fn(&mut DataConfig)) -> Augmentation {

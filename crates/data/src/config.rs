@@ -268,6 +268,9 @@ pub struct AugmentConfig {
     /// Probability of replacing a sample's audio features by standard normal noise, for robustness
     /// to unfamiliar music.
     pub audio_replace_prob: f64,
+    /// Probability of hiding from a sample which beat begins a bar, of datasets with beat features:
+    /// `kinegrad sample --audio` does not know it without `--downbeat`.
+    pub bar_drop_prob: f64,
 }
 
 /// Size and seed of the synthetic dataset.
@@ -420,6 +423,8 @@ impl AugmentConfig {
         let replaced = self.audio_replace_prob;
         in_range("data.augment.audio_replace_prob", replaced, 0.0..=1.0)
             .hint("0.1 is one sample in ten")?;
+        in_range("data.augment.bar_drop_prob", self.bar_drop_prob, 0.0..=1.0)
+            .hint("0.5 trains for songs with and without a known downbeat")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

@@ -150,6 +150,18 @@ impl AudioFeatures {
         &self.values[channel * self.frames..][..self.frames]
     }
 
+    /// Makes the bars unknown, of features with beats; which beat begins one is told no more.
+    pub fn forget_bars(&mut self) {
+        let bars = |name: &&str| name.starts_with("bar_");
+        let rows = BEAT_FEATURES
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| bars(name));
+        for (row, _) in rows.filter(|_| self.layout.beats).collect::<Vec<_>>() {
+            self.channel_mut(AUDIO_CHANNELS + row).fill(0.0);
+        }
+    }
+
     /// How strongly notes begin, over time, `[frames]`.
     pub fn onset_strength(&self) -> &[f32] {
         self.channel(ONSET_STRENGTH)

@@ -1,15 +1,20 @@
 //! The phase that is nearest to the stated one and advances steadily.
 //!
-//! With `z_t = exp(2 pi i phase_t)`, `w` its mean advance, and `u_t = z_t exp(-i w t)`:
+//! First the turns `p` of a path through the bar that never stands still or turns back are found, by
+//! dynamic programming: of all that advance by half to one and a half of the mean advance a frame,
+//! the one with the most of `cos 2 pi (p_t - phase_t)`. A model that hears the beats and not which of
+//! them begins a bar may jump from one to another; the path catches up over some beats instead. Then
+//! the path is moved to the stated phases near it, and smoothed:
 //!
 //! ```text
-//! min_v  sum_t |v_t - u_t|^2 + S^4 |v_{t+2} - 2 v_{t+1} + v_t|^2
+//! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
-//! which lets the tempo change over times longer than about `2 pi S` frames. The phase is the angle
-//! of `v_t exp(i w t)`.
+//! with `d_t` the distance from the path to the stated phase the shortest way around, where it is less
+//! than an eighth of a bar; other frames count with the path's own phase.
 
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
 use super::weight;
 use crate::Motion;
@@ -18,6 +23,18 @@ use crate::phrase::PHASE;
 
 /// `S`: a change of tempo that comes and goes within four seconds is taken for noise.
 const STEADINESS_FRAMES: f64 = 20.0;
+
+/// Places in a bar that a path goes through.
+const PLACES: usize = 256;
+
+/// Most advances that a path chooses from.
+const MOST_ADVANCES: usize = 32;
+
+/// The path's advance a frame lies between these shares of the mean.
+const SHARES: [f64; 2] = [0.5, 1.5];
+
+/// Bars from the path within which a stated phase counts.
+const NEAR: f64 = 0.125;
 
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
@@ -30,14 +47,19 @@ const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let angle = |t: usize| TAU * f64::from(motion.frame(t)[PHASE]);
-    let steps = (1..frames).map(|t| (angle(t) - angle(t - 1)).sin_cos());
-    let (sin, cos) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-    let advance = f64::atan2(sin, cos);
+    let said: Vec<f64> = (0..frames)
+        .map(|t| f64::from(motion.frame(t)[PHASE]))
+        .collect();
+    let path = path(&said, known);
 
     let mut normal = vec![[0.0; BAND]; frames];
-    for (row, known) in normal.iter_mut().zip(known) {
-        row[0] = weight(*known);
+    let mut fitted = Vec::with_capacity(frames);
+    for (t, row) in normal.iter_mut().enumerate() {
+        let rest = said[t] - path[t];
+        let rest = rest - rest.round();
+        let near = known[t] || rest.abs() < NEAR;
+        row[0] = weight(known[t]);
+        fitted.push(row[0] * (path[t] + if near { rest } else { 0.0 }));
     }
     for first in 0..frames.saturating_sub(2) {
         for (i, a) in SECOND_DIFFERENCE.iter().enumerate() {
@@ -46,20 +68,77 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
             }
         }
     }
-    let factor = Cholesky::new(normal);
-    let fitted = |part: fn(f64) -> f64| {
-        let said = (0..frames).map(|t| weight(known[t]) * part(angle(t) - advance * t as f64));
-        let mut fitted: Vec<f64> = said.collect();
-        factor.solve(&mut fitted);
-        fitted
-    };
-    let (sines, cosines) = (fitted(f64::sin), fitted(f64::cos));
+    Cholesky::new(normal).solve(&mut fitted);
     for t in (0..frames).filter(|t| !known[*t]) {
-        let turned = f64::atan2(sines[t], cosines[t]) + advance * t as f64;
-        let phase = (turned / TAU).rem_euclid(1.0) as f32;
+        let phase = fitted[t].rem_euclid(1.0) as f32;
         // What is just below 1 may round to it.
         motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
     }
+}
+
+/// The turns, counted on over the bars, of the path that goes best with the phases that are `said`.
+fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
+    let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
+    let cosines: Vec<f64> = (0..PLACES)
+        .map(|place| (TAU * place as f64 / PLACES as f64).cos())
+        .collect();
+    let gain = |t: usize, at: usize| {
+        let apart = (at + PLACES - place(said[t])) % PLACES;
+        weight(known[t]) * cosines[apart]
+    };
+    let advances = advances(said);
+    let from = |at: usize, advance: i64| (at as i64 - advance).rem_euclid(PLACES as i64) as usize;
+    let mut best: Vec<f64> = (0..PLACES).map(|at| gain(0, at)).collect();
+    let mut chosen: Vec<[u8; PLACES]> = Vec::with_capacity(said.len());
+    for t in 1..said.len() {
+        let mut next = vec![0.0; PLACES];
+        let mut choice = [0; PLACES];
+        for (at, (next, choice)) in next.iter_mut().zip(&mut choice).enumerate() {
+            let mut most = f64::NEG_INFINITY;
+            for (number, advance) in advances.iter().enumerate() {
+                let before = best[from(at, *advance)];
+                if before > most {
+                    (most, *choice) = (before, number as u8);
+                }
+            }
+            *next = most + gain(t, at);
+        }
+        // Sums of known frames would swallow the others.
+        let largest = next.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        next.iter_mut().for_each(|sum| *sum -= largest);
+        best = next;
+        chosen.push(choice);
+    }
+    let last = (0..PLACES).reduce(|a, b| if best[b] > best[a] { b } else { a });
+    let mut at = last.expect("places");
+    let mut steps: Vec<i64> = Vec::with_capacity(chosen.len());
+    for choice in chosen.iter().rev() {
+        let advance = advances[usize::from(choice[at])];
+        steps.push(advance);
+        at = from(at, advance);
+    }
+    let mut count = at as i64;
+    let mut path = vec![count as f64 / PLACES as f64];
+    for step in steps.into_iter().rev() {
+        count += step;
+        path.push(count as f64 / PLACES as f64);
+    }
+    path.truncate(said.len());
+    path
+}
+
+/// Places that a path may advance by in a frame: those around the mean of what is said.
+fn advances(said: &[f64]) -> Vec<i64> {
+    let steps = said
+        .windows(2)
+        .map(|pair| (TAU * (pair[1] - pair[0])).sin_cos());
+    let (sin, cos) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+    let mean = f64::atan2(sin, cos) / TAU * PLACES as f64;
+    let mut bounds = SHARES.map(|share| share * mean);
+    bounds.sort_by(f64::total_cmp);
+    let range: RangeInclusive<i64> = bounds[0].floor() as i64..=bounds[1].ceil() as i64;
+    let count = (range.end() - range.start() + 1) as usize;
+    range.step_by(count.div_ceil(MOST_ADVANCES)).collect()
 }
 
 #[cfg(test)]
@@ -123,6 +202,45 @@ mod tests {
         for step in crate::movement::phase_steps(&motion) {
             assert!((0.005..0.03).contains(&step), "{step}");
         }
+    }
+
+    #[test]
+    fn a_change_of_mind_about_the_bar_is_caught_up_with_and_a_short_one_passed_over() {
+        let steady: Vec<f64> = (0..900).map(|t| 0.1 + 0.0125 * f64::from(t)).collect();
+        // A beat later from second 10 on, and for a third of a second at second 20.
+        let later = |t: usize, turn: f64| turn - if t >= 300 { 0.25 } else { 0.0 };
+        let lasting: Vec<f64> = steady
+            .iter()
+            .enumerate()
+            .map(|(t, turn)| later(t, *turn))
+            .collect();
+        let blip = |t: usize| if (600..610).contains(&t) { 0.25 } else { 0.0 };
+        let said: Vec<f64> = lasting
+            .iter()
+            .enumerate()
+            .map(|(t, turn)| turn + blip(t))
+            .collect();
+        let mut motion = with_phases(&said);
+        fit_phase(&mut motion, &[false; 900]);
+        let steps = crate::movement::phase_steps(&motion);
+        assert!(
+            steps.iter().all(|step| (0.004..0.02).contains(step)),
+            "{steps:?}"
+        );
+        let apart = |t: usize| circular::distance(f64::from(motion.frame(t)[PHASE]), lasting[t]);
+        let settled = (0..200).chain(400..900);
+        let worst = settled.map(apart).fold(0.0, f64::max);
+        assert!(worst < 0.03, "{worst}");
+    }
+
+    #[test]
+    fn long_motion_and_wild_phases_take_their_time() {
+        let noise = Key::new(8, Purpose::Noise).uniforms(20_000);
+        let said: Vec<f64> = noise.into_iter().map(f64::from).collect();
+        let mut motion = with_phases(&said);
+        fit_phase(&mut motion, &vec![false; said.len()]);
+        let phases = (0..said.len()).map(|t| motion.frame(t)[PHASE]);
+        assert!(phases.into_iter().all(|phase| (0.0..1.0).contains(&phase)));
     }
 
     #[test]
