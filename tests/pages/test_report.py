@@ -129,8 +129,12 @@ def test_previews_move_where_there_are_no_samples(watched, opened):
     assert page.evaluate("kinegrad.viewers.map(viewer => viewer.frames > 1)") == [True] * 2
 
 
-def test_what_samples_fail_is_read_on_a_narrow_screen(report, opened):
-    page = opened(report[0], 400)
+def test_what_samples_fail_is_read_on_a_narrow_screen(kinegrad, tmp_path, opened):
+    # A network that has learned nothing stands still.
+    settings = ["--set=train.max_steps=1", "--set=sampling.count_at_end=2"]
+    kinegrad("train", CONFIG, *settings, cwd=tmp_path)
+    kinegrad("report", tmp_path / "runs" / "quickstart", cwd=tmp_path)
+    page = opened(tmp_path / "runs" / "quickstart" / "report.html", 400)
     words = page.locator("section:has(h2:text-is('Samples')) td.words")
     assert words.count() == 2
     table = page.locator("section:has(h2:text-is('Samples')) .tables").bounding_box()
