@@ -1,5 +1,7 @@
 //! Held-out phrases that a fine-tuning's start was trained on.
 
+use std::path::PathBuf;
+
 use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase};
 
 use super::start::Starts;
@@ -15,8 +17,16 @@ pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
     a.kind == b.kind
         && match a.kind {
             DataKind::Synthetic => a.synthetic == b.synthetic,
-            _ => a.source.is_some() && a.source == b.source,
+            _ => {
+                let [a, b] = [a, b].map(|data| data.source.as_deref().map(place));
+                a.is_some() && a == b
+            }
         }
+}
+
+/// A folder by its one name, however it is spelled; other sources as they are.
+fn place(source: &str) -> PathBuf {
+    std::fs::canonicalize(source).unwrap_or_else(|_| source.into())
 }
 
 /// Warns of the phrases held out of `dataset` that one of the `starts` was trained on: measures of
@@ -82,4 +92,23 @@ fn warning(
         leaked.len(),
         dataset.validation.len()
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_one_however_it_is_spelled() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let of = |source: Option<String>| DataConfig {
+            source,
+            ..DataConfig::default()
+        };
+        let plain = folder.path().display().to_string();
+        let (one, other) = (of(Some(plain.clone())), of(Some(format!("{plain}/./"))));
+        assert!(is_of_one_source(&one, &other));
+        assert!(!is_of_one_source(&one, &of(Some(format!("{plain}/other")))));
+        assert!(!is_of_one_source(&of(None), &of(None)));
+    }
 }
