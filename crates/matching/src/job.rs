@@ -6,8 +6,8 @@ use kinegrad_settings::{Refused, in_range};
 
 use crate::synthesis::synthesize;
 use crate::{
-    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Part, Request,
-    Settings, Synthesis, feet,
+    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
+    Request, Settings, Synthesis, feet,
 };
 
 /// How the body is divided.
@@ -134,6 +134,9 @@ impl Job {
             held: &held,
         };
         let mut synthesis = synthesize(&request, self.seed)?;
+        if self.settings.looping != Looping::Off && held.is_empty() {
+            synthesis.begin_where_calm();
+        }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;
             Some((frame, keyframe.place?))

@@ -54,8 +54,8 @@ pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};
 pub use pool::Pool;
 pub use pyramid::{Levels, pyramid_lengths};
-pub use settings::{CoarseRatio, Preset, Settings, Start};
+pub use settings::{CoarseRatio, Looping, Preset, Settings, Start};
 pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
 };
-pub use vote::{vote, with_ends, without_ends};
+pub use vote::{vote, vote_around, with_ends, without_ends};

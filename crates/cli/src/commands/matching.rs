@@ -7,7 +7,7 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
 use kinegrad_data::write_whole;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Made, Measures, Novelty, PartChoice, Preset, Settings,
+    Example, Fixed, Job, Keyframe, Looping, Made, Measures, Novelty, PartChoice, Preset, Settings,
 };
 use kinegrad_report::check_ending;
 use kinegrad_train::Error;
@@ -198,7 +198,9 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
     if let Some(coherence) = arguments.coherence {
         settings = settings.with_coherence(coherence)?;
     }
-    settings.looping = arguments.looping;
+    if arguments.looping {
+        settings.looping = Looping::Even;
+    }
     let set = |value: Option<f64>, of: &mut f64| *of = value.unwrap_or(*of);
     set(arguments.pyr_factor, &mut settings.pyr_factor);
     set(arguments.sigma, &mut settings.sigma);
