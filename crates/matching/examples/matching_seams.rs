@@ -7,7 +7,8 @@
 //!
 //! prints for each file and seed of the loop the seam's step and its change of velocity as parts of
 //! the 95th percentile of all others, and for key frames at a quarter, a half and three quarters of
-//! the file the mean jerk of the second around as a part of the jerk elsewhere.
+//! the file the mean jerk of the second around as a part of the jerk elsewhere, the same of that
+//! second of the file, and the jerk as a part of that second's.
 //! `--fix legs=walk.bvh` also prints the jerk with that part fixed, as a part of that of the example.
 
 use kinegrad_capture::{Bvh, UpAxis};
@@ -50,8 +51,16 @@ fn main() {
                 job.keyframes = vec![(keyframe(part * seconds), None)];
                 let made = job.make(&example).expect("a motion");
                 let rate = 1.0 / made.figure.frame_time();
-                let ratio = around(&jerks(&places(&made.bvh, false)), 5.0 * rate, rate);
-                println!("{file} seed {seed}: key frame of {part}, jerk {ratio:.2}");
+                let made = jerks(&places(&made.bvh, false));
+                let [near, rest] = around(&made, 5.0 * rate, rate);
+                let source = jerks(&thinned(&example[0], rate));
+                let [own, own_rest] = around(&source, part * seconds * rate, rate);
+                println!(
+                    "{file} seed {seed}: key frame of {part}, jerk {:.2}, source {:.2}, of it {:.2}",
+                    near / rest,
+                    own / own_rest,
+                    near / own
+                );
             }
         }
         for seed in 0..seeds {
@@ -59,9 +68,7 @@ fn main() {
             let mut job = job(seed);
             (job.length, job.fixed) = (None, vec![fixed]);
             let made = job.make(&example).expect("a motion");
-            let every = (made.figure.frame_time() / example[0].bvh.frame_time()).round() as usize;
-            let source = places(&example[0].bvh, false);
-            let source: Places = source.into_iter().step_by(every).collect();
+            let source = thinned(&example[0], 1.0 / made.figure.frame_time());
             let made = jerks(&places(&made.bvh, false));
             let ratio = percentile(&made) / percentile(&jerks(&source));
             println!("{file} seed {seed}: fixed part, jerk {ratio:.2}");
@@ -118,6 +125,13 @@ fn places(bvh: &Bvh, relative: bool) -> Places {
     frames.collect()
 }
 
+/// The places of an example at `rate` frames a second.
+fn thinned(example: &Example, rate: f64) -> Places {
+    let every = (1.0 / rate / example.bvh.frame_time()).round() as usize;
+    let all = places(&example.bvh, false);
+    all.into_iter().step_by(every).collect()
+}
+
 /// Mean distance of the joints' weighted sums of frames from the origin.
 fn mean(motion: &Places, terms: &[(usize, f64)]) -> f64 {
     let joints = motion[0].len();
@@ -154,8 +168,8 @@ fn jerks(motion: &Places) -> Vec<f64> {
     (3..motion.len()).map(jerk).collect()
 }
 
-/// Mean jerk of the second around a frame as a part of the mean elsewhere.
-fn around(jerks: &[f64], frame: f64, rate: f64) -> f64 {
+/// Mean jerk of the second around a frame, and elsewhere.
+fn around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
     let near = |t: usize| (t as f64 + 1.5 - frame).abs() < rate / 2.0;
     let mean = |wanted: bool| {
         let all = jerks.iter().enumerate();
@@ -165,7 +179,7 @@ fn around(jerks: &[f64], frame: f64, rate: f64) -> f64 {
             .collect();
         values.iter().sum::<f64>() / values.len() as f64
     };
-    mean(true) / mean(false)
+    [mean(true), mean(false)]
 }
 
 fn percentile(values: &[f64]) -> f64 {

@@ -108,6 +108,13 @@ impl Frames {
         self.read_at(frames, |i| i * scale)
     }
 
+    /// The frame at `position`, between two frames by linear interpolation, held at the ends,
+    /// `[channels]`.
+    pub fn read(&self, position: f64) -> Vec<f32> {
+        let position = position.max(0.0);
+        self.read_at(1, |_| position).values
+    }
+
     /// `frames` frames read at the positions that `position` gives.
     fn read_at(&self, frames: usize, position: impl Fn(f64) -> f64) -> Self {
         let last = self.frames() - 1;

@@ -290,7 +290,9 @@ fn held_channels_come_out_as_they_went_in() {
         Held::Keyframe {
             at: 40.5 / 90.0,
             channels: vec![0],
-            values: vec![0.25],
+            source: Frames::new(1, vec![0.25; 3]),
+            from: 1,
+            frames: 90,
             reach: 5,
         },
     ];
