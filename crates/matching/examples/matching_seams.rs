@@ -94,6 +94,7 @@ fn job(seed: u64) -> Job {
         parts: PartChoice::Whole,
         keyframes: Vec::new(),
         fixed: Vec::new(),
+        feet: false,
     }
 }
 

@@ -42,7 +42,7 @@ mod vote;
 
 pub use displacement::{displacements, places};
 pub use error::Error;
-pub use figure::{Example, Figure, FigureOptions};
+pub use figure::{Example, Figure, FigureOptions, Sliding};
 pub use frames::Frames;
 pub use held::Held;
 pub use job::{Fixed, Job, Made, PartChoice};

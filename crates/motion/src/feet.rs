@@ -107,9 +107,8 @@ pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
 fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 3]> {
     let frames = path.len();
     let mut runs: Vec<(usize, usize)> = Vec::new();
-    for t in 0..frames {
+    for (t, _) in contacts.iter().enumerate().filter(|(_, contact)| **contact) {
         match runs.last_mut() {
-            _ if !contacts[t] => {}
             Some(run) if run.1 == t => run.1 = t + 1,
             _ => runs.push((t, t + 1)),
         }
@@ -127,14 +126,14 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
         let before = index.checked_sub(1).map_or(0, |index| runs[index].1);
         let after = runs.get(index + 1).map_or(frames, |run| run.0);
         let (reach, edge) = (blend.min(first - before), minus(still, path[first]));
-        for t in first - reach..first {
-            let weight = fade(first - t, reach);
-            by[t] = plus(by[t], edge.map(|value| weight * value));
+        for (back, by) in by[first - reach..first].iter_mut().rev().enumerate() {
+            let weight = fade(back + 1, reach);
+            *by = plus(*by, edge.map(|value| weight * value));
         }
         let (reach, edge) = (blend.min(after - end), minus(still, path[end - 1]));
-        for t in end..end + reach {
-            let weight = fade(t + 1 - end, reach);
-            by[t] = plus(by[t], edge.map(|value| weight * value));
+        for (on, by) in by[end..end + reach].iter_mut().enumerate() {
+            let weight = fade(on + 1, reach);
+            *by = plus(*by, edge.map(|value| weight * value));
         }
     }
     by
