@@ -56,7 +56,11 @@ fn the_order_of_the_music_matters_to_samples_of_aligned_runs_alone() {
     let sandbox = trained();
     write_ordered(&sandbox, "own.npz", 0..FRAMES);
     write_ordered(&sandbox, "reversed.npz", (0..FRAMES).rev());
-    write_ordered(&sandbox, "rolled.npz", (0..FRAMES).map(|t| (t + 5) % FRAMES));
+    write_ordered(
+        &sandbox,
+        "rolled.npz",
+        (0..FRAMES).map(|t| (t + 5) % FRAMES),
+    );
     for (run, hears) in [("document", false), ("aligned", true)] {
         for cond in ["own", "reversed", "rolled"] {
             sandbox

@@ -222,7 +222,10 @@ fn an_evaluation_is_measured_by_the_samples_of_a_phrase() {
     let sandbox = sandbox();
     let settings = "--set train.max_steps=1 --set validation.every_steps=0 \
                     --set data.synthetic.phrases=4 --set data.synthetic.frames=3000";
-    for (name, target) in [("windows", "rotation_6d"), ("whole", "canonical_quaternion")] {
+    for (name, target) in [
+        ("windows", "rotation_6d"),
+        ("whole", "canonical_quaternion"),
+    ] {
         sandbox
             .run(&format!(
                 "train c.toml --name {name} --set model.orientation_target={target} {settings}"

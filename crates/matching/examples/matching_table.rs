@@ -142,6 +142,7 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
             parts: PartChoice::Whole,
             keyframes: Vec::new(),
             fixed: Vec::new(),
+            feet: false,
         };
         change(&mut job);
         let start = Instant::now();

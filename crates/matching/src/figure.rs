@@ -13,8 +13,11 @@ use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
 
+mod feet;
 mod survey;
 mod way;
+
+pub use feet::Sliding;
 
 use survey::{carriers, scale, thinning, travel, travelling};
 

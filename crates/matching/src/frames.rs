@@ -89,6 +89,15 @@ impl Frames {
         self.read_at(frames, |i| ((i + 0.5) * scale - 0.5).max(0.0))
     }
 
+    /// [`resampled`](Self::resampled) of a motion whose last frame is followed by its first.
+    pub fn resampled_around(&self, frames: usize) -> Self {
+        let n = self.frames();
+        let ends = [n - 1].into_iter().chain(0..n).chain([0]);
+        let values = ends.flat_map(|t| self.frame(t)).copied().collect();
+        let scale = n as f64 / frames as f64;
+        Self::new(self.channels, values).read_at(frames, |i| (i + 0.5) * scale + 0.5)
+    }
+
     /// Linear resampling to `frames` with aligned ends, `[frames, channels]`: frame i is read at
     /// i (n - 1) / (frames - 1).
     pub fn resampled_aligned(&self, frames: usize) -> Self {
@@ -97,6 +106,13 @@ impl Frames {
             _ => (self.frames() - 1) as f64 / (frames - 1) as f64,
         };
         self.read_at(frames, |i| i * scale)
+    }
+
+    /// The frame at `position`, between two frames by linear interpolation, held at the ends,
+    /// `[channels]`.
+    pub fn read(&self, position: f64) -> Vec<f32> {
+        let position = position.max(0.0);
+        self.read_at(1, |_| position).values
     }
 
     /// `frames` frames read at the positions that `position` gives.
@@ -148,6 +164,14 @@ mod tests {
             let line = ramp(frames);
             prop_assert_eq!(&line.resampled(frames), &line);
         }
+    }
+
+    #[test]
+    fn around_the_circle_the_ends_meet() {
+        let circle = Frames::new(1, vec![0.0, 1.0, 2.0, 1.0]);
+        let values = [0.25, 0.25, 0.75, 1.25, 1.75, 1.75, 1.25, 0.75];
+        assert_eq!(circle.resampled_around(8).values(), values);
+        assert_eq!(circle.resampled_around(4), circle);
     }
 
     #[test]

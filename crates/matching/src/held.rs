@@ -2,6 +2,10 @@
 
 use crate::Frames;
 
+/// Frames of a level that bend towards a key frame at least: about half a patch, so that patches of
+/// its source match there from the coarsest level on.
+const LEAST_REACH: usize = 6;
+
 /// What a synthesis must keep to.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Held {
@@ -19,9 +23,13 @@ pub enum Held {
         at: f64,
         /// The channels.
         channels: Vec<usize>,
-        /// Their values, as many.
-        values: Vec<f32>,
-        /// Frames before and after it that bend towards it.
+        /// The motion that the values are from, `[frames, channels]` of these channels alone.
+        source: Frames,
+        /// The frame of it that is taken.
+        from: usize,
+        /// Frames of the new motion.
+        frames: usize,
+        /// Of those the ones before and after it that bend towards it.
         reach: usize,
     },
 }
@@ -29,8 +37,9 @@ pub enum Held {
 impl Held {
     /// Makes the motion of a level, `[frames, channels]`, keep to it.
     ///
-    /// Channels are set. A key frame is met exactly, and what it moves the frame by is added to its
-    /// neighbours with a weight that falls off to 0 with no corner within its reach.
+    /// Channels are set. A key frame is met exactly, and its neighbours go over to those that it has
+    /// in its source, with a weight that falls off to 0 with no corner within its reach: so it is
+    /// passed as the source passes it, and patches of the source match it at every level.
     ///
     /// # Panics
     /// Panics if the channels are not there.
@@ -48,25 +57,25 @@ impl Held {
             Self::Keyframe {
                 at,
                 channels,
-                values,
+                source,
+                from,
+                frames: finest,
                 reach,
             } => {
-                let last = frames.frames() - 1;
-                let t = (at * frames.frames() as f64 - 0.5).round().max(0.0) as usize;
-                let t = t.min(last);
-                let present = frames.frame(t);
-                let pairs = channels.iter().zip(values);
-                let moved: Vec<f32> = pairs.map(|(&c, value)| value - present[c]).collect();
-                for near in t.saturating_sub(*reach)..=(t + reach).min(last) {
-                    let weight = falloff(near.abs_diff(t), *reach);
+                let level = frames.frames();
+                let t = (at * level as f64 - 0.5).round().max(0.0) as usize;
+                let t = t.min(level - 1);
+                // Frames of the source between two of this level.
+                let pace = (*finest as f64 / level as f64).max(1.0);
+                let reach = ((*reach as f64 / pace).ceil() as usize).max(LEAST_REACH);
+                for near in t.saturating_sub(reach)..=(t + reach).min(level - 1) {
+                    let away = pace * (near as f64 - t as f64);
+                    let pose = source.read(*from as f64 + away);
+                    let weight = falloff(near.abs_diff(t), reach);
                     let row = frames.frame_mut(near);
-                    for (&channel, by) in channels.iter().zip(&moved) {
-                        row[channel] += weight * by;
+                    for (&channel, value) in channels.iter().zip(pose) {
+                        row[channel] = (1.0 - weight) * row[channel] + weight * value;
                     }
-                }
-                let row = frames.frame_mut(t);
-                for (&channel, &value) in channels.iter().zip(values) {
-                    row[channel] = value;
                 }
             }
         }
@@ -89,15 +98,25 @@ mod tests {
         let key = Held::Keyframe {
             at: 10.5 / 21.0,
             channels: vec![1],
-            values: vec![2.0],
+            source: Frames::new(1, vec![5.0, 3.0, 2.0, 3.0, 5.0, 7.0]),
+            from: 2,
+            frames: 21,
             reach: 4,
         };
         key.hold(&mut frames);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
-        assert!(second[6..=10].is_sorted() && second[9] > 1.5 && second[7] > 0.0);
-        assert_eq!((second[5], second[15]), (0.0, 0.0));
+        // The neighbours are those of the source, weighted, and held at its ends.
+        assert_eq!(second[9], 3.0 * falloff(1, 6));
+        assert_eq!(second[7], 5.0 * falloff(3, 6));
+        assert_eq!(second[12], 5.0 * falloff(2, 6));
+        assert_eq!((second[3], second[17]), (0.0, 0.0));
         assert!((0..21).all(|t| frames.frame(t)[0] == 0.0));
+        // At a level of a third of the frames the source goes three times as fast.
+        let mut coarse = Frames::zeros(7, 2);
+        key.hold(&mut coarse);
+        let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
+        assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 6)));
     }
 
     #[test]

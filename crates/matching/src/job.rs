@@ -6,8 +6,8 @@ use kinegrad_settings::{Refused, in_range};
 
 use crate::synthesis::synthesize;
 use crate::{
-    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Part, Request,
-    Settings, Synthesis, feet,
+    Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
+    Request, Settings, Sliding, Synthesis, feet,
 };
 
 /// How the body is divided.
@@ -57,6 +57,9 @@ pub struct Job {
     pub keyframes: Vec<(Keyframe, Option<Example>)>,
     /// Parts that follow given motions.
     pub fixed: Vec<Fixed>,
+    /// Whether feet are held still where those of the examples rest. It moves legs of key frames and
+    /// of parts that are fixed as well, and the seam of a loop.
+    pub feet: bool,
 }
 
 /// A new motion and what it was made of.
@@ -72,6 +75,8 @@ pub struct Made {
     pub examples: Vec<Frames>,
     /// The parts that were matched, one for each list of origins.
     pub parts: Vec<Part>,
+    /// How far feet slid, if they were held; only `bvh` has them held.
+    pub sliding: Option<Sliding>,
 }
 
 impl Job {
@@ -134,17 +139,28 @@ impl Job {
             held: &held,
         };
         let mut synthesis = synthesize(&request, self.seed)?;
+        if self.settings.looping != Looping::Off && held.is_empty() {
+            synthesis.begin_where_calm();
+        }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;
             Some((frame, keyframe.place?))
         });
         figure.lead(&mut synthesis.frames, &points.collect::<Vec<_>>());
+        let mut bvh = figure.bvh(&synthesis.frames)?;
+        let mut sliding = None;
+        if self.feet {
+            let origins = &synthesis.origins;
+            let (held, slid) = figure.with_held_feet(&bvh, examples, &parts, origins)?;
+            (bvh, sliding) = (held, Some(slid));
+        }
         Ok(Made {
-            bvh: figure.bvh(&synthesis.frames)?,
+            bvh,
             synthesis,
             figure,
             examples: matrices,
             parts,
+            sliding,
         })
     }
 

@@ -103,10 +103,11 @@ impl Keyframe {
         let mut channels = part.channels(figure).channels;
         // The horizontal way says how the body moves on, not where it is.
         channels.retain(|channel| *channel == figure.height() || !figure.way().contains(channel));
-        let pose = poses.frame(from);
         Ok(Held::Keyframe {
             at: (t as f64 + 0.5) / frames as f64,
-            values: channels.iter().map(|&channel| pose[channel]).collect(),
+            source: poses.columns(&channels),
+            from,
+            frames,
             channels,
             reach: frame(self.reach.unwrap_or(REACH)).min(frames),
         })
@@ -133,15 +134,18 @@ mod tests {
         let Held::Keyframe {
             at,
             channels,
-            values,
+            source,
+            from,
             reach,
+            ..
         } = held
         else {
             panic!("a key frame")
         };
         assert!((at - 60.5 / 90.0).abs() < 1e-12);
         assert_eq!((channels.len(), reach), (12, 12));
-        assert_eq!(values[0], poses.frame(15)[channels[0]]);
+        assert_eq!(from, 15);
+        assert_eq!(source.frame(15)[0], poses.frame(15)[channels[0]]);
         let late = key
             .held(&figure, &[], &walk, &poses, 50)
             .unwrap_err()

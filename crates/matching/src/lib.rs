@@ -42,7 +42,7 @@ mod vote;
 
 pub use displacement::{displacements, places};
 pub use error::Error;
-pub use figure::{Example, Figure, FigureOptions};
+pub use figure::{Example, Figure, FigureOptions, Sliding};
 pub use frames::Frames;
 pub use held::Held;
 pub use job::{Fixed, Job, Made, PartChoice};
@@ -54,8 +54,8 @@ pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};
 pub use pool::Pool;
 pub use pyramid::{Levels, pyramid_lengths};
-pub use settings::{CoarseRatio, Preset, Settings, Start};
+pub use settings::{CoarseRatio, Looping, Preset, Settings, Start};
 pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
 };
-pub use vote::{vote, with_ends, without_ends};
+pub use vote::{vote, vote_around, with_ends, without_ends};

@@ -77,6 +77,21 @@ pub enum Start {
     Noise,
 }
 
+/// Whether and how a motion's end leads into its beginning.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Looping {
+    /// It does not.
+    #[default]
+    Off,
+    /// As the published program has it: near the seam a frame is the mean of two means, of the
+    /// patches on either side, however many those are. Half a patch away from the seam it jumps.
+    Halves,
+    /// Every frame is the mean of all patches that cover it around the circle, and levels are
+    /// resampled around it: the seam is a place like any other.
+    Even,
+}
+
 /// Sets of settings.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -113,8 +128,8 @@ pub struct Settings {
     pub distance: Distance,
     /// What the coarsest level starts with.
     pub start: Start,
-    /// Whether the motion's end leads into its beginning.
-    pub looping: bool,
+    /// Whether and how the motion's end leads into its beginning.
+    pub looping: Looping,
 }
 
 impl Settings {
@@ -129,7 +144,7 @@ impl Settings {
             num_steps: 3,
             distance: Distance::MeanSquare,
             start: Start::Examples,
-            looping: false,
+            looping: Looping::Off,
         };
         match preset {
             Preset::Published => published,

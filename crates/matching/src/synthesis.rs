@@ -3,8 +3,8 @@
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
-use crate::vote::{vote, with_ends, without_ends};
-use crate::{Frames, Held, Levels, Matches, Pool, Search, Settings, Start};
+use crate::vote::{vote, vote_around, with_ends, without_ends};
+use crate::{Frames, Held, Levels, Looping, Matches, Pool, Search, Settings, Start};
 
 /// A group of channels that is matched by itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +24,42 @@ pub struct Synthesis {
     /// `[groups][frames]`: the frame's place in the patch that was chosen around it in the last
     /// step.
     pub origins: Vec<Vec<(usize, usize)>>,
+}
+
+impl Synthesis {
+    /// Begins a loop at another of its frames: the one whose step and change of velocity from the
+    /// frames before are smallest, in parts of their means. It is the same loop.
+    pub fn begin_where_calm(&mut self) {
+        let n = self.frames.frames();
+        let apart = |terms: [(usize, f32); 3]| {
+            let [a, b, c] = terms.map(|(t, weight)| (self.frames.frame(t % n), weight));
+            let values = (0..self.frames.channels())
+                .map(|channel| a.1 * a.0[channel] + b.1 * b.0[channel] + c.1 * c.0[channel]);
+            values
+                .map(|value| f64::from(value).powi(2))
+                .sum::<f64>()
+                .sqrt()
+        };
+        // From frame t to the next, and the change of velocity about frame t + 1.
+        let step = |t: usize| apart([(t, -1.0), (t + 1, 1.0), (t, 0.0)]);
+        let turn = |t: usize| apart([(t, 1.0), (t + 1, -2.0), (t + 2, 1.0)]);
+        let steps: Vec<f64> = (0..n).map(step).collect();
+        let turns: Vec<f64> = (0..n).map(turn).collect();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / n as f64 + f64::MIN_POSITIVE;
+        let (all_steps, all_turns) = (mean(&steps), mean(&turns));
+        let jump = |first: usize| {
+            let last = (first + n - 1) % n;
+            let turn = turns[(last + n - 1) % n].max(turns[last]);
+            (steps[last] / all_steps).max(turn / all_turns)
+        };
+        let first = (0..n).min_by(|&a, &b| jump(a).total_cmp(&jump(b)));
+        let first = first.unwrap_or(0);
+        let channels = self.frames.channels();
+        self.frames.values_mut().rotate_left(first * channels);
+        self.origins
+            .iter_mut()
+            .for_each(|origins| origins.rotate_left(first));
+    }
 }
 
 /// What is to be made of which examples.
@@ -111,15 +147,19 @@ pub fn step(
     pool: &Pool,
     search: &Search<'_>,
     alpha: Option<f64>,
-    looping: bool,
+    looping: Looping,
 ) -> (Frames, Matches) {
     let p = pool.patch_size();
-    if !looping {
+    if looping == Looping::Off {
         let matches = search.nearest(current, alpha);
         return (vote(pool, &matches.nearest), matches);
     }
     let matches = search.nearest(&with_ends(current, p), alpha);
-    (without_ends(&vote(pool, &matches.nearest), p), matches)
+    let voted = match looping {
+        Looping::Even => vote_around(pool, &matches.nearest),
+        _ => without_ends(&vote(pool, &matches.nearest), p),
+    };
+    (voted, matches)
 }
 
 /// A new motion of the examples, from the noise of `seed`. The same request and seed give the same
@@ -175,6 +215,7 @@ pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesi
                 assert_eq!(noise.frames(), length, "frames of noise");
                 start(&examples, noise, sigma, request.settings.start)
             }
+            Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
             Some(coarser) => coarser.resampled(length),
         };
         request.held.iter().for_each(|held| held.hold(&mut frames));
@@ -249,7 +290,13 @@ fn together(groups: &[Channels], voted: &[(Frames, Matches)], channels: usize) -
 }
 
 /// Example and frame that each frame continues: its place in the patch around it.
-fn origins_of(matches: &Matches, pool: &Pool, frames: usize, looping: bool) -> Vec<(usize, usize)> {
+fn origins_of(
+    matches: &Matches,
+    pool: &Pool,
+    frames: usize,
+    looping: Looping,
+) -> Vec<(usize, usize)> {
+    let looping = looping != Looping::Off;
     let half = pool.patch_size() / 2;
     let last = matches.nearest.len() - 1;
     let origin = |t: usize| {

@@ -30,6 +30,32 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
     voted
 }
 
+/// The motion of `nearest.len()` frames in which the example patch `nearest[i]` is around frame i,
+/// `[frames, channels]`, and the last frame is followed by the first: every frame is the mean of the
+/// `patch_size` patches that cover it.
+///
+/// # Panics
+/// As [`vote`].
+pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
+    let (p, n) = (pool.patch_size(), nearest.len());
+    let channels = pool.frames().channels();
+    let starts: Vec<usize> = nearest.iter().map(|&patch| pool.start(patch)).collect();
+    let mut voted = Frames::zeros(n, channels);
+    let frames = voted.values_mut().par_chunks_exact_mut(channels);
+    frames.enumerate().for_each(|(t, frame)| {
+        for within in 0..p {
+            // The patch that has this frame in its place `within`; a short motion goes around twice.
+            let patch = (t + p / 2 + (p / n + 1) * n - within) % n;
+            let source = pool.frames().frame(starts[patch] + within);
+            for (sum, value) in frame.iter_mut().zip(source) {
+                *sum += value;
+            }
+        }
+        frame.iter_mut().for_each(|sum| *sum /= p as f32);
+    });
+    voted
+}
+
 /// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
 /// over the seam.
 pub fn with_ends(frames: &Frames, patch_size: usize) -> Frames {
@@ -90,6 +116,20 @@ mod tests {
             }
             prop_assert_eq!(&without_ends(&padded, 2 * half + 1), &motion);
         }
+    }
+
+    #[test]
+    fn around_the_circle_every_frame_has_a_whole_patch_of_votes() {
+        let pool = Pool::new(&[numbered(6)], 3);
+        // Patches 0 1 2, 3 4 5, 2 3 4 and 1 2 3 around frames 0 to 3.
+        let voted = vote_around(&pool, &[0, 3, 2, 1]);
+        let thirds = voted.values().iter().map(|value| (3.0 * value).round());
+        assert!(thirds.eq([
+            1.0 + 3.0 + 3.0,
+            2.0 + 4.0 + 2.0,
+            5.0 + 3.0 + 1.0,
+            4.0 + 2.0 + 0.0
+        ]));
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub mod circular;
 pub mod coherence;
 pub mod emphasis;
 pub mod error;
+pub mod feet;
 pub mod goal;
 pub mod humanml;
 pub mod kinematics;

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use kinegrad_matching::rotation6d;
 use kinegrad_matching::{
-    Axis, CoarseRatio, Distance, Frames, Matches, Pool, Preset, Request, Search, Settings, Start,
-    displacements, places, pyramid_lengths, start, step, synthesize_from, vote, with_ends,
+    Axis, CoarseRatio, Distance, Frames, Looping, Matches, Pool, Preset, Request, Search, Settings,
+    Start, displacements, places, pyramid_lengths, start, step, synthesize_from, vote, with_ends,
     without_ends,
 };
 use kinegrad_motion::Quaternion;
@@ -223,7 +223,10 @@ fn run(golden: Golden) {
         pyr_factor,
         num_steps: num_steps as usize,
         coarse_ratio: CoarseRatio::Patches((coarse / p).round()),
-        looping: looping > 0.0,
+        looping: match looping > 0.0 {
+            true => Looping::Halves,
+            false => Looping::Off,
+        },
         ..Settings::of(Preset::Published)
     };
     let request = Request {

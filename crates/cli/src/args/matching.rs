@@ -88,6 +88,9 @@ pub struct MatchArguments {
     /// hangs on it, or `legs`, `arms` or `head`
     #[arg(long, value_name = "PART=MOTION.bvh", value_parser = fixed)]
     pub fix: Vec<(String, PathBuf)>,
+    /// Hold feet still where those of the examples rest
+    #[arg(long, conflicts_with = "looping")]
+    pub feet: bool,
     /// Axis of the files that points up: y or z [default: the one along which feet are below the
     /// root]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]

@@ -7,7 +7,8 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_data::file::read_file;
 use kinegrad_data::write_whole;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Made, Measures, Novelty, PartChoice, Preset, Settings,
+    Example, Fixed, Job, Keyframe, Looping, Made, Measures, Novelty, PartChoice, Preset, Settings,
+    Sliding,
 };
 use kinegrad_report::check_ending;
 use kinegrad_train::Error;
@@ -41,6 +42,9 @@ struct Record {
     keyframes: Option<PathBuf>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     fixed: Vec<String>,
+    /// None where feet are not held.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sliding: Option<Sliding>,
     /// None where the motions are too short, or too long to be compared.
     measures: Option<Measures>,
 }
@@ -190,6 +194,7 @@ fn job(arguments: &MatchArguments, examples: &[Example]) -> Result<Job, Error> {
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
+        feet: arguments.feet,
     })
 }
 
@@ -198,7 +203,9 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
     if let Some(coherence) = arguments.coherence {
         settings = settings.with_coherence(coherence)?;
     }
-    settings.looping = arguments.looping;
+    if arguments.looping {
+        settings.looping = Looping::Even;
+    }
     let set = |value: Option<f64>, of: &mut f64| *of = value.unwrap_or(*of);
     set(arguments.pyr_factor, &mut settings.pyr_factor);
     set(arguments.sigma, &mut settings.sigma);
@@ -281,6 +288,7 @@ fn record(arguments: &MatchArguments, job: &Job, made: &Made) -> Record {
         fixed: fixed
             .map(|(part, path)| format!("{part}={}", path.display()))
             .collect(),
+        sliding: made.sliding,
         measures: made.measures(&[]),
     }
 }
@@ -310,6 +318,13 @@ fn summarize(record: &Record) {
             measures.window_cost,
             measures.local_diversity,
             measures.global_diversity
+        );
+    }
+    if let Some(sliding) = &record.sliding {
+        tell!(
+            "feet in contact: {:.2} units a second before, {:.2} after",
+            sliding.before,
+            sliding.after
         );
     }
     for part in &record.parts {

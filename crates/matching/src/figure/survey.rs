@@ -2,6 +2,8 @@
 
 use kinegrad_capture::{Bvh, Channel};
 
+use kinegrad_motion::rotation::length;
+
 use super::Example;
 use crate::Error;
 
@@ -19,14 +21,41 @@ pub(super) fn thinning(bvh: &Bvh) -> (usize, f64) {
     (every, bvh.frame_time() * every as f64)
 }
 
-/// The joint that travels furthest, or one below it that travels nearly as far by itself, in another
+/// The joint that travels furthest of those that the body hangs on: all of it, or most and it
+/// travels further than any bone is long. Or one below it that travels nearly as far by itself, in another
 /// file, where nothing else hangs between them. `ranges`: how far each travels within its parent.
 pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
-    let most = ranges.iter().copied().fold(0.0, f64::max);
-    let mut joint = ranges.iter().position(|&range| range == most).unwrap_or(0);
     let joints = bvh.joints();
+    // A collar bone that slides by more than the body sways does not carry it, nor does a back that
+    // sways behind a pelvis that stays.
+    let mut below = vec![1; joints.len()];
+    for joint in (0..joints.len()).rev() {
+        if let Some(parent) = joints[joint].parent {
+            below[parent] += below[joint];
+        }
+    }
+    let longest = |without: usize| {
+        let others = (1..joints.len()).filter(move |&joint| joint != without);
+        others
+            .map(|joint| length(joints[joint].offset))
+            .fold(0.0, f64::max)
+    };
+    let carrying = |joint: &usize| {
+        let alone = *joint == 0 || !carriers(bvh, *joint).is_empty();
+        alone || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
+    };
+    let candidates = (0..joints.len()).filter(carrying);
+    let most = candidates
+        .clone()
+        .map(|joint| ranges[joint])
+        .fold(0.0, f64::max);
+    let mut joint = candidates
+        .clone()
+        .find(|&joint| ranges[joint] == most)
+        .unwrap_or(0);
     while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
         && carriers(bvh, child).contains(&joint)
+        && carrying(&child)
         && ranges[child] > 0.5 * most
     {
         joint = child;

@@ -269,3 +269,17 @@ fn other_skeletons_and_rates_are_named() {
     let error = Figure::new(&[flat], FigureOptions::default()).unwrap_err();
     assert!(error.to_string().contains("every bone has the length 0"));
 }
+
+#[test]
+fn a_sliding_limb_does_not_carry_the_body() {
+    let bvh = example("walk.bvh", 20, 0.04).bvh;
+    assert_eq!(travelling(&bvh, &[0.0, 5.0, 9.0, 0.0, 9.0, 0.0]), 1);
+    assert_eq!(travelling(&bvh, &[0.0, 0.0, 9.0, 0.0, 0.0, 0.0]), 0);
+    // Most of the body hangs on the second joint of five, but not all.
+    let text = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 1 0\nCHANNELS 0\nJOINT Spine\n{\nOFFSET 0 1 0\n\
+        CHANNELS 3 Xposition Yposition Zposition\nJOINT Neck\n{\nOFFSET 0 1 0\nCHANNELS 0\n\
+        JOINT Head\n{\nOFFSET 0 1 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n}\n}\nJOINT Tail\n{\nOFFSET 0 0 -1\nCHANNELS 0\n\
+        End Site\n{\nOFFSET 0 0 -1\n}\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.03\n0 1 0\n";
+    let bvh = Bvh::parse(text.as_bytes(), "sways.bvh").unwrap();
+    assert_eq!(travelling(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
+}

@@ -15,6 +15,7 @@ fn job() -> Job {
         parts: PartChoice::Whole,
         keyframes: Vec::new(),
         fixed: Vec::new(),
+        feet: false,
     }
 }
 
@@ -166,4 +167,63 @@ fn a_motion_without_a_patch_is_refused() {
     let said = short.make(&[walk(40)]).unwrap_err().to_string();
     assert!(said.contains("`length` is 3"), "{said}");
     assert!(job().make(&[]).is_err());
+}
+
+/// A body that sways above feet of which one rests while the other swings.
+fn stepping() -> Example {
+    let mut text = crate::figure::tests::text(1, 1.0 / 30.0);
+    text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
+    for side in ["Left", "Right"] {
+        let foot = format!(
+            "JOINT {side}Foot\n{{\nOFFSET 0 -40 12.0\nCHANNELS 0\nEnd Site\n{{\nOFFSET 0 0 5\n}}\n}}\n"
+        );
+        text = text.replacen("End Site\n{\nOFFSET 0 -40 12\n}\n", &foot, 1);
+    }
+    let end = text.find("Frames").unwrap();
+    text.truncate(end);
+    text += "Frames: 90\nFrame Time: 0.0333333\n";
+    for t in 0..90 {
+        let seconds = f64::from(t) / 30.0;
+        let swing = |phase: f64| 25.0 * (5.0 * seconds + phase).sin().max(0.0);
+        text += &format!("0 0 0 0 0 0 {} 90 0 0 0 0", 3.0 * (2.0 * seconds).sin());
+        for phase in [0.0, 3.1] {
+            text += &format!(" {} 0 0 0 0 {}", -swing(phase), swing(phase));
+        }
+        text += "\n";
+    }
+    Example {
+        file: "steps.bvh".to_string(),
+        bvh: Bvh::parse(text.as_bytes(), "steps.bvh").unwrap(),
+    }
+}
+
+#[test]
+fn feet_are_held_where_those_of_the_example_rest() {
+    let feet = Job {
+        feet: true,
+        ..job()
+    };
+    // Both feet of the walk have one bone above them, below the hips that they share.
+    let said = feet.make(&[walk(70)]).unwrap_err().to_string();
+    assert!(said.contains("no joint with two bones"), "{said}");
+    let free = job().make(&[stepping()]).unwrap();
+    let held = feet.make(&[stepping()]).unwrap();
+    assert!(free.sliding.is_none());
+    let slid = held.sliding.unwrap();
+    assert!(slid.in_contact > 0.1 && slid.before > 1.0, "{slid:?}");
+    assert!(slid.after < 0.05 * slid.before, "{slid:?}");
+    // The file has it, and nothing above the legs moves.
+    let foot = held.bvh.joint("LeftFoot").unwrap();
+    let mut moved = 0;
+    for t in 0..held.bvh.frames() {
+        let (new, old) = (held.bvh.world(t), free.bvh.world(t));
+        let apart = |joint: usize| {
+            let axes = 0..3;
+            let of = |axis: usize| (new[joint].position[axis] - old[joint].position[axis]).abs();
+            axes.map(of).fold(0.0, f64::max)
+        };
+        assert!([0, 1, 2].into_iter().all(|joint| apart(joint) < 1e-6));
+        moved += usize::from(apart(foot) > 1e-3);
+    }
+    assert!(moved > 0);
 }

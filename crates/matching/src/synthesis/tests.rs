@@ -35,7 +35,7 @@ proptest! {
         half in 1..6usize,
         lengths in proptest::collection::vec(11..90usize, 1..4),
         frames in 11..200usize,
-        looping: bool,
+        around in 0..3usize,
         paper: bool,
         ratio in 0.001..1.5f64,
         direct: bool,
@@ -47,7 +47,7 @@ proptest! {
             .collect();
         let settings = Settings {
             patch_size: 2 * half + 1,
-            looping,
+            looping: [Looping::Off, Looping::Halves, Looping::Even][around],
             coarse_ratio: match direct {
                 true => CoarseRatio::Ratio(ratio),
                 false => CoarseRatio::Patches(4.0 * ratio),
@@ -171,7 +171,7 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
         pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
     };
     for seed in 0..6 {
-        let seams = [true, false].map(|looping| {
+        let seams = [Looping::Even, Looping::Halves, Looping::Off].map(|looping| {
             let settings = Settings {
                 looping,
                 ..settings(11)
@@ -189,8 +189,48 @@ fn the_end_of_a_loop_leads_into_its_beginning() {
                 .fold(0.0, f32::max);
             step(&frames, 149, 0) / largest
         });
-        assert!(seams[0] <= 1.0, "seed {seed}: {seams:?}");
-        assert!(seams[1] > seams[0], "seed {seed}: {seams:?}");
+        assert!(
+            seams[..2].iter().all(|seam| *seam <= 1.0),
+            "seed {seed}: {seams:?}"
+        );
+        assert!(seams[2] > seams[0].max(seams[1]), "seed {seed}: {seams:?}");
+    }
+}
+
+#[test]
+fn a_loop_begins_where_it_is_calm() {
+    let settings = Settings {
+        looping: Looping::Even,
+        ..settings(11)
+    };
+    let request = Request {
+        examples: &[motion(2, 200, 5)],
+        frames: 150,
+        settings: &settings,
+        groups: &[],
+        held: &[],
+    };
+    let before = synthesize(&request, 0).unwrap();
+    let mut turned = before.clone();
+    turned.begin_where_calm();
+    let steps = |frames: &Frames| -> Vec<f32> {
+        let step = |t: usize| {
+            let pairs = frames.frame(t).iter().zip(frames.frame((t + 1) % 150));
+            pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
+        };
+        (0..150).map(step).collect()
+    };
+    let (old, new) = (steps(&before.frames), steps(&turned.frames));
+    let mut sorted = new.clone();
+    sorted.sort_by(f32::total_cmp);
+    assert!(new[149] < old[149] && new[149] < sorted[75]);
+    // Nothing but the beginning changes.
+    let first = (0..150).find(|&t| before.frames.frame(t) == turned.frames.frame(0));
+    let first = first.unwrap();
+    for t in 0..150 {
+        let from = (first + t) % 150;
+        assert_eq!(turned.frames.frame(t), before.frames.frame(from));
+        assert_eq!(turned.origins[0][t], before.origins[0][from]);
     }
 }
 
@@ -250,7 +290,9 @@ fn held_channels_come_out_as_they_went_in() {
         Held::Keyframe {
             at: 40.5 / 90.0,
             channels: vec![0],
-            values: vec![0.25],
+            source: Frames::new(1, vec![0.25; 3]),
+            from: 1,
+            frames: 90,
             reach: 5,
         },
     ];

@@ -1,0 +1,190 @@
+//! Smoothness of new motions of BVH files where something is joined: over the seam of a loop and
+//! around key frames, beside the rest of the motion.
+//!
+//! ```sh
+//! cargo run --release -p kinegrad-matching --example matching_seams -- --seeds 3 dance.bvh
+//! ```
+//!
+//! prints for each file and seed of the loop the seam's step and its change of velocity as parts of
+//! the 95th percentile of all others, and for key frames at a quarter, a half and three quarters of
+//! the file the mean jerk of the second around as a part of the jerk elsewhere, the same of that
+//! second of the file, and the jerk as a part of that second's.
+//! `--fix legs=walk.bvh` also prints the jerk with that part fixed, as a part of that of the example.
+
+use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_matching::{
+    Example, Fixed, Job, Keyframe, Length, Looping, PartChoice, Preset, Settings,
+};
+
+/// Places of the joints, `[frames][joints]`.
+type Places = Vec<Vec<[f64; 3]>>;
+
+fn main() {
+    let (mut seeds, mut files, mut fixed) = (3, Vec::new(), None);
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        let mut value = || arguments.next().expect("a value");
+        match argument.as_str() {
+            "--seeds" => seeds = value().parse().expect("a number"),
+            "--fix" => {
+                let text = value();
+                let (part, file) = text.split_once('=').expect("PART=FILE");
+                let (part, motion) = (part.to_string(), read(file));
+                fixed = Some(Fixed { part, motion });
+            }
+            file => files.push(file.to_string()),
+        }
+    }
+    for file in &files {
+        let example = [read(file)];
+        for seed in 0..seeds {
+            let mut job = job(seed);
+            job.settings.looping = Looping::Even;
+            let motion = places(&job.make(&example).expect("a loop").bvh, true);
+            let [step, turn] = seam(&motion);
+            println!("{file} seed {seed}: loop step {step:.2}, velocity {turn:.2}");
+        }
+        let seconds = example[0].bvh.frames() as f64 * example[0].bvh.frame_time();
+        for part in [0.25, 0.5, 0.75] {
+            for seed in 0..seeds {
+                let mut job = job(seed);
+                job.keyframes = vec![(keyframe(part * seconds), None)];
+                let made = job.make(&example).expect("a motion");
+                let rate = 1.0 / made.figure.frame_time();
+                let made = jerks(&places(&made.bvh, false));
+                let [near, rest] = around(&made, 5.0 * rate, rate);
+                let source = jerks(&thinned(&example[0], rate));
+                let [own, own_rest] = around(&source, part * seconds * rate, rate);
+                println!(
+                    "{file} seed {seed}: key frame of {part}, jerk {:.2}, source {:.2}, of it {:.2}",
+                    near / rest,
+                    own / own_rest,
+                    near / own
+                );
+            }
+        }
+        for seed in 0..seeds {
+            let Some(fixed) = fixed.clone() else { break };
+            let mut job = job(seed);
+            (job.length, job.fixed) = (None, vec![fixed]);
+            let made = job.make(&example).expect("a motion");
+            let source = thinned(&example[0], 1.0 / made.figure.frame_time());
+            let made = jerks(&places(&made.bvh, false));
+            let ratio = percentile(&made) / percentile(&jerks(&source));
+            println!("{file} seed {seed}: fixed part, jerk {ratio:.2}");
+        }
+    }
+}
+
+fn read(file: &str) -> Example {
+    let bytes = std::fs::read(file).expect("a file");
+    let bvh = Bvh::parse(&bytes, file).expect("BVH");
+    let file = file.to_string();
+    Example { file, bvh }
+}
+
+fn job(seed: u64) -> Job {
+    Job {
+        settings: Settings::of(Preset::Published),
+        length: Some(Length::Seconds(10.0)),
+        seed,
+        up: UpAxis::Y,
+        contacts: false,
+        heading: false,
+        parts: PartChoice::Whole,
+        keyframes: Vec::new(),
+        fixed: Vec::new(),
+        feet: false,
+    }
+}
+
+fn keyframe(source_time: f64) -> Keyframe {
+    Keyframe {
+        time: 5.0,
+        source_time,
+        file: None,
+        part: None,
+        place: None,
+        reach: None,
+    }
+}
+
+/// Where the joints are; `relative`: seen from above the body.
+fn places(bvh: &Bvh, relative: bool) -> Places {
+    let frames = (0..bvh.frames()).map(|t| {
+        let world = bvh.world(t);
+        let [x, _, z] = world[1].position;
+        let from = |[a, b, c]: [f64; 3]| {
+            if relative {
+                [a - x, b, c - z]
+            } else {
+                [a, b, c]
+            }
+        };
+        world.iter().map(|pose| from(pose.position)).collect()
+    });
+    frames.collect()
+}
+
+/// The places of an example at `rate` frames a second.
+fn thinned(example: &Example, rate: f64) -> Places {
+    let every = (1.0 / rate / example.bvh.frame_time()).round() as usize;
+    let all = places(&example.bvh, false);
+    all.into_iter().step_by(every).collect()
+}
+
+/// Mean distance of the joints' weighted sums of frames from the origin.
+fn mean(motion: &Places, terms: &[(usize, f64)]) -> f64 {
+    let joints = motion[0].len();
+    let of = |joint: usize| {
+        let sum = [0, 1, 2].map(|axis| {
+            let terms = terms.iter();
+            terms
+                .map(|(t, weight)| weight * motion[*t][joint][axis])
+                .sum::<f64>()
+        });
+        sum.iter().map(|value| value * value).sum::<f64>().sqrt()
+    };
+    (0..joints).map(of).sum::<f64>() / joints as f64
+}
+
+/// The seam's step and change of velocity, as parts of the 95th percentile of all others.
+fn seam(motion: &Places) -> [f64; 2] {
+    let n = motion.len();
+    let step = |t: usize| mean(motion, &[((t + 1) % n, 1.0), (t, -1.0)]);
+    let turn = |t: usize| mean(motion, &[((t + 2) % n, 1.0), ((t + 1) % n, -2.0), (t, 1.0)]);
+    let steps: Vec<f64> = (0..n - 1).map(step).collect();
+    let turns: Vec<f64> = (0..n - 2).map(turn).collect();
+    let over = turn(n - 2).max(turn(n - 1));
+    [step(n - 1) / percentile(&steps), over / percentile(&turns)]
+}
+
+/// Jerk of each frame from the third on, in units of the file per frame cubed.
+fn jerks(motion: &Places) -> Vec<f64> {
+    let weights = [1.0, -3.0, 3.0, -1.0];
+    let jerk = |t: usize| {
+        let terms: Vec<_> = (0..4).map(|back| (t - back, weights[back])).collect();
+        mean(motion, &terms)
+    };
+    (3..motion.len()).map(jerk).collect()
+}
+
+/// Mean jerk of the second around a frame, and elsewhere.
+fn around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
+    let near = |t: usize| (t as f64 + 1.5 - frame).abs() < rate / 2.0;
+    let mean = |wanted: bool| {
+        let all = jerks.iter().enumerate();
+        let values: Vec<f64> = all
+            .filter(|(t, _)| near(*t) == wanted)
+            .map(|(_, v)| *v)
+            .collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    [mean(true), mean(false)]
+}
+
+fn percentile(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[(0.95 * sorted.len() as f64) as usize]
+}

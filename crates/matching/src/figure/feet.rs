@@ -1,0 +1,186 @@
+//! Feet of a new motion that rest where those of its examples do.
+
+use kinegrad_capture::{Bvh, RootPose};
+use kinegrad_motion::feet::{Leg, lock, sliding};
+use kinegrad_motion::rotation::length;
+use serde::Serialize;
+
+use super::{Example, Figure};
+use crate::parts::feet;
+use crate::{Error, Part};
+
+/// Speed, in leg lengths a second, below which a foot near the floor rests: 0.2 m/s for a person.
+const RESTING: f64 = 0.25;
+/// Height above the lowest place of a sole, in leg lengths, up to which it is near the floor.
+const NEAR: f64 = 0.15;
+/// Frames of the shortest contact, and one more than those of the longest gap that is closed.
+const SHORTEST: usize = 3;
+/// Frames within which a correction fades.
+const BLEND: usize = 5;
+
+/// How far feet slid in contact, before and after they were held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sliding {
+    /// Part of the frames in which a foot is in contact, of all feet.
+    pub in_contact: f64,
+    /// Mean speed of feet in contact before, in the file's units a second.
+    pub before: f64,
+    /// The same after.
+    pub after: f64,
+}
+
+impl Figure {
+    /// The motion `bvh` with its feet held still where those of the examples rest. `origins` of each
+    /// part say which frame of which example a frame continues.
+    ///
+    /// # Errors
+    /// If no joint is called a foot, or none has two bones above it.
+    pub(crate) fn with_held_feet(
+        &self,
+        bvh: &Bvh,
+        examples: &[Example],
+        parts: &[Part],
+        origins: &[Vec<(usize, usize)>],
+    ) -> Result<(Bvh, Sliding), Error> {
+        let joints = self.joints();
+        let parents: Vec<Option<usize>> = joints.iter().map(|joint| joint.parent).collect();
+        let legs = self.legs(&parents);
+        if legs.is_empty() {
+            let problem = "no joint with two bones above it is called a foot, toe or ankle";
+            let hint = "leave `--feet` out: this skeleton has no feet that are known";
+            return Err(Error::file(&self.file, problem, hint));
+        }
+        let rests = examples
+            .iter()
+            .map(|example| self.resting(&example.bvh, &legs));
+        let rests: Vec<Vec<Vec<bool>>> = rests.collect();
+        let contacts = legs.iter().enumerate().map(|(index, leg)| {
+            let part = parts
+                .iter()
+                .position(|part| part.joints.contains(&leg.ankle));
+            let origins = &origins[part.unwrap_or(0)];
+            let flags = origins
+                .iter()
+                .map(|&(example, frame)| rests[example][index][frame]);
+            steadied(flags.collect())
+        });
+        let contacts: Vec<Vec<bool>> = contacts.collect();
+        let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
+        let places = world
+            .iter()
+            .map(|frame| frame.iter().map(|pose| pose.position).collect());
+        let places: Vec<Vec<[f64; 3]>> = places.collect();
+        let locked = lock(&places, &parents, &legs, &contacts, BLEND);
+        let mut locals = Vec::with_capacity(world.len() * joints.len());
+        for (t, world) in world.iter().enumerate() {
+            let mut poses = bvh.locals(t);
+            for (leg, turns) in legs.iter().zip(&locked.turns) {
+                let above = parents[leg.hip].map(|joint| world[joint].orientation);
+                let hip = turns[t].hip * world[leg.hip].orientation;
+                let knee = turns[t].knee * world[leg.knee].orientation;
+                poses[leg.hip].orientation = above.map_or(hip, |above| above.conjugate() * hip);
+                poses[leg.knee].orientation = hip.conjugate() * knee;
+                poses[leg.ankle].orientation = knee.conjugate() * world[leg.ankle].orientation;
+            }
+            locals.extend(poses);
+        }
+        let speed = |places: &[Vec<[f64; 3]>]| {
+            let of = |(leg, contacts): (&Leg, &Vec<bool>)| {
+                let path: Vec<[f64; 3]> = places.iter().map(|frame| frame[leg.sole]).collect();
+                sliding(&path, contacts) / self.frame_time
+            };
+            legs.iter().zip(&contacts).map(of).sum::<f64>() / legs.len() as f64
+        };
+        let flags = contacts.as_slice().concat();
+        let held = flags.iter().filter(|&&contact| contact).count();
+        let slid = Sliding {
+            in_contact: held as f64 / flags.len() as f64,
+            before: speed(&places),
+            after: speed(&locked.positions),
+        };
+        Ok((bvh.reposed(bvh.frame_time(), &locals)?, slid))
+    }
+
+    /// A leg for each topmost joint that is called a foot; its sole is the foot's first joint.
+    fn legs(&self, parents: &[Option<usize>]) -> Vec<Leg> {
+        let feet = feet(self.joints());
+        let below = |joint: usize| parents[joint].is_some_and(|parent| feet.contains(&parent));
+        let ankles = feet.iter().filter(|&&foot| !below(foot));
+        let leg = |&ankle: &usize| {
+            let toe = feet.iter().find(|&&toe| parents[toe] == Some(ankle));
+            Leg::above(ankle, *toe.unwrap_or(&ankle), parents)
+        };
+        let legs: Vec<Leg> = ankles.filter_map(leg).collect();
+        // A joint that two legs hang on is no hip of one.
+        let hangs = |joint: usize, top: usize| {
+            let mut above = std::iter::successors(Some(joint), |&joint| parents[joint]);
+            above.any(|joint| joint == top)
+        };
+        let own = |leg: &&Leg| {
+            legs.iter()
+                .filter(|other| hangs(other.ankle, leg.hip))
+                .count()
+                == 1
+        };
+        legs.iter().filter(own).copied().collect()
+    }
+
+    /// Whether each leg's sole rests near the floor, `[legs][frames]` after thinning.
+    fn resting(&self, bvh: &Bvh, legs: &[Leg]) -> Vec<Vec<bool>> {
+        let (every, _) = super::thinning(bvh);
+        let frames = (0..bvh.frames()).step_by(every);
+        let world: Vec<Vec<RootPose>> = frames.map(|t| bvh.world(t)).collect();
+        let joints = self.joints();
+        let rests = |leg: &Leg| {
+            let size = length(joints[leg.knee].offset) + length(joints[leg.ankle].offset);
+            let place = |t: usize| world[t][leg.sole].position;
+            let height = |t: usize| place(t)[self.up as usize];
+            let floor = (0..world.len()).map(height).fold(f64::INFINITY, f64::min);
+            let still = |t: usize| {
+                let before = place(t.saturating_sub(1));
+                let moved = length([0, 1, 2].map(|axis| place(t)[axis] - before[axis]));
+                let near = height(t) - floor <= NEAR * size;
+                t > 0 && near && moved <= RESTING * size * self.frame_time
+            };
+            (0..world.len()).map(still).collect()
+        };
+        legs.iter().map(rests).collect()
+    }
+}
+
+/// Contacts without gaps and then without contacts of one or two frames.
+fn steadied(mut contacts: Vec<bool>) -> Vec<bool> {
+    for value in [false, true] {
+        let mut first = 0;
+        for t in 0..=contacts.len() {
+            if t < contacts.len() && contacts[t] == value {
+                continue;
+            }
+            // A gap at either end is none.
+            let inside = value || first > 0 && t < contacts.len();
+            if inside && t - first < SHORTEST {
+                contacts[first..t].fill(!value);
+            }
+            first = t + 1;
+        }
+    }
+    contacts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_gaps_and_short_contacts_go() {
+        let read = |text: &str| text.chars().map(|c| c == '#').collect::<Vec<bool>>();
+        for (found, steady) in [
+            ("..####.###..", "..########.."),
+            (".##....####", ".......####"),
+            ("###...###", "###...###"),
+            (".##.##.", ".#####."),
+        ] {
+            assert_eq!(steadied(read(found)), read(steady), "{found}");
+        }
+    }
+}
