@@ -216,7 +216,7 @@ def test_a_training_ended_by_its_callback_is_resumed(runs, phrases, tmp_path):
 
 def test_progress_is_told_and_ends_the_call(phrases):
     told = []
-    phrases.sample(steps=3, progress=lambda *step: told.append(step))
+    phrases.sample(steps=3, frames=10, progress=lambda *step: told.append(step))
     assert told == [("", 1, 3), ("", 2, 3), ("", 3, 3)]
 
     def end(stage, done, total):
@@ -225,7 +225,7 @@ def test_progress_is_told_and_ends_the_call(phrases):
 
     told.clear()
     with pytest.raises(LookupError, match="after 1"):
-        phrases.sample(steps=50, progress=end)
+        phrases.sample(steps=50, frames=10, progress=end)
     assert told == [1]
     with pytest.raises(LookupError):
         phrases.evaluate(settings={"evaluation.phrases": 2}, progress=end)

@@ -264,7 +264,7 @@ impl<R: Recipe> Trainer<R> {
         patience > 0 && self.progress.validations_since_best >= patience
     }
 
-    /// One step; `None` if a stop was requested while waiting for data.
+    /// One step; `None` if a stop was requested while waiting for data or between its batches.
     fn train_step(&mut self, observer: &mut dyn Observer) -> Result<Option<Record>, Error> {
         let (train, optim) = (
             self.parts.config.train.clone(),
@@ -278,6 +278,10 @@ impl<R: Recipe> Trainer<R> {
         let (mut first_weight, mut divisor) = (None, 0.0);
         for micro_batch in 0..train.gradient_accumulation_steps {
             let stop = || observer.stop_requested();
+            // A step of many batches is not waited for; it is done again on resuming.
+            if micro_batch > 0 && stop() {
+                return Ok(None);
+            }
             let Some(batch) = self.parts.loader.next_unless(&stop)? else {
                 return Ok(None);
             };

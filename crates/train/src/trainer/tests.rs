@@ -37,9 +37,9 @@ impl Recipe for Squares {
     }
 }
 
-/// Keeps the last step's report.
+/// Keeps the last step's report, and may ask for a stop at once.
 #[derive(Default)]
-struct Watching(Option<StepReport>);
+struct Watching(Option<StepReport>, bool);
 
 impl Observer for Watching {
     fn started(&mut self, _: &RunSummary) {}
@@ -51,12 +51,21 @@ impl Observer for Watching {
     fn note(&mut self, _: &str) {}
     fn warning(&mut self, _: &str) {}
     fn stop_requested(&self) -> bool {
-        false
+        self.1
     }
 }
 
 /// Report and weights of a step on three phrases of 9, 4 and 12 frames, in so many batches.
 fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
+    let mut trainer = trainer(batches);
+    let mut watching = Watching::default();
+    trainer.time_step(&mut watching).unwrap().expect("a step");
+    let weights = parameters::values(trainer.model.as_ref().unwrap());
+    (watching.0.expect("a report"), weights)
+}
+
+/// A trainer whose steps are so many batches of three phrases of 9, 4 and 12 frames.
+fn trainer(batches: usize) -> Trainer<Squares> {
     let overrides = [
         format!("data.batch_size={}", 3 / batches),
         format!("train.gradient_accumulation_steps={batches}"),
@@ -91,11 +100,26 @@ fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
         folder: PathBuf::new(),
     };
     let model = Linear::new(25, 2, &Initializer::new(3, &device));
-    let mut trainer = Trainer::unrecorded(parts, model, None);
-    let mut watching = Watching::default();
-    trainer.time_step(&mut watching).unwrap().expect("a step");
-    let weights = parameters::values(trainer.model.as_ref().unwrap());
-    (watching.0.expect("a report"), weights)
+    Trainer::unrecorded(parts, model, None)
+}
+
+#[test]
+fn a_stop_between_the_batches_of_a_step_leaves_the_weights() {
+    let weights = |trainer: &Trainer<Squares>| parameters::values(trainer.model.as_ref().unwrap());
+    let mut stopped = trainer(3);
+    let before = weights(&stopped);
+    let step = stopped.train_step(&mut Watching(None, true)).unwrap();
+    assert!(step.is_none() && stopped.step == 0);
+    assert_eq!(weights(&stopped), before);
+    // A step of one batch is done.
+    let mut whole = trainer(1);
+    assert!(
+        whole
+            .train_step(&mut Watching(None, true))
+            .unwrap()
+            .is_some()
+    );
+    assert_ne!(weights(&whole), before);
 }
 
 #[test]
