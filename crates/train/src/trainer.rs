@@ -287,7 +287,8 @@ impl<R: Recipe> Trainer<R> {
             };
             let batch = &batch;
             let weight = self.parts.recipe.weight(batch);
-            let weight = weight / *first_weight.get_or_insert(weight);
+            let first = if weight > 0.0 { weight } else { 1.0 };
+            let weight = weight / *first_weight.get_or_insert(first);
             divisor += weight;
             let key = StepKey {
                 seed: self.parts.config.run.seed,

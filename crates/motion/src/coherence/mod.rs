@@ -21,7 +21,7 @@ pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};
 
 /// Weight of what is said of a frame that is known, where others have 1: tension between frames
-/// moves it by less than single precision holds.
+/// moves it by a few millionths.
 const KNOWN: f64 = 1e8;
 
 fn weight(known: bool) -> f64 {

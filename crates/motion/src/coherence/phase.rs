@@ -1,8 +1,7 @@
 //! The phase that is nearest to the stated one and advances steadily.
 //!
-//! First the turns `p` of a path through the bar that never stands still or turns back are found, by
-//! dynamic programming: of all that advance by half to one and a half of the mean advance a frame,
-//! the one with the most of `cos 2 pi (p_t - phase_t)`. A model that hears the beats and not which of
+//! First the turns `p` of a path through the bar that does not turn back are found, by dynamic
+//! programming: of all that advance by half to one and a half of the tempo a frame, the one with the most of `cos 2 pi (p_t - phase_t)`. A model that hears the beats and not which of
 //! them begins a bar may jump from one to another; the path catches up over some beats instead. Then
 //! the path is moved to the stated phases near it, and smoothed:
 //!
@@ -14,7 +13,6 @@
 //! than an eighth of a bar; other frames count with the path's own phase.
 
 use std::f64::consts::TAU;
-use std::ops::RangeInclusive;
 
 use super::weight;
 use crate::Motion;
@@ -30,8 +28,14 @@ const PLACES: usize = 256;
 /// Most advances that a path chooses from.
 const MOST_ADVANCES: usize = 32;
 
-/// The path's advance a frame lies between these shares of the mean.
+/// The path's advance a frame lies between these shares of the tempo.
 const SHARES: [f64; 2] = [0.5, 1.5];
+
+/// Frames over which the tempo is taken to be one.
+const SPAN_FRAMES: usize = 120;
+
+/// Tempos that are compared.
+const TEMPOS: usize = 4 * SPAN_FRAMES;
 
 /// Bars from the path within which a stated phase counts.
 const NEAR: f64 = 0.125;
@@ -127,18 +131,45 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
     path
 }
 
-/// Places that a path may advance by in a frame: those around the mean of what is said.
+/// Places that a path may advance by in a frame: those around the tempo of what is said, and none
+/// that stands still, of a tempo that allows it.
 fn advances(said: &[f64]) -> Vec<i64> {
-    let steps = said
-        .windows(2)
-        .map(|pair| (TAU * (pair[1] - pair[0])).sin_cos());
-    let (sin, cos) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-    let mean = f64::atan2(sin, cos) / TAU * PLACES as f64;
+    let mean = tempo(said) * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
     bounds.sort_by(f64::total_cmp);
-    let range: RangeInclusive<i64> = bounds[0].floor() as i64..=bounds[1].ceil() as i64;
-    let count = (range.end() - range.start() + 1) as usize;
-    range.step_by(count.div_ceil(MOST_ADVANCES)).collect()
+    let [mut low, mut high] = [bounds[0].floor() as i64, bounds[1].ceil() as i64];
+    if mean >= 1.0 {
+        low = low.max(1);
+    } else if mean <= -1.0 {
+        high = high.min(-1);
+    }
+    let count = (high - low + 1) as usize;
+    (low..=high)
+        .step_by(count.div_ceil(MOST_ADVANCES))
+        .collect()
+}
+
+/// The advance in bars a frame that the phases go with best, from half a bar back to half a bar on:
+/// the largest sum over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Noise of each frame by
+/// itself drowns the advance from one frame to the next, and not this.
+fn tempo(said: &[f64]) -> f64 {
+    let unit = |turns: f64| (TAU * turns).sin_cos();
+    let phases: Vec<(f64, f64)> = said.iter().map(|&turns| unit(turns)).collect();
+    let fits = |advance: f64| {
+        let (sin, cos) = unit(advance);
+        let of_span = |span: &[(f64, f64)]| {
+            // Horner's scheme, from the last frame to the first.
+            let sum = span.iter().rev().fold((0.0, 0.0), |(y, x), (s, c)| {
+                (s + y * cos - x * sin, c + x * cos + y * sin)
+            });
+            sum.0.hypot(sum.1)
+        };
+        phases.chunks(SPAN_FRAMES).map(of_span).sum::<f64>()
+    };
+    let tempos = (1..=TEMPOS).map(|k| k as f64 / TEMPOS as f64 - 0.5);
+    let best = tempos.map(|advance| (fits(advance), advance));
+    let best = best.reduce(|a, b| if b.0 > a.0 { b } else { a });
+    best.map_or(0.0, |(_, advance)| advance)
 }
 
 #[cfg(test)]
@@ -241,6 +272,26 @@ mod tests {
         fit_phase(&mut motion, &vec![false; said.len()]);
         let phases = (0..said.len()).map(|t| motion.frame(t)[PHASE]);
         assert!(phases.into_iter().all(|phase| (0.0..1.0).contains(&phase)));
+    }
+
+    #[test]
+    fn the_tempo_is_found_under_much_noise() {
+        for seed in 0..40 {
+            let noise = Key::new(seed, Purpose::Noise).normals(120);
+            let said = noise.iter().enumerate();
+            let said: Vec<f64> = said
+                .map(|(t, n)| t as f64 / 60.0 + 0.15 * f64::from(*n))
+                .collect();
+            let found = tempo(&said);
+            assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
+            let mut motion = with_phases(&said);
+            fit_phase(&mut motion, &[false; 120]);
+            let steps = crate::movement::phase_steps(&motion);
+            assert!(
+                steps.iter().all(|step| (0.0..0.035).contains(step)),
+                "{seed}"
+            );
+        }
     }
 
     #[test]

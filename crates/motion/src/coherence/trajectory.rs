@@ -23,6 +23,9 @@ use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 /// Frames that the fitted trajectory has beyond those of the estimates.
 pub const EXTRA_FRAMES: usize = 2;
 
+/// Least scales of velocity and acceleration beside that of position, 1/s and 1/s^2.
+const LEAST_RATES: [f64; 2] = [1e-3, 1e-2];
+
 /// What one frame of each estimate says of the positions from its own frame on.
 const STENCILS: [&[f64]; 3] = [
     &[1.0],
@@ -55,9 +58,16 @@ impl CoherentFit {
     /// Panics if a scale is not positive.
     pub fn around(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
-        let weights: [Vec<f64>; 3] = scales.map(|scale| {
-            let relative = known.iter().map(|known| weight(*known));
-            relative.map(|weight| weight / (scale * scale)).collect()
+        // Within known frames their positions say all; at the end of them velocity and acceleration
+        // lead on. Elsewhere the two would pull at the positions, where they do not agree with them.
+        let is_last = |t: usize| known[t] && known.get(t + 1) != Some(&true);
+        let decides: [&dyn Fn(usize) -> bool; 3] = [&|t| known[t], &is_last, &is_last];
+        let weights = [0, 1, 2].map(|estimate| {
+            let relative = (0..known.len()).map(|t| weight(decides[estimate](t)));
+            let scale: f64 = scales[estimate];
+            relative
+                .map(|weight| weight / (scale * scale))
+                .collect::<Vec<f64>>()
         });
         let mut normal = vec![[0.0; BAND]; known.len() + EXTRA_FRAMES];
         for (stencil, weights) in STENCILS.iter().zip(&weights) {
@@ -146,7 +156,14 @@ pub fn fit_trajectory(motion: &mut Motion, std: &[f64], known: &[bool]) {
                 .collect()
         };
         let estimates = components.map(column);
-        let fit = CoherentFit::around(known, components.map(|channel| std[channel]));
+        let [position, velocity, acceleration] = components.map(|channel| std[channel]);
+        // An axis that hardly moves would ask more of the positions than double precision holds.
+        let scales = [
+            position,
+            velocity.max(LEAST_RATES[0] * position),
+            acceleration.max(LEAST_RATES[1] * position),
+        ];
+        let fit = CoherentFit::around(known, scales);
         let position = fit.positions([&estimates[0], &estimates[1], &estimates[2]]);
         let velocity = differences(&position);
         let acceleration = differences(&velocity);
@@ -295,6 +312,38 @@ mod tests {
                 "{index}: {found} {expected}"
             );
         }
+    }
+
+    #[test]
+    fn an_axis_that_hardly_moves_keeps_its_precision() {
+        let mut motion = crate::wandering::wandering(2, 600);
+        let original = motion.clone();
+        let mut std = [0.9; 25];
+        std[VELOCITY].fill(1e-7);
+        std[ACCELERATION].fill(1e-7);
+        fit_trajectory(&mut motion, &std, &[false; 600]);
+        for t in 0..600 {
+            let pairs = motion.frame(t)[..3].iter().zip(&original.frame(t)[..3]);
+            for (found, expected) in pairs {
+                assert!((found - expected).abs() < 1e-2, "{t}: {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn known_positions_hold_where_known_accelerations_say_otherwise() {
+        let mut motion = crate::wandering::wandering(5, 90);
+        let noise = Key::new(1, Purpose::Noise).normals(90);
+        for (t, noise) in noise.into_iter().enumerate().take(58) {
+            let [x, y, z] = motion.vector(t, ACCELERATION);
+            motion.set_vector(t, ACCELERATION, [x + 3.0 * f64::from(noise), y, z]);
+        }
+        let known: Vec<bool> = (0..90).map(|t| t < 60).collect();
+        let original = motion.clone();
+        fit_trajectory(&mut motion, &[0.5; 25], &known);
+        // The first frame after the known ones goes on from where they are written.
+        let step = |motion: &Motion| motion.frame(60)[0] - motion.frame(59)[0];
+        assert!((step(&motion) - step(&original)).abs() < 1e-3);
     }
 
     #[test]

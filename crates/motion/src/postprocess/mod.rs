@@ -101,9 +101,13 @@ pub fn process_around(
         && let Some(Statistics { std, .. }) = statistics
         && processed.first_non_finite().is_none()
     {
-        fit_trajectory(&mut processed, std, known);
-        fit_orientation(&mut processed, std, known);
-        fit_phase(&mut processed, known);
+        let mut fitted = processed.clone();
+        fit_trajectory(&mut fitted, std, known);
+        fit_orientation(&mut fitted, std, known);
+        fit_phase(&mut fitted, known);
+        if fitted.first_non_finite().is_none() {
+            processed = fitted;
+        }
     }
     if config.derive_angular_velocity {
         derive_angular_velocity(&mut processed);

@@ -1,6 +1,7 @@
 //! Sampling phrases conditioned on audio.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::Path;
 
@@ -163,8 +164,10 @@ fn for_held_out(
     let dataset =
         Dataset::<Phrase>::open_with_progress(&subject.config.data, &*receiver.reading())?;
     let chosen = dataset.held_out().first(count)?;
-    let longest = chosen.iter().map(|phrase| phrase.audio.frames()).max();
-    must_fit(subject, chosen.len(), longest.unwrap_or(0), HELD_OUT_HINT)?;
+    let lengths: BTreeSet<usize> = chosen.iter().map(|phrase| phrase.audio.frames()).collect();
+    for frames in lengths {
+        must_fit(subject, chosen.len(), frames, HELD_OUT_HINT)?;
+    }
     let post_processing = PostProcessConfig::from(request.post_processing.unwrap_or_default());
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
         .with_post_processing(post_processing);

@@ -1,5 +1,6 @@
 //! The evaluation of a trained model on its held-out phrases.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use kinegrad_data::{DataKind, Dataset, Phrase, PhraseSet, Songs};
@@ -70,9 +71,11 @@ pub fn prepare<'a>(
         let songs = Songs::read(&data)?;
         return listening(subject, request, &wanted, &songs, held_out, &dataset.train);
     }
-    let longest = held_out.iter().map(|phrase| phrase.frames()).max();
     let hint = "choose fewer `evaluation.seeds`: the samples of a phrase are drawn at a time";
-    generate::must_fit(subject, wanted.seeds, longest.unwrap_or_default(), hint)?;
+    let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
+    for frames in lengths {
+        generate::must_fit(subject, wanted.seeds, frames, hint)?;
+    }
     let settings = EvaluationSettings {
         seeds: wanted.seeds,
         seed: request.seed,
