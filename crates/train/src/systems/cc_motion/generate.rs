@@ -221,10 +221,11 @@ impl Generator {
                         given: None,
                         in_flight: WINDOWS_IN_FLIGHT,
                     };
-                    let before = done * BATCH + number;
+                    let before = done.saturating_mul(BATCH).saturating_add(number);
                     take(
                         self.sample_whole(&whole, sampling, key, &mut |windows, of| {
-                            on_step(before * of + windows, count * of)
+                            let before = before.saturating_mul(of);
+                            on_step(before.saturating_add(windows), count.saturating_mul(of))
                         })?,
                     )?;
                 }
@@ -247,7 +248,10 @@ impl Generator {
                     &sampling.sampler,
                     &sampling.clip.range(normalization, drawn)?,
                     NoiseKeys::Samples(&of_steps),
-                    &mut |step, total, _| on_step(done * total + step, all * total),
+                    &mut |step, total, _| {
+                        let before = done.saturating_mul(total);
+                        on_step(before.saturating_add(step), all.saturating_mul(total))
+                    },
                 )?;
                 Ok::<_, Error>(match &self.decoder {
                     Some(decoder) => decoder.forward(x, None),

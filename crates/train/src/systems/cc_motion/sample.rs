@@ -118,7 +118,9 @@ pub(super) fn sample(
                     &subject.config.sampling,
                     key.at(index as u64),
                     &mut |done, all| {
-                        receiver.advance("windows", index * all + done, request.count * all)
+                        let before = index.saturating_mul(all);
+                        let wanted = request.count.saturating_mul(all);
+                        receiver.advance("windows", before.saturating_add(done), wanted)
                     },
                 )?;
                 let record = Record {
