@@ -3,12 +3,13 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
+use kinegrad_motion::speed::{at_speed, frames_at_speed};
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
 use crate::features::AudioFeatures;
 use crate::passage::{Passage, Window};
-use crate::{AugmentConfig, Crop, DataConfig};
+use crate::{AugmentConfig, Crop, DataConfig, speed};
 
 // Counters below the sample's key, one for each augmentation: switching one on moves no other.
 const WINDOW: u64 = 0;
@@ -19,6 +20,11 @@ const FLIP: u64 = 4;
 const AUDIO_MASKS: u64 = 5;
 const AUDIO_REPLACE: u64 = 6;
 const BAR_DROP: u64 = 7;
+const SPEED: u64 = 8;
+
+/// Frames behind a window that it is played with at another speed, so that its last frames keep
+/// the velocities of what follows.
+const BEHIND: usize = 4;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
 #[derive(Clone, Debug)]
@@ -40,6 +46,14 @@ impl Augmentation {
         }
     }
 
+    /// Frames of a recording that a sample can see: more than it has where it may be played faster.
+    pub fn frames_seen(&self) -> usize {
+        match self.augment.speed {
+            0.0 => self.target_frames,
+            most => played_by(self.target_frames, 1.0 + most) + BEHIND,
+        }
+    }
+
     /// Motion and audio of sample `n`, taken from `passage`: at most `target_frames` frames, in
     /// the dataset's units.
     pub fn windows<'a>(
@@ -56,17 +70,27 @@ impl Augmentation {
             audio_masks,
             audio_replace_prob,
             bar_drop_prob,
+            speed: _,
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
-        let mut window = self.crop(passage, n);
+        let speed = self.speed(key.at(SPEED));
+        let mut window = self.crop(passage, speed, n);
         if let Some(min_frames) = min_frames {
-            window = sub_window(window, min_frames, key.at(WINDOW));
+            window = sub_window(window, played_by(min_frames, speed), key.at(WINDOW));
         }
+        let frames = frames_at_speed(window.len(), speed).min(self.target_frames);
         // A leading crop without any of these stays as stored.
-        let anchor = window.start > 0 || reflect || turn || min_frames.is_some();
+        let anchor = window.start > 0 || reflect || turn || min_frames.is_some() || speed != 1.0;
         let (mut motion, mut audio) = passage.window(window.clone());
         if anchor || flip {
-            let mut changed = passage.take.motion.slice(window.clone());
+            let mut changed = match speed {
+                1.0 => passage.take.motion.slice(window.clone()),
+                speed => {
+                    let behind = (window.end + BEHIND).min(passage.take.frames());
+                    at_speed(&passage.take.motion.slice(window.start..behind), speed)
+                        .slice(0..frames)
+                }
+            };
             if reflect && key.at(MIRROR).uniform() < 0.5 {
                 mirror(&mut changed);
             }
@@ -79,14 +103,15 @@ impl Augmentation {
             if anchor {
                 anchor_floor(&mut changed);
             }
-            motion = Window {
-                frames: 0..changed.frames(),
-                of: Cow::Owned(changed),
-            };
+            motion = owned(changed, Motion::frames);
+        }
+        if speed != 1.0 {
+            let played = speed::at_speed(&passage.take.audio.slice(window), speed);
+            audio = owned(played.slice(0..frames), AudioFeatures::frames);
         }
         let drops_bar = bar_drop_prob > 0.0 && key.at(BAR_DROP).uniform() < bar_drop_prob;
         if audio_noise > 0.0 || audio_masks > 0 || audio_replace_prob > 0.0 || drops_bar {
-            let mut changed = passage.take.audio.slice(window);
+            let mut changed = audio.of.slice(audio.frames);
             if drops_bar {
                 changed.forget_bars();
             }
@@ -101,18 +126,25 @@ impl Augmentation {
                 let noise = replace.at(1).normals(changed.as_slice().len());
                 changed = AudioFeatures::new(changed.frames(), noise).unwrap_or(changed);
             }
-            audio = Window {
-                frames: 0..changed.frames(),
-                of: Cow::Owned(changed),
-            };
+            audio = owned(changed, AudioFeatures::frames);
         }
         (motion, audio)
     }
 
-    /// The `target_frames` that sample `n` sees of a passage, or all of a shorter take.
-    fn crop(&self, passage: &Passage, n: u64) -> Range<usize> {
-        let starts = passage.starts(self.target_frames);
-        let length = passage.take.frames().min(self.target_frames);
+    /// The speed of a sample: evenly by its logarithm.
+    fn speed(&self, key: Key) -> f64 {
+        match self.augment.speed {
+            0.0 => 1.0,
+            most => (1.0 + most).powf(2.0 * key.uniform() - 1.0),
+        }
+    }
+
+    /// The frames that sample `n` sees of a passage, `target_frames` of them when they are played
+    /// at `speed`, or all of a shorter take.
+    fn crop(&self, passage: &Passage, speed: f64, n: u64) -> Range<usize> {
+        let target_frames = played_by(self.target_frames, speed);
+        let starts = passage.starts(target_frames);
+        let length = passage.take.frames().min(target_frames);
         let start = match self.crop {
             Crop::Random if starts.len() > 1 => {
                 starts.start + below(starts.len(), Key::new(self.seed, Purpose::Crop).at(n))
@@ -121,6 +153,19 @@ impl Augmentation {
         };
         start..start + length
     }
+}
+
+/// All frames of what was changed.
+fn owned<'a, T: Clone>(changed: T, frames: impl Fn(&T) -> usize) -> Window<'a, T> {
+    Window {
+        frames: 0..frames(&changed),
+        of: Cow::Owned(changed),
+    }
+}
+
+/// Frames that, played at `speed`, last `frames`.
+fn played_by(frames: usize, speed: f64) -> usize {
+    ((frames.saturating_sub(1)) as f64 * speed - 1e-9).ceil() as usize + 1
 }
 
 /// The same orientations, written with the other sign.
@@ -397,6 +442,49 @@ mod tests {
             (5.0..40.0).contains(&masked),
             "{masked} % masked on average"
         );
+    }
+
+    #[test]
+    fn faster_and_slower_samples_move_and_sound_together() {
+        use kinegrad_motion::circular::{distance, step};
+        use kinegrad_motion::phrase::PHASE;
+
+        let phrase = synthetic::phrase_in(AudioLayout::WITH_BEATS, 3, 60, 2);
+        let playing = sampler(|config| config.augment.speed = 0.6);
+        let (mut slow, mut fast, mut starts) = (0, 0, BTreeSet::new());
+        for n in 0..60 {
+            let (motion, audio) = playing.sample(&alone(&phrase), n);
+            assert_eq!((motion.frames(), audio.frames()), (20, 20));
+            assert!(mean_norm(&velocity_errors(&motion)) < 1e-4);
+            let place = |t: usize| {
+                let [sine, cosine] = [2, 3].map(|row| audio.channel(AUDIO_CHANNELS + row)[t]);
+                f64::from(sine.atan2(cosine)) / std::f64::consts::TAU
+            };
+            let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
+            let offset = step(place(0), phase(0));
+            for t in 0..20 {
+                assert!(distance(place(t) + offset, phase(t)) < 1e-3, "{n} {t}");
+            }
+            let of = |m: &Motion, from: usize| {
+                step(
+                    f64::from(m.frame(from)[PHASE]),
+                    f64::from(m.frame(from + 1)[PHASE]),
+                )
+            };
+            let speed = of(&motion, 5) / of(&phrase.motion, 5);
+            assert!((0.62..1.61).contains(&speed), "{speed}");
+            slow += usize::from(speed < 1.0);
+            fast += usize::from(speed > 1.0);
+            starts.insert((f64::from(motion.frame(0)[PHASE]) * 1e3) as i64);
+        }
+        assert!(slow > 20 && fast > 20 && starts.len() > 20, "{slow} {fast}");
+        // Where the recording is too short to be played faster, the sample is shorter.
+        let short = synthetic::phrase(0, 21, 2);
+        let lengths: BTreeSet<usize> = (0..60)
+            .map(|n| playing.sample(&alone(&short), n).0.frames())
+            .collect();
+        assert!(lengths.contains(&20) && lengths.iter().any(|n| (13..17).contains(n)));
+        assert!(lengths.iter().all(|n| (13..=20).contains(n)), "{lengths:?}");
     }
 
     #[test]

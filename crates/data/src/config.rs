@@ -271,6 +271,9 @@ pub struct AugmentConfig {
     /// Probability of hiding from a sample which beat begins a bar, of datasets with beat features:
     /// `kinegrad sample --audio` does not know it without `--downbeat`.
     pub bar_drop_prob: f64,
+    /// Play motion and music together faster or slower: 0.25 draws a speed between 1 / 1.25 and 1.25
+    /// for each sample. Style numbers stay those of the recorded speed.
+    pub speed: f64,
 }
 
 /// Size and seed of the synthetic dataset.
@@ -425,6 +428,8 @@ impl AugmentConfig {
             .hint("0.1 is one sample in ten")?;
         in_range("data.augment.bar_drop_prob", self.bar_drop_prob, 0.0..=1.0)
             .hint("0.5 trains for songs with and without a known downbeat")?;
+        in_range("data.augment.speed", self.speed, 0.0..=1.0)
+            .hint("0.25 plays at 0.8 to 1.25 times the recorded speed")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

@@ -53,6 +53,7 @@ mod phrase_samples;
 mod phrase_set;
 mod prefetch;
 mod songs;
+mod speed;
 mod split;
 mod store;
 mod style_conditions;

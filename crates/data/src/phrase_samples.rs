@@ -40,10 +40,11 @@ impl PhraseSamples {
         config: &DataConfig,
         seed: u64,
     ) -> Self {
+        let sampler = Augmentation::new(config, seed);
         Self {
-            passages: Passages::new(phrases, config.target_frames, config.join_neighbours),
+            passages: Passages::new(phrases, sampler.frames_seen(), config.join_neighbours),
             statistics,
-            sampler: Augmentation::new(config, seed),
+            sampler,
             target_frames: config.target_frames,
             targets: Targets::default(),
             audio_channels: config.audio_layout().channels(),
@@ -78,7 +79,7 @@ pub fn target_statistics(
 ) -> Result<Statistics, Error> {
     // The same crops in all runs, so that their losses compare.
     let sampler = Augmentation::new(config, 0);
-    let passages = Passages::new(phrases, config.target_frames, config.join_neighbours);
+    let passages = Passages::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {
         let passage = passages.get(position)?;
         let encoded = |window: Window<'_, Motion>| {

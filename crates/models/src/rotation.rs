@@ -11,6 +11,56 @@ pub fn hemisphere(x: Tensor<3>) -> Tensor<3> {
     x.lower_elem(0.0).float() * -2.0 + 1.0
 }
 
+/// The products `a b` of quaternions, `[batch, 4, time]` each: the rotation `b`, then `a`.
+pub fn product(a: Tensor<3>, b: Tensor<3>) -> Tensor<3> {
+    let parts = |q: Tensor<3>| [0, 1, 2, 3].map(|index| q.clone().narrow(1, index, 1));
+    let ([w1, x1, y1, z1], [w0, x0, y0, z0]) = (parts(a), parts(b));
+    let of = |a: &Tensor<3>, b: &Tensor<3>| a.clone() * b.clone();
+    let w = of(&w1, &w0) - of(&x1, &x0) - of(&y1, &y0) - of(&z1, &z0);
+    let x = of(&x1, &w0) + of(&w1, &x0) + of(&y1, &z0) - of(&z1, &y0);
+    let y = of(&y1, &w0) + of(&w1, &y0) + of(&z1, &x0) - of(&x1, &z0);
+    let z = of(&z1, &w0) + of(&w1, &z0) + of(&x1, &y0) - of(&y1, &x0);
+    Tensor::cat(vec![w, x, y, z], 1)
+}
+
+/// The inverse rotations of unit quaternions, `[batch, 4, time]`.
+pub fn conjugate(q: Tensor<3>) -> Tensor<3> {
+    Tensor::cat(vec![q.clone().narrow(1, 0, 1), -q.narrow(1, 1, 3)], 1)
+}
+
+/// The rotations that angular velocities lead to from no rotation at the first frame: at frame `t`
+/// the product of `exp(w[s] / fps)` over the frames `s` before it. Unit quaternions.
+///
+/// # Shapes
+/// - rates: `[batch, 3, time]`, radians per second in the world frame
+/// - output: `[batch, 4, time]`
+pub fn turned(rates: Tensor<3>) -> Tensor<3> {
+    let [batch, _, time] = rates.dims();
+    let half = rates / (2.0 * FPS);
+    let angle = (half.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
+    let steps = Tensor::cat(
+        vec![angle.clone().cos(), half * (angle.clone().sin() / angle)],
+        1,
+    );
+    let none = Tensor::cat(
+        vec![
+            steps.clone().slice([0..batch, 0..1, 0..1]).ones_like(),
+            steps.clone().slice([0..batch, 1..4, 0..1]).zeros_like(),
+        ],
+        1,
+    );
+    let mut all = Tensor::cat(vec![none, steps], 2).narrow(2, 0, time);
+    // Products over twice as many frames each time.
+    let mut reach = 1;
+    while reach < time {
+        let before = all.clone().narrow(2, 0, time - reach);
+        let longer = product(all.clone().narrow(2, reach, time - reach), before);
+        all = Tensor::cat(vec![all.narrow(2, 0, reach), longer], 2);
+        reach *= 2;
+    }
+    all
+}
+
 /// The rotation vector of `q[t+1] q[t]*` times fps, in the world frame, whatever the signs and
 /// norms, in radians per second. Finite and with a finite gradient for equal and for antipodal
 /// quaternions.
@@ -21,15 +71,8 @@ pub fn hemisphere(x: Tensor<3>) -> Tensor<3> {
 pub fn angular_velocity(q: Tensor<3>) -> Tensor<3> {
     let time = q.dims()[2];
     let (now, next) = (q.clone().narrow(2, 0, time - 1), q.narrow(2, 1, time - 1));
-    let c = |x: &Tensor<3>, index: usize| x.clone().narrow(1, index, 1);
-    let [w0, x0, y0, z0] = [0, 1, 2, 3].map(|i| c(&now, i));
-    let [w1, x1, y1, z1] = [0, 1, 2, 3].map(|i| c(&next, i));
-    let product = |a: &Tensor<3>, b: &Tensor<3>| a.clone() * b.clone();
-    let w = product(&w1, &w0) + product(&x1, &x0) + product(&y1, &y0) + product(&z1, &z0);
-    let x = product(&x1, &w0) - product(&w1, &x0) - product(&y1, &z0) + product(&z1, &y0);
-    let y = product(&y1, &w0) - product(&w1, &y0) - product(&z1, &x0) + product(&x1, &z0);
-    let z = product(&z1, &w0) - product(&w1, &z0) - product(&x1, &y0) + product(&y1, &x0);
-    let vector = Tensor::cat(vec![x, y, z], 1);
+    let turn = product(next, conjugate(now));
+    let (w, vector) = (turn.clone().narrow(1, 0, 1), turn.narrow(1, 1, 3));
 
     // Of the two quaternions of a rotation, the one that turns by at most half a turn.
     let sign = hemisphere(w.clone());

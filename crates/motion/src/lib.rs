@@ -35,6 +35,7 @@ pub mod postprocess;
 pub mod representation;
 pub mod rotation;
 pub mod sanity;
+pub mod speed;
 pub mod statistics;
 pub mod stitch;
 pub mod style;

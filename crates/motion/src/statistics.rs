@@ -182,6 +182,18 @@ impl Statistics {
         }
     }
 
+    /// Widens the range of `channels` by `factor`, at least 1, away from zero: augmentation
+    /// multiplies them by up to that.
+    pub fn widen_range_by(&mut self, factor: f64, channels: impl IntoIterator<Item = usize>) {
+        let Some([min, max]) = &mut self.range else {
+            return;
+        };
+        for channel in channels {
+            min[channel] = min[channel].min(factor * min[channel]);
+            max[channel] = max[channel].max(factor * max[channel]);
+        }
+    }
+
     fn checked(self) -> Result<Self, Error> {
         let invalid = |reason: String| Err(Error::InvalidStatistics { reason });
         let channels = self.channels();

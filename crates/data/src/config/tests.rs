@@ -46,7 +46,7 @@ fn unknown_keys_and_wrong_types_are_refused() {
 #[test]
 fn values_out_of_range_are_refused_by_their_key() {
     type Change = fn(&mut DataConfig);
-    let cases: [(&str, Change); 18] = [
+    let cases: [(&str, Change); 19] = [
         ("data.target_frames", |c| c.target_frames = 3),
         ("data.audio_features", |c| c.audio_features.clear()),
         ("data.batch_size", |c| c.batch_size = 0),
@@ -70,6 +70,7 @@ fn values_out_of_range_are_refused_by_their_key() {
         ("data.validation.patterns", |c| {
             c.validation.patterns = vec![String::new()]
         }),
+        ("data.augment.speed", |c| c.augment.speed = 1.5),
         ("data.augment.min_frames", |c| {
             c.augment.min_frames = Some(121)
         }),

@@ -4,6 +4,7 @@
 mod coherent;
 mod config;
 mod identity;
+mod orientation;
 
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ use coherent::{ESTIMATES, Fits};
 
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
-use crate::targets::{decode, sign_continuous};
+use crate::targets::decode;
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
@@ -220,8 +221,9 @@ impl MotionDecoder {
         decode(self.targets, motion)
     }
 
-    /// Replaces position, velocity and acceleration by the nearest coherent ones, makes the
-    /// quaternion's sign continuous, and derives the angular velocity from it.
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, the quaternions by
+    /// those nearest to them and the angular velocities, with a continuous sign, and derives the
+    /// angular velocities from them.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let fits = Fits::new(time, &self.normalization.std);
@@ -229,9 +231,11 @@ impl MotionDecoder {
         let position = linear_map(estimates, Arc::new(fits));
         let velocity = differences(position.clone());
         let acceleration = differences(velocity.clone());
-        let quaternion = sign_continuous(motion.clone().slice([0..batch, QUATERNION]));
+        let part = |channels| motion.clone().slice([0..batch, channels]);
+        let rates = &self.normalization.std[self.targets.angular_velocity_channels()];
+        let quaternion = orientation::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates);
         let turning = match time {
-            1 => motion.clone().slice([0..batch, ANGULAR_VELOCITY]),
+            1 => part(ANGULAR_VELOCITY),
             _ => {
                 let turning = angular_velocity(quaternion.clone());
                 let last = turning.clone().narrow(2, time - 2, 1);

@@ -16,7 +16,7 @@ mod orientation;
 mod phase;
 mod trajectory;
 
-pub use orientation::fit_orientation;
+pub use orientation::{OrientationFit, fit_orientation};
 pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};
 

@@ -18,6 +18,60 @@ use crate::{Motion, Quaternion};
 /// The scale `s_q`: root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
 
+/// The fit of the components of `u` for motion of some length.
+#[derive(Clone, Debug)]
+pub struct OrientationFit {
+    /// Of each frame, 1 or that of a known frame.
+    weights: Vec<f64>,
+    factor: Cholesky,
+}
+
+impl OrientationFit {
+    /// The fit of `frames` frames; `rates` are the training deviations of the angular velocity in
+    /// radians per second.
+    ///
+    /// # Panics
+    /// Panics unless the deviations are positive.
+    pub fn new(frames: usize, rates: &[f64]) -> Self {
+        Self::around(&vec![false; frames], rates)
+    }
+
+    fn around(known: &[bool], rates: &[f64]) -> Self {
+        // Half a rotation vector is what a small rotation adds to a quaternion.
+        let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
+        assert!(step_scale > 0.0, "deviations of the angular velocity");
+        let stiffness = (QUATERNION_SCALE / step_scale).powi(2);
+        let weights: Vec<f64> = known.iter().map(|&known| weight(known)).collect();
+        let mut normal = vec![[0.0; BAND]; known.len()];
+        for (t, weight) in weights.iter().enumerate() {
+            normal[t][0] += weight;
+            if t > 0 {
+                normal[t][0] += stiffness;
+                normal[t][1] = -stiffness;
+                normal[t - 1][0] += stiffness;
+            }
+        }
+        Self {
+            weights,
+            factor: Cholesky::new(normal),
+        }
+    }
+
+    /// Frames of the fit.
+    pub fn frames(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// The fitted values of one component, in place of what is said of it, `[frames]`. Without
+    /// known frames it is its own adjoint.
+    pub fn fit(&self, component: &mut [f64]) {
+        for (value, weight) in component.iter_mut().zip(&self.weights) {
+            *value *= weight;
+        }
+        self.factor.solve(component);
+    }
+}
+
 /// Replaces the quaternions of a phrase of any length by those nearest to its quaternions and
 /// angular velocities, of unit norm and continuous sign, except in frames that are `known`. `std`
 /// are the training deviations of the channels, `[25]`; angular velocities are left as they are.
@@ -27,11 +81,7 @@ const QUATERNION_SCALE: f64 = 0.5;
 pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    // Half a rotation vector is what a small rotation adds to a quaternion.
-    let step_scale = std[ANGULAR_VELOCITY].iter().sum::<f64>() / 3.0 / (2.0 * FPS);
-    assert!(step_scale > 0.0, "deviations of the angular velocity");
-    let stiffness = (QUATERNION_SCALE / step_scale).powi(2);
-
+    let fit = OrientationFit::around(known, &std[ANGULAR_VELOCITY]);
     let mut turned = Vec::with_capacity(frames);
     let mut rotation = Quaternion::IDENTITY;
     for t in 0..frames {
@@ -44,21 +94,10 @@ pub fn fit_orientation(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let mut rest: Vec<Quaternion> = rest.collect();
     make_sign_continuous(&mut rest);
 
-    let mut normal = vec![[0.0; BAND]; frames];
-    for t in 0..frames {
-        normal[t][0] += weight(known[t]);
-        if t > 0 {
-            normal[t][0] += stiffness;
-            normal[t][1] = -stiffness;
-            normal[t - 1][0] += stiffness;
-        }
-    }
-    let factor = Cholesky::new(normal);
     let parts: [fn(&Quaternion) -> f64; 4] = [|q| q.w, |q| q.x, |q| q.y, |q| q.z];
     let [w, x, y, z] = parts.map(|part| {
-        let said = rest.iter().zip(known);
-        let mut fitted: Vec<f64> = said.map(|(q, known)| weight(*known) * part(q)).collect();
-        factor.solve(&mut fitted);
+        let mut fitted: Vec<f64> = rest.iter().map(part).collect();
+        fit.fit(&mut fitted);
         fitted
     });
     let mut fitted: Vec<Quaternion> = turned

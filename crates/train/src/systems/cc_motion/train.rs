@@ -163,6 +163,16 @@ fn widened(
     augment: &AugmentConfig,
     before: &AugmentConfig,
 ) -> Statistics {
+    let faster = ((1.0 + augment.speed) / (1.0 + before.speed)).max(1.0);
+    // A faster dancer gets further in the same time.
+    for (channels, power) in [
+        (POSITION, 1),
+        (VELOCITY, 1),
+        (ACCELERATION, 2),
+        (targets.angular_velocity_channels(), 1),
+    ] {
+        statistics.widen_range_by(faster.powi(power), channels);
+    }
     if augment.mirror {
         statistics.widen_range_for_signs(targets.mirrored_channels());
     }
@@ -244,6 +254,16 @@ mod tests {
         assert!(cut(&with(|a| a.mirror = true), mirror).is_empty());
         assert!(cut(&with(|a| a.flip_quaternion = true), flip).is_empty());
         assert!(cut(&with(|a| a.rotate_yaw = true), turn).is_empty());
+        let faster = |phrase: &mut Motion| {
+            for t in 0..20 {
+                for (channels, factor) in [(POSITION, 1.5), (VELOCITY, 1.5), (ACCELERATION, 2.25)] {
+                    let scaled = phrase.vector(t, channels.clone()).map(|v| factor * v);
+                    phrase.set_vector(t, channels, scaled);
+                }
+            }
+        };
+        assert!(!cut(&measured, faster).is_empty());
+        assert!(cut(&with(|a| a.speed = 0.5), faster).is_empty());
         // Nothing else is widened.
         assert!(!cut(&with(|a| a.mirror = true), turn).is_empty());
     }

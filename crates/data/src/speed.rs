@@ -1,0 +1,131 @@
+//! Music played faster or slower, as its features.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use kinegrad_motion::circular::step;
+use kinegrad_motion::speed::{between, frames_at_speed};
+
+use crate::features::{AUDIO_CHANNELS, AudioFeatures};
+
+// Rows of the beat features.
+const BEAT: Range<usize> = 0..2;
+const BAR: Range<usize> = 2..4;
+const BAR_KNOWN: usize = 4;
+const MARK: usize = 5;
+const TEMPO: usize = 6;
+
+/// The features of music played at `speed`, above 1 faster, at the moments of
+/// [`at_speed`](kinegrad_motion::speed::at_speed): what sounds at a moment is the same, pitch
+/// included. Where beats are told, they and the tempo are those that are then heard.
+pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
+    let from = audio.frames();
+    let frames = frames_at_speed(from, speed);
+    let moments: Vec<_> = (0..frames)
+        .map(|t| between(from, speed * t as f64))
+        .collect();
+    let mixed = |row: &[f32]| -> Vec<f32> {
+        let mix = |&(a, b, fraction): &(usize, usize, f64)| {
+            (1.0 - fraction) * f64::from(row[a]) + fraction * f64::from(row[b])
+        };
+        moments.iter().map(|moment| mix(moment) as f32).collect()
+    };
+    let mut values: Vec<f32> = (0..audio.channels())
+        .flat_map(|channel| mixed(audio.channel(channel)))
+        .collect();
+    if audio.layout().beats {
+        let beats = &mut values[AUDIO_CHANNELS * frames..];
+        let source = |row: usize| audio.channel(AUDIO_CHANNELS + row);
+        for circle in [BEAT, BAR] {
+            let [sine, cosine] = [source(circle.start), source(circle.start + 1)];
+            // Zeros where nothing is known.
+            let places: Vec<Option<f64>> = sine
+                .iter()
+                .zip(cosine)
+                .map(|(&s, &c)| (s.hypot(c) > 0.5).then(|| f64::from(s.atan2(c)) / TAU))
+                .collect();
+            for (t, &(a, b, fraction)) in moments.iter().enumerate() {
+                let (Some(place), Some(next)) = (places[a], places[b]) else {
+                    continue;
+                };
+                let place = place + fraction * step(place, next);
+                beats[circle.start * frames + t] = (TAU * place).sin() as f32;
+                beats[(circle.start + 1) * frames + t] = (TAU * place).cos() as f32;
+                if circle == BEAT {
+                    // A beat falls between half a frame before and half a frame after.
+                    let neighbour = places[b.min(a + 1)].filter(|_| b > a);
+                    let before = places[a.saturating_sub(1)].filter(|_| a > 0);
+                    let advance = match (neighbour, before) {
+                        (Some(next), _) => step(places[a].unwrap_or(next), next),
+                        (None, Some(before)) => step(before, place),
+                        (None, None) => 0.0,
+                    };
+                    let [first, last] =
+                        [-0.5, 0.5].map(|half| (place + half * speed * advance).floor());
+                    beats[MARK * frames + t] = f32::from(u8::from(first < last));
+                }
+            }
+        }
+        for (t, &(a, _, _)) in moments.iter().enumerate() {
+            beats[BAR_KNOWN * frames + t] = source(BAR_KNOWN)[a];
+            // The logarithm of the tempo; a song without beats has none.
+            if source(BEAT.start)[a].hypot(source(BEAT.start + 1)[a]) > 0.5 {
+                beats[TEMPO * frames + t] += speed.log2() as f32;
+            }
+        }
+    }
+    AudioFeatures::new(frames, values).expect("as many channels as before")
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_audio::Pulse;
+    use kinegrad_audio::pulse::BEAT_FEATURES;
+
+    use super::*;
+    use crate::AudioLayout;
+
+    #[test]
+    fn the_rows_are_those_of_the_beat_features() {
+        let names = [BEAT.start, BAR.start, BAR_KNOWN, MARK, TEMPO].map(|row| BEAT_FEATURES[row]);
+        assert_eq!(names, ["beat_sin", "bar_sin", "bar_known", "beat", "tempo"]);
+    }
+
+    #[test]
+    fn beats_are_those_of_the_faster_song() {
+        let beats: Vec<f64> = (0..20).map(|beat| 0.13 + 0.5 * f64::from(beat)).collect();
+        for speed in [0.8, 1.0, 1.25] {
+            let told = |speed: f64| {
+                let beats = beats.iter().map(|beat| beat / speed).collect();
+                Pulse::new(beats).unwrap().with_downbeat(4, 0.63 / speed)
+            };
+            let song = AudioFeatures::zeros(200).with_beats(Some(&told(1.0)));
+            let played = at_speed(&song, speed);
+            let expected = AudioFeatures::zeros(played.frames()).with_beats(Some(&told(speed)));
+            assert_eq!(played.frames(), frames_at_speed(200, speed));
+            for (row, name) in BEAT_FEATURES.iter().enumerate() {
+                let pairs = [&played, &expected].map(|f| f.channel(AUDIO_CHANNELS + row));
+                for (t, (a, b)) in pairs[0].iter().zip(pairs[1]).enumerate() {
+                    assert!((a - b).abs() < 1e-4, "{speed} {name} of {t}: {a} not {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_sounds_is_the_same_at_other_moments() {
+        let ramp: Vec<f32> = (0..AUDIO_CHANNELS * 11).map(|i| (i % 11) as f32).collect();
+        let song = AudioFeatures::new(11, ramp).unwrap();
+        let played = at_speed(&song, 2.5);
+        assert_eq!(played.frames(), 5);
+        for channel in [0, 130, 162] {
+            assert_eq!(played.channel(channel), [0.0, 2.5, 5.0, 7.5, 10.0]);
+        }
+        assert_eq!(at_speed(&song, 1.0), song);
+        // A song of which no beats are known stays without.
+        let silent = AudioFeatures::silence(AudioLayout::WITH_BEATS, 9);
+        let played = at_speed(&silent, 0.5);
+        assert!(played.as_slice().iter().all(|value| *value == 0.0));
+        assert_eq!(played.frames(), 17);
+    }
+}

@@ -1,0 +1,236 @@
+//! A phrase played faster or slower.
+
+use crate::circular::step;
+use crate::kinematics::rederive;
+use crate::phrase::{PHASE, POSITION, STYLE};
+use crate::{CHANNELS, Motion, Quaternion};
+
+/// Frames that `frames` last when they are played at `speed`: from the first on as far as the last.
+pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
+    // Rounding must not lose the last frame where it is met exactly.
+    ((frames.saturating_sub(1)) as f64 / speed + 1e-9).floor() as usize + 1
+}
+
+/// The phrase played at `speed`, above 1 faster: the same path and turns in less time. Frame `t` is
+/// the moment `speed * t` of the original, counted in frames.
+///
+/// Positions and quaternions run along cubic splines, so that accelerations stay smooth, and
+/// velocities follow from them. The phase advances by the same way around; the style of each moment
+/// goes with it unchanged.
+///
+/// # Panics
+/// Panics unless `speed` is finite and above zero.
+#[must_use]
+pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
+    assert!(speed.is_finite() && speed > 0.0, "a speed: {speed}");
+    let frames = frames_at_speed(motion.frames(), speed);
+    let moments: Vec<f64> = (0..frames).map(|t| speed * t as f64).collect();
+    let mut played = Motion::new(vec![0.0; frames * CHANNELS]).expect("at least one frame");
+
+    for channel in POSITION {
+        let rows: Vec<f64> = (0..motion.frames())
+            .map(|t| f64::from(motion.frame(t)[channel]))
+            .collect();
+        for (t, value) in spline(&rows, &moments).into_iter().enumerate() {
+            played.frame_mut(t)[channel] = value as f32;
+        }
+    }
+    let mut rows = vec![Vec::with_capacity(motion.frames()); 4];
+    let mut before = motion.quaternion(0);
+    for t in 0..motion.frames() {
+        // Along one sign, whichever the frames are written with.
+        let q = motion.quaternion(t);
+        before = if before.dot(q) < 0.0 {
+            q.scale(-1.0)
+        } else {
+            q
+        };
+        for (row, value) in rows
+            .iter_mut()
+            .zip([before.w, before.x, before.y, before.z])
+        {
+            row.push(value);
+        }
+    }
+    let [w, x, y, z] = [0, 1, 2, 3].map(|row| spline(&rows[row], &moments));
+    for (t, &moment) in moments.iter().enumerate() {
+        let turned = Quaternion {
+            w: w[t],
+            x: x[t],
+            y: y[t],
+            z: z[t],
+        };
+        played.set_quaternion(t, turned.scale(1.0 / turned.norm().max(f64::MIN_POSITIVE)));
+        let (from, to, fraction) = between(motion.frames(), moment);
+        let (from, to) = (motion.frame(from), motion.frame(to));
+        let phase = f64::from(from[PHASE]);
+        let phase = phase + fraction * step(phase, f64::from(to[PHASE]));
+        let frame = played.frame_mut(t);
+        frame[PHASE] = phase.rem_euclid(1.0) as f32;
+        for channel in STYLE {
+            let (a, b) = (f64::from(from[channel]), f64::from(to[channel]));
+            frame[channel] = (a + fraction * (b - a)) as f32;
+        }
+    }
+    rederive(&mut played);
+    played
+}
+
+/// The frames around a moment, of `frames`, and how far it is from the first to the second.
+pub fn between(frames: usize, moment: f64) -> (usize, usize, f64) {
+    let from = (moment.max(0.0) as usize).min(frames - 1);
+    let to = (from + 1).min(frames - 1);
+    (from, to, (moment - from as f64).clamp(0.0, 1.0))
+}
+
+/// The cubic spline through `values` at 0, 1, 2 and so on, at `moments` within them. Its second
+/// derivative is constant over the first and the last step.
+fn spline(values: &[f64], moments: &[f64]) -> Vec<f64> {
+    let curvature = curvature(values);
+    let at = |&moment: &f64| {
+        let (from, to, b) = between(values.len(), moment);
+        let a = 1.0 - b;
+        let bend = (a.powi(3) - a) * curvature[from] + (b.powi(3) - b) * curvature[to];
+        a * values[from] + b * values[to] + bend / 6.0
+    };
+    moments.iter().map(at).collect()
+}
+
+/// Second derivatives of the spline at its values: of `m[i-1] + 4 m[i] + m[i+1] = 6 (y[i-1] - 2 y[i]
+/// + y[i+1])`, solved from both ends.
+fn curvature(values: &[f64]) -> Vec<f64> {
+    let inner = values.len().saturating_sub(2);
+    if inner == 0 {
+        return vec![0.0; values.len()];
+    }
+    let mut rest: Vec<f64> = values
+        .windows(3)
+        .map(|y| 6.0 * (y[0] - 2.0 * y[1] + y[2]))
+        .collect();
+    // The first and the last unknown equal their neighbours.
+    let at_ends = |i: usize| f64::from(u8::from(i == 0)) + f64::from(u8::from(i + 1 == inner));
+    let mut factor = vec![0.0; inner];
+    for i in 0..inner {
+        let mut pivot = 4.0 + at_ends(i);
+        if i > 0 {
+            pivot -= factor[i - 1];
+            rest[i] -= rest[i - 1];
+        }
+        factor[i] = 1.0 / pivot;
+        rest[i] /= pivot;
+    }
+    for i in (0..inner - 1).rev() {
+        rest[i] -= factor[i] * rest[i + 1];
+    }
+    let mut all = Vec::with_capacity(values.len());
+    all.push(rest[0]);
+    all.extend_from_slice(&rest);
+    all.push(rest[inner - 1]);
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, VELOCITY};
+    use crate::wandering::wandering;
+
+    #[test]
+    fn a_spline_follows_parabolas_and_waves() {
+        let parabola: Vec<f64> = (0..9).map(|t| f64::from(t * t) - 3.0).collect();
+        let moments = [0.0, 0.25, 3.5, 7.75, 8.0];
+        for (value, moment) in spline(&parabola, &moments).into_iter().zip(moments) {
+            assert!((value - (moment * moment - 3.0)).abs() < 1e-12);
+        }
+        let wave: Vec<f64> = (0..60).map(|t| (TAU * f64::from(t) / 15.0).sin()).collect();
+        let moments: Vec<f64> = (0..50)
+            .map(|t| 4.0 + f64::from(t))
+            .map(|t| t + 0.3)
+            .collect();
+        for (value, moment) in spline(&wave, &moments).into_iter().zip(&moments) {
+            assert!((value - (TAU * moment / 15.0).sin()).abs() < 1e-3);
+        }
+        for few in [&[2.0][..], &[2.0, 4.0], &[2.0, 4.0, 6.0]] {
+            let last = (few.len() - 1) as f64;
+            let expected = [2.0, 2.0 + last];
+            for (a, b) in spline(few, &[0.0, last / 2.0]).into_iter().zip(expected) {
+                assert!((a - b).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn lengths_run_from_the_first_frame_as_far_as_the_last() {
+        for (frames, speed, expected) in [
+            (1, 2.0, 1),
+            (10, 1.0, 10),
+            (10, 2.0, 5),
+            (10, 0.5, 19),
+            (11, 1.25, 9),
+            (120, 1.2, 100),
+        ] {
+            assert_eq!(frames_at_speed(frames, speed), expected, "{frames} {speed}");
+            assert_eq!(at_speed(&wandering(1, frames), speed).frames(), expected);
+        }
+    }
+
+    #[test]
+    fn the_same_path_is_gone_in_another_time() {
+        for speed in [0.8, 1.25] {
+            let original = wandering(5, 60);
+            let played = at_speed(&original, speed);
+            let mut checked = 0;
+            for t in 2..played.frames() - 3 {
+                let (from, to, fraction) = between(60, speed * t as f64);
+                let mix = |a: f64, b: f64| a + fraction * (b - a);
+                for (channels, factor, tolerance) in [
+                    (POSITION, 1.0, 0.02),
+                    (VELOCITY, speed, 0.15),
+                    (ANGULAR_VELOCITY, speed, 0.15),
+                ] {
+                    let [a, b] = [from, to].map(|f| original.vector(f, channels.clone()));
+                    let found = played.vector(t, channels);
+                    for i in 0..3 {
+                        let expected = factor * mix(a[i], b[i]);
+                        assert!((found[i] - expected).abs() < tolerance, "{t}: {found:?}");
+                    }
+                }
+                // Every frame of the original that is met is met exactly.
+                if fraction < 1e-9 {
+                    let (a, b) = (original.quaternion(from), played.quaternion(t));
+                    assert!((a.dot(b).abs() - 1.0).abs() < 1e-6);
+                    checked += 1;
+                }
+            }
+            assert!(checked > 5, "{checked}");
+        }
+    }
+
+    #[test]
+    fn accelerations_stay_those_of_a_smooth_path() {
+        // One turn in 60 frames on a circle of a metre.
+        let mut circle = Motion::new(vec![0.0; 90 * CHANNELS]).unwrap();
+        for t in 0..90 {
+            let angle = TAU * t as f64 / 60.0;
+            circle.set_vector(t, POSITION, [angle.sin(), 1.0, angle.cos()]);
+            circle.set_quaternion(t, Quaternion::from_yaw(angle));
+            circle.frame_mut(t)[PHASE] = (t as f32 / 20.0).fract();
+        }
+        let played = at_speed(&circle, 1.2);
+        let expected = (TAU / 2.0 * 1.2).powi(2);
+        for t in 2..played.frames() - 4 {
+            let [x, _, z] = played.vector(t, ACCELERATION);
+            assert!(
+                (x.hypot(z) / expected - 1.0).abs() < 0.01,
+                "{t} {}",
+                x.hypot(z)
+            );
+            let turned = played.vector(t, ANGULAR_VELOCITY)[1];
+            assert!((turned / (TAU / 2.0 * 1.2) - 1.0).abs() < 1e-3, "{turned}");
+            let phase = f64::from(played.frame(t)[PHASE]);
+            assert!(crate::circular::distance(phase, 1.2 * t as f64 / 20.0) < 1e-5);
+        }
+    }
+}
