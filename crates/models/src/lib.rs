@@ -44,6 +44,6 @@ pub use motion_model::MotionModel;
 pub use stages::Stages;
 pub use text_denoiser::{Backbone, TextDenoiser};
 pub use unet1d::{
-    AudioCondition, AudioConditioning, STYLE_VALUES, StyleCondition, StyleConditioning, UNet1d,
-    UNet1dConfig,
+    AudioCondition, AudioConditioning, BEAT_CHANNELS, Beats, STYLE_VALUES, StyleCondition,
+    StyleConditioning, UNet1d, UNet1dConfig,
 };

@@ -2,6 +2,9 @@
 
 mod adapters;
 mod audio;
+mod beats;
+#[cfg(test)]
+mod beats_tests;
 mod style;
 #[cfg(test)]
 mod style_tests;
@@ -25,6 +28,8 @@ use crate::time_embedding::TimeEmbedding;
 use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 pub use audio::{AudioCondition, AudioConditioning};
 use audio::{AudioEncoder, Heard, widths};
+use beats::BeatTracker;
+pub use beats::{BEAT_CHANNELS, Beats};
 use style::StyleEmbedding;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
@@ -52,6 +57,9 @@ pub struct UNet1dConfig {
     pub context_dim: usize,
     /// How the audio features are fed in; what a config leaves out is `document`.
     pub audio_conditioning: AudioConditioning,
+    /// Where the beats are from, with `audio_conditioning = "aligned"`.
+    #[serde(skip_serializing_if = "Beats::are_given")]
+    pub beats: Beats,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
     /// What is predicted of the phase.
@@ -113,6 +121,7 @@ impl UNet1dConfig {
             time_embed_dim: 256,
             context_dim: 256,
             audio_conditioning: AudioConditioning::Document,
+            beats: Beats::Given,
             dropout: 0.1,
             phase_target: PhaseTarget::Scalar,
             orientation_target: OrientationTarget::Quaternion,
@@ -238,6 +247,13 @@ impl UNet1dConfig {
         .hint("half are cosines, half sines")?;
         in_range("model.context_dim", self.context_dim, 1..=MAX_WIDTH)
             .hint("CC-MotionGen has 256")?;
+        require(
+            aligned || self.beats == Beats::Given,
+            "model.beats",
+            "\"tracked\" with `model.audio_conditioning = \"document\"`",
+            "\"given\", or `model.audio_conditioning = \"aligned\"`",
+        )
+        .hint("a network that hears a set of frames has no use for when they are")?;
         in_range("model.dropout", self.dropout, 0.0..1.0).hint("CC-MotionGen has 0.1")?;
         self.validate_style()
     }
@@ -294,16 +310,22 @@ impl UNet1dConfig {
                 AudioConditioning::Document => 0,
                 AudioConditioning::Aligned => {
                     let widths = widths(&channels, self.context_dim);
-                    widths.into_iter().enumerate().map(encoder).sum()
+                    let tracker = match self.beats {
+                        Beats::Given => 0,
+                        Beats::Tracked => BeatTracker::activations() * frames,
+                    };
+                    let levels: u64 = widths.into_iter().enumerate().map(encoder).sum();
+                    tracker as u64 + levels
                 }
             }
     }
 
     /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per
-    /// frame; its parameters are drawn when they are first used.
+    /// frame; its parameters are drawn when they are first used. Where beats are tracked, the last
+    /// [`BEAT_CHANNELS`] conditions tell them.
     ///
     /// # Errors
-    /// As [`validate`](Self::validate).
+    /// As [`validate`](Self::validate), and where beats are tracked and no condition tells them.
     pub fn init(
         &self,
         in_channels: usize,
@@ -311,6 +333,13 @@ impl UNet1dConfig {
         init: &Initializer,
     ) -> Result<UNet1d, InvalidSetting> {
         self.validate()?;
+        require(
+            self.beats == Beats::Given || cond_channels > BEAT_CHANNELS,
+            "model.beats",
+            format!("\"tracked\" in {cond_channels} audio features"),
+            "audio features that tell the beats, to learn from",
+        )
+        .hint("set `data.audio_features = [\"document\", \"beats\"]`")?;
         let builder = Builder {
             config: self,
             init,
@@ -478,7 +507,8 @@ impl Builder<'_> {
             }),
             audio: self.aligned().then(|| {
                 let widths = widths(&channels, config.context_dim);
-                AudioEncoder::new(cond_channels, &widths, &self.init.at("audio"))
+                let tracks = config.beats == Beats::Tracked;
+                AudioEncoder::new(cond_channels, &widths, tracks, &self.init.at("audio"))
             }),
             input_conv: Conv1d::new(in_channels, channels[0], 3, &self.init.at("input_conv")),
             enc: (0..levels).map(|level| self.encoder_level(level)).collect(),
@@ -581,6 +611,14 @@ impl UNet1d {
         }
         let output_conv = self.output_conv.operation();
         output_conv.lengths(heard.lengths(0).cloned()).forward(h)
+    }
+
+    /// Sine and cosine of the place of each frame in its beat as the network's own tracker finds it
+    /// in features `[batch, channels, time]`, of which it does not look at the last
+    /// [`BEAT_CHANNELS`]: `[batch, 2, time]`, none without a tracker.
+    pub fn track_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
+        let encoder = self.audio.as_ref()?;
+        encoder.track(cond.features.clone(), cond.lengths.as_ref())
     }
 
     fn hear(&self, cond: AudioCondition, stages: &mut impl Stages) -> Heard {

@@ -11,6 +11,7 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 use super::StyleCondition;
+use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED};
 
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
@@ -109,6 +110,12 @@ impl Heard {
     }
 }
 
+/// The features without those that tell the beats.
+fn untold(features: Tensor<3>) -> Tensor<3> {
+    let channels = features.dims()[1];
+    features.narrow(1, 0, channels - BEAT_CHANNELS)
+}
+
 /// The audio encoder: features of the UNet's own lengths and of its levels' widths, at most
 /// `context_dim`.
 ///
@@ -122,6 +129,8 @@ impl Heard {
 /// UNet's level `i` are the same time whatever the length.
 #[derive(Module, Debug)]
 pub(super) struct AudioEncoder {
+    /// In place of the features that tell the beats.
+    beats: Option<BeatTracker>,
     stem: Conv1d,
     levels: Vec<AudioLevel>,
 }
@@ -143,8 +152,17 @@ pub(super) fn widths(channels: &[usize], context_dim: usize) -> Vec<usize> {
 }
 
 impl AudioEncoder {
-    /// An encoder of `inputs` features with levels of these `widths`, multiples of 32.
-    pub fn new(inputs: usize, widths: &[usize], init: &Initializer) -> Self {
+    /// An encoder of `inputs` features with levels of these `widths`, multiples of 32. Where it
+    /// `tracks` beats, the last [`BEAT_CHANNELS`] features are only what it learns that from.
+    ///
+    /// # Panics
+    /// Panics if it tracks and has no other features.
+    pub fn new(inputs: usize, widths: &[usize], tracks: bool, init: &Initializer) -> Self {
+        let beats = tracks.then(|| BeatTracker::new(inputs - BEAT_CHANNELS, &init.at("beats")));
+        let inputs = match tracks {
+            true => inputs - BEAT_CHANNELS + TRACKED,
+            false => inputs,
+        };
         let level = |level: usize| {
             let init = init.at("levels").at(&level.to_string());
             let width = widths[level];
@@ -156,6 +174,7 @@ impl AudioEncoder {
             }
         };
         Self {
+            beats,
             stem: Conv1d::new(inputs, widths[0], KERNEL, &init.at("stem")),
             levels: (0..widths.len()).map(level).collect(),
         }
@@ -172,6 +191,11 @@ impl AudioEncoder {
             style: _,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
+        let features = match self.track(features.clone(), lengths.as_ref()) {
+            // The tracker learns from the beats alone.
+            Some(beats) => Tensor::cat(vec![untold(features), beats.detach()], 1),
+            None => features,
+        };
         let mut h = stem.forward(features);
         let mut heard = Vec::with_capacity(self.levels.len());
         for level in &self.levels {
@@ -187,12 +211,20 @@ impl AudioEncoder {
         Heard(heard)
     }
 
+    /// Sine and cosine of the place of each frame in its beat, `[batch, 2, time]`, as the tracker
+    /// finds it; none without a tracker.
+    pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
+        let beats = self.beats.as_ref()?;
+        Some(beats.forward(untold(features), lengths))
+    }
+
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
         let layer =
             |at: &Adapting<'_>, name: &str, conv| at.layer(LoraTarget::Conditioning, name, conv);
         let of_levels = adapting.at("levels");
         let levels = self.levels.into_iter().enumerate();
         Self {
+            beats: self.beats,
             stem: layer(adapting, "stem", self.stem),
             levels: levels
                 .map(|(index, level)| {

@@ -1,7 +1,7 @@
 //! The initial checkpoints of fine-tuning: `init.diffusion` and `init.decoder`.
 
 use burn::tensor::Device;
-use kinegrad_models::{MotionModel, parameters};
+use kinegrad_models::{Beats, MotionModel, parameters};
 use kinegrad_motion::{OrientationTarget, Phrases};
 use kinegrad_settings::{Refused, require};
 use toml::Table;
@@ -9,7 +9,7 @@ use toml::Table;
 use super::leaks::is_of_one_source;
 use super::networks::{Trained, decoder, denoiser, targets, trainable};
 use super::recipe_name::RecipeName;
-use super::{CcMotionConfig, InitConfig};
+use super::{CcMotionConfig, CcMotionNetwork, InitConfig};
 use crate::checkpoint::State;
 use crate::config::{Config, PLAIN, SystemTables};
 use crate::error::Error;
@@ -159,6 +159,16 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
             "leave the key out: recipe `{name}` starts from new weights"
         ))?;
     }
+    let CcMotionNetwork::Unet1d(unet) = &CcMotionConfig::of(config)?.model.network;
+    let learns = unet.beats == Beats::Given || config.data.audio_layout().beats;
+    let allowed = "\"given\", or `data.audio_features = [\"document\", \"beats\"]`";
+    require(
+        learns,
+        "model.beats",
+        "\"tracked\" without known beats",
+        allowed,
+    )
+    .hint("the tracker learns from the beats of the training songs; samples need none")?;
     let (orientation, augment) = (targets(config)?.orientation, &config.data.augment);
     let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
     let of_one_sign = "false with this `model.orientation_target`";

@@ -8,10 +8,13 @@
 //! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
 //! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance, and the
 //! style, of a network with one, with probability `diffusion.style_drop_prob`.
+//!
+//! Where the network tracks the beats of the music itself (`model.beats`), the squared error of what
+//! it finds is added, over the frames of which the beats are told; its tracker has no other loss.
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::UNet1d;
+use kinegrad_models::{BEAT_CHANNELS, UNet1d};
 
 use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
 use crate::recipe::Loss;
@@ -25,7 +28,7 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above, with the weights w(t) where it is `weighted`.
+/// The loss above. Where it is `weighted`, with the weights w(t), and with that of the tracker.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -35,7 +38,8 @@ pub(in super::super) fn denoising_loss(
 ) -> Loss {
     let lengths = inputs.lengths.clone();
     let weights = weighted.then(|| diffusion.loss_weights(&draws.timesteps));
-    crate::denoising::denoising_loss(
+    let tracking = weighted.then(|| tracking_loss(unet, &inputs)).flatten();
+    let mut loss = crate::denoising::denoising_loss(
         diffusion,
         inputs,
         draws,
@@ -50,7 +54,29 @@ pub(in super::super) fn denoising_loss(
                 loss_type,
             )
         },
-    )
+    );
+    if let Some(tracking) = tracking {
+        loss.total = loss.total + tracking.clone();
+        loss.terms.push(("beats", tracking));
+    }
+    loss
+}
+
+/// The mean squared error of the beats that the network tracks, over the frames of which they are
+/// told; none for a network that does not.
+fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
+    let cond = condition(&inputs.cond, inputs.lengths.clone());
+    let found = unet.track_beats(&cond)?;
+    let [batch, tracked, time] = found.dims();
+    let first = cond.features.dims()[1] - BEAT_CHANNELS;
+    let told = cond.features.narrow(1, first, tracked);
+    // Sine and cosine of one angle, unless they are masked, replaced by noise or unknown.
+    let norm = told.clone().square().sum_dim(1).sqrt();
+    let is_told = (norm.clone() - 1.0).abs().lower_elem(0.5).float();
+    let mask = is_told * inputs.mask.clone().reshape([batch, 1, time]);
+    let error = (found - told / norm.clamp_min(0.5)).square() * mask.clone();
+    let sum = |x: Tensor<3>| x.sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]);
+    Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
 
 /// The same loss, not weighted, on held-out phrases.

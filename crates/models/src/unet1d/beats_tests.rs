@@ -1,0 +1,125 @@
+//! A network that tracks the beats itself: what it hears, and what its tracker learns from.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::Time;
+use kinegrad_random::{Key, Purpose};
+
+use super::*;
+use crate::parameters;
+
+const FEATURES: usize = 11 + BEAT_CHANNELS;
+
+fn network(device: &Device) -> UNet1d {
+    let config = UNet1dConfig {
+        audio_conditioning: AudioConditioning::Aligned,
+        beats: Beats::Tracked,
+        context_dim: 32,
+        ..UNet1dConfig::tiny()
+    };
+    let network = config.init(25, FEATURES, &Initializer::new(3, device));
+    network.expect("a valid network")
+}
+
+fn normal(stream: u64, shape: [usize; 3], device: &Device) -> Tensor<3> {
+    let values = Key::new(8, Purpose::Noise).at(stream);
+    let values = values.normals(shape.iter().product());
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+fn largest(x: Tensor<3>) -> f32 {
+    x.abs().max().into_scalar::<f32>()
+}
+
+#[test]
+fn it_hears_the_music_and_not_the_beats_that_it_is_told() {
+    let (device, time) = (Device::flex(), 37);
+    let network = network(&device);
+    let x = normal(0, [2, 25, time], &device);
+    let [music, other, told, lie] = [(1, 11), (2, 11), (3, BEAT_CHANNELS), (4, BEAT_CHANNELS)]
+        .map(|(stream, rows)| normal(stream, [2, rows, time], &device));
+    let heard = |music: &Tensor<3>, told: &Tensor<3>| -> [Tensor<3>; 2] {
+        let cond = AudioCondition::from(Tensor::cat(vec![music.clone(), told.clone()], 1));
+        let tracked = network.track_beats(&cond).expect("a tracker");
+        [
+            tracked,
+            network.forward(x.clone(), &Time::of(&[400, 30]), cond, None),
+        ]
+    };
+    let (before, lied, changed) = (
+        heard(&music, &told),
+        heard(&music, &lie),
+        heard(&other, &told),
+    );
+    assert_eq!(before[0].dims(), [2, 2, time]);
+    for ((a, b), c) in before.iter().zip(lied).zip(changed) {
+        assert_eq!(largest(a.clone() - b), 0.0);
+        assert!(largest(a.clone() - c) > 1e-3);
+    }
+    // Music later by a frame is tracked later by a frame.
+    let later = Tensor::cat(
+        vec![
+            music.clone().narrow(2, 0, 1),
+            music.clone().narrow(2, 0, time - 1),
+        ],
+        2,
+    );
+    assert!(largest(heard(&later, &told)[0].clone() - before[0].clone()) > 1e-3);
+}
+
+#[test]
+fn its_tracker_learns_from_the_beats_alone() {
+    let device = Device::flex().autodiff();
+    let network = network(&device);
+    let cond = AudioCondition::from(normal(1, [2, FEATURES, 23], &device));
+    let x = normal(0, [2, 25, 23], &device);
+    let moved = |loss: Tensor<1>| -> Vec<String> {
+        let mut gradients = loss.backward();
+        let names = parameters::infos(&network)
+            .into_iter()
+            .map(|info| info.name);
+        let of = crate::gradients(&network, &mut gradients);
+        let moves = |values: &Vec<f32>| values.iter().any(|value| *value != 0.0);
+        let named = names.zip(of);
+        named
+            .filter(|(_, values)| moves(values))
+            .map(|(name, _)| name)
+            .collect()
+    };
+    let is_tracker = |name: &String| name.starts_with("audio.beats.");
+    let output = network.forward(x, &Time::of(&[400, 30]), cond.clone(), None);
+    let of_motion = moved(output.square().sum());
+    assert!(
+        of_motion.len() > 20 && !of_motion.iter().any(is_tracker),
+        "{of_motion:?}"
+    );
+    let of_beats = moved(
+        network
+            .track_beats(&cond)
+            .expect("a tracker")
+            .square()
+            .sum(),
+    );
+    assert!(
+        of_beats.len() >= 14 && of_beats.iter().all(is_tracker),
+        "{of_beats:?}"
+    );
+}
+
+#[test]
+fn beats_are_tracked_where_there_are_some_to_learn_from() {
+    let config = |audio_conditioning| UNet1dConfig {
+        audio_conditioning,
+        beats: Beats::Tracked,
+        ..UNet1dConfig::tiny()
+    };
+    let init = Initializer::new(3, &Device::flex());
+    for (conditioning, features) in [
+        (AudioConditioning::Document, 170),
+        (AudioConditioning::Aligned, BEAT_CHANNELS),
+    ] {
+        let error = config(conditioning).init(25, features, &init).unwrap_err();
+        assert!(error.to_string().contains("model.beats"), "{error}");
+    }
+    // What configs leave out.
+    assert_eq!(UNet1dConfig::default().beats, Beats::Given);
+}
