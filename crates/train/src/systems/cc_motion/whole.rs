@@ -15,11 +15,10 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::fit_trajectory;
-use kinegrad_motion::kinematics::make_sign_continuous;
+use kinegrad_motion::coherence::{fit_orientation, fit_trajectory};
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
-use kinegrad_motion::{Motion, Quaternion, Statistics, process_around};
+use kinegrad_motion::{Motion, Statistics, process_around};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
@@ -227,18 +226,15 @@ impl Generator {
         let all = windows.stitch(&mut decoded, known, Layout::Phrase);
         let mut motion = Motion::from_channel_major(&all, windows.frames())?;
         // Of quaternions that differ, the mean is short.
-        let unit = (0..motion.frames()).map(|t| motion.quaternion(t).normalised());
-        let mut quaternions: Vec<Quaternion> = unit.collect();
+        for t in 0..motion.frames() {
+            motion.set_quaternion(t, motion.quaternion(t).normalised());
+        }
         if decoder.coherence() == Coherence::Projection {
             let none = || vec![false; windows.frames()];
             let is_known = known.map_or_else(none, |known| known.is_known.clone());
-            fit_trajectory(&mut motion, &self.statistics().std, &is_known);
-            make_sign_continuous(&mut quaternions);
-        }
-        for (t, quaternion) in quaternions.into_iter().enumerate() {
-            motion.set_quaternion(t, quaternion);
-        }
-        if decoder.coherence() == Coherence::Projection {
+            let std = &self.statistics().std;
+            fit_trajectory(&mut motion, std, &is_known);
+            fit_orientation(&mut motion, std, &is_known);
             // As the decoder does for a phrase: that of the quaternions.
             derive_angular_velocity(&mut motion);
         }
