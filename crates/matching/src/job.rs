@@ -4,6 +4,7 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
+use crate::calm::{self, jerks, percentile_95};
 use crate::synthesis::synthesize;
 use crate::{
     Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
@@ -122,12 +123,12 @@ impl Job {
             };
             held.push(keyframe.held(&figure, &known, source, poses, frames)?);
         }
-        for (fixed, motion) in self.fixed.iter().zip(fixed) {
+        for (fixed, motion) in self.fixed.iter().zip(&fixed) {
             held.push(Held::Channels {
                 channels: Part::named(&fixed.part, &known, &figure)?
                     .channels(&figure)
                     .channels,
-                motion,
+                motion: motion.clone(),
             });
         }
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
@@ -141,6 +142,16 @@ impl Job {
         let mut synthesis = synthesize(&request, self.seed)?;
         if self.settings.looping != Looping::Off && held.is_empty() {
             synthesis.begin_where_calm();
+        }
+        calm::around_keyframes(&figure, &mut synthesis.frames, &held)?;
+        if !self.fixed.is_empty() {
+            let usual = matrices.iter().chain(&fixed).map(|motion| {
+                let jerks = jerks(&figure.bvh(motion)?);
+                Ok(percentile_95(&jerks))
+            });
+            let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
+            let most = usual.into_iter().fold(0.0, f64::max);
+            calm::over_fixed_parts(&figure, &mut synthesis.frames, &held, most)?;
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;

@@ -21,6 +21,7 @@
 //! # Ok::<(), kinegrad_settings::InvalidSetting>(())
 //! ```
 
+mod calm;
 mod displacement;
 mod distance;
 mod error;
@@ -37,9 +38,11 @@ mod pool;
 mod pyramid;
 pub mod rotation6d;
 mod settings;
+mod smoothing;
 mod synthesis;
 mod vote;
 
+pub use calm::{jerk_around, jerks, percentile_95};
 pub use displacement::{displacements, places};
 pub use error::Error;
 pub use figure::{Example, Figure, FigureOptions, Sliding};
