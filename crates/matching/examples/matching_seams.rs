@@ -11,11 +11,14 @@
 //! second of the file, and the jerk as a part of that second's.
 //! `--fix legs=walk.bvh` also prints the jerk with that part fixed, as a part of that of the example.
 
-use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_capture::Bvh;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Length, Looping, Made, PartChoice, Preset, Settings, jerk_around,
-    jerks, percentile_95,
+    Example, Fixed, Job, Keyframe, Length, Looping, Made, jerk_around, jerks, percentile_95,
 };
+
+mod common;
+
+use common::read;
 
 /// Places of the joints, `[frames][joints]`.
 type Places = Vec<Vec<[f64; 3]>>;
@@ -75,25 +78,11 @@ fn main() {
     }
 }
 
-fn read(file: &str) -> Example {
-    let bytes = std::fs::read(file).expect("a file");
-    let bvh = Bvh::parse(&bytes, file).expect("BVH");
-    let file = file.to_string();
-    Example { file, bvh }
-}
-
 fn job(seed: u64) -> Job {
     Job {
-        settings: Settings::of(Preset::Published),
         length: Some(Length::Seconds(10.0)),
         seed,
-        up: UpAxis::Y,
-        contacts: false,
-        heading: false,
-        parts: PartChoice::Whole,
-        keyframes: Vec::new(),
-        fixed: Vec::new(),
-        feet: false,
+        ..Job::default()
     }
 }
 
@@ -148,5 +137,8 @@ fn seam(motion: &Places) -> [f64; 2] {
     let steps: Vec<f64> = (0..n - 1).map(step).collect();
     let turns: Vec<f64> = (0..n - 2).map(turn).collect();
     let over = turn(n - 2).max(turn(n - 1));
-    [step(n - 1) / percentile_95(&steps), over / percentile_95(&turns)]
+    [
+        step(n - 1) / percentile_95(&steps),
+        over / percentile_95(&turns),
+    ]
 }

@@ -60,5 +60,6 @@ pub use pyramid::{Levels, pyramid_lengths};
 pub use settings::{CoarseRatio, Looping, Preset, Settings, Start};
 pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
+    synthesize_like,
 };
 pub use vote::{vote, vote_around, with_ends, without_ends};

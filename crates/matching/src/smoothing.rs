@@ -22,7 +22,11 @@ const KEPT: f64 = 1e9;
 /// Panics if there is not a strength for each third difference.
 pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
     let n = frames.frames();
-    assert_eq!(strength.len() + 3, n, "a strength for each third difference");
+    assert_eq!(
+        strength.len() + 3,
+        n,
+        "a strength for each third difference"
+    );
     let active = |t: &usize| strength[*t] > 0.0;
     let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
     for t in (0..strength.len()).filter(active) {
@@ -76,7 +80,11 @@ fn smoothed(course: &[f64], strength: &[f64], kept: &[usize]) -> Vec<f64> {
             }
         }
     }
-    let mut solution: Vec<f64> = course.iter().enumerate().map(|(t, x)| weight(t) * x).collect();
+    let mut solution: Vec<f64> = course
+        .iter()
+        .enumerate()
+        .map(|(t, x)| weight(t) * x)
+        .collect();
     Cholesky::new(matrix).solve(&mut solution);
     solution
 }
