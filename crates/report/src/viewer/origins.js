@@ -88,8 +88,9 @@ class ExampleChart extends Chart {
     );
     const longest = Math.max(...rows.map(({ frames }) => frames));
     const chart = { title: "frames of the examples that appear", names: [], lines: [], rows, longest };
-    super(chart, scene, (time) => {
-      const found = this.timeOf((longest * time) / scene.seconds);
+    super(chart, scene, (time, down) => {
+      const row = rows[Math.max(0, Math.min(rows.length - 1, Math.floor(down * rows.length)))];
+      const found = this.timeOf(row, (longest * time) / scene.seconds);
       if (found !== null) seek(found);
     });
     this.canvas.setAttribute("aria-label", this.title);
@@ -102,11 +103,9 @@ class ExampleChart extends Chart {
   }
 
   // When the first part that has this frame of an example shows it; null if none does.
-  timeOf(frame) {
-    for (const { parts, example, fps } of this.rows) {
-      for (const [start, from, first, frames] of parts.flatMap(({ runs }) => runs)) {
-        if (from === example && frame >= first && frame < first + frames) return (start + frame - first) / fps;
-      }
+  timeOf({ parts, example, fps }, frame) {
+    for (const [start, from, first, frames] of parts.flatMap(({ runs }) => runs)) {
+      if (from === example && frame >= first && frame < first + frames) return (start + frame - first) / fps;
     }
     return null;
   }
