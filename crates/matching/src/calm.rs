@@ -4,11 +4,12 @@
 //! over the legs of another, jerk more than what is around them. Both are smoothed as much as is
 //! needed and no more; what is held stays as it is.
 
-use kinegrad_capture::Bvh;
+use kinegrad_capture::{Bvh, RootPose};
+use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
 use crate::smoothing::smooth;
-use crate::{Error, Figure, Frames, Held};
+use crate::{Error, Figure, Frames, Held, rotation6d};
 
 /// Mean jerk of the second around a key frame, as a part of that elsewhere, at most.
 const AROUND: f64 = 1.4;
@@ -111,7 +112,8 @@ pub(crate) fn around_keyframes(
 }
 
 /// Smooths what is free of a motion with fixed parts where its jerk is above 1.25 times `usual`,
-/// the 95th percentile of the motions that it is made of.
+/// the 95th percentile of the motions that it is made of. Joints that hang on a fixed one are smoothed
+/// as they are in the world: a back that is steady within its hips trembles with them.
 pub(crate) fn over_fixed_parts(
     figure: &Figure,
     frames: &mut Frames,
@@ -121,7 +123,9 @@ pub(crate) fn over_fixed_parts(
     if frames.frames() < SHORTEST {
         return Ok(());
     }
-    let voted = frames.clone();
+    let border = Border::of(figure, frames, held)?;
+    let mut voted = frames.clone();
+    border.to_world(&mut voted);
     let mut strengths = vec![0.0; frames.frames() - 3];
     for _ in 0..MOST {
         let jerks = jerks(&figure.bvh(frames)?);
@@ -137,6 +141,64 @@ pub(crate) fn over_fixed_parts(
         }
         *frames = voted.clone();
         smooth(frames, &strengths, held);
+        border.to_parents(frames);
     }
     Ok(())
+}
+
+/// The free joints that hang on fixed ones.
+struct Border {
+    /// First channel of each one's rotation, and how its parent is turned in the world, `[frames]`.
+    joints: Vec<(usize, Vec<Quaternion>)>,
+}
+
+impl Border {
+    fn of(figure: &Figure, frames: &Frames, held: &[Held]) -> Result<Self, Error> {
+        let is_fixed = |joint: usize| {
+            let first = figure.rotation_of(joint).start;
+            held.iter().any(|held| match held {
+                Held::Channels { channels, .. } => channels.contains(&first),
+                Held::Keyframe { .. } => false,
+            })
+        };
+        let bvh = figure.bvh(frames)?;
+        let world = (0..bvh.frames()).map(|t| bvh.world(t));
+        let world: Vec<Vec<RootPose>> = world.collect();
+        let joints = figure
+            .joints()
+            .iter()
+            .enumerate()
+            .filter_map(|(joint, own)| {
+                let parent = own
+                    .parent
+                    .filter(|&parent| is_fixed(parent) && !is_fixed(joint))?;
+                let turns = world.iter().map(|poses| poses[parent].orientation);
+                Some((figure.rotation_of(joint).start, turns.collect()))
+            });
+        let joints = joints.collect();
+        Ok(Self { joints })
+    }
+
+    /// Their rotations within their parents as those in the world.
+    fn to_world(&self, frames: &mut Frames) {
+        self.turn(frames, |parent| parent);
+    }
+
+    /// The way back.
+    fn to_parents(&self, frames: &mut Frames) {
+        self.turn(frames, Quaternion::conjugate);
+    }
+
+    fn turn(&self, frames: &mut Frames, by: impl Fn(Quaternion) -> Quaternion) {
+        for (first, parents) in &self.joints {
+            for (t, &parent) in parents.iter().enumerate() {
+                let six = &mut frames.frame_mut(t)[*first..*first + 6];
+                let own = std::array::from_fn(|i| f64::from(six[i]));
+                let turned = by(parent) * rotation6d::to_quaternion(own);
+                for (value, turned) in six.iter_mut().zip(rotation6d::from_quaternion(turned)) {
+                    *value = turned as f32;
+                }
+            }
+        }
+    }
 }
