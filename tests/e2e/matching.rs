@@ -252,7 +252,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ("dance.bvh clip.npy", &["clip.npy: joint 1 is `pelvis`"]),
         (
             "dance.bvh --content one.bvh",
-            &["`length` is 1", "`patch_size`"],
+            &["one.bvh: frames: 1 at 30", "`patch_size`"],
         ),
         (
             "dance.bvh --content dance.bvh --length 3x",
@@ -295,6 +295,10 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         (
             "dance.bvh --fix wings=dance.bvh",
             &["no part or joint `wings`"],
+        ),
+        (
+            "dance.bvh --fix legs=one.bvh",
+            &["one.bvh: frames: 1 at 30"],
         ),
         ("dance.bvh --fix legs", &["legs=walk.bvh"]),
     ] {

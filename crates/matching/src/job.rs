@@ -126,6 +126,9 @@ impl Job {
             .map(|fixed| &fixed.motion)
             .chain(&self.content);
         let given = given.zip(fixed.iter().chain(&content));
+        for (example, frames) in given.clone() {
+            self.must_have_a_patch(example, frames, &figure)?;
+        }
         let given: Vec<(&Example, usize)> = given
             .map(|(example, frames)| (example, frames.frames()))
             .collect();

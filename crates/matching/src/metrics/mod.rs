@@ -1,6 +1,7 @@
 //! What a new motion has of its examples: coverage, diversity and novelty.
 
 mod novelty;
+mod sliding;
 mod windows;
 
 use serde::Serialize;
@@ -8,6 +9,7 @@ use serde::Serialize;
 use crate::{Figure, Frames, Made};
 
 pub use novelty::{Novelty, Run};
+pub use sliding::Sliding;
 use windows::{cheapest, segmented};
 
 /// Frames of a window of coverage, and of the shortest segment of global diversity.
