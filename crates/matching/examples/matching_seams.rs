@@ -9,11 +9,10 @@
 //! the 95th percentile of all others, and for key frames at a quarter, a half and three quarters of
 //! the file the mean jerk of the second around as a part of the jerk elsewhere, the same of that
 //! second of the file, and the jerk as a part of that second's.
-//! `--fix legs=walk.bvh` also prints the jerk with that part fixed, as a part of that of the example.
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Length, Looping, Made, jerk_around, jerks, percentile_95,
+    Example, Job, Keyframe, Length, Looping, Made, jerk_around, jerks, percentile_95,
 };
 
 mod common;
@@ -24,18 +23,12 @@ use common::read;
 type Places = Vec<Vec<[f64; 3]>>;
 
 fn main() {
-    let (mut seeds, mut files, mut fixed) = (3, Vec::new(), None);
+    let (mut seeds, mut files) = (3, Vec::new());
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().expect("a value");
         match argument.as_str() {
             "--seeds" => seeds = value().parse().expect("a number"),
-            "--fix" => {
-                let text = value();
-                let (part, file) = text.split_once('=').expect("PART=FILE");
-                let (part, motion) = (part.to_string(), read(file));
-                fixed = Some(Fixed { part, motion });
-            }
             file => files.push(file.to_string()),
         }
     }
@@ -65,15 +58,6 @@ fn main() {
                     near / own
                 );
             }
-        }
-        for seed in 0..seeds {
-            let Some(fixed) = fixed.clone() else { break };
-            let mut job = job(seed);
-            (job.length, job.fixed) = (None, vec![fixed]);
-            let made = job.make(&example).expect("a motion");
-            let source = jerks(&thinned(&example[0], &made));
-            let ratio = percentile_95(&jerks(&made.bvh)) / percentile_95(&source);
-            println!("{file} seed {seed}: fixed part, jerk {ratio:.2}");
         }
     }
 }

@@ -7,8 +7,9 @@
 //! prints for the legs of the second file under the body of the first, and for the second in the manner
 //! of the first, the mean distance of the new motion's windows of 15 frames to the nearest of either
 //! file: over the joints of the legs and over all others. Below stand the same distances of the second
-//! file as it is, and of new motions of the first alone. Jerk is the 95th percentile, as a part of that
-//! of the file that jerks more.
+//! file as it is, and of new motions of the first alone. In time is the correlation of the legs'
+//! rotations with those of the second file at the same moments. Jerk is the 95th percentile, as a part
+//! of that of the file that jerks more.
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::{
@@ -44,7 +45,7 @@ fn main() {
         job.settings.coarse_ratio = CoarseRatio::Patches(k);
         job
     };
-    println!("windows to: first others, second others, first legs, second legs; jerk");
+    println!("windows to: first others, second others, first legs, second legs; in time; jerk");
     let same = |job: Job| vec![job];
     let of_seeds = |job: Job| -> Vec<Job> {
         let seeded = |seed| Job {
@@ -86,7 +87,7 @@ fn main() {
 
 /// Distances of a motion's windows to those of both files, over the legs' joints and all others, and its
 /// jerk.
-fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 5] {
+fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
     let figure = &made.figure;
     let both = [
         made.examples[0].clone(),
@@ -112,14 +113,37 @@ fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 5] {
         to(1, false),
         to(0, true),
         to(1, true),
+        correlation(
+            &motion.columns(&columns(true)),
+            &both[1].columns(&columns(true)),
+        ),
         jerk(motion) / usual,
     ]
 }
 
+/// The correlation of two motions of one length over all frames and channels, each channel about its
+/// mean.
+fn correlation(one: &Frames, other: &Frames) -> f64 {
+    let n = one.frames();
+    let mut sums = [0.0; 3];
+    for channel in 0..one.channels() {
+        let about = |motion: &Frames| -> Vec<f64> {
+            let values = (0..n).map(|t| f64::from(motion.frame(t)[channel]));
+            let mean = values.clone().sum::<f64>() / n as f64;
+            values.map(|value| value - mean).collect()
+        };
+        let (a, b) = (about(one), about(other));
+        for (sum, (x, y)) in sums.iter_mut().zip([(&a, &b), (&a, &a), (&b, &b)]) {
+            *sum += x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        }
+    }
+    sums[0] / (sums[1] * sums[2]).sqrt()
+}
+
 /// Means, and standard deviations of several.
-fn print(name: &str, rows: &[[f64; 5]]) {
+fn print(name: &str, rows: &[[f64; 6]]) {
     let n = rows.len() as f64;
-    let cells = (0..5).map(|column| {
+    let cells = (0..6).map(|column| {
         let mean = rows.iter().map(|row| row[column]).sum::<f64>() / n;
         let squares = rows
             .iter()
