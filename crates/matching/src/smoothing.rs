@@ -55,7 +55,8 @@ pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], held: &[Held]) {
         for channel in (0..frames.channels()).filter(|&channel| !follows[channel]) {
             let kept = key_frames[channel].iter();
             let kept: Vec<usize> = kept
-                .filter_map(|t| run.contains(t).then(|| t - run.start))
+                .filter(|&t| run.contains(t))
+                .map(|t| t - run.start)
                 .collect();
             let course = run.clone().map(|t| f64::from(frames.frame(t)[channel]));
             let smoothed = smoothed(&course.collect::<Vec<_>>(), strength, &kept);
