@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::fs;
 
+use kinegrad_data::{read_array, write_values};
 use kinegrad_tests::sandbox::Sandbox;
 
 /// Joints of a small body with their parents and offsets in centimetres.
@@ -140,6 +141,7 @@ fn lengths_examples_and_uses_of_all_kinds_work() {
         ("dance.bvh --alpha none --sigma 0 --coarse-ratio 0.3", 300),
         ("dance.bvh --keyframes k.toml", 300),
         ("dance.bvh --fix legs=other.bvh", 85),
+        ("dance.bvh --content other.bvh", 85),
     ] {
         let run = sandbox.run(&format!("match {options} --out new.bvh --overwrite --json"));
         let record: serde_json::Value =
@@ -148,6 +150,61 @@ fn lengths_examples_and_uses_of_all_kinds_work() {
         let text = fs::read_to_string(sandbox.path("new.bvh")).expect("written");
         assert_eq!(head(&text).1, frames, "{options}");
     }
+}
+
+/// Writes an array of single precision, `[frames, channels]`.
+fn write_clip(
+    sandbox: &Sandbox,
+    name: &str,
+    frames: usize,
+    channels: usize,
+    value: impl Fn(usize, usize) -> f32,
+) {
+    let pairs = (0..frames).flat_map(|t| (0..channels).map(move |channel| (t, channel)));
+    let values: Vec<f32> = pairs.map(|(t, channel)| value(t, channel)).collect();
+    write_values(&sandbox.path(name), &[frames, channels], &values).expect("an array");
+}
+
+#[test]
+fn clips_of_joint_features_are_matched_and_written() {
+    let sandbox = sandbox();
+    let said = sandbox.run("data synth --walks --phrases 2 --frames 120 --seed 3 --out synth");
+    said.succeeded();
+    let walks = "synth/new_joint_vecs/walk_00000.npy synth/new_joint_vecs/walk_00001.npy";
+    let run = sandbox.run(&format!("match {walks} --out new.npy --json"));
+    let record: serde_json::Value = serde_json::from_str(&run.succeeded().stdout).expect("JSON");
+    let examples = walks
+        .split(' ')
+        .map(|walk| read_array(&sandbox.path(walk)).expect("a clip"));
+    let rows: Vec<usize> = examples.map(|clip| clip.shape[0]).collect();
+    let frames = 2 * (rows[0] + rows[1]);
+    assert_eq!(record["frames"], frames);
+    assert_eq!(record["example_frames"], serde_json::json!(rows));
+    let runs = record["parts"][0]["runs"].as_array().expect("runs");
+    let sum: u64 = runs
+        .iter()
+        .map(|run| run[3].as_u64().expect("a number"))
+        .sum();
+    assert_eq!(sum, frames as u64);
+    let new = read_array(&sandbox.path("new.npy")).expect("a clip");
+    assert_eq!(new.shape, [frames, 263]);
+    // It is plausible motion, and its parts fit one another.
+    sandbox.run("check new.npy").succeeded();
+    // The same as BVH is as far from it as a file's decimals.
+    let options = "--overwrite --seed 0";
+    sandbox
+        .run(&format!("match {walks} --out new.bvh {options}"))
+        .succeeded();
+    assert_eq!(
+        head(&fs::read_to_string(sandbox.path("new.bvh")).expect("written")).1,
+        frames
+    );
+    sandbox.run("view new.npy --out new.html").succeeded();
+    let page = fs::read_to_string(sandbox.path("new.html")).expect("written");
+    assert!(
+        page.contains("\"name\":\"walk_00001\""),
+        "its origins are shown"
+    );
 }
 
 #[test]
@@ -166,6 +223,18 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         })
         .collect();
     sandbox.write("flat.bvh", flat.join("\n"));
+    write_clip(&sandbox, "clip.npy", 40, 263, |_, _| 0.1);
+    write_clip(&sandbox, "short.npy", 1, 263, |_, _| 0.1);
+    write_clip(&sandbox, "phrase.npy", 40, 25, |_, _| 0.1);
+    write_clip(&sandbox, "odd.npy", 40, 7, |_, _| 0.1);
+    let gap = |t, channel| {
+        if (t, channel) == (3, 30) {
+            f32::NAN
+        } else {
+            0.1
+        }
+    };
+    write_clip(&sandbox, "gap.npy", 40, 263, gap);
     sandbox.write("parts.toml", "[[part]]\nname = 'wing'\njoints = ['Wing']\n");
     sandbox.write(
         "late.toml",
@@ -174,7 +243,21 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
     let before = sandbox.list(".");
     for (options, texts) in [
         ("none.bvh", &["none.bvh cannot be read"][..]),
-        ("dance.npy", &["dance.npy is no .bvh file"]),
+        ("dance.c3d", &["dance.c3d is no .bvh or .npy file"]),
+        ("none.npy", &["none.npy"]),
+        ("phrase.npy", &["phrase.npy", "has no joints"]),
+        ("odd.npy", &["odd.npy: an array of shape [40, 7]"]),
+        ("gap.npy", &["gap.npy: a position is not finite"]),
+        ("clip.npy short.npy", &["short.npy: frames: 1 at 20"]),
+        ("dance.bvh clip.npy", &["clip.npy: joint 1 is `pelvis`"]),
+        (
+            "dance.bvh --content one.bvh",
+            &["one.bvh: frames: 1 at 30", "`patch_size`"],
+        ),
+        (
+            "dance.bvh --content dance.bvh --length 3x",
+            &["dance.bvh: has 150 frames, and another length asked for is 450"],
+        ),
         (
             "one.bvh",
             &["one.bvh: frames: 1 at 30", "`patch_size`, which is 11"],
@@ -213,6 +296,10 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
             "dance.bvh --fix wings=dance.bvh",
             &["no part or joint `wings`"],
         ),
+        (
+            "dance.bvh --fix legs=one.bvh",
+            &["one.bvh: frames: 1 at 30"],
+        ),
         ("dance.bvh --fix legs", &["legs=walk.bvh"]),
     ] {
         sandbox
@@ -220,7 +307,11 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
             .failed(2, texts);
     }
     for (out, texts) in [
-        ("new.npy", &["does not end in .bvh"][..]),
+        ("new.glb", &["does not end in .bvh or .npy"][..]),
+        (
+            "new.npy",
+            &["is to be a clip of joint features, and dance.bvh is none"],
+        ),
         ("dance.bvh", &["dance.bvh is an example itself"]),
     ] {
         sandbox

@@ -68,7 +68,7 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
     match command {
         Command::Train(arguments) => commands::train::run(systems, arguments),
         Command::Sample(arguments) => commands::sample::run(systems, *arguments),
-        Command::Match(arguments) => commands::matching::run(*arguments),
+        Command::Match(arguments) => commands::matching::run(systems, *arguments),
         Command::Import(arguments) => commands::import::run(systems, arguments),
         Command::Merge(arguments) => commands::merge::run(systems, arguments),
         Command::Check(arguments) => commands::check::run(systems, arguments),

@@ -3,6 +3,7 @@
 mod body;
 mod bvh;
 mod music;
+mod origins;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -202,19 +203,27 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(name).collect()
 }
 
-/// The figure in a file.
-///
-/// # Errors
-/// If it cannot be shown.
+/// The figure in a file, with its origins where they are known; an error if it cannot be shown.
 pub fn figure(
     systems: Systems<'_>,
     path: &Path,
     name: String,
     reading: &Reading,
 ) -> Result<Figure, Error> {
-    if is_bvh(path) {
-        return bvh::figure(path, name, reading);
-    }
+    let mut figure = match is_bvh(path) {
+        true => bvh::figure(path, name, reading)?,
+        false => of_array(systems, path, name, reading)?,
+    };
+    figure.origins = origins::beside(path, figure.frames());
+    Ok(figure)
+}
+
+fn of_array(
+    systems: Systems<'_>,
+    path: &Path,
+    name: String,
+    reading: &Reading,
+) -> Result<Figure, Error> {
     let array = read_array(path)?;
     let known = systems.representation_of(path, &array.shape, &array.values);
     let figure = match (known, array.shape.as_slice()) {

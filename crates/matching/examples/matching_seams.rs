@@ -9,29 +9,26 @@
 //! the 95th percentile of all others, and for key frames at a quarter, a half and three quarters of
 //! the file the mean jerk of the second around as a part of the jerk elsewhere, the same of that
 //! second of the file, and the jerk as a part of that second's.
-//! `--fix legs=walk.bvh` also prints the jerk with that part fixed, as a part of that of the example.
 
-use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_capture::Bvh;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Length, Looping, PartChoice, Preset, Settings,
+    Example, Job, Keyframe, Length, Looping, Made, jerk_around, jerks, percentile_95,
 };
+
+mod common;
+
+use common::read;
 
 /// Places of the joints, `[frames][joints]`.
 type Places = Vec<Vec<[f64; 3]>>;
 
 fn main() {
-    let (mut seeds, mut files, mut fixed) = (3, Vec::new(), None);
+    let (mut seeds, mut files) = (3, Vec::new());
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().expect("a value");
         match argument.as_str() {
             "--seeds" => seeds = value().parse().expect("a number"),
-            "--fix" => {
-                let text = value();
-                let (part, file) = text.split_once('=').expect("PART=FILE");
-                let (part, motion) = (part.to_string(), read(file));
-                fixed = Some(Fixed { part, motion });
-            }
             file => files.push(file.to_string()),
         }
     }
@@ -40,7 +37,7 @@ fn main() {
         for seed in 0..seeds {
             let mut job = job(seed);
             job.settings.looping = Looping::Even;
-            let motion = places(&job.make(&example).expect("a loop").bvh, true);
+            let motion = places(&job.make(&example).expect("a loop").bvh);
             let [step, turn] = seam(&motion);
             println!("{file} seed {seed}: loop step {step:.2}, velocity {turn:.2}");
         }
@@ -51,10 +48,9 @@ fn main() {
                 job.keyframes = vec![(keyframe(part * seconds), None)];
                 let made = job.make(&example).expect("a motion");
                 let rate = 1.0 / made.figure.frame_time();
-                let made = jerks(&places(&made.bvh, false));
-                let [near, rest] = around(&made, 5.0 * rate, rate);
-                let source = jerks(&thinned(&example[0], rate));
-                let [own, own_rest] = around(&source, part * seconds * rate, rate);
+                let [near, rest] = jerk_around(&jerks(&made.bvh), 5.0 * rate, rate);
+                let source = jerks(&thinned(&example[0], &made));
+                let [own, own_rest] = jerk_around(&source, part * seconds * rate, rate);
                 println!(
                     "{file} seed {seed}: key frame of {part}, jerk {:.2}, source {:.2}, of it {:.2}",
                     near / rest,
@@ -63,38 +59,14 @@ fn main() {
                 );
             }
         }
-        for seed in 0..seeds {
-            let Some(fixed) = fixed.clone() else { break };
-            let mut job = job(seed);
-            (job.length, job.fixed) = (None, vec![fixed]);
-            let made = job.make(&example).expect("a motion");
-            let source = thinned(&example[0], 1.0 / made.figure.frame_time());
-            let made = jerks(&places(&made.bvh, false));
-            let ratio = percentile(&made) / percentile(&jerks(&source));
-            println!("{file} seed {seed}: fixed part, jerk {ratio:.2}");
-        }
     }
-}
-
-fn read(file: &str) -> Example {
-    let bytes = std::fs::read(file).expect("a file");
-    let bvh = Bvh::parse(&bytes, file).expect("BVH");
-    let file = file.to_string();
-    Example { file, bvh }
 }
 
 fn job(seed: u64) -> Job {
     Job {
-        settings: Settings::of(Preset::Published),
         length: Some(Length::Seconds(10.0)),
         seed,
-        up: UpAxis::Y,
-        contacts: false,
-        heading: false,
-        parts: PartChoice::Whole,
-        keyframes: Vec::new(),
-        fixed: Vec::new(),
-        feet: false,
+        ..Job::default()
     }
 }
 
@@ -109,28 +81,21 @@ fn keyframe(source_time: f64) -> Keyframe {
     }
 }
 
-/// Where the joints are; `relative`: seen from above the body.
-fn places(bvh: &Bvh, relative: bool) -> Places {
+/// Where the joints are, seen from above the body.
+fn places(bvh: &Bvh) -> Places {
     let frames = (0..bvh.frames()).map(|t| {
         let world = bvh.world(t);
         let [x, _, z] = world[1].position;
-        let from = |[a, b, c]: [f64; 3]| {
-            if relative {
-                [a - x, b, c - z]
-            } else {
-                [a, b, c]
-            }
-        };
-        world.iter().map(|pose| from(pose.position)).collect()
+        let seen = world.iter().map(|pose| pose.position);
+        seen.map(|[a, b, c]| [a - x, b, c - z]).collect()
     });
     frames.collect()
 }
 
-/// The places of an example at `rate` frames a second.
-fn thinned(example: &Example, rate: f64) -> Places {
-    let every = (1.0 / rate / example.bvh.frame_time()).round() as usize;
-    let all = places(&example.bvh, false);
-    all.into_iter().step_by(every).collect()
+/// An example with as many frames a second as what was made of it.
+fn thinned(example: &Example, made: &Made) -> Bvh {
+    let frames = made.figure.frames(example).expect("an example");
+    made.figure.bvh(&frames).expect("an example")
 }
 
 /// Mean distance of the joints' weighted sums of frames from the origin.
@@ -156,35 +121,8 @@ fn seam(motion: &Places) -> [f64; 2] {
     let steps: Vec<f64> = (0..n - 1).map(step).collect();
     let turns: Vec<f64> = (0..n - 2).map(turn).collect();
     let over = turn(n - 2).max(turn(n - 1));
-    [step(n - 1) / percentile(&steps), over / percentile(&turns)]
-}
-
-/// Jerk of each frame from the third on, in units of the file per frame cubed.
-fn jerks(motion: &Places) -> Vec<f64> {
-    let weights = [1.0, -3.0, 3.0, -1.0];
-    let jerk = |t: usize| {
-        let terms: Vec<_> = (0..4).map(|back| (t - back, weights[back])).collect();
-        mean(motion, &terms)
-    };
-    (3..motion.len()).map(jerk).collect()
-}
-
-/// Mean jerk of the second around a frame, and elsewhere.
-fn around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
-    let near = |t: usize| (t as f64 + 1.5 - frame).abs() < rate / 2.0;
-    let mean = |wanted: bool| {
-        let all = jerks.iter().enumerate();
-        let values: Vec<f64> = all
-            .filter(|(t, _)| near(*t) == wanted)
-            .map(|(_, v)| *v)
-            .collect();
-        values.iter().sum::<f64>() / values.len() as f64
-    };
-    [mean(true), mean(false)]
-}
-
-fn percentile(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted[(0.95 * sorted.len() as f64) as usize]
+    [
+        step(n - 1) / percentile_95(&steps),
+        over / percentile_95(&turns),
+    ]
 }

@@ -11,8 +11,11 @@
 
 use std::time::Instant;
 
-use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_matching::{CoarseRatio, Example, Job, Measures, PartChoice, Preset, Settings};
+
+mod common;
+
+use common::read;
 
 /// A change of the settings.
 type Change = Box<dyn Fn(&mut Job)>;
@@ -57,13 +60,6 @@ fn main() {
     for (name, change) in changes(quick) {
         row(&name, &change, &examples, seeds, &measured);
     }
-}
-
-fn read(file: &str) -> Example {
-    let bytes = std::fs::read(file).expect("a file");
-    let bvh = Bvh::parse(&bytes, file).expect("BVH");
-    let file = file.to_string();
-    Example { file, bvh }
 }
 
 fn changes(presets_alone: bool) -> Vec<(String, Change)> {
@@ -133,16 +129,8 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
     let mut columns: [Vec<f64>; 7] = Default::default();
     for seed in 0..seeds {
         let mut job = Job {
-            settings: Settings::of(Preset::Published),
-            length: None,
             seed,
-            up: UpAxis::Y,
-            contacts: false,
-            heading: false,
-            parts: PartChoice::Whole,
-            keyframes: Vec::new(),
-            fixed: Vec::new(),
-            feet: false,
+            ..Job::default()
         };
         change(&mut job);
         let start = Instant::now();

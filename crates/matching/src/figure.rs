@@ -17,8 +17,6 @@ mod feet;
 mod survey;
 mod way;
 
-pub use feet::Sliding;
-
 use survey::{carriers, scale, thinning, travel, travelling};
 
 /// Channels of a rotation.

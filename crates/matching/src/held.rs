@@ -35,6 +35,12 @@ pub enum Held {
 }
 
 impl Held {
+    /// The frame of `frames` that is at the part `at` of a motion's length.
+    pub(crate) fn frame(at: f64, frames: usize) -> usize {
+        let t = (at * frames as f64 - 0.5).round().max(0.0) as usize;
+        t.min(frames - 1)
+    }
+
     /// Makes the motion of a level, `[frames, channels]`, keep to it.
     ///
     /// Channels are set. A key frame is met exactly, and its neighbours go over to those that it has
@@ -63,8 +69,7 @@ impl Held {
                 reach,
             } => {
                 let level = frames.frames();
-                let t = (at * level as f64 - 0.5).round().max(0.0) as usize;
-                let t = t.min(level - 1);
+                let t = Self::frame(*at, level);
                 // Frames of the source between two of this level.
                 let pace = (*finest as f64 / level as f64).max(1.0);
                 let reach = ((*reach as f64 / pace).ceil() as usize).max(LEAST_REACH);

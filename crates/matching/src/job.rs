@@ -4,7 +4,8 @@ use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
-use crate::synthesis::synthesize;
+use crate::calm::{self, jerks, percentile_95};
+use crate::synthesis::{synthesize, synthesize_like};
 use crate::{
     Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
     Request, Settings, Sliding, Synthesis, feet,
@@ -36,15 +37,19 @@ pub struct Fixed {
     pub motion: Example,
 }
 
-/// What is to be made.
-#[derive(Clone, Debug)]
+/// What is to be made. By default twice the examples, with the settings of the published program.
+#[derive(Clone, Debug, Default)]
 pub struct Job {
     /// The settings of the synthesis.
     pub settings: Settings,
-    /// How long the motion is; without one as long as what is fixed, else twice the examples.
+    /// How long the motion is; without one as long as what is fixed or the content, else twice the
+    /// examples.
     pub length: Option<Length>,
     /// Seed of the noise.
     pub seed: u64,
+    /// A motion whose coarse course the new one starts from in place of noise, so that it does the
+    /// same in the manner of the examples; it is as long.
+    pub content: Option<Example>,
     /// The axis that points up in the files.
     pub up: UpAxis,
     /// Whether contacts of the feet are matched as well.
@@ -113,7 +118,21 @@ impl Job {
         };
         let fixed = self.fixed.iter().map(|fixed| figure.frames(&fixed.motion));
         let fixed: Vec<Frames> = fixed.collect::<Result<_, _>>()?;
-        let frames = self.frames(&figure, &matrices, &fixed)?;
+        let content = self.content.as_ref().map(|content| figure.frames(content));
+        let content = content.transpose()?;
+        let given = self
+            .fixed
+            .iter()
+            .map(|fixed| &fixed.motion)
+            .chain(&self.content);
+        let given = given.zip(fixed.iter().chain(&content));
+        for (example, frames) in given.clone() {
+            self.must_have_a_patch(example, frames, &figure)?;
+        }
+        let given: Vec<(&Example, usize)> = given
+            .map(|(example, frames)| (example, frames.frames()))
+            .collect();
+        let frames = self.frames(&figure, &matrices, &given)?;
         let mut held = Vec::new();
         for (keyframe, source) in &self.keyframes {
             let (source, poses) = match source {
@@ -122,12 +141,12 @@ impl Job {
             };
             held.push(keyframe.held(&figure, &known, source, poses, frames)?);
         }
-        for (fixed, motion) in self.fixed.iter().zip(fixed) {
+        for (fixed, motion) in self.fixed.iter().zip(&fixed) {
             held.push(Held::Channels {
                 channels: Part::named(&fixed.part, &known, &figure)?
                     .channels(&figure)
                     .channels,
-                motion,
+                motion: motion.clone(),
             });
         }
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
@@ -138,9 +157,22 @@ impl Job {
             groups: &groups,
             held: &held,
         };
-        let mut synthesis = synthesize(&request, self.seed)?;
+        let mut synthesis = match &content {
+            Some(content) => synthesize_like(&request, content)?,
+            None => synthesize(&request, self.seed)?,
+        };
         if self.settings.looping != Looping::Off && held.is_empty() {
             synthesis.begin_where_calm();
+        }
+        calm::around_keyframes(&figure, &mut synthesis.frames, &held)?;
+        if !self.fixed.is_empty() {
+            let usual = matrices.iter().chain(&fixed).map(|motion| {
+                let jerks = jerks(&figure.bvh(motion)?);
+                Ok(percentile_95(&jerks))
+            });
+            let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
+            let most = usual.into_iter().fold(0.0, f64::max);
+            calm::over_fixed_parts(&figure, &mut synthesis.frames, &held, most)?;
         }
         let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;
@@ -182,27 +214,27 @@ impl Job {
         Err(Error::file(&example.file, problem, hint))
     }
 
-    /// Frames of the new motion.
+    /// Frames of the new motion; `given` are the motions that set its length, with their frames.
     fn frames(
         &self,
         figure: &Figure,
         examples: &[Frames],
-        fixed: &[Frames],
+        given: &[(&Example, usize)],
     ) -> Result<usize, Error> {
         let all = examples.iter().map(Frames::frames).sum();
         let asked = self
             .length
             .map(|length| length.frames(all, figure.frame_time()));
-        let frames = match (fixed.first(), asked) {
-            (Some(first), _) => first.frames(),
+        let frames = match (given.first(), asked) {
+            (Some((_, frames)), _) => *frames,
             (None, asked) => asked.unwrap_or(2 * all),
         };
-        let lengths = fixed.iter().map(Frames::frames).chain(asked);
+        let lengths = given.iter().map(|(_, frames)| *frames).chain(asked);
         if let Some(other) = lengths.into_iter().find(|&length| length != frames) {
-            let file = &self.fixed[0].motion.file;
+            let file = &given[0].0.file;
             let problem = format!("has {frames} frames, and another length asked for is {other}");
-            let hint = "a part that is fixed sets the length: leave `--length` out, and fix parts \
-                        with motions of one length";
+            let hint = "a part that is fixed and a content set the length: leave `--length` out, and \
+                        give motions of one length";
             return Err(Error::file(file, problem, hint));
         }
         in_range("length", frames, self.settings.patch_size..=MAX_FRAMES)

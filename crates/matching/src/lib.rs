@@ -21,6 +21,7 @@
 //! # Ok::<(), kinegrad_settings::InvalidSetting>(())
 //! ```
 
+mod calm;
 mod displacement;
 mod distance;
 mod error;
@@ -37,19 +38,21 @@ mod pool;
 mod pyramid;
 pub mod rotation6d;
 mod settings;
+mod smoothing;
 mod synthesis;
 mod vote;
 
+pub use calm::{jerk_around, jerks, percentile_95};
 pub use displacement::{displacements, places};
 pub use error::Error;
-pub use figure::{Example, Figure, FigureOptions, Sliding};
+pub use figure::{Example, Figure, FigureOptions};
 pub use frames::Frames;
 pub use held::Held;
 pub use job::{Fixed, Job, Made, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;
 pub use length::Length;
-pub use metrics::{Measures, Novelty};
+pub use metrics::{Measures, Novelty, Run, Sliding};
 pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};
 pub use pool::Pool;
@@ -57,5 +60,6 @@ pub use pyramid::{Levels, pyramid_lengths};
 pub use settings::{CoarseRatio, Looping, Preset, Settings, Start};
 pub use synthesis::{
     Channels, Request, Synthesis, start, start_noise, step, synthesize, synthesize_from,
+    synthesize_like,
 };
 pub use vote::{vote, vote_around, with_ends, without_ends};

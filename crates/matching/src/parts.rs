@@ -194,9 +194,11 @@ impl Part {
                 })
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
-            found.sort_unstable();
-            found.dedup();
             if !found.is_empty() {
+                // Legs stand on the ground as the joint that they hang on turns.
+                found.extend(way.then(|| figure.travelling()));
+                found.sort_unstable();
+                found.dedup();
                 return Ok(of(found, *way));
             }
         }
@@ -346,7 +348,7 @@ mod tests {
         let of =
             |name: &str| Part::named(name, &parts, &figure).map(|part| (part.joints, part.way));
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
-        assert_eq!(of("legs").unwrap(), (vec![2, 3, 4, 5], true));
+        assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
         assert_eq!(of("RightFoot").unwrap(), (vec![5], false));
         assert!(of("arms").unwrap_err().to_string().contains("`arms`"));
     }

@@ -132,6 +132,12 @@ pub struct Settings {
     pub looping: Looping,
 }
 
+impl Default for Settings {
+    fn default() -> Self {
+        Self::of(Preset::default())
+    }
+}
+
 impl Settings {
     /// The settings of a preset; body parts and contacts are no part of them.
     pub fn of(preset: Preset) -> Self {

@@ -184,11 +184,44 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// # Panics
 /// As [`synthesize`], and if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
+    let Settings {
+        sigma, start: from, ..
+    } = *request.settings;
+    refined(request, |examples, length| {
+        assert_eq!(noise.frames(), length, "frames of noise");
+        start(examples, noise, sigma, from)
+    })
+}
+
+/// The motion `content` in the manner of the examples: [`synthesize`] from its coarse course in place
+/// of noise.
+///
+/// # Errors
+/// As [`synthesize`].
+///
+/// # Panics
+/// As [`synthesize`], and if the content has other channels.
+pub fn synthesize_like(
+    request: &Request<'_>,
+    content: &Frames,
+) -> Result<Synthesis, InvalidSetting> {
+    refined(request, |examples, length| {
+        assert_eq!(content.channels(), examples[0].channels());
+        content.resampled(length)
+    })
+}
+
+/// The motion that `first` gives for the coarsest examples and its length, matched and voted for at
+/// every level.
+fn refined(
+    request: &Request<'_>,
+    first: impl FnOnce(&[Frames], usize) -> Frames,
+) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
+    let mut first = Some(first);
     let Settings {
         patch_size,
         alpha,
-        sigma,
         num_steps,
         distance,
         looping,
@@ -211,10 +244,7 @@ pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesi
             .map(|(example, lengths)| example.resampled(lengths[level]))
             .collect();
         let mut frames = match current {
-            None => {
-                assert_eq!(noise.frames(), length, "frames of noise");
-                start(&examples, noise, sigma, request.settings.start)
-            }
+            None => first.take().expect("the first level")(&examples, length),
             Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
             Some(coarser) => coarser.resampled(length),
         };

@@ -18,7 +18,7 @@
 //! ```
 
 pub mod augment;
-mod banded;
+pub mod banded;
 pub mod circular;
 pub mod coherence;
 pub mod emphasis;

@@ -33,6 +33,30 @@ pub struct Figure {
     pub contacts: Vec<Contact>,
     /// Curves over time.
     pub curves: Vec<Curves>,
+    /// Where its frames come from, if it was made of examples.
+    pub origins: Option<Origins>,
+}
+
+/// Where the frames of a motion that was made of examples come from.
+#[derive(Clone, Debug, Default)]
+pub struct Origins {
+    /// Name and number of frames of each example.
+    pub examples: Vec<(String, usize)>,
+    /// Name and runs of each part of the body that was matched by itself.
+    pub parts: Vec<(String, Vec<Run>)>,
+}
+
+/// Frames that follow each other as in an example.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub struct Run {
+    /// The first of them in the motion.
+    pub start: usize,
+    /// The example.
+    pub example: usize,
+    /// The first of them in the example.
+    pub first: usize,
+    /// How many there are.
+    pub frames: usize,
 }
 
 /// When a joint stands on the ground.

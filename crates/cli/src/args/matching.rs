@@ -14,7 +14,8 @@ use super::named;
 /// not only people; all of them have the same joints.
 ///
 /// The new file has the hierarchy, channels and units of the first example, at about 30 frames a
-/// second: faster captures are thinned. Beside it, NEW.json records how it was made, with measures of
+/// second: faster captures are thinned. Examples may be clips of joint features as well (.npy, such as
+/// HumanML3D's), and the new file a clip of them. Beside it, NEW.json records how it was made, with measures of
 /// coverage, diversity and what is copied. docs/matching.md describes them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -25,19 +26,21 @@ Examples:
   kinegrad match idle.bvh --out loop.bvh --length 5s --loop
   kinegrad match dance.bvh --out new.bvh --preset paper --parts parts.toml
   kinegrad match dance.bvh --out new.bvh --fix legs=walk.bvh
-  kinegrad match dance.bvh --out new.bvh --keyframes poses.toml")]
+  kinegrad match dance.bvh --out new.bvh --keyframes poses.toml
+  kinegrad match proud-walk.bvh --content walk.bvh --out new.bvh
+  kinegrad match clip.npy --out new.npy")]
 pub struct MatchArguments {
-    /// Motions to learn from (.bvh)
+    /// Motions to learn from (.bvh, or .npy of joint features)
     #[arg(required = true, value_name = "EXAMPLE.bvh")]
     pub examples: Vec<PathBuf>,
-    /// File to write
+    /// File to write: .bvh, or .npy where the examples are clips
     #[arg(long, value_name = "NEW.bvh")]
     pub out: PathBuf,
     /// Replace files that exist
     #[arg(long)]
     pub overwrite: bool,
     /// Length: times all examples together (2x), frames at the rate of the new file (300), or
-    /// seconds (12.5s) [default: 2x; with `--fix` the length of that motion]
+    /// seconds (12.5s) [default: 2x; with `--fix` or `--content` the length of that motion]
     #[arg(long)]
     pub length: Option<Length>,
     /// Random seed of the noise
@@ -88,6 +91,10 @@ pub struct MatchArguments {
     /// hangs on it, or `legs`, `arms` or `head`
     #[arg(long, value_name = "PART=MOTION.bvh", value_parser = fixed)]
     pub fix: Vec<(String, PathBuf)>,
+    /// Motion whose coarse course the new one follows, in the manner of the examples; it starts from
+    /// there in place of noise
+    #[arg(long, value_name = "MOTION.bvh")]
+    pub content: Option<PathBuf>,
     /// Hold feet still where those of the examples rest
     #[arg(long, conflicts_with = "looping")]
     pub feet: bool,

@@ -1,74 +1,49 @@
 //! `kinegrad match`
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
-use kinegrad_capture::{Bvh, UpAxis};
-use kinegrad_data::file::read_file;
+use kinegrad_capture::UpAxis;
 use kinegrad_data::write_whole;
 use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Looping, Made, Measures, Novelty, PartChoice, Preset, Settings,
-    Sliding,
+    Example, Fixed, Job, Keyframe, Looping, Made, PartChoice, Preset, Settings,
 };
 use kinegrad_report::check_ending;
 use kinegrad_train::Error;
-use serde::Serialize;
+use kinegrad_train::systems::Systems;
 
 use crate::args::MatchArguments;
 use crate::output::unusable;
-use crate::scene::{guess_units, guess_up};
+use crate::scene::{guess_units, guess_up, is_bvh};
 use crate::{folder, interrupt, output};
 
+mod motions;
 mod picture;
+mod record;
 
-/// Largest file that is read, bytes.
-const LARGEST: u64 = 1 << 30;
-
-/// How a motion was made, and what it has of its examples.
-#[derive(Serialize)]
-struct Record {
-    kinegrad: &'static str,
-    examples: Vec<PathBuf>,
-    seed: u64,
-    preset: Preset,
-    settings: Settings,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    coherence: Option<f64>,
-    frames: usize,
-    fps: f64,
-    heading: bool,
-    parts: Vec<PartRecord>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    keyframes: Option<PathBuf>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    fixed: Vec<String>,
-    /// None where feet are not held.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    sliding: Option<Sliding>,
-    /// None where the motions are too short, or too long to be compared.
-    measures: Option<Measures>,
-}
-
-/// A part of the body, and what its motion copies.
-#[derive(Serialize)]
-struct PartRecord {
-    name: String,
-    joints: Vec<String>,
-    #[serde(flatten)]
-    novelty: Novelty,
-}
+use motions::{Motion, is_clip};
+use record::Record;
 
 /// Makes a motion of examples.
-pub fn run(arguments: MatchArguments) -> Result<ExitCode, Error> {
+pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
     let record_path = arguments.out.with_extension("json");
     must_be_writable(&arguments, &record_path)?;
-    let examples = arguments.examples.iter().map(|path| read(path));
-    let examples: Vec<Example> = examples.collect::<Result<_, _>>()?;
-    let job = job(&arguments, &examples)?;
+    let read = arguments
+        .examples
+        .iter()
+        .map(|path| motions::read(systems, path));
+    let read: Vec<Motion> = read.collect::<Result<_, _>>()?;
+    let clip = read[0].clip.clone();
+    let examples: Vec<Example> = read.into_iter().map(|motion| motion.example).collect();
+    let clip = match is_clip(&arguments.out) {
+        true => Some(clip.ok_or_else(|| no_clip(&arguments))?),
+        false => None,
+    };
+    let job = job(systems, &arguments, &examples)?;
     let made = job.make(&examples).map_err(unusable)?;
-    let text = made.bvh.to_text();
-    let record = record(&arguments, &job, &made);
+    let features = clip.map(|clip| clip.features(&made.bvh)).transpose()?;
+    let record = Record::new(&arguments, &job, &made);
     let described = serde_json::to_string_pretty(&record).expect("plain data") + "\n";
     let outputs = [
         Some(&arguments.out),
@@ -84,7 +59,10 @@ pub fn run(arguments: MatchArguments) -> Result<ExitCode, Error> {
             let metres = metres(&examples[0], job.up);
             picture::draw(&made, &names.collect::<Vec<_>>(), metres, svg)?;
         }
-        write_whole(&arguments.out, text.as_bytes())?;
+        match &features {
+            Some(features) => motions::write(features, &arguments.out)?,
+            None => write_whole(&arguments.out, made.bvh.to_text().as_bytes())?,
+        }
         write_whole(&record_path, described.as_bytes())?;
         Ok::<(), Error>(())
     })?;
@@ -94,18 +72,30 @@ pub fn run(arguments: MatchArguments) -> Result<ExitCode, Error> {
             for path in outputs.into_iter().flatten() {
                 say!("{}", path.display());
             }
-            summarize(&record);
+            record.summarize();
             note_short(&job, &made);
         }
     }
     Ok(ExitCode::SUCCESS)
 }
 
+/// Why a clip cannot be written.
+fn no_clip(arguments: &MatchArguments) -> Error {
+    let (out, first) = (&arguments.out, &arguments.examples[0]);
+    let message = format!(
+        "`--out {}` is to be a clip of joint features, and {} is none",
+        out.display(),
+        first.display()
+    );
+    let hint = format!("`--out {}`", out.with_extension("bvh").display());
+    Error::usage(message, hint)
+}
+
 /// Refuses outputs that are there, or are read.
 fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Error> {
     let out = &arguments.out;
-    if !is_bvh(out) {
-        let message = format!("`--out {}` does not end in .bvh", out.display());
+    if !is_bvh(out) && !is_clip(out) {
+        let message = format!("`--out {}` does not end in .bvh or .npy", out.display());
         let hint = format!("`--out {}`", out.with_extension("bvh").display());
         return Err(Error::usage(message, hint));
     }
@@ -117,6 +107,7 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
         .examples
         .iter()
         .chain(fixed)
+        .chain(&arguments.content)
         .any(|path| path == out)
     {
         let message = format!("{} is an example itself", out.display());
@@ -133,23 +124,9 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
     Ok(())
 }
 
-fn is_bvh(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|found| found.eq_ignore_ascii_case("bvh"))
-}
-
-fn read(path: &Path) -> Result<Example, Error> {
-    let file = path.display().to_string();
-    if !is_bvh(path) {
-        let message = format!("{file} is no .bvh file");
-        return Err(Error::usage(message, "examples are motions as BVH"));
-    }
-    let bytes = read_file(path, LARGEST).map_err(|error| {
-        let message = format!("{file} cannot be read: {error}");
-        Error::usage(message, "give a BVH file that is there")
-    })?;
-    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
-    Ok(Example { file, bvh })
+/// Reads a motion that the new one takes something of; clips have the skeleton of the first example.
+fn read(systems: Systems<'_>, path: &Path) -> Result<Example, Error> {
+    Ok(motions::read(systems, path)?.example)
 }
 
 fn read_text(path: &Path) -> Result<String, Error> {
@@ -160,7 +137,11 @@ fn read_text(path: &Path) -> Result<String, Error> {
     })
 }
 
-fn job(arguments: &MatchArguments, examples: &[Example]) -> Result<Job, Error> {
+fn job(
+    systems: Systems<'_>,
+    arguments: &MatchArguments,
+    examples: &[Example],
+) -> Result<Job, Error> {
     let is_paper = arguments.preset == Preset::Paper;
     let parts = match arguments
         .parts
@@ -176,18 +157,21 @@ fn job(arguments: &MatchArguments, examples: &[Example]) -> Result<Job, Error> {
         },
     };
     let keyframes = match &arguments.keyframes {
-        Some(path) => keyframes(path)?,
+        Some(path) => keyframes(systems, path)?,
         None => Vec::new(),
     };
     let fixed = arguments.fix.iter().map(|(part, path)| {
-        let motion = read(path)?;
+        let motion = read(systems, path)?;
         let part = part.clone();
         Ok(Fixed { part, motion })
     });
+    let content = arguments.content.as_ref();
+    let content = content.map(|path| read(systems, path));
     Ok(Job {
         settings: settings(arguments)?,
         length: arguments.length,
         seed: arguments.seed,
+        content: content.transpose()?,
         up: up(arguments, &examples[0]),
         contacts: is_paper,
         heading: arguments.heading,
@@ -218,14 +202,14 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
 }
 
 /// The key frames of a file, with the motions they are from, which are looked for beside it.
-fn keyframes(path: &Path) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
+fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
     let text = read_text(path)?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).map_err(unusable)?;
     let with_source = |keyframe: Keyframe| {
         let source = keyframe
             .file
             .as_ref()
-            .map(|file| read(&path.with_file_name(file)));
+            .map(|file| read(systems, &path.with_file_name(file)));
         Ok((keyframe, source.transpose()?))
     };
     keyframes.into_iter().map(with_source).collect()
@@ -257,42 +241,6 @@ fn name(path: &Path) -> String {
     stem.to_string_lossy().into_owned()
 }
 
-fn record(arguments: &MatchArguments, job: &Job, made: &Made) -> Record {
-    let joints = made.figure.joints();
-    let parts = made
-        .parts
-        .iter()
-        .zip(made.novelty())
-        .map(|(part, novelty)| PartRecord {
-            name: part.name.clone(),
-            joints: part
-                .joints
-                .iter()
-                .map(|&joint| joints[joint].name.clone())
-                .collect(),
-            novelty,
-        });
-    let fixed = arguments.fix.iter();
-    Record {
-        kinegrad: env!("CARGO_PKG_VERSION"),
-        examples: arguments.examples.clone(),
-        seed: arguments.seed,
-        preset: arguments.preset,
-        settings: job.settings.clone(),
-        coherence: arguments.coherence,
-        frames: made.bvh.frames(),
-        fps: 1.0 / made.figure.frame_time(),
-        heading: arguments.heading,
-        parts: parts.collect(),
-        keyframes: arguments.keyframes.clone(),
-        fixed: fixed
-            .map(|(part, path)| format!("{part}={}", path.display()))
-            .collect(),
-        sliding: made.sliding,
-        measures: made.measures(&[]),
-    }
-}
-
 /// Says that the examples are short, where the coarsest level is hardly coarser than they are: noise is
 /// then not sorted into longer stretches.
 fn note_short(job: &Job, made: &Made) {
@@ -304,36 +252,6 @@ fn note_short(job: &Job, made: &Made) {
             "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which \
              leaves many splices; `--coarse-ratio 2x` or `--coherence 1` makes fewer",
             100.0 * ratio.min(1.0)
-        );
-    }
-}
-
-/// Says in words what was made.
-fn summarize(record: &Record) {
-    tell!("{} frames at {:.2} a second", record.frames, record.fps);
-    if let Some(measures) = &record.measures {
-        tell!(
-            "coverage {:.3} (window cost {:.3}), diversity {:.3} local, {:.3} global",
-            measures.coverage,
-            measures.window_cost,
-            measures.local_diversity,
-            measures.global_diversity
-        );
-    }
-    if let Some(sliding) = &record.sliding {
-        tell!(
-            "feet in contact: {:.2} units a second before, {:.2} after",
-            sliding.before,
-            sliding.after
-        );
-    }
-    for part in &record.parts {
-        tell!(
-            "{}: {:.0} % in runs of a second or more, the longest {:.1} s; {:.2} splices a second",
-            part.name,
-            100.0 * part.novelty.copied,
-            part.novelty.longest_copied_seconds,
-            part.novelty.splices_per_second
         );
     }
 }

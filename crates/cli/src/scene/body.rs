@@ -46,6 +46,7 @@ pub fn figure(
         joint_names,
         parents,
         orientations: None,
+        origins: None,
     }
 }
 

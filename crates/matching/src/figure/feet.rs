@@ -1,13 +1,12 @@
 //! Feet of a new motion that rest where those of its examples do.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::feet::{Leg, lock, sliding};
+use kinegrad_motion::feet::{Leg, lock};
 use kinegrad_motion::rotation::length;
-use serde::Serialize;
 
 use super::{Example, Figure};
 use crate::parts::feet;
-use crate::{Error, Part};
+use crate::{Error, Part, Sliding};
 
 /// Speed, in leg lengths a second, below which a foot near the floor rests: 0.2 m/s for a person.
 const RESTING: f64 = 0.25;
@@ -17,17 +16,6 @@ const NEAR: f64 = 0.15;
 const SHORTEST: usize = 3;
 /// Frames within which a correction fades.
 const BLEND: usize = 5;
-
-/// How far feet slid in contact, before and after they were held.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Sliding {
-    /// Part of the frames in which a foot is in contact, of all feet.
-    pub in_contact: f64,
-    /// Mean speed of feet in contact before, in the file's units a second.
-    pub before: f64,
-    /// The same after.
-    pub after: f64,
-}
 
 impl Figure {
     /// The motion `bvh` with its feet held still where those of the examples rest. `origins` of each
@@ -84,20 +72,13 @@ impl Figure {
             }
             locals.extend(poses);
         }
-        let speed = |places: &[Vec<[f64; 3]>]| {
-            let of = |(leg, contacts): (&Leg, &Vec<bool>)| {
-                let path: Vec<[f64; 3]> = places.iter().map(|frame| frame[leg.sole]).collect();
-                sliding(&path, contacts) / self.frame_time
-            };
-            legs.iter().zip(&contacts).map(of).sum::<f64>() / legs.len() as f64
-        };
-        let flags = contacts.as_slice().concat();
-        let held = flags.iter().filter(|&&contact| contact).count();
-        let slid = Sliding {
-            in_contact: held as f64 / flags.len() as f64,
-            before: speed(&places),
-            after: speed(&locked.positions),
-        };
+        let slid = Sliding::of(
+            &places,
+            &locked.positions,
+            &legs,
+            &contacts,
+            self.frame_time,
+        );
         Ok((bvh.reposed(bvh.frame_time(), &locals)?, slid))
     }
 

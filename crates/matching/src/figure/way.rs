@@ -19,7 +19,7 @@ impl Figure {
 
     /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
     /// point up, in the file's units, for each of `points`. Each bends what is behind the one before
-    /// it evenly. The first frame is where it starts and stays there.
+    /// it, most in the middle and not at its ends. The first frame is where it starts and stays there.
     pub fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])]) {
         let mut points = points.to_vec();
         points.sort_by_key(|(t, _)| *t);
@@ -36,10 +36,17 @@ impl Figure {
             let way = self.way_of(frames);
             let mut missed = [0.0; 3];
             for (&axis, place) in level.iter().zip(place) {
-                missed[axis] = (place - way[t].0[axis]) * self.scale / (t - before) as f64;
+                missed[axis] = (place - way[t].0[axis]) * self.scale;
             }
+            // The speed of the least jerk from rest to rest, so that no corner is left.
+            let speed = |frame: usize| {
+                let part = ((frame - before) as f64 - 0.5) / (t - before) as f64;
+                (part * (1.0 - part)).powi(2)
+            };
+            let all: f64 = (before + 1..=t).map(speed).sum();
             for (frame, (_, heading)) in way.iter().enumerate().take(t + 1).skip(before + 1) {
-                let moved = self.turned(-heading).rotate(missed);
+                let share = missed.map(|value| value * speed(frame) / all);
+                let moved = self.turned(-heading).rotate(share);
                 for &axis in &level {
                     frames.frame_mut(frame)[first + axis] += moved[axis] as f32;
                 }

@@ -1,22 +1,11 @@
 //! Whole jobs.
 
 use super::*;
-use crate::Preset;
 use crate::figure::tests::example;
+use crate::{Preset, jerk_around};
 
 fn job() -> Job {
-    Job {
-        settings: Settings::of(Preset::Published),
-        length: None,
-        seed: 0,
-        up: UpAxis::Y,
-        contacts: false,
-        heading: false,
-        parts: PartChoice::Whole,
-        keyframes: Vec::new(),
-        fixed: Vec::new(),
-        feet: false,
-    }
+    Job::default()
 }
 
 fn walk(frames: usize) -> Example {
@@ -117,6 +106,68 @@ fn key_frames_are_met() {
         assert!(turn.iter().all(|angle| angle.abs() < 1e-4));
     }
     assert!((found[1].position[1] - pose[1].position[1]).abs() < 1e-4);
+}
+
+#[test]
+fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
+    // The same walk at thrice its pace.
+    let mut text = crate::figure::tests::text(210, 1.0 / 10.0);
+    text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
+    let wild = Example {
+        file: "wild.bvh".to_string(),
+        bvh: Bvh::parse(text.as_bytes(), "wild.bvh").unwrap(),
+    };
+    let keyframe = Keyframe {
+        time: 2.0,
+        source_time: 3.0,
+        file: None,
+        part: None,
+        place: None,
+        reach: None,
+    };
+    let job = Job {
+        keyframes: vec![(keyframe, Some(wild.clone()))],
+        ..job()
+    };
+    let made = job.make(&[walk(70)]).unwrap();
+    let [near, rest] = jerk_around(&jerks(&made.bvh), 60.0, 30.0);
+    assert!(near <= 1.5 * rest, "{near} {rest}");
+    let held = made.figure.frames(&wild).unwrap();
+    assert_eq!(made.synthesis.frames.frame(60)[..24], held.frame(90)[..24]);
+}
+
+#[test]
+fn a_content_is_followed_in_the_manner_of_the_examples() {
+    let mut content = walk(120);
+    content.file = "content.bvh".to_string();
+    let job = Job {
+        content: Some(content.clone()),
+        ..job()
+    };
+    let made = job.make(&[walk(70)]).unwrap();
+    assert_eq!(made.bvh.frames(), 120);
+    // The content is the examples' own walk, so its steps stay in time.
+    let (channels, wanted) = (
+        made.figure.channels_of(2),
+        made.figure.frames(&content).unwrap(),
+    );
+    let apart = |t: usize| {
+        let pairs = channels
+            .iter()
+            .map(|&c| made.synthesis.frames.frame(t)[c] - wanted.frame(t)[c]);
+        pairs.map(|value| value * value).sum::<f32>().sqrt()
+    };
+    let mean = (0..120).map(apart).sum::<f32>() / 120.0;
+    assert!(mean < 0.2, "{mean}");
+    let longer = Job {
+        length: Some(Length::Frames(80)),
+        ..job
+    };
+    let said = longer.make(&[walk(70)]).unwrap_err().to_string();
+    assert_eq!(
+        said,
+        "content.bvh: has 120 frames, and another length asked for is 80"
+    );
 }
 
 #[test]

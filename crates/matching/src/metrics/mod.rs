@@ -1,13 +1,15 @@
 //! What a new motion has of its examples: coverage, diversity and novelty.
 
 mod novelty;
+mod sliding;
 mod windows;
 
 use serde::Serialize;
 
 use crate::{Figure, Frames, Made};
 
-pub use novelty::Novelty;
+pub use novelty::{Novelty, Run};
+pub use sliding::Sliding;
 use windows::{cheapest, segmented};
 
 /// Frames of a window of coverage, and of the shortest segment of global diversity.
@@ -93,6 +95,12 @@ impl Made {
         origins
             .map(|origins| Novelty::of(origins, self.figure.frame_time()))
             .collect()
+    }
+
+    /// The runs of each part's motion that follow an example, in the order of the parts.
+    pub fn runs(&self) -> Vec<Vec<Run>> {
+        let origins = self.synthesis.origins.iter();
+        origins.map(|origins| Run::all(origins)).collect()
     }
 }
 

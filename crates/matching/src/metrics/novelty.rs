@@ -5,6 +5,40 @@ use serde::Serialize;
 /// Frames that follow each other as in an example before they count as copied: about a second.
 const COPIED: usize = 30;
 
+/// Frames that follow each other as in an example.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub struct Run {
+    /// The first of them in the motion.
+    pub start: usize,
+    /// The example.
+    pub example: usize,
+    /// The first of them in the example.
+    pub first: usize,
+    /// How many there are, at least one.
+    pub frames: usize,
+}
+
+impl Run {
+    /// The runs of a motion whose frame t continues frame `origins[t].1` of example `origins[t].0`.
+    pub fn all(origins: &[(usize, usize)]) -> Vec<Self> {
+        let mut runs: Vec<Self> = Vec::new();
+        for (start, &(example, first)) in origins.iter().enumerate() {
+            match runs.last_mut() {
+                Some(run) if (run.example, run.first + run.frames) == (example, first) => {
+                    run.frames += 1;
+                }
+                _ => runs.push(Self {
+                    start,
+                    example,
+                    first,
+                    frames: 1,
+                }),
+            }
+        }
+        runs
+    }
+}
+
 /// How much of a motion is copied, by where its frames come from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Novelty {
@@ -23,15 +57,7 @@ impl Novelty {
     /// # Panics
     /// Panics if there are no frames.
     pub fn of(origins: &[(usize, usize)], frame_time: f64) -> Self {
-        let follows =
-            |pair: &[(usize, usize)]| pair[0].0 == pair[1].0 && pair[0].1 + 1 == pair[1].1;
-        let mut runs = vec![1];
-        for pair in origins.windows(2) {
-            match follows(pair) {
-                true => *runs.last_mut().expect("one at least") += 1,
-                false => runs.push(1),
-            }
-        }
+        let runs: Vec<usize> = Run::all(origins).iter().map(|run| run.frames).collect();
         let frames = origins.len();
         assert!(frames > 0);
         let copied: usize = runs.iter().filter(|&&run| run >= COPIED).sum();
@@ -57,6 +83,11 @@ mod tests {
             .chain(run(1, 45, 10))
             .chain(run(1, 3, 30))
             .collect();
+        let starts: Vec<_> = Run::all(&origins)
+            .iter()
+            .map(|run| (run.start, run.example, run.first, run.frames))
+            .collect();
+        assert_eq!(starts, [(0, 0, 5, 40), (40, 1, 45, 10), (50, 1, 3, 30)]);
         let novelty = Novelty::of(&origins, 0.05);
         assert_eq!(novelty.copied, 70.0 / 80.0);
         assert_eq!(novelty.longest_copied_seconds, 2.0);

@@ -39,7 +39,7 @@ pub struct CoherentFit {
     /// Of each estimate and frame `1 / s^2`, times that of a known frame.
     weights: [Vec<f64>; 3],
     /// Of the normal equations.
-    factor: Cholesky,
+    factor: Cholesky<BAND>,
 }
 
 impl CoherentFit {

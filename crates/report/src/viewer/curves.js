@@ -56,9 +56,9 @@ class Chart {
     const area = element("div", { class: "kg-area" });
     area.append(this.canvas, this.cursor);
     this.element.append(caption, area, this.legend());
-    const seekTo = ({ clientX }) => {
-      const { left, width } = area.getBoundingClientRect();
-      seek((scene.seconds * (clientX - left)) / width);
+    const seekTo = ({ clientX, clientY }) => {
+      const { left, top, width, height } = area.getBoundingClientRect();
+      seek((scene.seconds * (clientX - left)) / width, (clientY - top) / height);
     };
     area.addEventListener("pointerdown", (event) => {
       area.setPointerCapture(event.pointerId);

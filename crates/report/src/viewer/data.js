@@ -89,6 +89,7 @@ const readFigure = async (data) => {
   }));
   const figure = { name: data.name, fps, frames, count, positions, orientations, charts };
   figure.contacts = data.contacts;
+  figure.origins = data.origins;
   figure.seconds = frames / fps;
   figure.joints = bare;
   figure.sides = bare.map((name) => {

@@ -16,7 +16,7 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use crate::page::escape;
-use crate::scene::{Contact, Figure, Floor, Scene, Song};
+use crate::scene::{Contact, Figure, Floor, Origins, Scene, Song};
 
 /// What pages with viewers may load, for `<meta http-equiv="Content-Security-Policy">`: only what
 /// stands in the page itself.
@@ -37,6 +37,7 @@ pub fn script() -> &'static str {
         include_str!("camera.js"),
         include_str!("draw.js"),
         include_str!("curves.js"),
+        include_str!("origins.js"),
         include_str!("clock.js"),
         include_str!("viewer.js"),
         "})();\n"
@@ -124,6 +125,25 @@ fn figure_json(figure: &Figure, small: bool) -> Value {
         "contacts": contacts.map(contact_json).collect::<Vec<_>>(),
         "charts": named.collect::<Vec<_>>(),
         "curves": encode::curves(&series, frames),
+        "origins": figure.origins.as_ref().filter(|_| !small).map(origins_json),
+    })
+}
+
+/// Runs as `[start, example, first, frames]`.
+fn origins_json(origins: &Origins) -> Value {
+    let examples = origins.examples.iter();
+    let parts = origins.parts.iter().map(|(name, runs)| {
+        let runs = runs.iter();
+        let runs: Vec<[usize; 4]> = runs
+            .map(|run| [run.start, run.example, run.first, run.frames])
+            .collect();
+        json!({ "name": name, "runs": runs })
+    });
+    json!({
+        "examples": examples
+            .map(|(name, frames)| json!({ "name": name, "frames": frames }))
+            .collect::<Vec<_>>(),
+        "parts": parts.collect::<Vec<_>>(),
     })
 }
 

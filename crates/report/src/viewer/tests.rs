@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::Curves;
+use crate::scene::{Curves, Run};
 
 fn figure(name: &str, frames: usize, joints: usize) -> Figure {
     let place = |i: usize| (i as f32 * 0.37).sin();
@@ -79,6 +79,36 @@ fn contacts_are_ranges_and_thumbnails_leave_curves_and_song_out() {
             .html()
             .contains("class=\"kg kg-small\"")
     );
+}
+
+#[test]
+fn origins_are_runs_of_named_examples() {
+    let run = Run {
+        start: 3,
+        example: 1,
+        first: 20,
+        frames: 6,
+    };
+    let origins = Origins {
+        examples: vec![("walk".to_string(), 40), ("run".to_string(), 30)],
+        parts: vec![("body".to_string(), vec![run])],
+    };
+    let scene = Scene {
+        figures: vec![Figure {
+            origins: Some(origins),
+            ..figure("a", 9, 2)
+        }],
+        ..Scene::default()
+    };
+    let large = &scene_json(&scene, false)["figures"][0]["origins"];
+    assert_eq!(large["examples"][1], json!({ "name": "run", "frames": 30 }));
+    assert_eq!(large["parts"][0]["runs"], json!([[3, 1, 20, 6]]));
+    assert!(scene_json(&scene, true)["figures"][0]["origins"].is_null());
+    let plain = Scene {
+        figures: vec![figure("a", 9, 2)],
+        ..Scene::default()
+    };
+    assert!(scene_json(&plain, false)["figures"][0]["origins"].is_null());
 }
 
 #[test]

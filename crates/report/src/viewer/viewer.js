@@ -383,6 +383,9 @@ class Viewer {
     if (this.scene.figures.some((figure) => figure.contacts.length > 0)) {
       this.charts.unshift(new ContactChart(this.scene, seek));
     }
+    if (this.scene.figures.some((figure) => figure.origins)) {
+      this.charts.unshift(new OriginChart(this.scene, seek), new ExampleChart(this.scene, seek));
+    }
     grid.append(...this.charts.map((chart) => chart.element));
     return grid;
   }

@@ -1,0 +1,142 @@
+//! Motions that are matched: BVH files, and clips of joint features, whose joints are matched as a BVH
+//! file's are.
+
+use std::path::Path;
+
+use kinegrad_capture::Bvh;
+use kinegrad_data::file::read_file;
+use kinegrad_data::{read_array, write_values};
+use kinegrad_matching::Example;
+use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
+use kinegrad_motion::{JointFeatures, Representation};
+use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
+
+use crate::commands::files::{self, CENTIMETRES};
+use crate::output::unusable;
+use crate::scene::is_bvh;
+
+/// Largest file that is read, bytes.
+const LARGEST: u64 = 1 << 30;
+
+/// The joints of a clip, which its file does not name.
+#[derive(Clone, Debug)]
+pub struct Clip {
+    /// The skeleton.
+    pub skeleton: Skeleton,
+    /// How its features say where the root is.
+    pub root: Root,
+}
+
+/// A motion that was read.
+pub struct Motion {
+    /// The motion.
+    pub example: Example,
+    /// What a clip is of; none for a BVH file.
+    pub clip: Option<Clip>,
+}
+
+/// Whether a path names a clip.
+pub fn is_clip(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
+}
+
+/// Reads a BVH file or a clip.
+///
+/// # Errors
+/// If it is neither, cannot be read, or is a motion without a skeleton.
+pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
+    let file = path.display().to_string();
+    if is_clip(path) {
+        return read_clip(systems, path, file);
+    }
+    if !is_bvh(path) {
+        let message = format!("{file} is no .bvh or .npy file");
+        let hint = "examples are motions as BVH, or clips of joint features as .npy";
+        return Err(Error::usage(message, hint));
+    }
+    let bytes = read_file(path, LARGEST).map_err(|error| {
+        let message = format!("{file} cannot be read: {error}");
+        Error::usage(message, "give a BVH file that is there")
+    })?;
+    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
+    let example = Example { file, bvh };
+    Ok(Motion {
+        example,
+        clip: None,
+    })
+}
+
+fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, Error> {
+    let array = read_array(path)?;
+    let representation = systems.representation_of(path, &array.shape, &array.values)?;
+    let Some(skeleton) = representation.skeleton().cloned() else {
+        let message = format!("{file}: a {} has no joints", representation.name());
+        let hint = "examples are motions as BVH, or clips of joint features as .npy";
+        return Err(Error::usage(message, hint));
+    };
+    let Some(joints) = representation.joints(&array.values) else {
+        let message = format!("{file}: a position is not finite");
+        let hint = "`kinegrad check` says what is wrong with a motion";
+        return Err(Error::usage(message, hint));
+    };
+    let bvh = files::bvh(&joints, &skeleton)?;
+    let absolute = JointFeatures {
+        skeleton: skeleton.clone(),
+        root: Root::Absolute,
+    };
+    let root = match representation.name() == absolute.name() {
+        true => Root::Absolute,
+        false => Root::Relative,
+    };
+    Ok(Motion {
+        example: Example { file, bvh },
+        clip: Some(Clip { skeleton, root }),
+    })
+}
+
+impl Clip {
+    /// Features of a motion that was made of clips, a row for each of its frames. Its last row moves on
+    /// as the one before does.
+    ///
+    /// # Errors
+    /// If they cannot be computed, as for a motion that is too far away.
+    pub fn features(&self, bvh: &Bvh) -> Result<Features, Error> {
+        let names = &self.skeleton.description().joint_names;
+        let places = names
+            .iter()
+            .map(|name| bvh.joint(name).expect("its joints"));
+        let places: Vec<usize> = places.collect();
+        let mut joints: Vec<[f64; 3]> = Vec::new();
+        for t in 0..bvh.frames() {
+            let world = bvh.world(t);
+            let metres = places
+                .iter()
+                .map(|&joint| world[joint].position.map(|value| value / CENTIMETRES));
+            joints.extend(metres);
+        }
+        let count = places.len();
+        let last = joints.len() - count;
+        for joint in 0..count {
+            let (now, before) = (joints[last + joint], joints[last - count + joint]);
+            joints.push([0, 1, 2].map(|axis| 2.0 * now[axis] - before[axis]));
+        }
+        let joints = Joints::new(joints, count)?;
+        let extraction = Extraction {
+            rescale: false,
+            ..Extraction::default()
+        };
+        let features = extraction.features(&self.skeleton, &joints)?;
+        Ok(features.with_root(self.root))
+    }
+}
+
+/// Writes features as an array.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(features: &Features, path: &Path) -> Result<(), Error> {
+    let shape = [features.frames(), features.layout().channels()];
+    Ok(write_values(path, &shape, features.as_slice())?)
+}

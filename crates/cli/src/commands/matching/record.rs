@@ -1,0 +1,126 @@
+//! The record of a motion made of examples, and its summary in words.
+
+use std::path::PathBuf;
+
+use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Settings, Sliding};
+use serde::Serialize;
+
+use crate::args::MatchArguments;
+
+/// How a motion was made, and what it has of its examples.
+#[derive(Serialize)]
+pub struct Record {
+    kinegrad: &'static str,
+    examples: Vec<PathBuf>,
+    /// Frames of each example, at the rate of the motion.
+    example_frames: Vec<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    content: Option<PathBuf>,
+    seed: u64,
+    preset: Preset,
+    settings: Settings,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    coherence: Option<f64>,
+    frames: usize,
+    fps: f64,
+    heading: bool,
+    parts: Vec<PartRecord>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    keyframes: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    fixed: Vec<String>,
+    /// None where feet are not held.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sliding: Option<Sliding>,
+    /// None where the motions are too short, or too long to be compared.
+    measures: Option<Measures>,
+}
+
+/// A part of the body, and what its motion copies.
+#[derive(Serialize)]
+struct PartRecord {
+    name: String,
+    joints: Vec<String>,
+    #[serde(flatten)]
+    novelty: Novelty,
+    /// Frames that follow each other as in an example: the first in the motion, the example, the
+    /// first in it, and how many.
+    runs: Vec<[usize; 4]>,
+}
+
+impl Record {
+    /// The record of a motion that was made.
+    pub fn new(arguments: &MatchArguments, job: &Job, made: &Made) -> Self {
+        let joints = made.figure.joints();
+        let known = made.novelty().into_iter().zip(made.runs());
+        let parts = made.parts.iter().zip(known);
+        let parts = parts.map(|(part, (novelty, runs))| PartRecord {
+            name: part.name.clone(),
+            joints: part
+                .joints
+                .iter()
+                .map(|&joint| joints[joint].name.clone())
+                .collect(),
+            novelty,
+            runs: runs
+                .iter()
+                .map(|run| [run.start, run.example, run.first, run.frames])
+                .collect(),
+        });
+        let fixed = arguments.fix.iter();
+        Self {
+            kinegrad: env!("CARGO_PKG_VERSION"),
+            examples: arguments.examples.clone(),
+            example_frames: made
+                .examples
+                .iter()
+                .map(|example| example.frames())
+                .collect(),
+            content: arguments.content.clone(),
+            seed: arguments.seed,
+            preset: arguments.preset,
+            settings: job.settings.clone(),
+            coherence: arguments.coherence,
+            frames: made.bvh.frames(),
+            fps: 1.0 / made.figure.frame_time(),
+            heading: arguments.heading,
+            parts: parts.collect(),
+            keyframes: arguments.keyframes.clone(),
+            fixed: fixed
+                .map(|(part, path)| format!("{part}={}", path.display()))
+                .collect(),
+            sliding: made.sliding,
+            measures: made.measures(&[]),
+        }
+    }
+
+    /// Says in words what was made.
+    pub fn summarize(&self) {
+        tell!("{} frames at {:.2} a second", self.frames, self.fps);
+        if let Some(measures) = &self.measures {
+            tell!(
+                "coverage {:.3} (window cost {:.3}), diversity {:.3} local, {:.3} global",
+                measures.coverage,
+                measures.window_cost,
+                measures.local_diversity,
+                measures.global_diversity
+            );
+        }
+        if let Some(sliding) = &self.sliding {
+            tell!(
+                "feet in contact: {:.2} units a second before, {:.2} after",
+                sliding.before,
+                sliding.after
+            );
+        }
+        for part in &self.parts {
+            tell!(
+                "{}: {:.0} % in runs of a second or more, the longest {:.1} s; {:.2} splices a second",
+                part.name,
+                100.0 * part.novelty.copied,
+                part.novelty.longest_copied_seconds,
+                part.novelty.splices_per_second
+            );
+        }
+    }
+}

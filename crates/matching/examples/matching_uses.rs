@@ -1,0 +1,158 @@
+//! Measures of bodies put together from two motions, and of a motion in the manner of another.
+//!
+//! ```sh
+//! cargo run --release -p kinegrad-matching --example matching_uses -- --seeds 5 dance.bvh walk.bvh
+//! ```
+//!
+//! prints for the legs of the second file under the body of the first, and for the second in the manner
+//! of the first, the mean distance of the new motion's windows of 15 frames to the nearest of either
+//! file: over the joints of the legs and over all others. Below stand the same distances of the second
+//! file as it is, and of new motions of the first alone. In time is the correlation of the legs'
+//! rotations with those of the second file at the same moments. Jerk is the 95th percentile, as a part
+//! of that of the file that jerks more.
+
+use kinegrad_capture::Bvh;
+use kinegrad_matching::{
+    CoarseRatio, Example, Fixed, Frames, Job, Length, Made, Measures, Part, jerks, percentile_95,
+};
+
+mod common;
+
+use common::read;
+
+fn main() {
+    let (mut seeds, mut files) = (5, Vec::new());
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--seeds" => {
+                let number = arguments.next().and_then(|n| n.parse().ok());
+                seeds = number.expect("a number");
+            }
+            file => files.push(read(file)),
+        }
+    }
+    let [first, second] = files.try_into().expect("two files");
+    let legs = Fixed {
+        part: "legs".to_string(),
+        motion: second.clone(),
+    };
+    let style = |k: f64| {
+        let mut job = Job {
+            content: Some(second.clone()),
+            ..Job::default()
+        };
+        job.settings.coarse_ratio = CoarseRatio::Patches(k);
+        job
+    };
+    println!("windows to: first others, second others, first legs, second legs; in time; jerk");
+    let same = |job: Job| vec![job];
+    let of_seeds = |job: Job| -> Vec<Job> {
+        let seeded = |seed| Job {
+            seed,
+            ..job.clone()
+        };
+        (0..seeds).map(seeded).collect()
+    };
+    let fixed = Job {
+        fixed: vec![legs],
+        ..Job::default()
+    };
+    let frames = Job::default().make(std::slice::from_ref(&second));
+    let frames = frames.expect("a motion").examples[0].frames();
+    let alone = Job {
+        length: Some(Length::Frames(frames)),
+        ..Job::default()
+    };
+    let rows = [
+        ("legs of the second".to_string(), of_seeds(fixed)),
+        ("first alone".to_string(), of_seeds(alone)),
+        ("manner, K 2".to_string(), same(style(2.0))),
+        ("manner, K 5".to_string(), same(style(5.0))),
+        ("manner, K 8".to_string(), same(style(8.0))),
+    ];
+    for (name, jobs) in rows {
+        let values = jobs.iter().map(|job| {
+            let made = job.make(std::slice::from_ref(&first)).expect("a motion");
+            distances(&made, &made.synthesis.frames, &second)
+        });
+        print(&name, &values.collect::<Vec<_>>());
+    }
+    let made = Job::default()
+        .make(std::slice::from_ref(&first))
+        .expect("a motion");
+    let frames = made.figure.frames(&second).expect("one skeleton");
+    print("second as it is", &[distances(&made, &frames, &second)]);
+}
+
+/// Distances of a motion's windows to those of both files, over the legs' joints and all others, and its
+/// jerk.
+fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
+    let figure = &made.figure;
+    let both = [
+        made.examples[0].clone(),
+        figure.frames(second).expect("one skeleton"),
+    ];
+    let legs = Part::named("legs", &[], figure).expect("legs").joints;
+    let columns = |of_legs: bool| -> Vec<usize> {
+        let joints = (0..figure.joints().len()).filter(|joint| legs.contains(joint) == of_legs);
+        joints.flat_map(|joint| figure.rotation_of(joint)).collect()
+    };
+    let to = |file: usize, of_legs: bool| {
+        let columns = columns(of_legs);
+        let measures = Measures::of(&motion.columns(&columns), &[both[file].columns(&columns)]);
+        measures.expect("more than 30 frames").local_diversity
+    };
+    let jerk = |frames: &Frames| {
+        let bvh: Bvh = figure.bvh(frames).expect("finite");
+        percentile_95(&jerks(&bvh))
+    };
+    let usual = jerk(&both[0]).max(jerk(&both[1]));
+    [
+        to(0, false),
+        to(1, false),
+        to(0, true),
+        to(1, true),
+        correlation(
+            &motion.columns(&columns(true)),
+            &both[1].columns(&columns(true)),
+        ),
+        jerk(motion) / usual,
+    ]
+}
+
+/// The correlation of two motions of one length over all frames and channels, each channel about its
+/// mean.
+fn correlation(one: &Frames, other: &Frames) -> f64 {
+    let n = one.frames();
+    let mut sums = [0.0; 3];
+    for channel in 0..one.channels() {
+        let about = |motion: &Frames| -> Vec<f64> {
+            let values = (0..n).map(|t| f64::from(motion.frame(t)[channel]));
+            let mean = values.clone().sum::<f64>() / n as f64;
+            values.map(|value| value - mean).collect()
+        };
+        let (a, b) = (about(one), about(other));
+        for (sum, (x, y)) in sums.iter_mut().zip([(&a, &b), (&a, &a), (&b, &b)]) {
+            *sum += x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        }
+    }
+    sums[0] / (sums[1] * sums[2]).sqrt()
+}
+
+/// Means, and standard deviations of several.
+fn print(name: &str, rows: &[[f64; 6]]) {
+    let n = rows.len() as f64;
+    let cells = (0..6).map(|column| {
+        let mean = rows.iter().map(|row| row[column]).sum::<f64>() / n;
+        let squares = rows
+            .iter()
+            .map(|row| (row[column] - mean).powi(2))
+            .sum::<f64>();
+        match rows.len() {
+            1 => format!("{mean:.2}"),
+            _ => format!("{mean:.2} ({:.2})", (squares / (n - 1.0)).sqrt()),
+        }
+    });
+    println!("{name:20} {}", cells.collect::<Vec<_>>().join("  "));
+}

@@ -1,0 +1,143 @@
+// Where the frames of a motion that was made of examples come from, and what of those appears.
+
+// The colour of a place in all examples together, from 0 to 1.
+const originColour = (place) => `hsl(${Math.round(15 + 290 * place)} 60% 52%)`;
+
+// The figures with origins: their number, and the frames of their examples one behind the other.
+const originated = (scene) =>
+  scene.figures.flatMap((figure, index) => {
+    if (!figure.origins) return [];
+    const starts = [0];
+    for (const { frames } of figure.origins.examples) starts.push(starts.at(-1) + frames);
+    const total = Math.max(1, starts.pop());
+    const colour = (example, frame) => originColour((starts[example] + frame) / total);
+    return [{ ...figure.origins, figure: index, fps: figure.fps, name: figure.name, colour }];
+  });
+
+// A run of frames that follow each other in an example, from colour to colour.
+const fillRun = (context, from, to, top, height, first, last) => {
+  const gradient = context.createLinearGradient(from, 0, Math.max(to, from + 1), 0);
+  gradient.addColorStop(0, first);
+  gradient.addColorStop(1, last);
+  context.fillStyle = gradient;
+  context.fillRect(from, top, Math.max(1, to - from), height);
+};
+
+const rowLabel = (context, text, middle, ratio, colours) => {
+  context.font = `${10 * ratio}px system-ui, sans-serif`;
+  context.textBaseline = "middle";
+  context.fillStyle = colours.ink;
+  context.lineWidth = 3 * ratio;
+  context.strokeStyle = colours.ground;
+  context.strokeText(text, 4 * ratio, middle);
+  context.fillText(text, 4 * ratio, middle);
+};
+
+const noLegend = () => element("ul", { class: "kg-legend" });
+
+// For each part and moment the place in the examples, by its colour; a line rises through each run
+// of frames that follow each other.
+class OriginChart extends Chart {
+  constructor(scene, seek) {
+    const several = scene.figures.length > 1;
+    const rows = originated(scene).flatMap((own) =>
+      own.parts.map(({ name, runs }) => ({ ...own, runs, label: several ? `${own.name}: ${name}` : name })),
+    );
+    super({ title: "place in the examples that each moment comes from", names: [], lines: [], rows }, scene, seek);
+    this.canvas.style.height = `${Math.max(40, 24 * rows.length)}px`;
+  }
+
+  legend() {
+    return noLegend();
+  }
+
+  draw(colours) {
+    const [width, height, context, ratio] = sized(this.canvas);
+    const step = height / this.rows.length;
+    this.rows.forEach(({ label, runs, fps, examples, colour }, row) => {
+      const scale = width / (this.scene.seconds * fps);
+      const [top, tall] = [(row + 0.08) * step, 0.84 * step];
+      for (const [start, example, first, frames] of runs) {
+        const [from, to] = [start * scale, (start + frames) * scale];
+        fillRun(context, from, to, top, tall, colour(example, first), colour(example, first + frames));
+        const y = (frame) => top + tall * (1 - frame / examples[example].frames);
+        context.strokeStyle = colours.ink;
+        context.lineWidth = ratio;
+        context.beginPath();
+        context.moveTo(from, y(first));
+        context.lineTo(to, y(first + frames));
+        context.stroke();
+      }
+      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
+    });
+  }
+}
+
+// Which frames of each example appear, in any part; a click seeks one. The cursor is at the frame that
+// the first part shows.
+class ExampleChart extends Chart {
+  constructor(scene, seek) {
+    const several = scene.figures.length > 1;
+    const rows = originated(scene).flatMap((own) =>
+      own.examples.map(({ name, frames }, example) => ({
+        ...own,
+        example,
+        frames,
+        label: several ? `${own.name}: ${name}` : name,
+      })),
+    );
+    const longest = Math.max(...rows.map(({ frames }) => frames));
+    const chart = { title: "frames of the examples that appear", names: [], lines: [], rows, longest };
+    super(chart, scene, (time, down) => {
+      const row = rows[Math.max(0, Math.min(rows.length - 1, Math.floor(down * rows.length)))];
+      const found = this.timeOf(row, (longest * time) / scene.seconds);
+      if (found !== null) seek(found);
+    });
+    this.canvas.setAttribute("aria-label", this.title);
+    this.canvas.style.height = `${Math.max(40, 18 * rows.length)}px`;
+    this.follow(0);
+  }
+
+  legend() {
+    return noLegend();
+  }
+
+  // When the first part that has this frame of an example shows it; null if none does.
+  timeOf({ parts, example, fps }, frame) {
+    for (const [start, from, first, frames] of parts.flatMap(({ runs }) => runs)) {
+      if (from === example && frame >= first && frame < first + frames) return (start + frame - first) / fps;
+    }
+    return null;
+  }
+
+  draw(colours) {
+    const [width, height, context, ratio] = sized(this.canvas);
+    const [step, scale] = [height / this.rows.length, width / this.longest];
+    this.rows.forEach(({ label, parts, example, frames, colour }, row) => {
+      const [top, tall] = [(row + 0.1) * step, 0.8 * step];
+      context.fillStyle = colours.muted;
+      context.globalAlpha = 0.25;
+      context.fillRect(0, top, frames * scale, tall);
+      context.globalAlpha = 1;
+      for (const [, from, first, count] of parts.flatMap(({ runs }) => runs)) {
+        if (from !== example) continue;
+        const ends = [colour(example, first), colour(example, first + count)];
+        fillRun(context, first * scale, (first + count) * scale, top, tall, ...ends);
+      }
+      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
+    });
+  }
+
+  follow(part) {
+    const { parts, figure, fps } = this.rows[0];
+    const t = Math.floor(part * this.scene.seconds * fps);
+    const run = parts[0].runs.find(([start, , , frames]) => t >= start && t < start + frames);
+    if (!run) return;
+    const [start, example, first] = run;
+    const row = this.rows.findIndex((own) => own.figure === figure && own.example === example);
+    const percent = (value) => `${100 * value}%`;
+    this.cursor.style.left = percent((first + t - start) / this.longest);
+    this.cursor.style.top = percent(row / this.rows.length);
+    this.cursor.style.height = percent(1 / this.rows.length);
+  }
+}
