@@ -6,7 +6,8 @@
 //! rounding.
 //!
 //! ```text
-//! convolution, normalization, attention   what a network calls
+//! convolution, normalization,
+//! attention, recurrence                   what a network calls
 //!        |                \
 //!     backend           composed           Burn extension with its backward | Burn's operations
 //!        |
