@@ -231,13 +231,20 @@ impl ForwardBlock<'_> {
         state[..sequences * width].copy_from_slice(given);
         let stride = self.packed.len() / width;
         let mut recurrent = vec![0.0; TILE_ROWS * stride];
+        let mut unkept = vec![0.0; KEPT * width];
         for step in self.plan.direction.steps(time) {
             multiply::<S, NR>(simd, &state, width, self.packed, &mut recurrent);
             for i in 0..sequences {
                 let sequence = self.first + i;
                 let state = &mut state[i * width..][..width];
                 if step < frames_of(self.values.lengths, sequence, time) {
-                    self.step(step, sequence, &recurrent[i * stride..], state);
+                    let kept = match &self.gates {
+                        // SAFETY: a task owns its sequences, and this is its only slice of the row.
+                        #[allow(unsafe_code)]
+                        Some(gates) => unsafe { gates.segment(step, sequence, 0, KEPT * width) },
+                        None => &mut unkept[..],
+                    };
+                    self.step(step, sequence, &recurrent[i * stride..], (state, kept));
                 }
                 // SAFETY: a task owns its sequences, and this is its only slice of the row.
                 #[allow(unsafe_code)]
@@ -247,25 +254,22 @@ impl ForwardBlock<'_> {
         }
     }
 
-    /// The state after a step of one sequence, from the state's part of the gates.
+    /// The state after a step of one sequence, and what the backward pass needs of it, from the
+    /// state's part of the gates.
     #[inline(always)]
-    fn step(&self, step: usize, sequence: usize, recurrent: &[f32], state: &mut [f32]) {
+    fn step(
+        &self,
+        step: usize,
+        sequence: usize,
+        recurrent: &[f32],
+        (state, kept): (&mut [f32], &mut [f32]),
+    ) {
         let width = self.plan.width;
         let row = step * self.plan.batch + sequence;
         let inputs = &self.values.inputs[row * 3 * width..][..3 * width];
         let (ir, iz, inew) = thirds(inputs, width);
         let (hr, hz, hnew) = thirds(recurrent, width);
         let (br, bz, bnew) = thirds(self.values.bias, width);
-        let mut unkept = Vec::new();
-        let kept: &mut [f32] = match &self.gates {
-            // SAFETY: a task owns its sequences, and this is its only slice of the row.
-            #[allow(unsafe_code)]
-            Some(gates) => unsafe { gates.segment(step, sequence, 0, KEPT * width) },
-            None => {
-                unkept.resize(KEPT * width, 0.0);
-                &mut unkept
-            }
-        };
         let (resets, kept) = kept.split_at_mut(width);
         let (updates, kept) = kept.split_at_mut(width);
         let (news, parts) = kept.split_at_mut(width);
