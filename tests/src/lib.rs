@@ -5,6 +5,7 @@ pub mod decoder;
 pub mod end_to_end;
 pub mod gmd;
 pub mod golden;
+pub mod gradients;
 pub mod parity;
 pub mod sandbox;
 pub mod servers;

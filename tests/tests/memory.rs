@@ -1,9 +1,16 @@
 //! Sampling keeps no graph alive.
 
+use std::sync::{Mutex, PoisonError};
+
 use burn::module::Module;
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{ClipRange, DiffusionConfig, GaussianDiffusion, SamplerConfig, sample};
-use kinegrad_models::Initializer;
+use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_models::flow::{FlowRollout, FlowSpace, RolloutSettings};
+use kinegrad_models::{FlowConfig, Initializer};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::walk::{self, Course};
+use kinegrad_motion::humanml::{Joints, NextPose, Skeleton};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_tests::parity::tiny;
 use kinegrad_train::device;
@@ -19,8 +26,12 @@ fn resident() -> Option<u64> {
         .map(|pages| pages * 4096)
 }
 
+/// Held by the test that runs: each measures the memory of the whole process.
+static ALONE: Mutex<()> = Mutex::new(());
+
 #[test]
 fn memory_stays_flat_over_200_sampler_calls() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let (cpu, _) = device::open("cpu").expect("the CPU");
     // The weights of a network in training, as validation and sampling take them.
     let trained = tiny()
@@ -53,6 +64,58 @@ fn memory_stays_flat_over_200_sampler_calls() {
     (0..20).for_each(|index| drop(draw(index)));
     let Some(before) = resident() else { return };
     (20..220).for_each(|index| drop(draw(index)));
+    let grown = resident().expect("as before").saturating_sub(before);
+    assert!(
+        grown < 8 << 20,
+        "resident memory grew by {} KiB",
+        grown >> 10
+    );
+}
+
+#[test]
+fn memory_stays_flat_over_10_000_frames_of_a_rollout() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let (cpu, _) = device::open("cpu").expect("the CPU");
+    let skeleton = Skeleton::humanml3d();
+    let course = Course {
+        speed: Box::new(|_| 1.0),
+        turning: Box::new(|_| 0.0),
+    };
+    let history = walk::joints(&course, &skeleton, 4);
+    let history = Joints::new(history, skeleton.joints()).expect("finite joints");
+    let init = Initializer::new(0, &cpu.clone().autodiff());
+    let trained = FlowConfig::tiny().init(&skeleton, &init).expect("networks");
+    let space = FlowSpace {
+        features: Statistics::unit(skeleton.layout().channels()),
+        target: Statistics::new(vec![0.0; 66], vec![1e-3; 66], None).expect("valid"),
+        next: NextPose::Displacement,
+        prediction: FlowPrediction::Velocity,
+        history: 3,
+        longest: 196,
+        skeleton,
+    };
+    let settings = RolloutSettings {
+        sampler: FlowSamplerConfig {
+            num_inference_steps: 1,
+            guidance_scale: 2.0,
+            ..FlowSamplerConfig::default()
+        },
+        frames: 11_000,
+        constant_bones: true,
+        contact_threshold: 0.002,
+    };
+    let key = Key::new(0, Purpose::Sampling);
+    let rollout = FlowRollout::new(trained.valid(), space, settings, &history, key, &cpu);
+    let mut rollout = rollout.expect("a history");
+    let mut draw = |frames: usize| {
+        for _ in 0..frames {
+            let frame = rollout.next_frame().expect("finite");
+            assert!(frame.is_some());
+        }
+    };
+    draw(1_000);
+    let Some(before) = resident() else { return };
+    draw(10_000);
     let grown = resident().expect("as before").saturating_sub(before);
     assert!(
         grown < 8 << 20,

@@ -21,6 +21,18 @@ pub enum Error {
         /// Sizes of its input.
         expected: Vec<usize>,
     },
+    /// A flow that changes too fast to be followed as closely as asked.
+    #[error("no step from flow time {at:.6} keeps the error below {tolerance}")]
+    #[diagnostic(help(
+        "raise `sampling.sampler.tolerance`, or leave it out for `num_inference_steps` equal steps; \
+         a network that answers NaN has no step either"
+    ))]
+    FlowTolerance {
+        /// The largest error allowed.
+        tolerance: f64,
+        /// Where the step begins, from 0 to 1.
+        at: f64,
+    },
     /// The callback of the steps asked for an end.
     #[error("sampling was stopped")]
     Stopped,

@@ -1,4 +1,4 @@
-//! The diffusion process: noise schedules, training targets and samplers.
+//! The processes from noise to motion: noise schedules, training targets and samplers.
 //!
 //! ```text
 //! DiffusionConfig --> NoiseSchedule (tables, f64) --> GaussianDiffusion (forward process, targets)
@@ -7,6 +7,9 @@
 //!                           steered (goals, imputation) /
 //!                           rollout (gradients)        /
 //! ```
+//!
+//! [`flow`] is the other process: a straight path from noise to data, and solvers along its
+//! velocity, over the same [`Denoiser`]s and guidance.
 //!
 //! The crate is independent of what channels mean and of specific networks: a network implements
 //! [`Denoiser`]. There is no hidden randomness: noise is an argument, or comes from a
@@ -30,6 +33,7 @@
 pub mod config;
 pub mod denoiser;
 mod error;
+pub mod flow;
 pub mod loss;
 mod per_sample;
 pub mod process;
@@ -42,6 +46,7 @@ mod time;
 pub use config::{BetaSchedule, DiffusionConfig, LossType, PredictionType};
 pub use denoiser::{Denoiser, GuidanceScales, guided};
 pub use error::Error;
+pub use flow::{FlowPrediction, FlowSamplerConfig, FlowSolver, Flowed, sample_flow};
 pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};

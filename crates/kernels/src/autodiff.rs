@@ -10,12 +10,13 @@ use burn::backend::{Autodiff, Flex};
 
 use crate::backend::{
     FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm, mapped,
-    norm_gradients, self_attend_backward, self_heads,
+    norm_gradients, recur, self_attend_backward, self_heads,
 };
 use crate::flex::{HostRows, contiguous, from_rows, tensor};
 use crate::host::convolution::{ConvolutionPlan, Input, Wanted};
 use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, Statistics};
+use crate::host::recurrence::{GruPlan, GruValues};
 use crate::linear_map::SharedMap;
 
 /// What a convolution's backward pass needs.
@@ -215,6 +216,61 @@ impl Backward<Flex, 2> for Concat {
     }
 }
 
+/// What a recurrent layer's backward pass needs.
+#[derive(Clone, Debug)]
+struct GruState {
+    inputs: FlexTensor,
+    weight: FlexTensor,
+    bias: FlexTensor,
+    initial: FlexTensor,
+    states: FlexTensor,
+    gates: Vec<f32>,
+    plan: GruPlan,
+    given: Given,
+}
+
+#[derive(Debug)]
+struct Gru;
+
+impl Backward<Flex, 4> for Gru {
+    type State = GruState;
+
+    fn backward(self, ops: Ops<Self::State, 4>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let GruState {
+            inputs,
+            weight,
+            bias,
+            initial,
+            states,
+            gates,
+            plan,
+            given,
+        } = ops.state;
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        let values = GruValues {
+            inputs: &contiguous(&inputs),
+            weight: &contiguous(&weight),
+            bias: &contiguous(&bias),
+            initial: &contiguous(&initial),
+            lengths: given.frames(),
+        };
+        let kept = (&contiguous(&states)[..], &gates[..]);
+        let computed = plan.backward(&values, kept, &contiguous(&gradient));
+        let values = [
+            (computed.inputs, inputs),
+            (computed.weight, weight),
+            (computed.bias, bias),
+            (computed.initial, initial),
+        ];
+        for (node, (value, of)) in ops.parents.into_iter().zip(values) {
+            if let Some(node) = node {
+                let value = tensor(value, of.layout().shape().clone());
+                gradients.register::<Flex>(node.id, value);
+            }
+        }
+    }
+}
+
 #[derive(Debug)]
 struct Gelu;
 
@@ -390,6 +446,38 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         match Concat.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(channels, output),
             OpsKind::UnTracked(prep) => prep.finish(output),
+        }
+    }
+
+    fn fused_gru(
+        inputs: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        initial: FloatTensor<Self>,
+        plan: GruPlan,
+        given: Given,
+    ) -> FloatTensor<Self> {
+        let nodes = [&inputs, &weight, &bias, &initial].map(|tensor| tensor.node());
+        let [inputs, weight, bias, initial] =
+            [inputs, weight, bias, initial].map(|tensor| tensor.into_primitive());
+        let given_tensors = [&inputs, &weight, &bias, &initial];
+        let (states, gates) = recur(given_tensors, &plan, &given, true);
+        let states = tensor(states, [plan.time, plan.batch, plan.width]);
+        match Gru.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(
+                GruState {
+                    inputs,
+                    weight,
+                    bias,
+                    initial,
+                    states: states.clone(),
+                    gates,
+                    plan,
+                    given,
+                },
+                states,
+            ),
+            OpsKind::UnTracked(prep) => prep.finish(states),
         }
     }
 

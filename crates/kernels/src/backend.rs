@@ -12,6 +12,7 @@ use crate::host::attention::{Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
+use crate::host::recurrence::{GruPlan, GruValues};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
 use crate::lengths::Lengths;
@@ -87,6 +88,16 @@ pub trait FusedOps: Backend {
 
     /// The channels of `first`, then those of `second`.
     fn concat_channels(first: FloatTensor<Self>, second: FloatTensor<Self>) -> FloatTensor<Self>;
+
+    /// The states of a gated recurrent unit, `[time, batch, width]`.
+    fn fused_gru(
+        inputs: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        initial: FloatTensor<Self>,
+        plan: GruPlan,
+        given: Given,
+    ) -> FloatTensor<Self>;
 
     /// GELU of each element.
     fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self>;
@@ -308,6 +319,23 @@ pub(crate) fn mapped(
     tensor(into, [batch, channels, time])
 }
 
+/// The states of a gated recurrent unit, and what its backward pass needs, if it is `kept`.
+pub(crate) fn recur(
+    [inputs, weight, bias, initial]: [&FlexTensor; 4],
+    plan: &GruPlan,
+    given: &Given,
+    kept: bool,
+) -> (Vec<f32>, Vec<f32>) {
+    let values = GruValues {
+        inputs: &contiguous(inputs),
+        weight: &contiguous(weight),
+        bias: &contiguous(bias),
+        initial: &contiguous(initial),
+        lengths: given.frames(),
+    };
+    plan.forward(&values, kept)
+}
+
 impl FusedOps for Flex {
     fn fused_convolution(
         x: FlexTensor,
@@ -373,6 +401,18 @@ impl FusedOps for Flex {
     ) -> FlexTensor {
         let all = HostRows::of(queries_keys_values);
         attend(self_heads(all.view(), num_heads, given.frames()))
+    }
+
+    fn fused_gru(
+        inputs: FlexTensor,
+        weight: FlexTensor,
+        bias: FlexTensor,
+        initial: FlexTensor,
+        plan: GruPlan,
+        given: Given,
+    ) -> FlexTensor {
+        let (states, _) = recur([&inputs, &weight, &bias, &initial], &plan, &given, false);
+        tensor(states, [plan.time, plan.batch, plan.width])
     }
 
     fn fused_gelu(x: FlexTensor) -> FlexTensor {

@@ -6,7 +6,8 @@
 //! rounding.
 //!
 //! ```text
-//! convolution, normalization, attention   what a network calls
+//! convolution, normalization,
+//! attention, recurrence                   what a network calls
 //!        |                \
 //!     backend           composed           Burn extension with its backward | Burn's operations
 //!        |
@@ -31,6 +32,7 @@ pub mod memory;
 mod mode;
 mod normalization;
 pub mod optimizer;
+mod recurrence;
 
 pub use attention::{cross_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
@@ -40,6 +42,7 @@ pub use lengths::Lengths;
 pub use linear_map::{LinearMap, SharedMap, linear_map};
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
+pub use recurrence::{Direction, gru};
 
 #[cfg(test)]
 mod tests;

@@ -6,4 +6,5 @@ mod cases;
 mod fused;
 mod invariance;
 mod padding;
+mod recurrence;
 mod reference;

@@ -5,14 +5,15 @@
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
-//! text-conditioned denoiser with either of them. [`text_motion`] contains the encoders of the
-//! text-motion evaluator.
+//! text-conditioned denoiser with either of them. [`flow`] contains the networks that continue a
+//! motion frame by frame. [`text_motion`] contains the encoders of the text-motion evaluator.
 
 pub mod attention;
 pub mod config;
 pub mod decoder;
 pub mod dropout;
 mod error;
+pub mod flow;
 pub mod gmd;
 pub mod gradients;
 pub mod init;
@@ -36,6 +37,7 @@ pub use config::{NamedSizes, NetworkConfig};
 pub use decoder::{DecoderConfig, MotionDecoder};
 pub use dropout::{Dropout, DropoutKey};
 pub use error::Error;
+pub use flow::{FlowConfig, FlowModel};
 pub use gradients::{GradientSum, gradients};
 pub use init::Initializer;
 pub use lora::{LoraConfig, LoraTarget};

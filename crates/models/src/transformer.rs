@@ -8,16 +8,15 @@
     reason = "fields are named as the published model's parameters"
 )]
 
-use burn::module::{Module, Param};
+use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_kernels::{Convolution, gelu, self_attention};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::gmd::interleaved_sinusoidal;
-use crate::layers::{LayerNorm, Linear};
+use crate::layers::{EncoderLayer, EncoderLayerConfig, Linear, NormOrder};
 use crate::{Initializer, NamedSizes, NetworkConfig};
 
 /// The sizes of an [`Encoder`].
@@ -104,13 +103,19 @@ impl EncoderConfig {
     /// As [`validate`](Self::validate).
     pub fn init(&self, in_channels: usize, init: &Initializer) -> Result<Encoder, InvalidSetting> {
         self.validate()?;
+        let sizes = EncoderLayerConfig {
+            width: self.latent_dim,
+            num_heads: self.num_heads,
+            ff_size: self.ff_size,
+            norm: NormOrder::Post,
+        };
         let layers = init.at("seqTransEncoder").at("layers");
         let pose = init.at("input_process").at("poseEmbedding");
         let last = init.at("output_process").at("poseFinal");
         Ok(Encoder {
             input_process_at_poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
             seqTransEncoder_at_layers: (0..self.num_layers)
-                .map(|index| EncoderLayer::new(self, &layers.at(&index.to_string())))
+                .map(|index| sizes.init(&layers.at(&index.to_string())))
                 .collect(),
             output_process_at_poseFinal: Linear::new(self.latent_dim, in_channels, &last),
         })
@@ -144,79 +149,6 @@ impl Encoder {
         let output = self.output_process_at_poseFinal.forward_frames(h);
         output.narrow(2, 1, time)
     }
-}
-
-/// Queries, keys and values of `nn.MultiheadAttention` in one weight.
-#[derive(Module, Debug)]
-struct SelfAttention {
-    in_proj_weight: Param<Tensor<2>>,
-    in_proj_bias: Param<Tensor<1>>,
-    out_proj: Linear,
-    num_heads: usize,
-}
-
-impl SelfAttention {
-    /// # Shapes
-    /// - x, output: `[batch, width, tokens]`
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
-            .bias(self.in_proj_bias.val())
-            .forward(x);
-        let attended = self_attention(projected, self.num_heads, None);
-        self.out_proj.forward_frames(attended)
-    }
-}
-
-/// `h = norm1(x + attention(x))`, `y = norm2(h + linear2(gelu(linear1(h))))`.
-#[derive(Module, Debug)]
-struct EncoderLayer {
-    self_attn: SelfAttention,
-    linear1: Linear,
-    linear2: Linear,
-    norm1: LayerNorm,
-    norm2: LayerNorm,
-}
-
-impl EncoderLayer {
-    fn new(config: &EncoderConfig, init: &Initializer) -> Self {
-        let width = config.latent_dim;
-        let attention = init.at("self_attn");
-        Self {
-            self_attn: SelfAttention {
-                // Xavier's bound for a weight of `width` inputs and `3 width` outputs, as
-                // `nn.MultiheadAttention` has it; its biases begin at zero.
-                in_proj_weight: attention.bounded(
-                    "in_proj_weight",
-                    [3 * width, width],
-                    (6.0 / (4 * width) as f64).sqrt(),
-                ),
-                in_proj_bias: attention.constant([3 * width], 0.0),
-                out_proj: Linear::new(width, width, &attention.at("out_proj")),
-                num_heads: config.num_heads,
-            },
-            linear1: Linear::new(width, config.ff_size, &init.at("linear1")),
-            linear2: Linear::new(config.ff_size, width, &init.at("linear2")),
-            norm1: LayerNorm::new(width, &init.at("norm1")),
-            norm2: LayerNorm::new(width, &init.at("norm2")),
-        }
-    }
-
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let h = self.self_attn.forward(x.clone()) + x;
-        let h = normalized(&self.norm1, h);
-        let inner = gelu(self.linear1.forward_frames(h.clone()));
-        let y = self.linear2.forward_frames(inner) + h;
-        normalized(&self.norm2, y)
-    }
-}
-
-/// Each token normalised over its channels: `[batch, width, tokens]`.
-fn normalized(norm: &LayerNorm, x: Tensor<3>) -> Tensor<3> {
-    let [batch, width, tokens] = x.dims();
-    let rows = x.swap_dims(1, 2).reshape([batch * tokens, width]);
-    norm.forward(rows)
-        .reshape([batch, tokens, width])
-        .swap_dims(1, 2)
 }
 
 #[cfg(test)]

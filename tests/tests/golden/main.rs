@@ -7,6 +7,7 @@ mod decoder;
 mod diffusion_loss;
 mod diffusion_steps;
 mod e2e;
+mod flow;
 mod genmm;
 mod gmd;
 mod humanml;
@@ -27,6 +28,7 @@ fn main() -> ExitCode {
         diffusion_loss::tests(),
         diffusion_steps::tests(),
         e2e::tests(),
+        flow::tests(),
         genmm::tests(),
         gmd::tests(),
         humanml::tests(),

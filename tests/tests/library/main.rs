@@ -1,5 +1,6 @@
 //! What is tested across crates without reference tensors of the golden set.
 
+mod flow;
 mod gmd_fixtures;
 mod interrupted;
 mod parity;

@@ -404,7 +404,7 @@ fn fold_pairs(rows: Rows<'_>, time: usize) -> Vec<f32> {
 }
 
 /// The sum of all rows, sample by sample.
-fn column_sums(rows: Rows<'_>) -> Vec<f32> {
+pub(crate) fn column_sums(rows: Rows<'_>) -> Vec<f32> {
     let partial: Vec<Vec<f32>> = team::map(rows.batch, |sample| {
         let mut sums = vec![0.0; rows.channels];
         vectorized(

@@ -10,6 +10,7 @@ pub(crate) mod norm;
 pub(crate) mod outer;
 pub(crate) mod packing;
 pub(crate) mod product;
+pub(crate) mod recurrence;
 pub(crate) mod rows;
 pub(crate) mod simd;
 pub(crate) mod team;

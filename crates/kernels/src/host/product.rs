@@ -79,7 +79,7 @@ pub(crate) fn multiply(
     if windows.len() == 0 {
         return;
     }
-    let width = Arch::new().dispatch(PanelWidth);
+    let width = panel_width();
     let panels = weight.columns().div_ceil(width);
     let wanted = (2 * rayon::current_num_threads()).div_ceil(panels);
     let parts = wanted.min(windows.len() / LEAST_ROWS).max(1);
@@ -106,6 +106,10 @@ pub(crate) fn multiply(
 }
 
 /// Columns of a panel on this processor.
+pub(crate) fn panel_width() -> usize {
+    Arch::new().dispatch(PanelWidth)
+}
+
 struct PanelWidth;
 
 impl WithSimd for PanelWidth {

@@ -29,4 +29,16 @@ impl LayerNorm {
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         layer_norm(x, self.weight.val(), self.bias.val(), LAYER_NORM_EPS)
     }
+
+    /// Normalises each token over its channels.
+    ///
+    /// # Shapes
+    /// - x, output: `[batch, features, tokens]`
+    pub fn forward_tokens(&self, x: Tensor<3>) -> Tensor<3> {
+        let [batch, features, tokens] = x.dims();
+        let rows = x.swap_dims(1, 2).reshape([batch * tokens, features]);
+        self.forward(rows)
+            .reshape([batch, tokens, features])
+            .swap_dims(1, 2)
+    }
 }

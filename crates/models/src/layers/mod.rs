@@ -8,13 +8,17 @@
 mod bi_gru;
 mod conv1d;
 mod conv_transpose1d;
+mod embedding;
+mod encoder_layer;
 mod group_norm;
 mod layer_norm;
 mod linear;
 
-pub use bi_gru::BiGru;
+pub use bi_gru::{BiGru, GruStates};
 pub use conv_transpose1d::ConvTranspose1d;
 pub use conv1d::Conv1d;
+pub use embedding::Embedding;
+pub use encoder_layer::{EncoderLayer, EncoderLayerConfig, NormOrder};
 pub use group_norm::{GROUP_NORM_EPS, GROUPS, GroupNorm};
 pub use layer_norm::{LAYER_NORM_EPS, LayerNorm};
 pub use linear::Linear;

@@ -68,7 +68,7 @@ impl SequenceEncoder {
     pub fn forward(&self, x: Tensor<3>, lengths: &[usize]) -> Tensor<2> {
         let longest = lengths.iter().max().copied().unwrap_or(0);
         let x = self.input_emb.forward_frames(x.narrow(2, 0, longest));
-        let x = self.gru.last_states(x, lengths, self.hidden.val());
+        let x = self.gru.forward(x, lengths, self.hidden.val()).last;
         let x = self
             .output_net_at_1
             .forward(self.output_net_at_0.forward(x));

@@ -21,6 +21,8 @@ pub struct Extraction {
     /// A joint of a foot stands where its squared displacement to the next frame is less than
     /// this, in square metres. The published 0.002 are 4.5 cm a frame; there is no height test.
     pub contact_threshold: f64,
+    /// The heading that the root follows; published features have the smoothed one.
+    pub heading: Heading,
 }
 
 impl Default for Extraction {
@@ -28,6 +30,7 @@ impl Default for Extraction {
         Self {
             rescale: true,
             contact_threshold: 0.002,
+            heading: Heading::default(),
         }
     }
 }
@@ -63,8 +66,7 @@ impl Extraction {
         skeleton: &Skeleton,
         joints: &Joints,
     ) -> Result<Features, FeatureError> {
-        in_range("contact_threshold", self.contact_threshold, 0.0..)
-            .hint("square metres; 0.002 in the published data set")?;
+        self.must_be_valid()?;
         joints.must_be_of(skeleton)?;
         if joints.frames() < 2 {
             return Err(FeatureError::TooFewFrames {
@@ -72,30 +74,49 @@ impl Extraction {
                 needed: 2,
             });
         }
-        let rotations = inverse_kinematics(skeleton, joints, Heading::Smoothed)?;
+        let rotations = inverse_kinematics(skeleton, joints, self.heading)?;
         let rotations: Vec<&[Quaternion]> = rotations.chunks_exact(skeleton.joints()).collect();
         let layout = skeleton.layout();
         let mut values = Vec::with_capacity((joints.frames() - 1) * layout.channels());
         for t in 0..joints.frames() - 1 {
-            let (frame, next) = (joints.frame(t), joints.frame(t + 1));
-            let (facing, next_facing) = (rotations[t][0], rotations[t + 1][0]);
-            let steps: Vec<[f64; 3]> = (0..frame.len())
-                .map(|joint| minus(next[joint], frame[joint]))
-                .collect();
-
-            let turn = next_facing * facing.conjugate();
-            let [x, _, z] = next_facing.rotate(steps[0]);
-            values.extend([turn.y.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
-            values.extend(in_facing_frame(frame, facing).skip(1).flatten());
-            values.extend(rotations[t][1..].iter().flat_map(|q| to_columns(*q)));
-            values.extend(steps.iter().flat_map(|step| facing.rotate(*step)));
-            values.extend(skeleton.contact_joints().map(|joint| {
-                let squared: f64 = steps[joint].iter().map(|value| value * value).sum();
-                f64::from(u8::from(squared < self.contact_threshold))
-            }));
+            let frames = [joints.frame(t), joints.frame(t + 1)];
+            values.extend(self.row(skeleton, frames, rotations[t], rotations[t + 1][0]));
         }
-        let values = values.into_iter().map(|value| value as f32).collect();
         Features::new(values, layout, Root::Relative)
+    }
+
+    /// Rejects settings that no features can be made with.
+    pub(super) fn must_be_valid(&self) -> Result<(), FeatureError> {
+        in_range("contact_threshold", self.contact_threshold, 0.0..)
+            .hint("square metres; 0.002 in the published data set")?;
+        Ok(())
+    }
+
+    /// The features of a frame, whose rotations are given, and of its change to the next, whose
+    /// root quaternion is given.
+    pub(super) fn row(
+        &self,
+        skeleton: &Skeleton,
+        [frame, next]: [&[[f64; 3]]; 2],
+        rotations: &[Quaternion],
+        next_facing: Quaternion,
+    ) -> Vec<f32> {
+        let facing = rotations[0];
+        let steps: Vec<[f64; 3]> = (0..frame.len())
+            .map(|joint| minus(next[joint], frame[joint]))
+            .collect();
+        let mut values = Vec::with_capacity(skeleton.layout().channels());
+        let turn = next_facing * facing.conjugate();
+        let [x, _, z] = next_facing.rotate(steps[0]);
+        values.extend([turn.y.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
+        values.extend(in_facing_frame(frame, facing).skip(1).flatten());
+        values.extend(rotations[1..].iter().flat_map(|q| to_columns(*q)));
+        values.extend(steps.iter().flat_map(|step| facing.rotate(*step)));
+        values.extend(skeleton.contact_joints().map(|joint| {
+            let squared: f64 = steps[joint].iter().map(|value| value * value).sum();
+            f64::from(u8::from(squared < self.contact_threshold))
+        }));
+        values.into_iter().map(|value| value as f32).collect()
     }
 }
 

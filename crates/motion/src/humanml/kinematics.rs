@@ -6,6 +6,7 @@
 //! the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::FaceJoints;
 use super::{FeatureError, Joints, Skeleton};
@@ -18,11 +19,13 @@ const HEADING_DEVIATION: f64 = 20.0;
 const HEADING_REACH: usize = 80;
 
 /// Which heading the root quaternion follows.
-#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Heading {
-    /// That of each frame by itself.
+    /// That of each frame by itself: all that is known while a motion still goes on.
     Raw,
-    /// Filtered over time with a Gaussian of 20 frames.
+    /// Filtered over time with a Gaussian of 20 frames that reaches 80 frames ahead.
+    #[default]
     Smoothed,
 }
 
@@ -105,25 +108,39 @@ pub fn inverse_kinematics(
     joints: &Joints,
     heading: Heading,
 ) -> Result<Vec<Quaternion>, FeatureError> {
-    let raw = &skeleton.description().raw_directions;
     let facing = facing(skeleton, joints, heading)?;
-    let mut rotations = vec![Quaternion::IDENTITY; joints.frames() * skeleton.joints()];
-    let rows = rotations.chunks_exact_mut(skeleton.joints());
-    for (t, (row, facing)) in rows.zip(facing).enumerate() {
-        let frame = joints.frame(t);
-        if t > 0 {
-            row[0] = between(facing, [0.0, 0.0, 1.0]);
-        }
-        for chain in skeleton.chains() {
-            let mut above = row[0];
-            for [start, end] in chain {
-                let bone = between(raw[end], minus(frame[end], frame[start]));
-                row[end] = above.conjugate() * bone;
-                above = above * row[end];
-            }
+    let root = |(t, facing): (usize, [f64; 3])| match t {
+        0 => Quaternion::IDENTITY,
+        _ => between(facing, [0.0, 0.0, 1.0]),
+    };
+    let roots = facing.into_iter().enumerate().map(root);
+    let of_frame = |(t, root)| rotations_of_frame(skeleton, joints.frame(t), root);
+    Ok(roots.enumerate().flat_map(of_frame).collect())
+}
+
+/// The rotations of the joints of one frame, `[J]`, with the root quaternion `root`.
+pub(super) fn rotations_of_frame(
+    skeleton: &Skeleton,
+    frame: &[[f64; 3]],
+    root: Quaternion,
+) -> Vec<Quaternion> {
+    let raw = &skeleton.description().raw_directions;
+    let mut rotations = vec![root; skeleton.joints()];
+    for chain in skeleton.chains() {
+        let mut above = root;
+        for [start, end] in chain {
+            let bone = between(raw[end], minus(frame[end], frame[start]));
+            rotations[end] = above.conjugate() * bone;
+            above = above * rotations[end];
         }
     }
-    Ok(rotations)
+    rotations
+}
+
+/// The root quaternion of one frame by itself: world to facing frame.
+pub(super) fn raw_root(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Quaternion {
+    let facing = unit(forward(skeleton, frame, Across::Published));
+    between(facing, [0.0, 0.0, 1.0])
 }
 
 /// The joints that rotations give, for bones `offsets` `[J, 3]`, root positions `[frames, 3]` and

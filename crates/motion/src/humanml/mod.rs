@@ -45,8 +45,10 @@ mod features;
 mod joints;
 pub mod kinematics;
 mod layout;
+mod next_pose;
 mod root;
 mod skeleton;
+pub mod stream;
 mod validate;
 pub mod walk;
 
@@ -62,5 +64,7 @@ pub use features::Features;
 pub use joints::Joints;
 pub use kinematics::Heading;
 pub use layout::FeatureLayout;
+pub use next_pose::NextPose;
 pub use root::Root;
 pub use skeleton::Skeleton;
+pub use stream::FeatureStream;

@@ -1,6 +1,5 @@
 //! The networks of Guided Motion Diffusion against the golden files of `gmd`.
 
-use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Time, guided};
 use kinegrad_models::gmd::GmdUnetConfig;
@@ -9,15 +8,12 @@ use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_tests::{gmd, trials, weights};
+use kinegrad_tests::{gmd, gradients, trials, weights};
 
 const OUTPUT: f64 = 2e-5;
 const WHOLE: f64 = 5e-5;
 const GUIDED: f64 = 2e-4;
 const GRADIENT: f64 = 1e-4;
-
-/// Below this a gradient is zero in exact arithmetic.
-const ZERO: f64 = 1e-6;
 
 /// The tests of this file.
 pub fn tests() -> Vec<GoldenTest> {
@@ -27,29 +23,6 @@ pub fn tests() -> Vec<GoldenTest> {
         golden_gmd_unet_without_adagn("gmd/unet_traj_xxs_plain_tiny.safetensors") => compare_unet,
         golden_gmd_whole_model("gmd/mdm_unet_tiny.safetensors"),
     ]
-}
-
-/// Compares the stored gradients of `module`'s parameters.
-fn compare_gradients<M: Module>(golden: &Golden, module: &M, gradients: &[Vec<f32>]) {
-    let infos = parameters::infos(module);
-    let stored = golden.names_under("grad.model.");
-    let mut compared = 0;
-    for (info, gradient) in infos.iter().zip(gradients) {
-        if !stored.contains(&info.name) {
-            continue;
-        }
-        compared += 1;
-        let name = format!("grad.model.{}", info.name);
-        let reference = golden.get(&name);
-        let largest = reference.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        if largest < ZERO {
-            // Rounding noise in both.
-            reference.assert_within_f32(&name, gradient, ZERO, 0.0);
-        } else {
-            reference.assert_close_f32(&name, gradient, GRADIENT);
-        }
-    }
-    assert_eq!(compared, stored.len(), "every stored gradient");
 }
 
 /// `[time, batch, channels]` of a file as `[batch, channels, time]`.
@@ -91,18 +64,18 @@ fn compare_unet(golden: Golden) {
     golden
         .get("out.loss")
         .assert_within("loss", loss.clone(), OUTPUT, OUTPUT);
-    let mut gradients = loss.backward();
+    let mut found = loss.backward();
     let of = |gradient: Option<_>| gradient.expect("part of the loss");
     golden
         .get("grad.in.x")
-        .assert_close_tensor("dx", of(x.grad(&gradients)), GRADIENT);
+        .assert_close_tensor("dx", of(x.grad(&found)), GRADIENT);
     golden.get("grad.in.cond").assert_close_tensor(
         "dcond",
-        cond.grad(&gradients).expect("too"),
+        cond.grad(&found).expect("too"),
         GRADIENT,
     );
-    let computed = kinegrad_models::gradients(&network, &mut gradients);
-    compare_gradients(&golden, &network, &computed);
+    let computed = kinegrad_models::gradients(&network, &mut found);
+    gradients::compare(&golden, &network, &computed, GRADIENT);
 }
 
 fn golden_gmd_whole_model(golden: Golden) {
@@ -169,14 +142,14 @@ fn golden_gmd_whole_model(golden: Golden) {
     golden
         .get("out.loss")
         .assert_within("loss", loss.clone(), WHOLE, WHOLE);
-    let mut gradients = loss.backward();
-    let dx = x.grad(&gradients).expect("part of the loss");
+    let mut found = loss.backward();
+    let dx = x.grad(&found).expect("part of the loss");
     golden
         .get("grad.in.x")
         .flat()
         .assert_close_tensor("dx", dx, GRADIENT);
-    let computed = kinegrad_models::gradients(&network, &mut gradients);
-    compare_gradients(&golden, &network, &computed);
+    let computed = kinegrad_models::gradients(&network, &mut found);
+    gradients::compare(&golden, &network, &computed, GRADIENT);
 }
 
 /// Compares what the UNet is given and what it answers about the frames behind the clip's end, of

@@ -1,0 +1,112 @@
+//! Flow matching: a straight path from noise to data, and the solvers that follow its velocity.
+//!
+//! ```text
+//! x_t = (1 - t) noise + t x_start      t = 0: noise, t = 1: data
+//! v   = x_start - noise                dx / dt = v
+//! ```
+//!
+//! The convention of t is that of Lipman et al. 2023, <https://arxiv.org/abs/2210.02747>, and of
+//! Liu et al. 2023, <https://arxiv.org/abs/2209.03003>: it runs the other way than the timesteps of
+//! [`GaussianDiffusion`](crate::GaussianDiffusion). What those papers call x_0 and x_1 is here
+//! `noise` and `x_start`. Source: docs/sources.md, section 5.
+//!
+//! Each solver is a function in its own file that contains its whole loop, over any
+//! [`Velocity`]; [`integrate`] runs the one that a config names, and [`sample_flow`] does so with a
+//! network. All say how often they asked for a velocity.
+
+mod config;
+mod dopri5;
+mod euler;
+mod heun;
+mod midpoint;
+mod process;
+
+#[cfg(test)]
+mod tests;
+
+use std::ops::ControlFlow;
+
+use burn::tensor::Tensor;
+
+pub use config::{FlowSamplerConfig, FlowSolver};
+pub use dopri5::{dopri5, dopri5_adaptive};
+pub use euler::euler;
+pub use heun::heun;
+pub use midpoint::midpoint;
+pub use process::{FlowPrediction, NEAREST_END};
+
+use crate::{Denoiser, Error, Time, guided};
+
+/// The velocity of a state at a flow time, called by a solver as often as it needs to.
+pub type Velocity<'v, const D: usize> = dyn FnMut(Tensor<D>, f64) -> Result<Tensor<D>, Error> + 'v;
+
+/// Callback after each step: the flow time that is reached, and the state there. `Break` ends the
+/// solver with [`Error::Stopped`].
+pub type OnFlowStep<'a, const D: usize> = dyn FnMut(f64, &Tensor<D>) -> ControlFlow<()> + 'a;
+
+/// Where a solver came to.
+#[derive(Clone, Debug)]
+pub struct Flowed<const D: usize> {
+    /// The state at t = 1, of the start's shape.
+    pub x: Tensor<D>,
+    /// How often the velocity was asked for; under guidance each asks the network twice.
+    pub evaluations: usize,
+}
+
+/// Runs the solver that `config` names from `x`, at t = 0, to t = 1.
+///
+/// # Errors
+/// If the config is not valid, those of `velocity`, [`Error::Stopped`], and
+/// [`Error::FlowTolerance`] of the adaptive solver.
+pub fn integrate<const D: usize>(
+    velocity: &mut Velocity<'_, D>,
+    x: Tensor<D>,
+    config: &FlowSamplerConfig,
+    on_step: &mut OnFlowStep<'_, D>,
+) -> Result<Flowed<D>, Error> {
+    config.validate()?;
+    let steps = config.num_inference_steps;
+    match (config.kind, config.tolerance) {
+        (FlowSolver::Euler, _) => euler(velocity, x, steps, on_step),
+        (FlowSolver::Midpoint, _) => midpoint(velocity, x, steps, on_step),
+        (FlowSolver::Heun, _) => heun(velocity, x, steps, on_step),
+        (FlowSolver::Dopri5, None) => dopri5(velocity, x, steps, on_step),
+        (FlowSolver::Dopri5, Some(tolerance)) => dopri5_adaptive(velocity, x, tolerance, on_step),
+    }
+}
+
+/// Generates one pose or motion per sample of the start noise by following a network's velocity.
+///
+/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample). What
+/// predicts noise or data is read as a velocity no nearer than [`NEAREST_END`] to either end.
+///
+/// # Shapes
+/// - noise, standard normal, and the state that comes of it: `[batch, channels, time]`
+/// - cond: what the network takes, for the same batch; it is asked at [`Time`]s from 0 to 1
+///
+/// # Errors
+/// As [`integrate`]; [`Error::ModelOutput`] if the network's output has other sizes than its input.
+pub fn sample_flow<D: Denoiser + ?Sized>(
+    denoiser: &D,
+    noise: Tensor<3>,
+    cond: &D::Cond,
+    prediction: FlowPrediction,
+    config: &FlowSamplerConfig,
+    on_step: &mut OnFlowStep<'_, 3>,
+) -> Result<Flowed<3>, Error> {
+    let [batch, ..] = noise.dims();
+    let mut velocity = |x: Tensor<3>, t: f64| {
+        let time = vec![Time(t); batch];
+        let output = guided(denoiser, x.clone(), &time, cond, config.guidance_scale);
+        let (found, expected) = (output.dims(), x.dims());
+        if found != expected {
+            return Err(Error::ModelOutput {
+                found: found.into(),
+                expected: expected.into(),
+            });
+        }
+        let t = t.clamp(NEAREST_END, 1.0 - NEAREST_END);
+        Ok(prediction.convert(output, x, &vec![t; batch], FlowPrediction::Velocity))
+    };
+    integrate(&mut velocity, noise, config, on_step)
+}

@@ -1,0 +1,396 @@
+//! Gated recurrent units: all steps of some sequences at once, so that no step waits for another
+//! thread.
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::convolution::column_sums;
+use super::outer::outer;
+use super::packing::{self, Weight};
+use super::product::{TILE_ROWS, Windows, panel_width, tile, vectors};
+use super::rows::{Rows, SharedRows};
+use super::simd::{exp, sigmoid};
+use super::team;
+use crate::lengths::frames_of;
+use crate::recurrence::Direction;
+
+/// What is kept of a step for the backward pass, each of the state's width: reset, update and new,
+/// and the state's part of the new before its reset.
+const KEPT: usize = 4;
+
+/// Sizes and direction of a recurrent layer.
+#[derive(Clone, Copy, Debug)]
+pub struct GruPlan {
+    /// Steps.
+    pub time: usize,
+    /// Sequences.
+    pub batch: usize,
+    /// Width of the state.
+    pub width: usize,
+    /// Which way it goes.
+    pub direction: Direction,
+}
+
+/// The values of a recurrent layer on the host.
+#[derive(Clone, Copy)]
+pub struct GruValues<'a> {
+    /// The inputs' part of the gates, `[time, batch, 3 width]`.
+    pub inputs: &'a [f32],
+    /// `[3 width, width]`.
+    pub weight: &'a [f32],
+    /// `[3 width]`.
+    pub bias: &'a [f32],
+    /// `[batch, width]`.
+    pub initial: &'a [f32],
+    /// Steps of each sequence.
+    pub lengths: Option<&'a [usize]>,
+}
+
+/// Gradients of a recurrent layer, of the shapes of its values.
+pub struct GruGradients {
+    /// Of the inputs.
+    pub inputs: Vec<f32>,
+    /// Of the weight.
+    pub weight: Vec<f32>,
+    /// Of the bias.
+    pub bias: Vec<f32>,
+    /// Of the initial state.
+    pub initial: Vec<f32>,
+}
+
+impl GruPlan {
+    /// The state after each step, `[time, batch, width]`, and what the backward pass needs, if it
+    /// is `kept`.
+    pub fn forward(&self, values: &GruValues<'_>, kept: bool) -> (Vec<f32>, Vec<f32>) {
+        let (steps, width) = (self.time * self.batch, self.width);
+        let mut states = vec![0.0; steps * width];
+        let mut gates = vec![0.0; if kept { steps * KEPT * width } else { 0 }];
+        let packed = packed(values.weight, [3 * width, width, 1], false);
+        let states_rows = SharedRows::dense(&mut states, [self.time, self.batch, width]);
+        let gates_rows =
+            kept.then(|| SharedRows::dense(&mut gates, [self.time, self.batch, KEPT * width]));
+        team::for_each(self.batch.div_ceil(TILE_ROWS), |block| {
+            Arch::new().dispatch(ForwardBlock {
+                plan: self,
+                values,
+                packed: &packed,
+                first: block * TILE_ROWS,
+                states: states_rows,
+                gates: gates_rows,
+            });
+        });
+        (states, gates)
+    }
+
+    /// The gradients from that of all states, `[time, batch, width]`, with the states and what
+    /// [`forward`](Self::forward) kept.
+    pub fn backward(
+        &self,
+        values: &GruValues<'_>,
+        (states, gates): (&[f32], &[f32]),
+        gradient: &[f32],
+    ) -> GruGradients {
+        let (steps, width) = (self.time * self.batch, self.width);
+        let before = self.states_before(states, values.initial);
+        let mut inputs = vec![0.0; steps * 3 * width];
+        let mut recurrent = vec![0.0; steps * 3 * width];
+        let mut initial = vec![0.0; self.batch * width];
+        let packed = packed(values.weight, [3 * width, width, 1], true);
+        let shape = [self.time, self.batch, 3 * width];
+        let inputs_rows = SharedRows::dense(&mut inputs, shape);
+        let recurrent_rows = SharedRows::dense(&mut recurrent, shape);
+        let blocks = initial.chunks_mut(TILE_ROWS * width).enumerate().collect();
+        team::for_each_item(blocks, |(block, initial): (usize, &mut [f32])| {
+            Arch::new().dispatch(BackwardBlock {
+                plan: self,
+                values,
+                packed: &packed,
+                first: block * TILE_ROWS,
+                gates,
+                before: &before,
+                gradient,
+                inputs: inputs_rows,
+                recurrent: recurrent_rows,
+                carry: initial,
+            });
+        });
+        let recurrent = Rows::dense(&recurrent, [1, steps, 3 * width]);
+        let windows = Windows {
+            data: &before,
+            batch: 1,
+            rows: steps,
+            sample_stride: steps * width,
+            row_stride: width,
+            depth: width,
+        };
+        GruGradients {
+            weight: outer(recurrent, windows, 1),
+            bias: column_sums(recurrent),
+            inputs,
+            initial,
+        }
+    }
+
+    /// The state before each step.
+    fn states_before(&self, states: &[f32], initial: &[f32]) -> Vec<f32> {
+        let size = self.batch * self.width;
+        let kept = states.len() - size;
+        match self.direction {
+            Direction::Forward => [initial, &states[..kept]].concat(),
+            Direction::Backward => [&states[size..], initial].concat(),
+        }
+    }
+
+    /// The sequences of a block from `first` on.
+    fn sequences(&self, first: usize) -> usize {
+        TILE_ROWS.min(self.batch - first)
+    }
+}
+
+/// All panels of a weight `[outer, inner, 1]`, as a product of rows with its lines reads them, or
+/// with its columns.
+fn packed(data: &[f32], shape: [usize; 3], columns: bool) -> Vec<f32> {
+    let weight = Weight {
+        data,
+        shape,
+        direction: match columns {
+            true => packing::Direction::Scatter(&[0]),
+            false => packing::Direction::Gather,
+        },
+    };
+    let width = panel_width();
+    let len = weight.depth() * width;
+    let mut panels = vec![0.0; weight.columns().div_ceil(width) * len];
+    let each = panels.chunks_mut(len).enumerate().collect();
+    team::for_each_item(each, |(panel, packed): (usize, &mut [f32])| {
+        weight.pack(panel * width, width, packed);
+    });
+    panels
+}
+
+/// Rows of `depth` times packed panels, to rows of whole panels.
+#[inline(always)]
+fn multiply<S: Simd, const NR: usize>(
+    simd: S,
+    rows: &[f32],
+    depth: usize,
+    packed: &[f32],
+    into: &mut [f32],
+) {
+    let width = NR * S::F32_LANES;
+    let stride = packed.len() / depth;
+    let rows: [&[f32]; TILE_ROWS] = std::array::from_fn(|i| &rows[i * depth..][..depth]);
+    for (index, panel) in packed.chunks_exact(depth * width).enumerate() {
+        let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
+        let sums = tile(simd, rows, panel);
+        for (row, sums) in into.chunks_exact_mut(stride).zip(&sums) {
+            let lanes = row[index * width..][..width].chunks_exact_mut(S::F32_LANES);
+            for (out, sum) in lanes.zip(sums) {
+                simd.partial_store_f32s(out, *sum);
+            }
+        }
+    }
+}
+
+/// `tanh(x)`.
+#[inline(always)]
+fn tanh(x: f32) -> f32 {
+    1.0 - 2.0 / (1.0 + exp(2.0 * x))
+}
+
+/// All steps of some sequences.
+struct ForwardBlock<'a> {
+    plan: &'a GruPlan,
+    values: &'a GruValues<'a>,
+    packed: &'a [f32],
+    first: usize,
+    states: SharedRows<'a>,
+    gates: Option<SharedRows<'a>>,
+}
+
+impl WithSimd for ForwardBlock<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if vectors::<S>() == 4 {
+            self.run::<S, 4>(simd);
+        } else {
+            self.run::<S, 2>(simd);
+        }
+    }
+}
+
+impl ForwardBlock<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const NR: usize>(self, simd: S) {
+        let GruPlan { time, width, .. } = *self.plan;
+        let sequences = self.plan.sequences(self.first);
+        // Rows beyond the last sequence stay zero.
+        let mut state = vec![0.0; TILE_ROWS * width];
+        let given = &self.values.initial[self.first * width..][..sequences * width];
+        state[..sequences * width].copy_from_slice(given);
+        let stride = self.packed.len() / width;
+        let mut recurrent = vec![0.0; TILE_ROWS * stride];
+        let mut unkept = vec![0.0; KEPT * width];
+        for step in self.plan.direction.steps(time) {
+            multiply::<S, NR>(simd, &state, width, self.packed, &mut recurrent);
+            for i in 0..sequences {
+                let sequence = self.first + i;
+                let state = &mut state[i * width..][..width];
+                if step < frames_of(self.values.lengths, sequence, time) {
+                    let kept = match &self.gates {
+                        // SAFETY: a task owns its sequences, and this is its only slice of the row.
+                        #[allow(unsafe_code)]
+                        Some(gates) => unsafe { gates.segment(step, sequence, 0, KEPT * width) },
+                        None => &mut unkept[..],
+                    };
+                    self.step(step, sequence, &recurrent[i * stride..], (state, kept));
+                }
+                // SAFETY: a task owns its sequences, and this is its only slice of the row.
+                #[allow(unsafe_code)]
+                let out = unsafe { self.states.segment(step, sequence, 0, width) };
+                out.copy_from_slice(state);
+            }
+        }
+    }
+
+    /// The state after a step of one sequence, and what the backward pass needs of it, from the
+    /// state's part of the gates.
+    #[inline(always)]
+    fn step(
+        &self,
+        step: usize,
+        sequence: usize,
+        recurrent: &[f32],
+        (state, kept): (&mut [f32], &mut [f32]),
+    ) {
+        let width = self.plan.width;
+        let row = step * self.plan.batch + sequence;
+        let inputs = &self.values.inputs[row * 3 * width..][..3 * width];
+        let (ir, iz, inew) = thirds(inputs, width);
+        let (hr, hz, hnew) = thirds(recurrent, width);
+        let (br, bz, bnew) = thirds(self.values.bias, width);
+        let (resets, kept) = kept.split_at_mut(width);
+        let (updates, kept) = kept.split_at_mut(width);
+        let (news, parts) = kept.split_at_mut(width);
+        for c in 0..width {
+            let reset = sigmoid(ir[c] + hr[c] + br[c]);
+            let update = sigmoid(iz[c] + hz[c] + bz[c]);
+            let of_state = hnew[c] + bnew[c];
+            let new = tanh(inew[c] + reset * of_state);
+            state[c] = new + update * (state[c] - new);
+            (resets[c], updates[c], news[c], parts[c]) = (reset, update, new, of_state);
+        }
+    }
+}
+
+/// Three parts of `width` numbers.
+#[inline(always)]
+fn thirds(of: &[f32], width: usize) -> (&[f32], &[f32], &[f32]) {
+    (
+        &of[..width],
+        &of[width..2 * width],
+        &of[2 * width..3 * width],
+    )
+}
+
+/// All steps of some sequences, the last taken first.
+struct BackwardBlock<'a> {
+    plan: &'a GruPlan,
+    values: &'a GruValues<'a>,
+    packed: &'a [f32],
+    first: usize,
+    gates: &'a [f32],
+    before: &'a [f32],
+    gradient: &'a [f32],
+    inputs: SharedRows<'a>,
+    recurrent: SharedRows<'a>,
+    /// The gradient of the state before the step that was looked at last.
+    carry: &'a mut [f32],
+}
+
+impl WithSimd for BackwardBlock<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if vectors::<S>() == 4 {
+            self.run::<S, 4>(simd);
+        } else {
+            self.run::<S, 2>(simd);
+        }
+    }
+}
+
+impl BackwardBlock<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const NR: usize>(mut self, simd: S) {
+        let GruPlan {
+            time, batch, width, ..
+        } = *self.plan;
+        let sequences = self.plan.sequences(self.first);
+        let stride = self.packed.len() / (3 * width);
+        let mut slopes = vec![0.0; TILE_ROWS * 3 * width];
+        let mut through = vec![0.0; TILE_ROWS * stride];
+        for step in self.plan.direction.steps(time).rev() {
+            for i in 0..sequences {
+                let row = step * batch + self.first + i;
+                let carry = &mut self.carry[i * width..][..width];
+                for (carry, gradient) in carry.iter_mut().zip(&self.gradient[row * width..]) {
+                    *carry += gradient;
+                }
+                let slopes = &mut slopes[i * 3 * width..][..3 * width];
+                slopes.fill(0.0);
+                if step < frames_of(self.values.lengths, self.first + i, time) {
+                    self.step(step, i, slopes);
+                }
+            }
+            multiply::<S, NR>(simd, &slopes, 3 * width, self.packed, &mut through);
+            for (carry, through) in self
+                .carry
+                .chunks_exact_mut(width)
+                .zip(through.chunks_exact(stride))
+            {
+                for (carry, through) in carry.iter_mut().zip(through) {
+                    *carry += through;
+                }
+            }
+        }
+    }
+
+    /// The gradients of one sequence's gates in a step; those of the state's part go to `slopes`
+    /// too. What remains in `carry` came past the gates.
+    #[inline(always)]
+    fn step(&mut self, step: usize, i: usize, slopes: &mut [f32]) {
+        let width = self.plan.width;
+        let sequence = self.first + i;
+        let row = step * self.plan.batch + sequence;
+        let kept = &self.gates[row * KEPT * width..][..KEPT * width];
+        let (resets, updates, news) = thirds(kept, width);
+        let parts = &kept[3 * width..];
+        let before = &self.before[row * width..][..width];
+        let carry = &mut self.carry[i * width..][..width];
+        // SAFETY: a task owns its sequences, and these are its only slices of the rows.
+        #[allow(unsafe_code)]
+        let (inputs, recurrent) = unsafe {
+            (
+                self.inputs.segment(step, sequence, 0, 3 * width),
+                self.recurrent.segment(step, sequence, 0, 3 * width),
+            )
+        };
+        for c in 0..width {
+            let (reset, update, new) = (resets[c], updates[c], news[c]);
+            let d_new = carry[c] * (1.0 - update) * (1.0 - new * new);
+            let d_update = carry[c] * (before[c] - new) * update * (1.0 - update);
+            let d_reset = d_new * parts[c] * reset * (1.0 - reset);
+            carry[c] *= update;
+            inputs[c] = d_reset;
+            inputs[width + c] = d_update;
+            inputs[2 * width + c] = d_new;
+            slopes[c] = d_reset;
+            slopes[width + c] = d_update;
+            slopes[2 * width + c] = d_new * reset;
+        }
+        recurrent.copy_from_slice(slopes);
+    }
+}

@@ -1,0 +1,165 @@
+use burn::module::Module;
+use burn::tensor::{Int, Tensor, TensorData};
+use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_kernels::gelu;
+use kinegrad_motion::humanml::Skeleton;
+
+use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
+use crate::layers::{Embedding, EncoderLayer, EncoderLayerConfig, LayerNorm, Linear, NormOrder};
+use crate::{Initializer, Stages};
+
+/// Numbers that the context becomes for each joint.
+const CONTEXT: usize = 32;
+
+/// Numbers of a noisy position.
+const POSITION: usize = 3;
+
+/// What each joint is told: context, previous state, noisy position, progress, flow time.
+const INPUTS: usize = CONTEXT + PREVIOUS_STATE + POSITION + 1 + 1;
+
+/// What a pose is predicted from.
+#[derive(Clone, Debug)]
+pub struct FlowCondition {
+    /// From the history encoder: `[batch, context_dim, J]`.
+    pub context: Tensor<3>,
+    /// The same of the history without its text; only guidance needs it.
+    pub null_context: Option<Tensor<3>>,
+    /// The last frame of the history ([`previous_state`](super::previous_state)): `[batch, 12, J]`.
+    pub previous: Tensor<3>,
+    /// Frames that remain over frames of the clip, 1 at its start and 0 at its end: `[batch]`.
+    pub progress: Tensor<1>,
+}
+
+/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (the document, section
+/// 2; docs/sources.md, section 5): a transformer encoder over joints. Should be created with
+/// [`FlowConfig::init`](super::FlowConfig::init).
+///
+/// ```text
+/// joint:  ctx_proj(context), previous state, x_t, progress, t
+///   -> in_proj, plus chain_emb and depth_emb of the joint
+///   -> transformer over joints, no mask, no further positions
+///   -> head: linear, GELU, linear
+/// ```
+#[derive(Module, Debug)]
+pub struct FlowPredictor {
+    ctx_proj: Linear,
+    in_proj: Linear,
+    chain_emb: Embedding,
+    depth_emb: Embedding,
+    transformer_at_layers: Vec<EncoderLayer>,
+    transformer_at_norm: Option<LayerNorm>,
+    head_at_0: Linear,
+    head_at_2: Linear,
+    #[module(skip)]
+    hierarchy: Hierarchy,
+}
+
+impl FlowPredictor {
+    /// A predictor of poses of `skeleton`.
+    pub(super) fn new(config: &FlowConfig, skeleton: &Skeleton, init: &Initializer) -> Self {
+        let width = config.latent_dim;
+        let hierarchy = Hierarchy::of(skeleton);
+        let (transformer, head) = (init.at("transformer"), init.at("head"));
+        let layers = transformer.at("layers");
+        let sizes = EncoderLayerConfig {
+            width,
+            num_heads: config.num_heads,
+            ff_size: config.ff_size,
+            norm: config.norm,
+        };
+        let final_norm =
+            (config.norm == NormOrder::Pre).then(|| LayerNorm::new(width, &transformer.at("norm")));
+        let embedding = |things, name| Embedding::new(things, width, &init.at(name));
+        Self {
+            ctx_proj: Linear::new(config.context_dim, CONTEXT, &init.at("ctx_proj")),
+            in_proj: Linear::new(INPUTS, width, &init.at("in_proj")),
+            chain_emb: embedding(hierarchy.num_chains(), "chain_emb"),
+            depth_emb: embedding(hierarchy.num_depths(), "depth_emb"),
+            transformer_at_layers: (0..config.num_layers)
+                .map(|index| sizes.init(&layers.at(&index.to_string())))
+                .collect(),
+            transformer_at_norm: final_norm,
+            head_at_0: Linear::new(width, width, &head.at("0")),
+            head_at_2: Linear::new(width, POSITION, &head.at("2")),
+            hierarchy,
+        }
+    }
+
+    /// # Shapes
+    /// - x_t, output: `[batch, 3, J]`
+    /// - t: flow time from 0 to 1, `[batch]`
+    pub fn forward(&self, x_t: Tensor<3>, t: Tensor<1>, cond: &FlowCondition) -> Tensor<3> {
+        self.forward_stages(x_t, t, cond, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage gives: `inputs49` `[batch, 49, J]`, `tokens`
+    /// and `encoded` `[batch, latent_dim, J]`.
+    pub fn forward_stages(
+        &self,
+        x_t: Tensor<3>,
+        t: Tensor<1>,
+        cond: &FlowCondition,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
+        let [batch, _, joints] = x_t.dims();
+        let whole = |value: Tensor<1>| value.reshape([batch, 1, 1]).expand([batch, 1, joints]);
+        let inputs = Tensor::cat(
+            vec![
+                self.ctx_proj.forward_frames(cond.context.clone()),
+                cond.previous.clone(),
+                x_t,
+                whole(cond.progress.clone()),
+                whole(t),
+            ],
+            1,
+        );
+        stages.stage(format_args!("inputs49"), || inputs.clone());
+        let place = self.place(&inputs).transpose().unsqueeze::<3>();
+        let mut h = self.in_proj.forward_frames(inputs) + place;
+        stages.stage(format_args!("tokens"), || h.clone());
+        for layer in &self.transformer_at_layers {
+            h = layer.forward(h);
+        }
+        if let Some(norm) = &self.transformer_at_norm {
+            h = norm.forward_tokens(h);
+        }
+        stages.stage(format_args!("encoded"), || h.clone());
+        self.head_at_2
+            .forward_frames(gelu(self.head_at_0.forward_frames(h)))
+    }
+
+    /// What each joint's place in the tree adds: `[J, latent_dim]`.
+    fn place(&self, like: &Tensor<3>) -> Tensor<2> {
+        let of = |places: &[usize], embedding: &Embedding| {
+            let places = places.iter().map(|&place| place as i64).collect();
+            let count = self.hierarchy.chains.len();
+            let indices: Tensor<1, Int> =
+                Tensor::from_data(TensorData::new(places, [count]), &like.device());
+            embedding.forward(indices)
+        };
+        of(&self.hierarchy.chains, &self.chain_emb) + of(&self.hierarchy.depths, &self.depth_emb)
+    }
+}
+
+impl Denoiser for FlowPredictor {
+    type Cond = FlowCondition;
+
+    /// At flow times from 0 to 1.
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &FlowCondition) -> Tensor<3> {
+        let times: Vec<f32> = time.iter().map(|time| time.0 as f32).collect();
+        let t = Tensor::from_data(TensorData::new(times, [time.len()]), &x_t.device());
+        self.forward(x_t, t, cond)
+    }
+
+    /// The condition of the same history without its text.
+    ///
+    /// # Panics
+    /// Panics if the condition has no [`null_context`](FlowCondition::null_context).
+    fn null_cond(&self, cond: &FlowCondition) -> FlowCondition {
+        let context = cond.null_context.clone();
+        FlowCondition {
+            context: context.expect("a context without text"),
+            ..cond.clone()
+        }
+    }
+}

@@ -1,0 +1,278 @@
+//! Frame after frame, each the history of the next.
+
+use std::collections::VecDeque;
+use std::ops::ControlFlow;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig, sample_flow};
+use kinegrad_motion::Statistics;
+use kinegrad_motion::humanml::stream::with_bones;
+use kinegrad_motion::humanml::{
+    FeatureError, FeatureStream, Joints, NextPose, Skeleton, TEXT_CHANNELS,
+};
+use kinegrad_random::Key;
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use miette::Diagnostic;
+use thiserror::Error;
+
+use super::{FlowCondition, FlowModel, History, previous_state};
+
+/// What the numbers mean that a model was trained on.
+#[derive(Clone, Debug)]
+pub struct FlowSpace {
+    /// The skeleton whose joints it has.
+    pub skeleton: Skeleton,
+    /// Of the features of a frame, with the heading of each frame by itself: `12 J - 1` channels.
+    pub features: Statistics,
+    /// Of the target, joint by joint: `3 J` channels.
+    pub target: Statistics,
+    /// What the target is.
+    pub next: NextPose,
+    /// What the predictor predicts.
+    pub prediction: FlowPrediction,
+    /// Rows of features in a history.
+    pub history: usize,
+    /// Frames that a duration of 1 stands for.
+    pub longest: usize,
+}
+
+/// How a motion goes on.
+#[derive(Clone, Debug)]
+pub struct RolloutSettings {
+    /// How each pose is drawn.
+    pub sampler: FlowSamplerConfig,
+    /// Frames to draw; progress counts down from 1 at the first to 0 at the last.
+    pub frames: usize,
+    /// Gives every frame the bones of the history's last ([`with_bones`]).
+    pub constant_bones: bool,
+    /// Of the contact flags, square metres
+    /// ([`Extraction::contact_threshold`](kinegrad_motion::humanml::Extraction::contact_threshold)).
+    pub contact_threshold: f64,
+}
+
+/// Why a motion does not go on.
+#[derive(Debug, Diagnostic, Error)]
+pub enum RolloutError {
+    /// The history has too few frames.
+    #[error("the history has {found} frames where at least {needed} are needed")]
+    #[diagnostic(help(
+        "every row of features is taken from a frame and the next, and the last frame is the one \
+         that the motion goes on from"
+    ))]
+    HistoryTooShort {
+        /// Frames found.
+        found: usize,
+        /// Frames needed.
+        needed: usize,
+    },
+    /// A text's feature of another size, or with a value that is not finite.
+    #[error("a text of {found} numbers, of which {bad} are not finite")]
+    #[diagnostic(help("a text is {TEXT_CHANNELS} finite numbers, zeros for no text"))]
+    Text {
+        /// Numbers found.
+        found: usize,
+        /// Those that are not finite.
+        bad: usize,
+    },
+    /// A setting that no motion can be drawn with.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
+    /// Statistics of another skeleton, or a frame that is not finite.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Feature(#[from] FeatureError),
+    /// A pose could not be drawn.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Sampler(#[from] kinegrad_diffusion::Error),
+}
+
+/// A motion that goes on from a history: the text is pushed, frames are pulled. What is kept does
+/// not grow with the frames drawn. Every frame is a function of the history, the texts so far and
+/// the key.
+///
+/// Make it with a model of plain weights on a plain device (Burn: `Module::valid`).
+#[derive(Debug)]
+pub struct FlowRollout {
+    model: FlowModel,
+    space: FlowSpace,
+    settings: RolloutSettings,
+    device: Device,
+    key: Key,
+    stream: FeatureStream,
+    /// The last rows, normalised, the oldest first.
+    rows: VecDeque<Vec<f32>>,
+    bones: Option<Vec<[f64; 3]>>,
+    text: Vec<f32>,
+    drawn: usize,
+    evaluations: usize,
+}
+
+impl FlowRollout {
+    /// Before its first frame, without a text. The history is joints in metres above the floor y =
+    /// 0, at the skeleton's rate: its last frame is the one that the motion goes on from, and as
+    /// many before it are seen as there are rows in a history.
+    ///
+    /// # Errors
+    /// [`RolloutError::HistoryTooShort`]; [`RolloutError::Setting`] for a setting out of range;
+    /// [`RolloutError::Feature`] if history or statistics are of another skeleton.
+    pub fn new(
+        model: FlowModel,
+        space: FlowSpace,
+        settings: RolloutSettings,
+        history: &Joints,
+        key: Key,
+        device: &Device,
+    ) -> Result<Self, RolloutError> {
+        settings.sampler.validate()?;
+        in_range("frames", settings.frames, 1..).hint("20 frames are a second of HumanML3D")?;
+        in_range("history", space.history, 1..).hint("the document has 15")?;
+        in_range("longest", space.longest, 1..).hint("196 in HumanML3D")?;
+        let skeleton = &space.skeleton;
+        history.must_be_of(skeleton)?;
+        let channels = skeleton.layout().channels();
+        let found = space.features.channels();
+        FeatureError::unless_equal("statistics of the features", channels, found)?;
+        let found = space.target.channels();
+        FeatureError::unless_equal("statistics of the target", 3 * skeleton.joints(), found)?;
+        let (found, needed) = (history.frames(), space.history + 1);
+        if found < needed {
+            return Err(RolloutError::HistoryTooShort { found, needed });
+        }
+        let stream = FeatureStream::new(skeleton.clone(), settings.contact_threshold)?;
+        let last = history.frame(found - 1);
+        let mut rollout = Self {
+            bones: settings
+                .constant_bones
+                .then(|| skeleton.offsets_of_frame(last)),
+            stream: stream.facing_anywhere(),
+            rows: VecDeque::with_capacity(space.history + 1),
+            text: vec![0.0; TEXT_CHANNELS],
+            device: device.clone(),
+            drawn: 0,
+            evaluations: 0,
+            model,
+            space,
+            settings,
+            key,
+        };
+        for t in found - needed..found {
+            rollout.take(history.frame(t))?;
+        }
+        Ok(rollout)
+    }
+
+    /// Goes on with another text, 512 numbers; zeros for none.
+    ///
+    /// # Errors
+    /// [`RolloutError::Text`]; the text before then stays.
+    pub fn push_text(&mut self, text: &[f32]) -> Result<(), RolloutError> {
+        let bad = text.iter().filter(|value| !value.is_finite()).count();
+        if text.len() != TEXT_CHANNELS || bad > 0 {
+            let found = text.len();
+            return Err(RolloutError::Text { found, bad });
+        }
+        self.text = text.to_vec();
+        Ok(())
+    }
+
+    /// The next frame, `[J, 3]` in metres, where the history is; none after the last.
+    ///
+    /// # Errors
+    /// [`RolloutError::Sampler`] and [`RolloutError::Feature`], of a network that answers numbers
+    /// that are not finite. The frame is then not drawn.
+    pub fn next_frame(&mut self) -> Result<Option<Vec<[f64; 3]>>, RolloutError> {
+        if self.drawn == self.settings.frames {
+            return Ok(None);
+        }
+        let target = self.draw()?;
+        let Some((last, facing)) = self.stream.last() else {
+            unreachable!("a rollout begins with a history");
+        };
+        let mut frame = self.space.next.apply(&target, last, facing)?;
+        if let Some(bones) = &self.bones {
+            frame = with_bones(&self.space.skeleton, &frame, bones)?;
+        }
+        self.take(&frame)?;
+        self.drawn += 1;
+        Ok(Some(frame))
+    }
+
+    /// Frames that remain to be drawn.
+    pub fn remaining(&self) -> usize {
+        self.settings.frames - self.drawn
+    }
+
+    /// How often the solver has asked for a velocity, over all frames.
+    pub fn evaluations(&self) -> usize {
+        self.evaluations
+    }
+
+    /// Makes a frame part of the history.
+    fn take(&mut self, frame: &[[f64; 3]]) -> Result<(), RolloutError> {
+        if let Some(row) = self.stream.push(frame)? {
+            self.rows.push_back(self.space.features.normalize(&row));
+            if self.rows.len() > self.space.history {
+                self.rows.pop_front();
+            }
+        }
+        Ok(())
+    }
+
+    /// The next target, `[J, 3]` in metres.
+    fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
+        let joints = self.space.skeleton.joints();
+        let cond = self.condition();
+        let noise = self.key.at(self.drawn as u64).normals(3 * joints);
+        let noise = Tensor::from_data(TensorData::new(noise, [1, 3, joints]), &self.device);
+        let flowed = sample_flow(
+            &self.model.predictor,
+            noise,
+            &cond,
+            self.space.prediction,
+            &self.settings.sampler,
+            &mut |_, _| ControlFlow::Continue(()),
+        )?;
+        self.evaluations += flowed.evaluations;
+        let of_joints = flowed.x.swap_dims(1, 2).into_data();
+        let of_joints = of_joints.try_to_vec::<f32>().expect("float32");
+        Ok(self.space.target.denormalize(&of_joints))
+    }
+
+    /// What the next pose is drawn from.
+    fn condition(&self) -> FlowCondition {
+        let rows = self.rows.len();
+        let channels = self.space.features.channels();
+        let values: Vec<f32> = self.rows.iter().flatten().copied().collect();
+        let frames: Tensor<3> =
+            Tensor::from_data(TensorData::new(values, [1, rows, channels]), &self.device);
+        let last = frames.clone().narrow(1, rows - 1, 1);
+        let text = TensorData::new(self.text.clone(), [1, TEXT_CHANNELS]);
+        let text = Tensor::<2>::from_data(text, &self.device);
+        let duration = self.settings.frames as f32 / self.space.longest as f32;
+        let history = History {
+            frames: frames.swap_dims(1, 2),
+            lengths: vec![rows],
+            text: text.clone(),
+            duration: Some(Tensor::full([1, 1], duration, &self.device)),
+        };
+        let guides = self.settings.sampler.guidance_scale != 1.0;
+        let null_context = guides.then(|| {
+            self.model.encoder.forward(History {
+                text: text.zeros_like(),
+                ..history.clone()
+            })
+        });
+        let behind = self.drawn as f32 / (self.settings.frames - 1).max(1) as f32;
+        FlowCondition {
+            context: self.model.encoder.forward(history),
+            null_context,
+            previous: previous_state(last.reshape([1, channels])),
+            progress: Tensor::full([1], 1.0 - behind, &self.device),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

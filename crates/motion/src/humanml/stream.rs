@@ -1,0 +1,273 @@
+//! Features while a motion still goes on.
+
+use super::kinematics::{forward_kinematics, inverse_kinematics, raw_root, rotations_of_frame};
+use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
+use crate::Quaternion;
+
+/// Features frame by frame: each frame completes the row of the one before. The rows are those of
+/// [`Extraction::features_in_place`] with [`Heading::Raw`], the first frame facing +z. Only the
+/// last frame is kept.
+///
+/// The smoothed heading of published features looks 80 frames ahead, so that it cannot be known
+/// live.
+#[derive(Clone, Debug)]
+pub struct FeatureStream {
+    skeleton: Skeleton,
+    extraction: Extraction,
+    last: Option<Posed>,
+    frames: usize,
+    /// Whether the first frame has its own heading.
+    anywhere: bool,
+}
+
+/// A frame, with its rotations.
+#[derive(Clone, Debug)]
+struct Posed {
+    places: Vec<[f64; 3]>,
+    rotations: Vec<Quaternion>,
+}
+
+impl FeatureStream {
+    /// A stream before its first frame, whose joints of a foot stand below `contact_threshold`
+    /// ([`Extraction::contact_threshold`]).
+    ///
+    /// # Errors
+    /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite.
+    pub fn new(skeleton: Skeleton, contact_threshold: f64) -> Result<Self, FeatureError> {
+        let extraction = Extraction {
+            rescale: false,
+            contact_threshold,
+            heading: Heading::Raw,
+        };
+        extraction.must_be_valid()?;
+        Ok(Self {
+            skeleton,
+            extraction,
+            last: None,
+            frames: 0,
+            anywhere: false,
+        })
+    }
+
+    /// The same for a motion that need not begin facing +z: the first frame has its own heading too.
+    ///
+    /// The rotations of published features are shortest turns from the rest pose as it stands in
+    /// the world, so that they alone depend on where a motion faces.
+    #[must_use]
+    pub fn facing_anywhere(self) -> Self {
+        Self {
+            anywhere: true,
+            ..self
+        }
+    }
+
+    /// Takes the next frame, `[J, 3]` in metres, and gives the row of the one before, `[12 J - 1]`;
+    /// none for the first.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]
+    /// if a coordinate is not finite or so large that something overflows. The stream then stays as
+    /// it was.
+    pub fn push(&mut self, frame: &[[f64; 3]]) -> Result<Option<Vec<f32>>, FeatureError> {
+        FeatureError::unless_equal("joints of a frame", self.skeleton.joints(), frame.len())?;
+        let not_finite = |what, entry| FeatureError::NonFinite {
+            what,
+            frame: self.frames,
+            entry,
+        };
+        let bad = |place: &[f64; 3]| !place.iter().all(|value| value.is_finite());
+        if let Some(joint) = frame.iter().position(bad) {
+            return Err(not_finite("joints", format!("joint {joint}")));
+        }
+        let root = match &self.last {
+            None if !self.anywhere => Quaternion::IDENTITY,
+            _ => raw_root(&self.skeleton, frame),
+        };
+        let row = self.last.as_ref().map(|last| {
+            let frames = [&last.places[..], frame];
+            let rotations = &last.rotations;
+            self.extraction.row(&self.skeleton, frames, rotations, root)
+        });
+        if let Some(row) = &row
+            && let Some(channel) = row.iter().position(|value| !value.is_finite())
+        {
+            let name = self.skeleton.layout().channel_name(channel);
+            return Err(not_finite("features", format!("channel `{name}`")));
+        }
+        self.last = Some(Posed {
+            places: frame.to_vec(),
+            rotations: rotations_of_frame(&self.skeleton, frame, root),
+        });
+        self.frames += 1;
+        Ok(row)
+    }
+
+    /// The last frame, `[J, 3]`, and its root quaternion, world to facing frame.
+    pub fn last(&self) -> Option<(&[[f64; 3]], Quaternion)> {
+        let last = self.last.as_ref()?;
+        Some((&last.places, last.rotations[0]))
+    }
+
+    /// Frames taken.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+}
+
+/// The frame, `[J, 3]`, with bones of the lengths of `offsets` ([`Skeleton::offsets_of_frame`]) in
+/// the directions that they have: its rotations, by inverse kinematics, put into forward ones. The
+/// root stays.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] for another number of joints or offsets;
+/// [`FeatureError::NonFinite`] if a coordinate is not finite.
+pub fn with_bones(
+    skeleton: &Skeleton,
+    frame: &[[f64; 3]],
+    offsets: &[[f64; 3]],
+) -> Result<Vec<[f64; 3]>, FeatureError> {
+    FeatureError::unless_equal("joints of a frame", skeleton.joints(), frame.len())?;
+    let joints = Joints::new(frame.to_vec(), skeleton.joints())?;
+    let rotations = inverse_kinematics(skeleton, &joints, Heading::Raw)?;
+    let posed = forward_kinematics(skeleton, offsets, &frame[..1], &rotations)?;
+    Ok(posed.frame(0).to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::moving;
+    use super::*;
+    use crate::rotation::length;
+
+    fn raw() -> Extraction {
+        Extraction {
+            rescale: false,
+            heading: Heading::Raw,
+            ..Extraction::default()
+        }
+    }
+
+    fn stream(skeleton: &Skeleton) -> FeatureStream {
+        FeatureStream::new(skeleton.clone(), raw().contact_threshold).unwrap()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        #[test]
+        fn every_row_is_that_of_the_whole_clip(
+            noise in proptest::collection::vec(-0.05..0.05f64, 22 * 3),
+            frames in 2usize..40,
+            kit in any::<bool>(),
+        ) {
+            let skeleton = if kit { Skeleton::kit() } else { Skeleton::humanml3d() };
+            let clip = moving(&skeleton, frames);
+            let places = clip.as_slice().iter().enumerate().map(|(at, place)| {
+                let shift = |i: usize| noise[(at * 7 + i) % noise.len()];
+                [0, 1, 2].map(|i| place[i] + shift(i))
+            });
+            let clip = Joints::new(places.collect(), skeleton.joints()).unwrap();
+            let whole = raw().features_in_place(&skeleton, &clip).unwrap();
+            let mut stream = stream(&skeleton);
+            for t in 0..frames {
+                let row = stream.push(clip.frame(t)).unwrap();
+                prop_assert_eq!(row.as_deref(), t.checked_sub(1).map(|t| whole.frame(t)));
+                prop_assert_eq!(stream.last().unwrap().0, clip.frame(t));
+            }
+            prop_assert_eq!(stream.frames(), frames);
+        }
+
+        #[test]
+        fn a_frame_gets_its_bones_and_keeps_their_directions(
+            stretch in proptest::collection::vec(0.5..1.5f64, 22),
+        ) {
+            let skeleton = Skeleton::humanml3d();
+            let clip = moving(&skeleton, 9);
+            let frame = clip.frame(8);
+            let offsets = skeleton.offsets_of_frame(clip.frame(0));
+            let mut stretched = frame.to_vec();
+            for [start, end] in skeleton.chains().flatten() {
+                for i in 0..3 {
+                    let bone = frame[end][i] - frame[start][i];
+                    stretched[end][i] = stretched[start][i] + stretch[end] * bone;
+                }
+            }
+            let back = with_bones(&skeleton, &stretched, &offsets).unwrap();
+            for (a, b) in back.iter().zip(frame) {
+                prop_assert!(length([0, 1, 2].map(|i| a[i] - b[i])) < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn a_motion_may_begin_facing_anywhere() {
+        let skeleton = Skeleton::humanml3d();
+        let clip = moving(&skeleton, 12);
+        let turn = Quaternion::from_yaw(2.0);
+        let turned: Vec<[f64; 3]> = clip.as_slice().iter().map(|p| turn.rotate(*p)).collect();
+        let turned = Joints::new(turned, skeleton.joints()).unwrap();
+        let rows = |clip: &Joints, mut stream: FeatureStream| -> Vec<f32> {
+            let rows = (0..12).filter_map(|t| stream.push(clip.frame(t)).unwrap());
+            // All channels but the rotations.
+            let rotations = skeleton.layout().rotations();
+            let kept = |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
+            rows.flat_map(kept).collect()
+        };
+        let anywhere = || stream(&skeleton).facing_anywhere();
+        let (found, expected) = (rows(&turned, anywhere()), rows(&clip, anywhere()));
+        let apart = |a: &[f32], b: &[f32]| {
+            let pairs = a.iter().zip(b);
+            pairs.fold(0.0f32, |most, (a, b)| most.max((a - b).abs()))
+        };
+        assert!(apart(&found, &expected) < 1e-5);
+        // Otherwise the first row is of another facing frame.
+        let facing_z = rows(&turned, stream(&skeleton));
+        let (first, rest) = (263 - 126, 263 - 126..);
+        assert!(apart(&facing_z[..first], &expected[..first]) > 0.1);
+        assert!(apart(&facing_z[rest.clone()], &expected[rest]) < 1e-5);
+    }
+
+    #[test]
+    fn raw_and_smoothed_heading_are_not_the_same() {
+        let skeleton = Skeleton::humanml3d();
+        let clip = moving(&skeleton, 30);
+        let smoothed = Extraction {
+            heading: Heading::Smoothed,
+            ..raw()
+        };
+        let [raw, smoothed] = [raw(), smoothed]
+            .map(|extraction| extraction.features_in_place(&skeleton, &clip).unwrap());
+        assert_ne!(raw, smoothed);
+    }
+
+    #[test]
+    fn a_bad_frame_is_refused_and_leaves_the_stream_as_it_was() {
+        let skeleton = Skeleton::humanml3d();
+        let clip = moving(&skeleton, 3);
+        let mut stream = stream(&skeleton);
+        let mut untouched = stream.clone();
+        for s in [&mut stream, &mut untouched] {
+            s.push(clip.frame(0)).unwrap();
+        }
+        let short = stream.push(&clip.frame(1)[..21]).unwrap_err();
+        assert!(matches!(
+            short,
+            FeatureError::LengthMismatch { found: 21, .. }
+        ));
+        let mut spoiled = clip.frame(1).to_vec();
+        spoiled[5][2] = f64::NAN;
+        let error = stream.push(&spoiled).unwrap_err().to_string();
+        assert!(
+            error.contains("frame 1") && error.contains("joint 5"),
+            "{error}"
+        );
+        spoiled[5][2] = 1e300;
+        let error = stream.push(&spoiled).unwrap_err().to_string();
+        assert!(error.contains("features"), "{error}");
+        let rows = [stream, untouched].map(|mut s| s.push(clip.frame(1)).unwrap());
+        assert_eq!(rows[0], rows[1]);
+        assert!(FeatureStream::new(skeleton, -1.0).is_err());
+    }
+}
