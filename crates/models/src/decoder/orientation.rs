@@ -26,8 +26,8 @@ pub(super) fn fitted(quaternion: Tensor<3>, rates: Tensor<3>, std: &[f64]) -> Te
     let rest = sign_continuous(product(conjugate(along.clone()), quaternion));
     let fit = Smooth(OrientationFit::new(time, std));
     let rest = linear_map(rest, Arc::new(fit));
-    let norm = rest.clone().square().sum_dim(1).sqrt();
-    let rest = rest / norm.clamp_min(LEAST_NORM);
+    let square = rest.clone().square().sum_dim(1);
+    let rest = rest / (square + LEAST_NORM * LEAST_NORM).sqrt();
     sign_continuous(product(along, rest))
 }
 

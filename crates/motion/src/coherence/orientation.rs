@@ -23,7 +23,7 @@ const QUATERNION_SCALE: f64 = 0.5;
 pub struct OrientationFit {
     /// Of each frame, 1 or that of a known frame.
     weights: Vec<f64>,
-    factor: Cholesky,
+    factor: Cholesky<BAND>,
 }
 
 impl OrientationFit {
