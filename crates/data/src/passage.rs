@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use kinegrad_motion::kinematics::rederive;
 use kinegrad_motion::phrase::{POSITION, VELOCITY};
-use kinegrad_motion::{FPS, Motion};
+use kinegrad_motion::{FPS, Motion, anchor_floor};
 
 use crate::features::AudioFeatures;
 use crate::{Error, Phrase, PhraseSet};
@@ -54,6 +54,24 @@ impl Passage {
             of: Cow::Borrowed(&self.take.audio),
             frames,
         };
+        (motion, audio)
+    }
+
+    /// The phrase's own frames, at most `longest`, standing at the origin as a phrase alone does.
+    pub(crate) fn leading(
+        &self,
+        longest: usize,
+    ) -> (Window<'_, Motion>, Window<'_, AudioFeatures>) {
+        let frames = self.own.start..self.own.start + self.own.len().min(longest);
+        let (mut motion, audio) = self.window(frames.clone());
+        if frames.start > 0 {
+            let mut anchored = self.take.motion.slice(frames);
+            anchor_floor(&mut anchored);
+            motion = Window {
+                frames: 0..anchored.frames(),
+                of: Cow::Owned(anchored),
+            };
+        }
         (motion, audio)
     }
 
@@ -225,7 +243,7 @@ fn join(phrases: &[Arc<Phrase>]) -> Phrase {
 mod tests {
     use super::*;
     use crate::synthetic;
-    use kinegrad_motion::{Profile, anchor_floor, check, phrase_statistics};
+    use kinegrad_motion::{Profile, check, phrase_statistics};
 
     /// A recording of 90 frames cut into phrases of 30, each moved to the origin.
     fn cut() -> (Phrase, Vec<Arc<Phrase>>) {

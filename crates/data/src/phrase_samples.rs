@@ -87,7 +87,7 @@ pub fn target_statistics(
             targets.encode(&window.of.as_slice()[rows]).into_owned()
         };
         let samples: Vec<Vec<f32>> = match config.statistics {
-            StatisticsOf::Phrases => vec![encoded(passage.window(passage.own.clone()).0)],
+            StatisticsOf::Phrases => vec![encoded(passage.leading(passage.own.len()).0)],
             StatisticsOf::Crops => (0..CROPS)
                 .map(|crop| encoded(sampler.windows(&passage, position as u64 * CROPS + crop).0))
                 .collect(),
@@ -144,10 +144,7 @@ impl Samples for PhraseSamples {
     fn push(&self, batch: &mut Batch, passage: &Passage, number: Option<u64>) {
         let (motion, audio) = match number {
             Some(n) => self.sampler.windows(passage, n),
-            None => {
-                let length = passage.own.len().min(self.target_frames);
-                passage.window(passage.own.start..passage.own.start + length)
-            }
+            None => passage.leading(self.target_frames),
         };
         let rows = motion.frames.start * CHANNELS..motion.frames.end * CHANNELS;
         let heard = ConditionRows {
@@ -320,6 +317,41 @@ mod tests {
             "{}",
             deviation(&whole)
         );
+    }
+
+    #[test]
+    fn validation_sees_a_phrase_as_it_is_whatever_it_is_joined_with() {
+        let whole = synthetic::phrase(0, 90, 4);
+        let phrases: Vec<Arc<Phrase>> = (0..3)
+            .map(|i| {
+                let frames = 30 * i..30 * (i + 1);
+                let mut motion = whole.motion.slice(frames.clone());
+                kinegrad_motion::anchor_floor(&mut motion);
+                Arc::new(Phrase {
+                    id: format!("song_{:05}", 30 * i),
+                    motion,
+                    audio: whole.audio.slice(frames),
+                    label: None,
+                })
+            })
+            .collect();
+        let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
+        let statistics = Arc::new(statistics);
+        let batch = |joined: bool| {
+            let config = DataConfig {
+                target_frames: 25,
+                join_neighbours: joined,
+                ..DataConfig::default()
+            };
+            let samples =
+                PhraseSamples::new(phrases.clone().into(), statistics.clone(), &config, 3);
+            samples.collate(0..3).unwrap()
+        };
+        let (alone, joined) = (batch(false), batch(true));
+        assert_eq!(alone.conditions[0].values, joined.conditions[0].values);
+        for (a, b) in alone.x_start.iter().zip(&joined.x_start) {
+            assert!((a - b).abs() < 1e-2, "{a} {b}");
+        }
     }
 
     #[test]

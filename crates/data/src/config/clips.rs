@@ -101,6 +101,16 @@ fn validate_no_phrase_settings(data: &DataConfig) -> Result<(), InvalidSetting> 
             augment.audio_replace_prob != 0.0,
             silent,
         ),
+        (
+            "augment.bar_drop_prob",
+            augment.bar_drop_prob != 0.0,
+            silent,
+        ),
+        (
+            "augment.speed",
+            augment.speed != 0.0,
+            "clips keep the speed that their words describe",
+        ),
     ] {
         let found = "a setting of phrases";
         require(!set, key, found, "only the default with clips")

@@ -112,6 +112,9 @@ pub enum Coherence {
     /// trajectory that has all three (least squares), the quaternion keeps its sign from frame to
     /// frame, and the angular velocity is the derivative of the quaternions.
     Projection,
+    /// As `projection`, and the quaternions are replaced by the orientations nearest to them and to
+    /// the head's angular velocities (least squares) before the derivative is taken.
+    Full,
 }
 
 /// What the weights of a decoder start as.
@@ -201,6 +204,7 @@ impl DecoderConfig {
             Coherence::None => 0,
             // In double precision.
             Coherence::Projection => 3 * 2 * 16 * frames as u64,
+            Coherence::Full => 4 * 2 * 16 * frames as u64,
         }
     }
 }

@@ -24,7 +24,7 @@ use coherent::{ESTIMATES, Fits};
 
 use crate::layers::{LayerNorm, Linear};
 use crate::rotation::angular_velocity;
-use crate::targets::decode;
+use crate::targets::{decode, sign_continuous};
 use crate::{Dropout, DropoutKey, Initializer};
 
 /// A quaternion of a smaller norm is not divided by it.
@@ -176,7 +176,7 @@ impl MotionDecoder {
         let motion = self.frames(latent, dropout);
         match self.coherence {
             Coherence::None => motion,
-            Coherence::Projection => self.project(motion),
+            Coherence::Projection | Coherence::Full => self.project(motion),
         }
     }
 
@@ -221,9 +221,9 @@ impl MotionDecoder {
         decode(self.targets, motion)
     }
 
-    /// Replaces position, velocity and acceleration by the nearest coherent ones, the quaternions by
-    /// those nearest to them and the angular velocities, with a continuous sign, and derives the
-    /// angular velocities from them.
+    /// Replaces position, velocity and acceleration by the nearest coherent ones, under
+    /// [`Coherence::Full`] the quaternions by those nearest to them and the angular velocities, makes
+    /// their sign continuous, and derives the angular velocities from them.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let fits = Fits::new(time, &self.normalization.std);
@@ -232,8 +232,13 @@ impl MotionDecoder {
         let velocity = differences(position.clone());
         let acceleration = differences(velocity.clone());
         let part = |channels| motion.clone().slice([0..batch, channels]);
-        let rates = &self.normalization.std[self.targets.angular_velocity_channels()];
-        let quaternion = orientation::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates);
+        let quaternion = match self.coherence {
+            Coherence::Full => {
+                let rates = &self.normalization.std[self.targets.angular_velocity_channels()];
+                orientation::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates)
+            }
+            Coherence::Projection | Coherence::None => sign_continuous(part(QUATERNION)),
+        };
         let turning = match time {
             1 => part(ANGULAR_VELOCITY),
             _ => {

@@ -62,9 +62,15 @@ fn a_fresh_decoder_undoes_the_normalisation() {
 
 #[test]
 fn projected_motion_is_coherent_and_keeps_its_sign() {
+    for coherence in [Coherence::Projection, Coherence::Full] {
+        assert_coherent(coherence);
+    }
+}
+
+fn assert_coherent(coherence: Coherence) {
     let device = Device::flex();
     let time = 9;
-    let decoder = decoder(Coherence::Projection, &device);
+    let decoder = decoder(coherence, &device);
     let y = decoder.forward(latent(2, [3, CHANNELS, time], &device), None);
     assert_eq!(y.dims(), [3, CHANNELS, time]);
     let part = |range: std::ops::Range<usize>| y.clone().slice([0..3, range]);
@@ -103,8 +109,14 @@ fn one_frame_has_the_angular_velocity_of_its_head() {
 
 #[test]
 fn gradients_stay_finite_at_a_vanishing_quaternion() {
+    for coherence in [Coherence::Projection, Coherence::Full] {
+        assert_finite_gradients(coherence);
+    }
+}
+
+fn assert_finite_gradients(coherence: Coherence) {
     let device = Device::flex().autodiff();
-    let decoder = decoder(Coherence::Projection, &device);
+    let decoder = decoder(coherence, &device);
     let x = Tensor::<3>::zeros([1, CHANNELS, 4], &device).require_grad();
     let gradients = decoder.forward(x.clone(), None).square().sum().backward();
     let gradient = x.grad(&gradients).expect("a gradient");
@@ -158,7 +170,7 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
         mean: vec![0.0; channels],
         std: vec![1.0; channels],
     };
-    for coherence in [Coherence::None, Coherence::Projection] {
+    for coherence in [Coherence::None, Coherence::Projection, Coherence::Full] {
         let config = DecoderConfig {
             hidden_dim: 40,
             coherence,
@@ -172,10 +184,10 @@ fn a_fresh_decoder_of_other_targets_undoes_normalisation_and_conversion() {
         let expected = values(crate::targets::decode(targets, x.clone()));
         let found = values(decoder.forward(x, None));
         assert_eq!(found.len(), batch * CHANNELS * time);
-        // The projection turns orientations towards what the angular velocities say.
+        // A full projection turns orientations towards what the angular velocities say.
         let kept = match coherence {
-            Coherence::None => [QUATERNION.collect::<Vec<_>>(), vec![PHASE]].concat(),
-            Coherence::Projection => vec![PHASE],
+            Coherence::Full => vec![PHASE],
+            _ => [QUATERNION.collect::<Vec<_>>(), vec![PHASE]].concat(),
         };
         for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
             let channel = index / time % CHANNELS;
@@ -211,7 +223,7 @@ fn a_decoder_too_narrow_for_its_targets_is_refused() {
 #[test]
 fn the_banded_projection_is_the_dense_one_with_its_gradient() {
     let device = Device::flex().autodiff();
-    let decoder = decoder(Coherence::Projection, &device);
+    let decoder = decoder(Coherence::Full, &device);
     for time in [1, 2, 9, 40] {
         let run = |mode: Mode| {
             mode.scope(|| {

@@ -45,7 +45,7 @@ const WIDTH: usize = 64;
 const GROUPS: usize = 8;
 const KERNEL: usize = 5;
 
-/// Blocks of convolutions; the last one hears 62 frames before and after, two seconds.
+/// Blocks of convolutions; the last one hears 64 frames before and after, two seconds.
 const BLOCKS: usize = 5;
 
 /// From features of the music to the place of each frame in its beat.

@@ -18,6 +18,9 @@ use crate::{Motion, Quaternion};
 /// The scale `s_q`: root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
 
+/// Least scale of a step: a body that hardly turns would ask for more than double precision holds.
+const LEAST_STEP: f64 = 1e-6;
+
 /// The fit of the components of `u` for motion of some length.
 #[derive(Clone, Debug)]
 pub struct OrientationFit {
@@ -40,6 +43,7 @@ impl OrientationFit {
         // Half a rotation vector is what a small rotation adds to a quaternion.
         let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
         assert!(step_scale > 0.0, "deviations of the angular velocity");
+        let step_scale = step_scale.max(LEAST_STEP);
         let stiffness = (QUATERNION_SCALE / step_scale).powi(2);
         let weights: Vec<f64> = known.iter().map(|&known| weight(known)).collect();
         let mut normal = vec![[0.0; BAND]; known.len()];

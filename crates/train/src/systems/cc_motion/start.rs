@@ -169,6 +169,11 @@ pub(super) fn must_use(config: &Config) -> Result<(), Error> {
         allowed,
     )
     .hint("the tracker learns from the beats of the training songs; samples need none")?;
+    let noise = config.data.augment.audio_noise;
+    let learns = unet.beats == Beats::Given || noise == 0.0;
+    let allowed = "0 with `model.beats = \"tracked\"`";
+    require(learns, "data.augment.audio_noise", noise, allowed)
+        .hint("the tracker would learn from beats with noise; `audio_masks` vary the music")?;
     let (orientation, augment) = (targets(config)?.orientation, &config.data.augment);
     let flips = augment.flip_quaternion && orientation != OrientationTarget::Quaternion;
     let of_one_sign = "false with this `model.orientation_target`";

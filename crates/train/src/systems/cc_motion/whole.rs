@@ -16,6 +16,7 @@ use kinegrad_diffusion::{
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
 use kinegrad_motion::coherence::{fit_orientation, fit_trajectory};
+use kinegrad_motion::kinematics::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
 use kinegrad_motion::{Motion, Statistics, process_around};
@@ -229,12 +230,22 @@ impl Generator {
         for t in 0..motion.frames() {
             motion.set_quaternion(t, motion.quaternion(t).normalised());
         }
-        if decoder.coherence() == Coherence::Projection {
+        let coherence = decoder.coherence();
+        if coherence != Coherence::None {
             let none = || vec![false; windows.frames()];
             let is_known = known.map_or_else(none, |known| known.is_known.clone());
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
-            fit_orientation(&mut motion, std, &is_known);
+            if coherence == Coherence::Full {
+                fit_orientation(&mut motion, std, &is_known);
+            } else {
+                let frames = 0..motion.frames();
+                let mut quaternions: Vec<_> = frames.map(|t| motion.quaternion(t)).collect();
+                make_sign_continuous(&mut quaternions);
+                for (t, quaternion) in quaternions.into_iter().enumerate() {
+                    motion.set_quaternion(t, quaternion);
+                }
+            }
             // As the decoder does for a phrase: that of the quaternions.
             derive_angular_velocity(&mut motion);
         }

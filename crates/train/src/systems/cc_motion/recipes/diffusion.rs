@@ -70,11 +70,12 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let [batch, tracked, time] = found.dims();
     let first = cond.features.dims()[1] - BEAT_CHANNELS;
     let told = cond.features.narrow(1, first, tracked);
-    // Sine and cosine of one angle, unless they are masked, replaced by noise or unknown.
-    let norm = told.clone().square().sum_dim(1).sqrt();
-    let is_told = (norm.clone() - 1.0).abs().lower_elem(0.5).float();
+    // Sine and cosine of one angle, unless either is masked, they are replaced by noise, or unknown.
+    let norm = told.clone().square().sum_dim(1);
+    let both = told.clone().prod_dim(1).not_equal_elem(0.0).float();
+    let is_told = (norm - 1.0).abs().lower_elem(1e-3).float() * both;
     let mask = is_told * inputs.mask.clone().reshape([batch, 1, time]);
-    let error = (found - told / norm.clamp_min(0.5)).square() * mask.clone();
+    let error = (found - told).square() * mask.clone();
     let sum = |x: Tensor<3>| x.sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]);
     Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
@@ -89,4 +90,81 @@ pub(super) fn denoising_validation_loss(
     held_out.mean_loss(diffusion, device, |inputs, draws| {
         denoising_loss(diffusion, unet, inputs, draws, false).total
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::TAU;
+
+    use burn::tensor::TensorData;
+    use kinegrad_data::AUDIO;
+    use kinegrad_models::{AudioConditioning, Beats, Initializer, UNet1dConfig};
+
+    use super::*;
+    use crate::denoising::Conditions;
+
+    /// A tracker's loss is over the frames whose beats are told, and nothing else.
+    #[test]
+    fn masked_unknown_and_padded_beats_are_not_learned_from() {
+        let device = Device::flex();
+        let (features, time) = (9 + BEAT_CHANNELS, 13);
+        let config = UNet1dConfig {
+            audio_conditioning: AudioConditioning::Aligned,
+            beats: Beats::Tracked,
+            context_dim: 32,
+            ..UNet1dConfig::tiny()
+        };
+        let unet = config
+            .init(25, features, &Initializer::new(3, &device))
+            .expect("a network");
+        let mut values = vec![0.0f32; 2 * features * time];
+        for (index, value) in values.iter_mut().enumerate() {
+            *value = ((index * 37) % 11) as f32 / 11.0;
+        }
+        let at = |sample: usize, row: usize, t: usize| (sample * features + row) * time + t;
+        for (sample, t) in (0..2).flat_map(|sample| (0..time).map(move |t| (sample, t))) {
+            let angle = TAU * (0.03 + t as f32 / 7.3);
+            values[at(sample, 9, t)] = angle.sin();
+            values[at(sample, 10, t)] = angle.cos();
+        }
+        // Unknown, masked by halves, replaced by noise.
+        for t in 2..4 {
+            values[at(0, 9, t)] = 0.0;
+            values[at(0, 10, t)] = 0.0;
+        }
+        values[at(0, 9, 5)] = 0.0;
+        values[at(0, 10, 6)] = 0.0;
+        values[at(0, 9, 7)] = 0.9;
+        values[at(0, 10, 7)] = -0.8;
+        let untold = [2, 3, 5, 6, 7];
+        let audio = Tensor::<3>::from_data(
+            TensorData::new(values.clone(), [2, features, time]),
+            &device,
+        );
+        let mut mask = vec![1.0f32; 2 * time];
+        mask[2 * time - 4..].fill(0.0);
+        let inputs = Inputs {
+            x_start: Tensor::zeros([2, 25, time], &device),
+            cond: Conditions::new([(AUDIO, audio)]),
+            mask: Tensor::from_data(TensorData::new(mask, [2, time]), &device),
+            lengths: Some(kinegrad_kernels::Lengths::new([time, time - 4])),
+        };
+        let cond = condition(&inputs.cond, inputs.lengths.clone());
+        let found = unet.track_beats(&cond).expect("a tracker");
+        let found = found.into_data().try_into_vec::<f32>().expect("values");
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (sample, t) in (0..2).flat_map(|sample| (0..time).map(move |t| (sample, t))) {
+            if (sample == 0 && untold.contains(&t)) || (sample == 1 && t >= time - 4) {
+                continue;
+            }
+            for row in 0..2 {
+                let error = found[(sample * 2 + row) * time + t] - values[at(sample, 9 + row, t)];
+                sum += error * error;
+                count += 1.0;
+            }
+        }
+        let loss = tracking_loss(&unet, &inputs).expect("a tracker");
+        let loss = loss.into_scalar::<f32>();
+        assert!((loss - sum / count).abs() < 1e-5, "{loss} {}", sum / count);
+    }
 }

@@ -87,7 +87,10 @@ impl E2eRecipe {
         let diffusion = &self.rollouts.rollout.diffusion;
         let denoising = denoising_loss(diffusion, &model.unet, inputs.clone(), denoising, true);
         let mut total = denoising.total * self.loss.w_diff;
-        let mut terms = vec![("diffusion", total.clone())];
+        let weighted = denoising.terms.into_iter();
+        let mut terms: Vec<_> = weighted
+            .map(|(name, term)| (name, term * self.loss.w_diff))
+            .collect();
 
         // 2. A rollout, with gradients as `rollout.mode` keeps them.
         let cond = heard(&inputs);
