@@ -35,7 +35,7 @@ pub fn at_speed(motion: &Motion, speed: f64) -> Motion {
             played.frame_mut(t)[channel] = value as f32;
         }
     }
-    let mut rows = vec![Vec::with_capacity(motion.frames()); 4];
+    let mut rows: [Vec<f64>; 4] = Default::default();
     let mut before = motion.quaternion(0);
     for t in 0..motion.frames() {
         // Along one sign, whichever the frames are written with.
