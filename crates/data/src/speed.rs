@@ -37,31 +37,19 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
         let beats = &mut values[AUDIO_CHANNELS * frames..];
         let source = |row: usize| audio.channel(AUDIO_CHANNELS + row);
         for circle in [BEAT, BAR] {
-            let [sine, cosine] = [source(circle.start), source(circle.start + 1)];
-            // Zeros where nothing is known.
-            let places: Vec<Option<f64>> = sine
-                .iter()
-                .zip(cosine)
-                .map(|(&s, &c)| (s.hypot(c) > 0.5).then(|| f64::from(s.atan2(c)) / TAU))
-                .collect();
-            for (t, &(a, b, fraction)) in moments.iter().enumerate() {
-                let (Some(place), Some(next)) = (places[a], places[b]) else {
+            let places = unwrapped(source(circle.start), source(circle.start + 1));
+            let place = |moment: f64| position(&places, moment);
+            for t in 0..frames {
+                let moment = speed * t as f64;
+                let Some(at) = place(moment) else {
                     continue;
                 };
-                let place = place + fraction * step(place, next);
-                beats[circle.start * frames + t] = (TAU * place).sin() as f32;
-                beats[(circle.start + 1) * frames + t] = (TAU * place).cos() as f32;
+                beats[circle.start * frames + t] = (TAU * at).sin() as f32;
+                beats[(circle.start + 1) * frames + t] = (TAU * at).cos() as f32;
                 if circle == BEAT {
                     // A beat falls between half a frame before and half a frame after.
-                    let neighbour = places[b.min(a + 1)].filter(|_| b > a);
-                    let before = places[a.saturating_sub(1)].filter(|_| a > 0);
-                    let advance = match (neighbour, before) {
-                        (Some(next), _) => step(places[a].unwrap_or(next), next),
-                        (None, Some(before)) => step(before, place),
-                        (None, None) => 0.0,
-                    };
                     let [first, last] =
-                        [-0.5, 0.5].map(|half| (place + half * speed * advance).floor());
+                        [-0.5, 0.5].map(|half| place(moment + half * speed).map(f64::floor));
                     beats[MARK * frames + t] = f32::from(u8::from(first < last));
                 }
             }
@@ -75,6 +63,31 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
         }
     }
     AudioFeatures::new(frames, values).expect("as many channels as before")
+}
+
+/// Places on a circle of which sines and cosines are told, counted on from frame to frame; none
+/// where both are zero.
+fn unwrapped(sine: &[f32], cosine: &[f32]) -> Vec<Option<f64>> {
+    let mut before: Option<f64> = None;
+    let place = |(&s, &c): (&f32, &f32)| {
+        let place = (s.hypot(c) > 0.5).then(|| f64::from(s.atan2(c)) / TAU);
+        before = place.map(|place| before.map_or(place, |before| before + step(before, place)));
+        before
+    };
+    sine.iter().zip(cosine).map(place).collect()
+}
+
+/// The place at a moment, in frames: between two frames, or on from the first or last two.
+fn position(places: &[Option<f64>], moment: f64) -> Option<f64> {
+    if places.len() < 2 {
+        return places[0];
+    }
+    let from = (moment.max(0.0) as usize).min(places.len() - 2);
+    let (a, b) = (places[from], places[from + 1]);
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a + (moment - from as f64) * (b - a)),
+        _ => None,
+    }
 }
 
 #[cfg(test)]
@@ -93,7 +106,10 @@ mod tests {
 
     #[test]
     fn beats_are_those_of_the_faster_song() {
-        let beats: Vec<f64> = (0..20).map(|beat| 0.13 + 0.5 * f64::from(beat)).collect();
+        // Not one interval like the next.
+        let beats: Vec<f64> = (0..20)
+            .map(|beat| 0.13 + 0.5 * f64::from(beat) + 0.04 * f64::from(beat * 7 % 3))
+            .collect();
         for speed in [0.8, 1.0, 1.25] {
             let told = |speed: f64| {
                 let beats = beats.iter().map(|beat| beat / speed).collect();

@@ -78,7 +78,7 @@ pub fn integrate<const D: usize>(
 /// Generates one pose or motion per sample of the start noise by following a network's velocity.
 ///
 /// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample). What
-/// predicts noise or data is read as a velocity no nearer than [`NEAREST_END`] to either end.
+/// predicts noise is read as a velocity no nearer than [`NEAREST_END`] to t = 0, and data to t = 1.
 ///
 /// # Shapes
 /// - noise, standard normal, and the state that comes of it: `[batch, channels, time]`
@@ -105,7 +105,7 @@ pub fn sample_flow<D: Denoiser + ?Sized>(
                 expected: expected.into(),
             });
         }
-        let t = t.clamp(NEAREST_END, 1.0 - NEAREST_END);
+        let t = prediction.readable(t);
         Ok(prediction.convert(output, x, &vec![t; batch], FlowPrediction::Velocity))
     };
     integrate(&mut velocity, noise, config, on_step)

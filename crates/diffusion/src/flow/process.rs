@@ -89,4 +89,13 @@ impl FlowPrediction {
             Self::Sample => x_t.clone() + velocity * of(&|t| 1.0 - t),
         }
     }
+
+    /// The time nearest to `t` at which a velocity can be read off the prediction.
+    pub(super) fn readable(self, t: f64) -> f64 {
+        match self {
+            Self::Velocity => t,
+            Self::Epsilon => t.max(NEAREST_END),
+            Self::Sample => t.min(1.0 - NEAREST_END),
+        }
+    }
 }

@@ -6,19 +6,20 @@ use std::iter::repeat_n;
 use std::path::Path;
 
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
+use kinegrad_models::Beats;
 use kinegrad_motion::phrase::FPS;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{CHANNELS, Motion, OrientationTarget, Profile, Report, Statistics, check};
 use kinegrad_random::{Key, Purpose};
 
-use super::CcMotion;
 use super::generate::{Generator, Sample, keys, must_fit};
 use super::lengths::{untrained, windows};
 use super::networks::targets;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
-use crate::config::Config;
+use super::{CcMotion, CcMotionConfig, CcMotionNetwork};
+use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::sampling::{
     Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
@@ -377,6 +378,13 @@ fn of_song(song: &Path, request: &Request, config: &Config) -> Result<Heard, Err
         return Err(Error::usage(
             format!("`{option}` with a run that hears no beat features"),
             "leave it out; data.audio_features = [\"document\", \"beats\"] trains with them",
+        ));
+    }
+    let CcMotionNetwork::Unet1d(unet) = &CcMotionConfig::of(config)?.model.network;
+    if let (Beats::Tracked, Some(option)) = (unet.beats, known.given().first()) {
+        return Err(Error::usage(
+            format!("`{option}` with a run that finds the beats itself"),
+            "leave it out; `model.beats = \"given\"` trains models that are told them",
         ));
     }
     let features = song_features(song, known)?.1;

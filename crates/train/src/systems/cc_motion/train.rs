@@ -84,18 +84,27 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
             (wide(Targets::default(), statistics), own)
         }
         (None, None) => {
-            let wide = |targets, statistics| {
-                let none = AugmentConfig::default();
-                widened(statistics, targets, &config.data.augment, &none)
+            let wide = |targets, statistics, before: &AugmentConfig| {
+                widened(statistics, targets, &config.data.augment, before)
+            };
+            let none = AugmentConfig::default();
+            // Crops are measured at the speeds that they are played at.
+            let measured_at = match config.data.statistics {
+                StatisticsOf::Phrases => 0.0,
+                StatisticsOf::Crops => config.data.augment.speed,
+            };
+            let of_crops = AugmentConfig {
+                speed: measured_at,
+                ..none.clone()
             };
             let differ =
                 !targets.are_stored_channels() || config.data.statistics != StatisticsOf::Phrases;
             let own = differ.then(|| {
                 let drawn = target_statistics(dataset.train.clone(), targets, &config.data);
-                Ok::<_, Error>(wide(targets, drawn?))
+                Ok::<_, Error>(wide(targets, drawn?, &of_crops))
             });
             (
-                wide(Targets::default(), measured(&dataset)?),
+                wide(Targets::default(), measured(&dataset)?, &none),
                 own.transpose()?,
             )
         }
