@@ -161,10 +161,11 @@ impl Job {
             Some(content) => synthesize_like(&request, content)?,
             None => synthesize(&request, self.seed)?,
         };
-        if self.settings.looping != Looping::Off && held.is_empty() {
+        let around = self.settings.looping != Looping::Off;
+        if around && held.is_empty() {
             synthesis.begin_where_calm();
         }
-        calm::around_keyframes(&figure, &mut synthesis.frames, &held)?;
+        calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;
         if !self.fixed.is_empty() {
             let usual = matrices.iter().chain(&fixed).map(|motion| {
                 let jerks = jerks(&figure.bvh(motion)?);
@@ -245,3 +246,6 @@ impl Job {
 
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod keyframe_tests;
