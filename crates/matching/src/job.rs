@@ -101,7 +101,7 @@ impl Job {
             contacts,
             heading: self.heading,
         };
-        let figure = Figure::new(examples, options)?;
+        let mut figure = Figure::new(examples, options)?;
         let matrices = examples.iter().map(|example| figure.frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
         for (example, frames) in examples.iter().zip(&matrices) {
@@ -165,6 +165,9 @@ impl Job {
         if around && held.is_empty() {
             synthesis.begin_where_calm();
         }
+        if around {
+            figure.close(&mut synthesis.frames);
+        }
         calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;
         if !self.fixed.is_empty() {
             let usual = matrices.iter().chain(&fixed).map(|motion| {
@@ -179,7 +182,11 @@ impl Job {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;
             Some((frame, keyframe.place?))
         });
-        figure.lead(&mut synthesis.frames, &points.collect::<Vec<_>>());
+        let points: Vec<(usize, [f64; 2])> = points.collect();
+        if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
+            figure.start_at(*place);
+        }
+        figure.lead(&mut synthesis.frames, &points);
         let mut bvh = figure.bvh(&synthesis.frames)?;
         let mut sliding = None;
         if self.feet {

@@ -1,4 +1,4 @@
-//! Key frames of whole jobs: close together, near the ends, and in loops.
+//! Key frames of whole jobs: close together, near the ends, and in loops; places and headings.
 
 use super::*;
 use crate::figure::tests::example;
@@ -100,5 +100,42 @@ fn a_loop_with_a_key_frame_at_its_seam_is_one() {
         assert!(step(n - 1) <= most, "{t}: {} {most}", step(n - 1));
         let (degrees, height) = missed(&made, t, 15, 0);
         assert!(degrees < 0.1 && height < 0.01, "{t} {degrees} {height}");
+    }
+}
+
+#[test]
+fn a_loop_that_turns_heads_at_its_end_as_at_its_beginning() {
+    for keyframes in [vec![], vec![key(1.0, 0.5)]] {
+        let mut job = with(&keyframes);
+        job.length = Some(crate::Length::Frames(100));
+        job.heading = true;
+        job.settings.looping = Looping::Even;
+        let made = job.make(&[walk(70)]).unwrap();
+        let step = |a: usize, b: usize| {
+            let [a, b] = [a, b].map(|t| made.bvh.locals(t)[1].orientation);
+            kinegrad_motion::rotation::length((a.conjugate() * b).to_rotation_vector())
+        };
+        let most = (1..100).map(|t| step(t - 1, t)).fold(0.0, f64::max);
+        assert!(step(99, 0) <= 1.2 * most, "{} {most}", step(99, 0));
+    }
+}
+
+#[test]
+fn a_place_at_the_first_frame_is_where_the_motion_starts() {
+    let first = Keyframe {
+        place: Some([40.0, -30.0]),
+        ..key(0.0, 0.5)
+    };
+    let later = Keyframe {
+        place: Some([10.0, 20.0]),
+        ..key(2.0, 0.5)
+    };
+    let made = with(&[first, later]).make(&[walk(70)]).unwrap();
+    for (t, place) in [(0, [40.0, -30.0]), (60, [10.0, 20.0])] {
+        let [x, _, z] = made.bvh.locals(t)[1].position;
+        assert!(
+            (x - place[0]).abs() < 0.01 && (z - place[1]).abs() < 0.01,
+            "{x} {z}"
+        );
     }
 }
