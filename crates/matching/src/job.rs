@@ -11,6 +11,8 @@ use crate::{
     Request, Settings, Sliding, Synthesis, feet,
 };
 
+mod conflicts;
+
 /// How the body is divided.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum PartChoice {
@@ -149,6 +151,7 @@ impl Job {
                 motion: motion.clone(),
             });
         }
+        self.must_agree(&figure, &held, frames)?;
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
         let request = Request {
             examples: &matrices,
