@@ -103,7 +103,21 @@ impl Job {
             contacts,
             heading: self.heading,
         };
-        let mut figure = Figure::new(examples, options)?;
+        let fixed = self.fixed.iter().map(|fixed| &fixed.motion);
+        let sources = self
+            .keyframes
+            .iter()
+            .filter_map(|(_, source)| source.as_ref());
+        let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
+        let mut figure = Figure::with(examples, &others, options)?;
+        if self
+            .keyframes
+            .iter()
+            .any(|(keyframe, _)| keyframe.place.is_some())
+        {
+            let motions = examples.iter().chain(others);
+            figure.must_travel_upright(motions, "`place` of a key frame")?;
+        }
         let matrices = examples.iter().map(|example| figure.frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
         for (example, frames) in examples.iter().zip(&matrices) {

@@ -37,7 +37,7 @@ impl Figure {
             let way = self.way_of(frames);
             let mut missed = [0.0; 3];
             for (&axis, place) in level.iter().zip(place) {
-                missed[axis] = (place - way[t].0[axis]) * self.scale;
+                missed[axis] = (place - self.base[axis] - way[t].0[axis]) * self.scale;
             }
             // The speed of the least jerk from rest to rest, so that no corner is left.
             let speed = |frame: usize| {
@@ -60,7 +60,7 @@ impl Figure {
     pub(crate) fn start_at(&mut self, place: [f64; 2]) {
         let level = (0..3).filter(|&axis| axis != self.up as usize);
         for (axis, place) in level.zip(place) {
-            self.start[axis] = place;
+            self.start[axis] = place - self.base[axis];
         }
     }
 
