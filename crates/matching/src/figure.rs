@@ -19,7 +19,7 @@ mod fit;
 mod survey;
 mod way;
 
-use survey::{carriers, scale, thinning, travel, travelling, travelling_in_any};
+use survey::{carriers, scale, thinning, travel, travelling_in_any};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;

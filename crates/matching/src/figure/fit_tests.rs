@@ -208,7 +208,7 @@ fn a_way_within_a_joint_that_turns_is_not_seen_from_a_heading() {
         ..FigureOptions::default()
     };
     assert_eq!(
-        Figure::new(&[turned.clone()], by_heading())
+        Figure::new(std::slice::from_ref(&turned), by_heading())
             .unwrap_err()
             .to_string(),
         "turned.bvh: `Hips` travels within `Root`, which turns or moves"
