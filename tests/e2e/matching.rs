@@ -240,6 +240,11 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         "late.toml",
         "[[keyframe]]\ntime = 90.0\nsource_time = 1.0\n",
     );
+    sandbox.write(
+        "from.toml",
+        "[[keyframe]]\ntime = 1.0\nsource_time = 0.0\nfile = 'one.bvh'\n",
+    );
+    sandbox.write("from.svg", "[[part]]\nname = 'leg'\nbelow = ['LeftLeg']\n");
     let before = sandbox.list(".");
     for (options, texts) in [
         ("none.bvh", &["none.bvh cannot be read"][..]),
@@ -301,6 +306,10 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
             &["one.bvh: frames: 1 at 30"],
         ),
         ("dance.bvh --fix legs", &["legs=walk.bvh"]),
+        (
+            "dance.bvh --loop --fix legs=dance.bvh",
+            &["dance.bvh: `legs` follows it, whose end need not lead into its beginning"],
+        ),
     ] {
         sandbox
             .run(&format!("match {options} --out new.bvh"))
@@ -313,6 +322,18 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
             &["is to be a clip of joint features, and dance.bvh is none"],
         ),
         ("dance.bvh", &["dance.bvh is an example itself"]),
+        (
+            "./dance.bvh --overwrite",
+            &["./dance.bvh is an example itself"],
+        ),
+        (
+            "one.bvh --overwrite --keyframes from.toml",
+            &["one.bvh has a pose of the key frames"],
+        ),
+        (
+            "new.bvh --svg from.svg --parts from.svg --overwrite",
+            &["from.svg is read itself"],
+        ),
     ] {
         sandbox
             .run(&format!("match dance.bvh --out {out}"))

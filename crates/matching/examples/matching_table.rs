@@ -158,7 +158,7 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
             coverage,
             window_cost,
             local_diversity,
-            global_diversity,
+            global_diversity.unwrap_or(f64::NAN),
             novelty.copied,
             novelty.splices_per_second,
             seconds,

@@ -69,44 +69,89 @@ pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
 }
 
 /// Smooths a motion around its key frames until its jerk there is at most 1.4 times that elsewhere,
-/// or no smoothing helps.
+/// or no smoothing helps. `around`: whether the last frame is followed by the first; then both sides of
+/// that seam are smoothed alike. Otherwise the ends are free.
 pub(crate) fn around_keyframes(
     figure: &Figure,
     frames: &mut Frames,
     held: &[Held],
+    around: bool,
 ) -> Result<(), Error> {
     let n = frames.frames();
     if n < SHORTEST {
         return Ok(());
     }
-    let rate = 1.0 / figure.frame_time();
     for held_frame in held {
         let Held::Keyframe { at, .. } = held_frame else {
             continue;
         };
-        let key = Held::frame(*at, n) as f64;
-        let fade = |t: usize| {
-            let beyond = (t as f64 + 1.5 - key).abs() - NEAR * rate;
-            (1.0 - beyond / (FADE * rate)).clamp(0.0, 1.0).powi(3)
-        };
-        let voted = frames.clone();
-        let mut strength = FIRST;
-        for _ in 0..MOST {
-            let [near, rest] = jerk_around(&jerks(&figure.bvh(frames)?), key, rate);
-            if near <= AROUND * rest || rest == 0.0 {
-                break;
-            }
-            // The first and the last frame stay: a loop goes on there.
-            let last = n - 4;
-            let strengths = (0..n - 3).map(|t| match t {
-                0 => 0.0,
-                t if t == last => 0.0,
-                t => strength * fade(t),
-            });
-            *frames = voted.clone();
-            smooth(frames, &strengths.collect::<Vec<_>>(), held);
-            strength *= STRONGER;
+        let key = Held::frame(*at, n);
+        if !around {
+            around_one(figure, frames, held, key, false)?;
+            continue;
         }
+        // A loop is the same from any frame on: with the key frame in its middle it has no end there.
+        let (middle, channels) = (n / 2, frames.channels());
+        let shift = (key + n - middle) % n;
+        let moved = held.iter().map(|held| match held.clone() {
+            Held::Keyframe {
+                at,
+                channels,
+                source,
+                from,
+                frames,
+                reach,
+            } => {
+                let t = (Held::frame(at, n) + n - shift) % n;
+                Held::Keyframe {
+                    at: (t as f64 + 0.5) / n as f64,
+                    channels,
+                    source,
+                    from,
+                    frames,
+                    reach,
+                }
+            }
+            held @ Held::Channels { .. } => held,
+        });
+        let moved: Vec<Held> = moved.collect();
+        frames.values_mut().rotate_left(shift * channels);
+        let smoothed = around_one(figure, frames, &moved, middle, true);
+        frames.values_mut().rotate_right(shift * channels);
+        smoothed?;
+    }
+    Ok(())
+}
+
+/// Smooths a motion around the key frame at `key`; `keep_ends`: whether its ends stay as they are.
+fn around_one(
+    figure: &Figure,
+    frames: &mut Frames,
+    held: &[Held],
+    key: usize,
+    keep_ends: bool,
+) -> Result<(), Error> {
+    let (n, key) = (frames.frames(), key as f64);
+    let rate = 1.0 / figure.frame_time();
+    let fade = |t: usize| {
+        let beyond = (t as f64 + 1.5 - key).abs() - NEAR * rate;
+        (1.0 - beyond / (FADE * rate)).clamp(0.0, 1.0).powi(3)
+    };
+    let voted = frames.clone();
+    let mut strength = FIRST;
+    for _ in 0..MOST {
+        let [near, rest] = jerk_around(&jerks(&figure.bvh(frames)?), key, rate);
+        if near <= AROUND * rest || rest == 0.0 {
+            break;
+        }
+        let last = n - 4;
+        let strengths = (0..n - 3).map(|t| match t {
+            t if keep_ends && (t == 0 || t == last) => 0.0,
+            t => strength * fade(t),
+        });
+        *frames = voted.clone();
+        smooth(frames, &strengths.collect::<Vec<_>>(), held);
+        strength *= STRONGER;
     }
     Ok(())
 }

@@ -9,20 +9,20 @@
 //! ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
+use kinegrad_motion::Quaternion;
 use kinegrad_motion::rotation::length;
 
 use crate::{Error, Frames, displacements, rotation6d};
 
 mod feet;
+mod fit;
 mod survey;
 mod way;
 
-use survey::{carriers, scale, thinning, travel, travelling};
+use survey::{carriers, scale, thinning, travel, travelling_in_any};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
-/// Largest part by which the frame rates of examples may differ.
-const SAME_RATE: f64 = 0.01;
 /// Distance between two frames, in scaled units, below which a foot is in contact.
 const CONTACT: f64 = 0.018;
 /// Change of a place, in scaled units, that is no more than the rounding of a file.
@@ -60,6 +60,8 @@ pub struct Figure {
     travelling: usize,
     /// Joints above the one that travels, where nothing else hangs on them.
     carriers: Vec<usize>,
+    /// Where what carries the joint that travels stands in a new motion, with no turn.
+    base: [f64; 3],
     shifting: Vec<usize>,
     contacts: Vec<usize>,
     /// Heading of the first example's first frame, in radians; none if motions are seen from
@@ -73,8 +75,22 @@ impl Figure {
     /// are thinned to every second frame, as often as needed.
     ///
     /// # Errors
-    /// If there are no examples, their joints or frame rates differ, or no bone has a length.
+    /// If there are no examples, their joints, bones or frame rates differ, the first has no channels
+    /// for what moves in another, or no bone has a length.
     pub fn new(examples: &[Example], options: FigureOptions) -> Result<Self, Error> {
+        Self::with(examples, &[], options)
+    }
+
+    /// [`new`](Self::new), for other motions beside the examples too, of which parts or poses are
+    /// taken: what travels and what changes its place is what does so in any of them.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with(
+        examples: &[Example],
+        others: &[&Example],
+        options: FigureOptions,
+    ) -> Result<Self, Error> {
         let Some(first) = examples.first() else {
             return Err(Error::file(
                 "no example",
@@ -94,75 +110,54 @@ impl Figure {
             frame_time,
             travelling: 0,
             carriers: Vec::new(),
+            base: [0.0; 3],
             shifting: Vec::new(),
             contacts: options.contacts,
             heading: None,
             start: [0.0; 3],
         };
-        let mut ranges = vec![0.0f64; figure.bvh.joints().len()];
-        for example in examples {
-            figure.must_fit(example)?;
-            for (range, joint) in ranges.iter_mut().zip(travel(&example.bvh)) {
-                *range = range.max(joint);
-            }
+        let motions = || examples.iter().chain(others.iter().copied());
+        let mut all = Vec::new();
+        for motion in motions() {
+            figure.must_fit(motion)?;
+            all.push(travel(&motion.bvh));
         }
-        figure.travelling = travelling(&figure.bvh, &ranges);
+        let range = |joint: usize| all.iter().map(|ranges| ranges[joint]).fold(0.0, f64::max);
+        let ranges: Vec<f64> = (0..figure.bvh.joints().len()).map(range).collect();
+        figure.travelling = travelling_in_any(&figure.bvh, &all, &ranges);
         figure.carriers = carriers(&figure.bvh, figure.travelling);
         figure.scale = scale(first, figure.travelling)?;
+        let parent = figure.joints()[figure.travelling].parent;
+        figure.base = match (figure.carriers.is_empty(), parent) {
+            (true, None) => [0.0; 3],
+            (true, Some(parent)) => figure.bvh.world(0)[parent].position,
+            (false, _) => {
+                let offsets = figure
+                    .carriers
+                    .iter()
+                    .map(|&joint| figure.joints()[joint].offset);
+                offsets.fold([0.0; 3], |sum, offset| {
+                    [0, 1, 2].map(|i| sum[i] + offset[i])
+                })
+            }
+        };
+        for motion in motions() {
+            figure.must_have_the_bones(motion)?;
+            figure.must_be_written(motion)?;
+        }
+        if options.heading {
+            figure.must_travel_upright(motions(), "`--heading`")?;
+        }
         let shifts = |joint: &usize| ranges[*joint] * figure.scale > STILL;
         let carries =
             |joint: &usize| *joint == figure.travelling || figure.carriers.contains(joint);
         figure.shifting = (0..ranges.len())
             .filter(|joint| shifts(joint) && !carries(joint))
             .collect();
-        let pose = first.bvh.locals(0)[figure.travelling];
+        let pose = figure.locals(&first.bvh, 0)[figure.travelling];
         figure.start = pose.position;
         figure.heading = options.heading.then(|| figure.heading_of(pose.orientation));
         Ok(figure)
-    }
-
-    /// Rejects a motion of another skeleton or frame rate.
-    ///
-    /// # Errors
-    /// Names the first joint that differs.
-    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
-        let (own, other) = (self.bvh.joints(), example.bvh.joints());
-        let hint = "motions of one skeleton can be matched: the same joints in the same order";
-        for (index, joint) in other.iter().enumerate() {
-            let same = own
-                .get(index)
-                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
-            if !same {
-                let expected = match own.get(index) {
-                    Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
-                    None => "no more joints".to_string(),
-                };
-                let place = below(&example.bvh, joint.parent);
-                let problem = format!(
-                    "joint {} is `{}`{place}, in {} {expected}",
-                    index + 1,
-                    joint.name,
-                    self.file
-                );
-                return Err(Error::file(&example.file, problem, hint));
-            }
-        }
-        if let Some(missing) = own.get(other.len()) {
-            let problem = format!("has no joint `{}`, which {} has", missing.name, self.file);
-            return Err(Error::file(&example.file, problem, hint));
-        }
-        let (_, frame_time) = thinning(&example.bvh);
-        if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
-            let problem = format!(
-                "{:.4} frames a second, in {} {:.4}",
-                1.0 / frame_time,
-                self.file,
-                1.0 / self.frame_time
-            );
-            let hint = "examples have one frame rate, 30 or the same: resample the file";
-            return Err(Error::file(&example.file, problem, hint));
-        }
-        Ok(())
     }
 
     /// The joints, as in the file.
@@ -228,21 +223,27 @@ impl Figure {
     /// along.
     fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
         let mut poses = bvh.locals(t);
-        let Some(parent) = self.carriers.first() else {
+        if self.carriers.is_empty() {
             return poses;
-        };
-        let (still, base) = (self.bvh.locals(0), self.bvh.world(0)[*parent]);
+        }
         for &joint in &self.carriers {
-            poses[joint] = still[joint];
+            poses[joint] = self.upright(joint);
         }
         let world = bvh.world(t)[self.travelling];
-        let back = base.orientation.conjugate();
-        let apart = [0, 1, 2].map(|axis| world.position[axis] - base.position[axis]);
         poses[self.travelling] = RootPose {
-            position: back.rotate(apart),
-            orientation: back * world.orientation,
+            position: [0, 1, 2].map(|axis| world.position[axis] - self.base[axis]),
+            orientation: world.orientation,
         };
         poses
+    }
+
+    /// How a joint above the one that travels stands in new motions: the way and the heading are then
+    /// those over the ground.
+    fn upright(&self, joint: usize) -> RootPose {
+        RootPose {
+            position: self.joints()[joint].offset,
+            orientation: Quaternion::IDENTITY,
+        }
     }
 
     /// The motion of an example, `[frames, channels]`, after thinning.
@@ -310,7 +311,10 @@ impl Figure {
     pub fn bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();
-        let still = self.bvh.locals(0);
+        let mut still = self.bvh.locals(0);
+        for &joint in &self.carriers {
+            still[joint] = self.upright(joint);
+        }
         let way = self.way_of(frames);
         let mut locals = Vec::with_capacity(frames.frames() * joints);
         for (t, (place, heading)) in way.into_iter().enumerate() {
@@ -355,12 +359,8 @@ impl Figure {
     }
 }
 
-/// ` below `PARENT``, for messages.
-fn below(bvh: &Bvh, parent: Option<usize>) -> String {
-    parent.map_or(String::new(), |parent| {
-        format!(" below `{}`", bvh.joints()[parent].name)
-    })
-}
-
 #[cfg(test)]
 pub(crate) mod tests;
+
+#[cfg(test)]
+mod fit_tests;

@@ -2,9 +2,7 @@
 
 use crate::Frames;
 
-/// Frames of a level that bend towards a key frame at least: about half a patch, so that patches of
-/// its source match there from the coarsest level on.
-const LEAST_REACH: usize = 6;
+mod keys;
 
 /// What a synthesis must keep to.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,17 +39,21 @@ impl Held {
         t.min(frames - 1)
     }
 
-    /// Makes the motion of a level, `[frames, channels]`, keep to it.
+    /// Makes the motion of a level, `[frames, channels]`, keep to all of `held`.
     ///
-    /// Channels are set. A key frame is met exactly, and its neighbours go over to those that it has
-    /// in its source, with a weight that falls off to 0 with no corner within its reach: so it is
-    /// passed as the source passes it, and patches of the source match it at every level.
+    /// Every key frame is met exactly, and its neighbours go over to those that it has in its source,
+    /// with a weight that falls off to 0 with no corner within its reach, or sooner where another key
+    /// frame of the same channel is nearer: so it is passed as the source passes it, and patches of the
+    /// source match it at every level. Key frames that a coarse level has in one frame are averaged
+    /// there. `around`: whether the last frame is followed by the first. Channels that follow a motion
+    /// are set after that.
     ///
     /// # Panics
     /// Panics if the channels are not there.
-    pub fn hold(&self, frames: &mut Frames) {
-        match self {
-            Self::Channels { channels, motion } => {
+    pub fn hold(held: &[Self], frames: &mut Frames, around: bool) {
+        keys::hold(held, frames, around);
+        for held in held {
+            if let Self::Channels { channels, motion } = held {
                 let motion = motion.columns(channels).resampled(frames.frames());
                 for t in 0..frames.frames() {
                     let row = frames.frame_mut(t);
@@ -60,41 +62,13 @@ impl Held {
                     }
                 }
             }
-            Self::Keyframe {
-                at,
-                channels,
-                source,
-                from,
-                frames: finest,
-                reach,
-            } => {
-                let level = frames.frames();
-                let t = Self::frame(*at, level);
-                // Frames of the source between two of this level.
-                let pace = (*finest as f64 / level as f64).max(1.0);
-                let reach = ((*reach as f64 / pace).ceil() as usize).max(LEAST_REACH);
-                for near in t.saturating_sub(reach)..=(t + reach).min(level - 1) {
-                    let away = pace * (near as f64 - t as f64);
-                    let pose = source.read(*from as f64 + away);
-                    let weight = falloff(near.abs_diff(t), reach);
-                    let row = frames.frame_mut(near);
-                    for (&channel, value) in channels.iter().zip(pose) {
-                        row[channel] = (1.0 - weight) * row[channel] + weight * value;
-                    }
-                }
-            }
         }
     }
 }
 
-/// 1 at a key frame and 0 beyond its reach, flat at both.
-fn falloff(distance: usize, reach: usize) -> f32 {
-    let part = distance as f32 / (reach + 1) as f32;
-    1.0 - part * part * part * (10.0 - part * (15.0 - 6.0 * part))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::keys::falloff;
     use super::*;
 
     #[test]
@@ -108,7 +82,7 @@ mod tests {
             frames: 21,
             reach: 4,
         };
-        key.hold(&mut frames);
+        Held::hold(std::slice::from_ref(&key), &mut frames, false);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
         // The neighbours are those of the source, weighted, and held at its ends.
@@ -119,7 +93,7 @@ mod tests {
         assert!((0..21).all(|t| frames.frame(t)[0] == 0.0));
         // At a level of a third of the frames the source goes three times as fast.
         let mut coarse = Frames::zeros(7, 2);
-        key.hold(&mut coarse);
+        Held::hold(&[key], &mut coarse, false);
         let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
         assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 6)));
     }
@@ -132,12 +106,65 @@ mod tests {
             channels: vec![0],
             motion: motion.clone(),
         };
-        held.hold(&mut frames);
+        Held::hold(std::slice::from_ref(&held), &mut frames, false);
         for t in 0..10 {
             assert_eq!(frames.frame(t), [motion.frame(t)[0], 0.0]);
         }
         let mut coarse = Frames::zeros(5, 2);
-        held.hold(&mut coarse);
+        Held::hold(&[held], &mut coarse, false);
         assert_eq!(coarse.frame(1)[0], 5.0);
+    }
+
+    /// A key of channel 0 (and 1, if `both`) with a value that stays.
+    fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Held {
+        let channels = if both { vec![0, 1] } else { vec![0] };
+        Held::Keyframe {
+            at: (frame as f64 + 0.5) / of as f64,
+            source: Frames::new(channels.len(), vec![value; channels.len()]),
+            channels,
+            from: 0,
+            frames: of,
+            reach,
+        }
+    }
+
+    #[test]
+    fn close_key_frames_are_all_met() {
+        for reach in [0, 3, 12, 60] {
+            let keys = [
+                still(20, 60, false, 1.0, reach),
+                still(26, 60, true, 5.0, reach),
+                still(21, 60, false, -2.0, reach),
+                still(40, 60, true, 3.0, reach),
+            ];
+            let mut frames = Frames::zeros(60, 2);
+            Held::hold(&keys, &mut frames, false);
+            let met = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
+            assert_eq!(met, [1.0, -2.0, 5.0, 3.0], "{reach}");
+            assert_eq!([26, 40].map(|t| frames.frame(t)[1]), [5.0, 3.0]);
+            // Between two that reach each other the frames are of both alone.
+            if reach > 20 {
+                assert!((30..36).all(|t| (3.0..=5.0).contains(&frames.frame(t)[1])));
+            }
+        }
+        // One frame of a coarse level holds the mean of two.
+        let keys = [still(20, 60, false, 1.0, 5), still(21, 60, false, 3.0, 5)];
+        let mut coarse = Frames::zeros(6, 2);
+        Held::hold(&keys, &mut coarse, false);
+        assert_eq!(coarse.frame(2)[0], 2.0);
+    }
+
+    #[test]
+    fn a_key_frame_of_a_loop_bends_frames_on_both_sides_of_the_seam() {
+        let mut frames = Frames::zeros(40, 2);
+        let key = still(1, 40, false, 2.0, 6);
+        Held::hold(std::slice::from_ref(&key), &mut frames, true);
+        for away in 1..6 {
+            let [behind, before] = [1 + away, (41 - away) % 40].map(|t| frames.frame(t)[0]);
+            assert!(behind > 0.0 && behind == before, "{away}");
+        }
+        let mut open = Frames::zeros(40, 2);
+        Held::hold(&[key], &mut open, false);
+        assert_eq!(open.frame(39)[0], 0.0);
     }
 }

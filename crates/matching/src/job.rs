@@ -11,6 +11,8 @@ use crate::{
     Request, Settings, Sliding, Synthesis, feet,
 };
 
+mod conflicts;
+
 /// How the body is divided.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum PartChoice {
@@ -101,7 +103,21 @@ impl Job {
             contacts,
             heading: self.heading,
         };
-        let figure = Figure::new(examples, options)?;
+        let fixed = self.fixed.iter().map(|fixed| &fixed.motion);
+        let sources = self
+            .keyframes
+            .iter()
+            .filter_map(|(_, source)| source.as_ref());
+        let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
+        let mut figure = Figure::with(examples, &others, options)?;
+        if self
+            .keyframes
+            .iter()
+            .any(|(keyframe, _)| keyframe.place.is_some())
+        {
+            let motions = examples.iter().chain(others);
+            figure.must_travel_upright(motions, "`place` of a key frame")?;
+        }
         let matrices = examples.iter().map(|example| figure.frames(example));
         let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
         for (example, frames) in examples.iter().zip(&matrices) {
@@ -149,6 +165,7 @@ impl Job {
                 motion: motion.clone(),
             });
         }
+        self.must_agree(&figure, &held, frames)?;
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&figure)).collect();
         let request = Request {
             examples: &matrices,
@@ -161,10 +178,14 @@ impl Job {
             Some(content) => synthesize_like(&request, content)?,
             None => synthesize(&request, self.seed)?,
         };
-        if self.settings.looping != Looping::Off && held.is_empty() {
+        let around = self.settings.looping != Looping::Off;
+        if around && held.is_empty() {
             synthesis.begin_where_calm();
         }
-        calm::around_keyframes(&figure, &mut synthesis.frames, &held)?;
+        if around {
+            figure.close(&mut synthesis.frames);
+        }
+        calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;
         if !self.fixed.is_empty() {
             let usual = matrices.iter().chain(&fixed).map(|motion| {
                 let jerks = jerks(&figure.bvh(motion)?);
@@ -178,7 +199,11 @@ impl Job {
             let frame = (keyframe.time / figure.frame_time()).round() as usize;
             Some((frame, keyframe.place?))
         });
-        figure.lead(&mut synthesis.frames, &points.collect::<Vec<_>>());
+        let points: Vec<(usize, [f64; 2])> = points.collect();
+        if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
+            figure.start_at(*place);
+        }
+        figure.lead(&mut synthesis.frames, &points);
         let mut bvh = figure.bvh(&synthesis.frames)?;
         let mut sliding = None;
         if self.feet {
@@ -245,3 +270,6 @@ impl Job {
 
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod keyframe_tests;

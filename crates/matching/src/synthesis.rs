@@ -248,7 +248,7 @@ fn refined(
             Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
             Some(coarser) => coarser.resampled(length),
         };
-        request.held.iter().for_each(|held| held.hold(&mut frames));
+        Held::hold(request.held, &mut frames, looping != Looping::Off);
         let pools: Vec<Pool> = groups
             .iter()
             .map(|group| {
@@ -276,7 +276,7 @@ fn refined(
                 })
                 .collect();
             frames = together(groups, &voted, channels);
-            request.held.iter().for_each(|held| held.hold(&mut frames));
+            Held::hold(request.held, &mut frames, looping != Looping::Off);
             origins = voted
                 .iter()
                 .zip(&pools)

@@ -102,18 +102,13 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
     if let Some(svg) = &arguments.svg {
         check_ending(svg).map_err(unusable)?;
     }
-    let fixed = arguments.fix.iter().map(|(_, path)| path);
-    if arguments
-        .examples
-        .iter()
-        .chain(fixed)
-        .chain(&arguments.content)
-        .any(|path| path == out)
-    {
-        let message = format!("{} is an example itself", out.display());
-        return Err(Error::usage(message, "name another file with `--out`"));
-    }
     let outputs = [Some(out.as_path()), Some(record), arguments.svg.as_deref()];
+    for path in outputs.into_iter().flatten() {
+        if let Some(problem) = read_too(arguments, path) {
+            let message = format!("{} {problem}", path.display());
+            return Err(Error::usage(message, "name another file with `--out`"));
+        }
+    }
     for path in outputs.into_iter().flatten() {
         if path.exists() && !arguments.overwrite {
             let message = format!("{} exists already", path.display());
@@ -122,6 +117,33 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
         }
     }
     Ok(())
+}
+
+/// Why a file must not be written over: what is read of it. Files are compared, not names.
+fn read_too(arguments: &MatchArguments, written: &Path) -> Option<&'static str> {
+    let written = written.canonicalize().ok()?;
+    let is_it = |path: &Path| path.canonicalize().is_ok_and(|path| path == written);
+    let fixed = arguments.fix.iter().map(|(_, path)| path);
+    let mut motions = arguments.examples.iter().chain(fixed);
+    if motions.any(|path| is_it(path)) || arguments.content.as_deref().is_some_and(is_it) {
+        return Some("is an example itself");
+    }
+    if [&arguments.parts, &arguments.keyframes]
+        .into_iter()
+        .any(|path| path.as_deref().is_some_and(is_it))
+    {
+        return Some("is read itself");
+    }
+    // What cannot be read is said when it is needed.
+    let path = arguments.keyframes.as_ref()?;
+    let text = std::fs::read_to_string(path).ok()?;
+    let keyframes = Keyframe::read(&text, &path.display().to_string()).ok()?;
+    let mut sources = keyframes
+        .iter()
+        .filter_map(|keyframe| keyframe.file.as_ref());
+    sources
+        .any(|file| is_it(&path.with_file_name(file)))
+        .then_some("has a pose of the key frames")
 }
 
 /// Reads a motion that the new one takes something of; clips have the skeleton of the first example.

@@ -63,6 +63,19 @@ pub(super) fn travelling(bvh: &Bvh, ranges: &[f64]) -> usize {
     joint
 }
 
+/// [`travelling`] of several motions, whose joints travel by `all`, `[motions][joints]`, and at most by
+/// `ranges`. Where one travels in a joint below that of the others, by which those carry it, it is that
+/// one: its place in the world says all of the way.
+pub(super) fn travelling_in_any(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
+    let own = all.iter().map(|ranges| travelling(bvh, ranges));
+    own.fold(travelling(bvh, ranges), |joint, own| {
+        match carriers(bvh, own).contains(&joint) {
+            true => own,
+            false => joint,
+        }
+    })
+}
+
 /// The joints above one, its parent first; none if something else hangs on them.
 pub(super) fn carriers(bvh: &Bvh, joint: usize) -> Vec<usize> {
     let joints = bvh.joints();

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use kinegrad_motion::Quaternion;
 
+use super::survey::travelling;
 use super::*;
 
 /// A figure of hips and two legs below a root that stays, `frames` of it.

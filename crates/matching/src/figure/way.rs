@@ -19,7 +19,8 @@ impl Figure {
 
     /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
     /// point up, in the file's units, for each of `points`. Each bends what is behind the one before
-    /// it, most in the middle and not at its ends. The first frame is where it starts and stays there.
+    /// it, most in the middle and not at its ends. The first frame stays where it is
+    /// ([`start_at`](Self::start_at) says otherwise).
     pub fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])]) {
         let mut points = points.to_vec();
         points.sort_by_key(|(t, _)| *t);
@@ -36,7 +37,7 @@ impl Figure {
             let way = self.way_of(frames);
             let mut missed = [0.0; 3];
             for (&axis, place) in level.iter().zip(place) {
-                missed[axis] = (place - way[t].0[axis]) * self.scale;
+                missed[axis] = (place - self.base[axis] - way[t].0[axis]) * self.scale;
             }
             // The speed of the least jerk from rest to rest, so that no corner is left.
             let speed = |frame: usize| {
@@ -53,6 +54,26 @@ impl Figure {
             }
             before = t;
         }
+    }
+
+    /// Has motions start at `place`, on the two axes that do not point up, in the file's units.
+    pub(crate) fn start_at(&mut self, place: [f64; 2]) {
+        let level = (0..3).filter(|&axis| axis != self.up as usize);
+        for (axis, place) in level.zip(place) {
+            self.start[axis] = place - self.base[axis];
+        }
+    }
+
+    /// Closes the heading of a loop: what is missing to whole turns from its first frame around to it
+    /// is shared out evenly, so that the body goes on as it began. Without a heading nothing changes.
+    pub(crate) fn close(&self, frames: &mut Frames) {
+        if self.heading.is_none() {
+            return;
+        }
+        let (turn, n) = (self.way().start, frames.frames());
+        let all: f64 = (0..n).map(|t| f64::from(frames.frame(t)[turn])).sum();
+        let share = (all - TAU * (all / TAU).round()) / n as f64;
+        (0..n).for_each(|t| frames.frame_mut(t)[turn] -= share as f32);
     }
 
     /// Place of the joint that travels, in the file's units, and the heading that its rotation is

@@ -38,8 +38,9 @@ pub struct Measures {
     /// The largest of those distances.
     pub furthest_window: f64,
     /// Mean distance of the motion's frames to the examples', where the motion is cut into segments
-    /// of at least 30 frames that each follow one stretch of an example, so that it is least.
-    pub global_diversity: f64,
+    /// of at least 30 frames that each follow one stretch of an example, so that it is least. None where
+    /// the motion cannot be cut so, as no example is long enough.
+    pub global_diversity: Option<f64>,
 }
 
 impl Measures {
@@ -72,7 +73,7 @@ impl Measures {
             window_cost: mean(&covered),
             local_diversity: mean(&local),
             furthest_window: local.iter().copied().fold(0.0, f64::max),
-            global_diversity: segmented(motion, examples, COVERED),
+            global_diversity: Some(segmented(motion, examples, COVERED)).filter(|d| d.is_finite()),
         })
     }
 }
@@ -130,7 +131,10 @@ mod tests {
         let example = line(0..100);
         let copy = Measures::of(&example, std::slice::from_ref(&example)).unwrap();
         assert_eq!((copy.coverage, copy.window_cost), (1.0, 0.0));
-        assert_eq!((copy.local_diversity, copy.global_diversity), (0.0, 0.0));
+        assert_eq!(
+            (copy.local_diversity, copy.global_diversity),
+            (0.0, Some(0.0))
+        );
         // The first half covers its own windows, and those that are less than 2 frames away: 22 of
         // the 70 that start before frame 70.
         let half = Measures::of(&line(0..50), &[example]).unwrap();
@@ -147,5 +151,8 @@ mod tests {
         assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
         assert!(Measures::of(&line(0..100), &[]).is_none());
         assert!(Measures::of(&line(0..5000), &[line(0..5000)]).is_none());
+        // 40 frames are no two segments of 30, and no one of an example of 31.
+        let uncut = Measures::of(&line(0..40), &[line(0..31)]).unwrap();
+        assert!(uncut.global_diversity.is_none() && uncut.local_diversity.is_finite());
     }
 }

@@ -180,7 +180,9 @@ mod tests {
                 }
             }
             let found = segmented(&motion_frames, &targets, window);
-            prop_assert!((found - total[frames] / frames as f64).abs() < 1e-4);
+            // No segments fit where every target is too short for one of all frames that cannot be cut.
+            let exact = total[frames] / frames as f64;
+            prop_assert!(found == exact || (found - exact).abs() < 1e-4);
         }
     }
 

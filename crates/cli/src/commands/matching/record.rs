@@ -98,12 +98,15 @@ impl Record {
     pub fn summarize(&self) {
         tell!("{} frames at {:.2} a second", self.frames, self.fps);
         if let Some(measures) = &self.measures {
+            let global = match measures.global_diversity {
+                Some(global) => format!(", {global:.3} global"),
+                None => String::new(),
+            };
             tell!(
-                "coverage {:.3} (window cost {:.3}), diversity {:.3} local, {:.3} global",
+                "coverage {:.3} (window cost {:.3}), diversity {:.3} local{global}",
                 measures.coverage,
                 measures.window_cost,
-                measures.local_diversity,
-                measures.global_diversity
+                measures.local_diversity
             );
         }
         if let Some(sliding) = &self.sliding {

@@ -1,0 +1,179 @@
+//! Whether motions are of one skeleton, and can be written with the channels of the first.
+
+use kinegrad_capture::{Bvh, Channel};
+use kinegrad_motion::rotation::length;
+
+use super::survey::{carriers, thinning, travel};
+use super::{Example, Figure};
+use crate::Error;
+
+/// Largest part by which the frame rates of examples may differ.
+const SAME_RATE: f64 = 0.01;
+/// Largest difference of a joint's place within its parent, as a part of the longest bone. Bodies of
+/// two people differ less, by a sixth in captures that are called by the same names; centimetres and
+/// metres differ more, and so do rest poses whose rotations mean something else.
+const SAME_BONES: f64 = 0.25;
+/// Turn, in the vector part of a quaternion, and distance, in scaled units, that cannot be seen.
+const UNSEEN: f64 = 1e-3;
+
+impl Figure {
+    /// Rejects a motion of another skeleton or frame rate.
+    ///
+    /// # Errors
+    /// Names the first joint that differs.
+    pub fn must_fit(&self, example: &Example) -> Result<(), Error> {
+        let (own, other) = (self.bvh.joints(), example.bvh.joints());
+        let hint = "motions of one skeleton can be matched: the same joints in the same order";
+        for (index, joint) in other.iter().enumerate() {
+            let same = own
+                .get(index)
+                .is_some_and(|own| own.name == joint.name && own.parent == joint.parent);
+            if !same {
+                let expected = match own.get(index) {
+                    Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),
+                    None => "no more joints".to_string(),
+                };
+                let place = below(&example.bvh, joint.parent);
+                let problem = format!(
+                    "joint {} is `{}`{place}, in {} {expected}",
+                    index + 1,
+                    joint.name,
+                    self.file
+                );
+                return Err(Error::file(&example.file, problem, hint));
+            }
+        }
+        if let Some(missing) = own.get(other.len()) {
+            let problem = format!("has no joint `{}`, which {} has", missing.name, self.file);
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        let (_, frame_time) = thinning(&example.bvh);
+        if (frame_time / self.frame_time - 1.0).abs() > SAME_RATE {
+            let problem = format!(
+                "{:.4} frames a second, in {} {:.4}",
+                1.0 / frame_time,
+                self.file,
+                1.0 / self.frame_time
+            );
+            let hint = "examples have one frame rate, 30 or the same: resample the file";
+            return Err(Error::file(&example.file, problem, hint));
+        }
+        Ok(())
+    }
+
+    /// Rejects a motion whose bones are of another size or point elsewhere. Joints that travel, and
+    /// those that carry them, have no bone.
+    pub(super) fn must_have_the_bones(&self, example: &Example) -> Result<(), Error> {
+        let (own, other) = (bones(&self.bvh), bones(&example.bvh));
+        let has_bone = |joint: &usize| {
+            *joint > 0 && *joint != self.travelling && !self.carriers.contains(joint)
+        };
+        let joints: Vec<usize> = (0..own.len()).filter(has_bone).collect();
+        let both = joints.iter().flat_map(|&joint| [own[joint], other[joint]]);
+        let longest = both.flatten().map(length).fold(0.0, f64::max);
+        for joint in joints {
+            let (Some(own), Some(other)) = (own[joint], other[joint]) else {
+                continue;
+            };
+            let apart = length([0, 1, 2].map(|axis| own[axis] - other[axis]));
+            if apart > SAME_BONES * longest {
+                let name = &self.joints()[joint].name;
+                let [found, expected] = [other, own].map(length);
+                let elsewhere = (found - expected).abs() < 0.5 * apart;
+                let points = if elsewhere {
+                    " and points elsewhere"
+                } else {
+                    ""
+                };
+                let problem = format!(
+                    "the bone to `{name}` is {found:.4} long{points}, in {} {expected:.4}",
+                    self.file
+                );
+                let hint = "motions of one body can be matched, in one unit and with one rest pose: \
+                            scale or retarget the file";
+                return Err(Error::file(&example.file, problem, hint));
+            }
+        }
+        Ok(())
+    }
+
+    /// Rejects a motion that moves a joint for which the first example has no channels to write it.
+    pub(super) fn must_be_written(&self, example: &Example) -> Result<(), Error> {
+        let ranges = travel(&example.bvh);
+        for (joint, moving) in example.bvh.joints().iter().enumerate() {
+            if ranges[joint] * self.scale < UNSEEN {
+                continue;
+            }
+            let writer = match self.carriers.contains(&joint) {
+                true => self.travelling,
+                false => joint,
+            };
+            let writer = &self.joints()[writer];
+            let places = moving
+                .channels
+                .iter()
+                .filter(|channel| matches!(channel, Channel::Position(_)));
+            let mut missing = places.filter(|place| !writer.channels.contains(place));
+            if missing.next().is_some() {
+                let problem = format!(
+                    "has no position channels for `{}`, and {} moves `{}`",
+                    writer.name, example.file, moving.name
+                );
+                let hint = "the new motion has the channels of the first example: name a file first \
+                            that has them";
+                return Err(Error::file(&self.file, problem, hint));
+            }
+        }
+        Ok(())
+    }
+
+    /// Rejects motions whose travelling joint is within one that turns or moves: its way is then not
+    /// one over the ground. `asked`: what needs that.
+    pub(crate) fn must_travel_upright<'a>(
+        &self,
+        motions: impl IntoIterator<Item = &'a Example>,
+        asked: &str,
+    ) -> Result<(), Error> {
+        let parent = self.joints()[self.travelling].parent;
+        let Some(parent) = parent.filter(|_| self.carriers.is_empty()) else {
+            return Ok(());
+        };
+        for motion in motions {
+            let stands = |t: usize| {
+                let pose = motion.bvh.world(t)[parent];
+                let turn = pose.orientation;
+                let moved = [0, 1, 2].map(|axis| pose.position[axis] - self.base[axis]);
+                length([turn.x, turn.y, turn.z]) < UNSEEN && length(moved) * self.scale < UNSEEN
+            };
+            if !(0..motion.bvh.frames()).all(stands) {
+                let [own, above] =
+                    [self.travelling, parent].map(|joint| &self.joints()[joint].name);
+                let problem = format!("`{own}` travels within `{above}`, which turns or moves");
+                let hint =
+                    format!("{asked} needs a joint that travels over the ground: leave it out");
+                return Err(Error::file(&motion.file, problem, hint));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The place of each joint within its parent. None where it changes and no offset says what the bone is,
+/// or nothing else hangs on what is above it: hips that sway below a root are where the file began.
+fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
+    let (still, ranges) = (bvh.locals(0), travel(bvh));
+    let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();
+    let bone = joints.map(|(index, ((joint, pose), range))| match range > 0.0 {
+        false => Some(pose.position),
+        true => Some(joint.offset)
+            .filter(|&offset| length(offset) > 0.0 && carriers(bvh, index).is_empty()),
+    });
+    bone.collect()
+}
+
+/// ` below `PARENT``, for messages.
+fn below(bvh: &Bvh, parent: Option<usize>) -> String {
+    parent.map_or(String::new(), |parent| {
+        format!(" below `{}`", bvh.joints()[parent].name)
+    })
+}

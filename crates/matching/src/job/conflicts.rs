@@ -1,0 +1,215 @@
+//! What cannot be asked for together.
+
+use super::Job;
+use crate::{Error, Figure, Held, Looping};
+
+impl Job {
+    /// Refuses what would be met in part and passed over without a word. `held`: what the motion of
+    /// `frames` frames must keep to, key frames first, in the order of the job.
+    pub(super) fn must_agree(
+        &self,
+        figure: &Figure,
+        held: &[Held],
+        frames: usize,
+    ) -> Result<(), Error> {
+        if let (Looping::Even | Looping::Halves, Some(fixed)) =
+            (self.settings.looping, self.fixed.first())
+        {
+            let problem = format!(
+                "`{}` follows it, whose end need not lead into its beginning",
+                fixed.part
+            );
+            let hint = "leave `--loop` or `--fix` out";
+            return Err(Error::file(&fixed.motion.file, problem, hint));
+        }
+        let (keys, fixed) = held.split_at(self.keyframes.len());
+        for (index, one) in fixed.iter().enumerate() {
+            for (place, other) in fixed[..index].iter().enumerate() {
+                let (Held::Channels { motion, .. }, Held::Channels { motion: others, .. }) =
+                    (one, other)
+                else {
+                    continue;
+                };
+                let shared = shared(one, other);
+                let differs =
+                    |channel: &&usize| motion.columns(&[**channel]) != others.columns(&[**channel]);
+                if let Some(&channel) = shared.iter().find(differs) {
+                    let (part, before) = (&self.fixed[index].part, &self.fixed[place].part);
+                    let problem = format!(
+                        "`{part}` follows it, and {}, which is of `{before}` too, follows {}",
+                        named(figure, channel),
+                        self.fixed[place].motion.file
+                    );
+                    let hint =
+                        "give parts that share no joint; `--parts` divides the body otherwise";
+                    return Err(Error::file(&self.fixed[index].motion.file, problem, hint));
+                }
+            }
+        }
+        let moment = |held: &Held| match held {
+            Held::Keyframe { at, .. } => Held::frame(*at, frames),
+            Held::Channels { .. } => 0,
+        };
+        for (index, key) in keys.iter().enumerate() {
+            let time = self.keyframes[index].0.time;
+            for (fixed, own) in fixed.iter().zip(&self.fixed) {
+                if let Some(&channel) = shared(key, fixed).first() {
+                    let problem = format!(
+                        "at {time} s {} has a pose, and follows {} as part of `{}`",
+                        named(figure, channel),
+                        own.motion.file,
+                        own.part
+                    );
+                    let hint = "give the key frame a `part` that nothing fixes";
+                    return Err(Error::file("key frame", problem, hint));
+                }
+            }
+            for (place, before) in keys[..index].iter().enumerate() {
+                if moment(before) != moment(key) {
+                    continue;
+                }
+                let hint = "key frames of one moment have different parts, or lie a frame apart";
+                let [own, other] = [index, place].map(|index| &self.keyframes[index].0);
+                if let Some(channel) = contradiction(key, before) {
+                    let problem = format!("at {time} s {} has two poses", named(figure, channel));
+                    return Err(Error::file("key frame", problem, hint));
+                }
+                if own.place.is_some() && other.place.is_some() && own.place != other.place {
+                    let problem = format!("at {time} s the body has two places");
+                    return Err(Error::file("key frame", problem, hint));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Channels that both hold.
+fn shared(one: &Held, other: &Held) -> Vec<usize> {
+    let of = |held: &Held| match held {
+        Held::Channels { channels, .. } | Held::Keyframe { channels, .. } => channels.clone(),
+    };
+    let others = of(other);
+    let own = of(one).into_iter();
+    own.filter(|channel| others.contains(channel)).collect()
+}
+
+/// A channel to which two key frames give different values.
+fn contradiction(one: &Held, other: &Held) -> Option<usize> {
+    let value = |held: &Held, wanted: usize| match held {
+        Held::Keyframe {
+            channels,
+            source,
+            from,
+            ..
+        } => {
+            let place = channels.iter().position(|&channel| channel == wanted)?;
+            Some(source.frame(*from)[place])
+        }
+        Held::Channels { .. } => None,
+    };
+    let mut shared = shared(one, other).into_iter();
+    shared.find(|&channel| value(one, channel) != value(other, channel))
+}
+
+/// What a channel is of, for messages.
+fn named(figure: &Figure, channel: usize) -> String {
+    let joints = 0..figure.joints().len();
+    let mut of = joints.filter(|&joint| figure.channels_of(joint).contains(&channel));
+    match of.next() {
+        Some(joint) => format!("`{}`", figure.joints()[joint].name),
+        None => "the way over the ground".to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::figure::tests::example;
+    use crate::{Example, Fixed, Keyframe};
+
+    fn walk(file: &str, frames: usize) -> Example {
+        example(file, frames, 1.0 / 30.0)
+    }
+
+    fn said(job: &Job) -> String {
+        job.make(&[walk("walk.bvh", 70)]).unwrap_err().to_string()
+    }
+
+    fn key(source_time: f64, part: Option<&str>, place: Option<[f64; 2]>) -> Keyframe {
+        Keyframe {
+            time: 1.0,
+            source_time,
+            file: None,
+            part: part.map(str::to_string),
+            place,
+            reach: None,
+        }
+    }
+
+    #[test]
+    fn what_contradicts_itself_is_refused() {
+        let fixed = |part: &str, motion: Example| Fixed {
+            part: part.to_string(),
+            motion,
+        };
+        let legs = walk("legs.bvh", 64);
+        let mut job = Job {
+            fixed: vec![fixed("LeftLeg", legs.clone())],
+            keyframes: vec![(key(0.5, None, None), None)],
+            ..Job::default()
+        };
+        let missed = said(&job);
+        assert!(
+            missed.contains("key frame: at 1 s `Hips` has a pose, and follows legs.bvh"),
+            "{missed}"
+        );
+        job.keyframes[0].0.part = Some("RightFoot".to_string());
+        job.make(&[walk("walk.bvh", 70)]).unwrap();
+        // Parts that share the hips of one motion agree, of two they do not.
+        job.fixed.push(fixed("RightLeg", legs.clone()));
+        job.keyframes.clear();
+        job.make(&[walk("walk.bvh", 70)]).unwrap();
+        let mut other = walk("other.bvh", 128);
+        other.bvh = other
+            .bvh
+            .reposed(
+                1.0 / 30.0,
+                &(64..128)
+                    .flat_map(|t| other.bvh.locals(t))
+                    .collect::<Vec<_>>(),
+            )
+            .unwrap();
+        job.fixed[1].motion = other;
+        let two = said(&job);
+        assert!(
+            two.starts_with("other.bvh: `RightLeg` follows it, and `Hips`"),
+            "{two}"
+        );
+        job.fixed.truncate(1);
+        job.settings.looping = Looping::Even;
+        let loops = said(&job);
+        assert!(
+            loops.contains("need not lead into its beginning"),
+            "{loops}"
+        );
+    }
+
+    #[test]
+    fn key_frames_of_one_moment_must_agree() {
+        let of = |one: Keyframe, two: Keyframe| Job {
+            keyframes: vec![(one, None), (two, None)],
+            ..Job::default()
+        };
+        let poses = said(&of(key(0.5, None, None), key(0.9, Some("LeftLeg"), None)));
+        assert!(poses.contains("has two poses"), "{poses}");
+        let places = [Some([1.0, 2.0]), Some([2.0, 2.0])];
+        let two = said(&of(key(0.5, None, places[0]), key(0.5, None, places[1])));
+        assert!(two.contains("at 1 s the body has two places"), "{two}");
+        let apart = of(
+            key(0.5, Some("LeftFoot"), None),
+            key(0.9, Some("RightFoot"), None),
+        );
+        apart.make(&[walk("walk.bvh", 70)]).unwrap();
+    }
+}
