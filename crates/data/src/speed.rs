@@ -106,10 +106,7 @@ mod tests {
 
     #[test]
     fn beats_are_those_of_the_faster_song() {
-        // Not one interval like the next.
-        let beats: Vec<f64> = (0..20)
-            .map(|beat| 0.13 + 0.5 * f64::from(beat) + 0.04 * f64::from(beat * 7 % 3))
-            .collect();
+        let beats: Vec<f64> = (0..20).map(|beat| 0.13 + 0.5 * f64::from(beat)).collect();
         for speed in [0.8, 1.0, 1.25] {
             let told = |speed: f64| {
                 let beats = beats.iter().map(|beat| beat / speed).collect();
@@ -124,6 +121,30 @@ mod tests {
                 for (t, (a, b)) in pairs[0].iter().zip(pairs[1]).enumerate() {
                     assert!((a - b).abs() < 1e-4, "{speed} {name} of {t}: {a} not {b}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn each_beat_is_marked_once_whatever_the_intervals() {
+        // Not one interval like the next.
+        let beats: Vec<f64> = (0..20)
+            .map(|beat| 0.13 + 0.5 * f64::from(beat) + 0.04 * f64::from(beat * 7 % 3))
+            .collect();
+        for speed in [0.5, 0.8, 1.25, 2.0] {
+            let told = |speed: f64| Pulse::new(beats.iter().map(|beat| beat / speed).collect());
+            let song = AudioFeatures::zeros(300).with_beats(told(1.0).as_ref());
+            let played = at_speed(&song, speed);
+            let expected = AudioFeatures::zeros(played.frames()).with_beats(told(speed).as_ref());
+            let [found, expected] = [played, expected].map(|features| {
+                let marks = features.channel(AUDIO_CHANNELS + MARK).to_vec();
+                (0..marks.len())
+                    .filter(|&t| marks[t] > 0.0)
+                    .collect::<Vec<_>>()
+            });
+            assert_eq!(found.len(), expected.len(), "{speed}");
+            for (a, b) in found.iter().zip(&expected) {
+                assert!(a.abs_diff(*b) <= 1, "{speed}: {found:?} {expected:?}");
             }
         }
     }
