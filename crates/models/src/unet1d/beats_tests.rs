@@ -55,7 +55,7 @@ fn it_hears_the_music_and_not_the_beats_that_it_is_told() {
         assert_eq!(largest(a.clone() - b), 0.0);
         assert!(largest(a.clone() - c) > 1e-3);
     }
-    // Music later by a frame is tracked later by a frame.
+    // When something sounds matters: music a frame later is tracked otherwise.
     let later = Tensor::cat(
         vec![
             music.clone().narrow(2, 0, 1),
