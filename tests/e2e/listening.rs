@@ -58,6 +58,33 @@ fn mean(estimate: &Value) -> f64 {
 }
 
 #[test]
+fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
+    let sandbox = sandbox();
+    train(&sandbox, "told", "");
+    train(
+        &sandbox,
+        "tracking",
+        "--set model.audio_conditioning=aligned --set model.beats=tracked \
+         --set data.audio_features=[\"document\",\"beats\"]",
+    );
+    let line = "eval runs/told runs/tracking --listening --steps 2 --out both";
+    let finished = sandbox.run(line).succeeded();
+    let title = "beat-phase error of the network's tracker, beats";
+    assert!(finished.stdout.contains(title), "{}", finished.stdout);
+    let found = evaluations(&read(&sandbox, "both/eval-listening.json"));
+    assert!(found[0]["tracked_beat_error"].is_null());
+    let error = mean(&found[1]["tracked_beat_error"]);
+    let measured = found[1]["measured"].as_array().expect("phrases");
+    let of_phrases = measured.iter().map(|phrase| {
+        let error = phrase["tracked_beat_error"].as_f64().expect("an error");
+        assert!((0.0..=0.5).contains(&error), "{error}");
+        error
+    });
+    let sum: f64 = of_phrases.sum();
+    assert!((error - sum / measured.len() as f64).abs() < 1e-9);
+}
+
+#[test]
 fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
     let sandbox = sandbox();
     train(&sandbox, "set", "");

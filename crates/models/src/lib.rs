@@ -47,5 +47,5 @@ pub use stages::Stages;
 pub use text_denoiser::{Backbone, TextDenoiser};
 pub use unet1d::{
     AudioCondition, AudioConditioning, BEAT_CHANNELS, Beats, STYLE_VALUES, StyleCondition,
-    StyleConditioning, UNet1d, UNet1dConfig,
+    StyleConditioning, UNet1d, UNet1dConfig, told_beats,
 };

@@ -29,7 +29,7 @@ use crate::{DropoutKey, Initializer, NamedSizes, NetworkConfig, Stages};
 pub use audio::{AudioCondition, AudioConditioning};
 use audio::{AudioEncoder, Heard, widths};
 use beats::BeatTracker;
-pub use beats::{BEAT_CHANNELS, Beats};
+pub use beats::{BEAT_CHANNELS, Beats, told_beats};
 use style::StyleEmbedding;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 

@@ -55,9 +55,8 @@ fn gradients(
     };
     let start = normal(0, [2, 25, 16]);
     let cond = AudioCondition {
-        features: normal(1, [2, 163, 16]),
         lengths: Some(Lengths::new([11, 16])),
-        style: None,
+        ..normal(1, [2, 163, 16]).into()
     };
     let timesteps = rollout_timesteps(&[999, 500], steps);
     let output = rollout

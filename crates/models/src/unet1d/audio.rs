@@ -2,6 +2,8 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
+use burn::tensor::module::avg_pool1d;
+use burn::tensor::ops::AvgPoolOptions;
 use kinegrad_kernels::{Activation, Convolution, Lengths};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,10 +13,18 @@ use crate::layers::{Conv1d, GROUPS, GroupNorm};
 use crate::lora::{Adapting, LoraTarget};
 
 use super::StyleCondition;
-use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED};
+use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, told_beats};
 
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
+
+/// Frames, about two seconds, over which an encoder that tracks the beats takes means of the other
+/// features. As they are they would say when something sounds a second time, in a way that is soon
+/// learned by heart of a few songs and is of no use for another one.
+const LEVELED: usize = 61;
+
+/// Norm of sine and cosine below which an angle is none.
+const SMALLEST_NORM: f64 = 1e-3;
 
 /// How the audio features are fed into the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -41,6 +51,10 @@ pub struct AudioCondition {
     /// The style of each sample; the null style where nothing is said. Networks without style do
     /// not look at it.
     pub style: Option<StyleCondition>,
+    /// Whether a network that tracks the beats hears those that it is told in their place, where it
+    /// is told some. So it is trained: of the songs that its tracker learns from it knows more than
+    /// of any other, or less, early on.
+    pub hears_told_beats: bool,
 }
 
 impl AudioCondition {
@@ -52,6 +66,7 @@ impl AudioCondition {
             features: self.features.zeros_like(),
             lengths: self.lengths.clone(),
             style: self.style.as_ref().map(StyleCondition::null),
+            hears_told_beats: self.hears_told_beats,
         }
     }
 
@@ -73,6 +88,7 @@ impl From<Tensor<3>> for AudioCondition {
             features,
             lengths: None,
             style: None,
+            hears_told_beats: false,
         }
     }
 }
@@ -114,6 +130,31 @@ impl Heard {
 fn untold(features: Tensor<3>) -> Tensor<3> {
     let channels = features.dims()[1];
     features.narrow(1, 0, channels - BEAT_CHANNELS)
+}
+
+/// The mean of each feature over the [`LEVELED`] frames around each frame that are not padding: what
+/// sounds, and not when.
+fn leveled(features: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
+    let [batch, _, time] = features.dims();
+    let device = features.device();
+    let mask = match lengths {
+        Some(lengths) => lengths.mask(time, &device),
+        None => Tensor::ones([batch, 1, time], &device),
+    };
+    let around = AvgPoolOptions::new([LEVELED])
+        .with_stride([1])
+        .with_padding([LEVELED / 2]);
+    let mean = |x| avg_pool1d(x, around.clone());
+    let share = mean(mask.clone()).clamp_min(1.0 / LEVELED as f64);
+    mean(features * mask) / share
+}
+
+/// Sine and cosine of the same angle with a norm of one. What a tracker says of songs that it was
+/// trained on is certain, with a norm near one, and what it says of others is less so: without this
+/// a network would hear in other songs what it never heard in training.
+fn direction(beats: Tensor<3>) -> Tensor<3> {
+    let norm = (beats.clone().square().sum_dim(1) + SMALLEST_NORM * SMALLEST_NORM).sqrt();
+    beats / norm
 }
 
 /// The audio encoder: features of the UNet's own lengths and of its levels' widths, at most
@@ -189,11 +230,20 @@ impl AudioEncoder {
             features,
             mut lengths,
             style: _,
+            hears_told_beats,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
         let features = match self.track(features.clone(), lengths.as_ref()) {
             // The tracker learns from the beats alone.
-            Some(beats) => Tensor::cat(vec![untold(features), beats.detach()], 1),
+            Some(beats) => {
+                let mut beats = direction(beats.detach());
+                if hears_told_beats {
+                    let (told, is_told) = told_beats(&features);
+                    beats = told * is_told.clone() + beats * (is_told.neg() + 1.0);
+                }
+                let sounds = leveled(untold(features), lengths.as_ref());
+                Tensor::cat(vec![sounds, beats], 1)
+            }
             None => features,
         };
         let mut h = stem.forward(features);
@@ -236,6 +286,49 @@ impl AudioEncoder {
                     }
                 })
                 .collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, TensorData};
+
+    use super::*;
+
+    fn values(x: Tensor<3>) -> Vec<f32> {
+        x.into_data().try_into_vec().expect("values")
+    }
+
+    /// A feature that is `level` in the first `heard` of 90 frames, with 1 added to one of them.
+    fn click(at: usize, level: f32, heard: usize, padding: f32) -> Vec<f32> {
+        let device = Device::flex();
+        let mut row = vec![level; 90];
+        row[heard..].fill(padding);
+        row[at] += 1.0;
+        let row = Tensor::from_data(TensorData::new(row, [1, 1, 90]), &device);
+        values(leveled(row, Some(&Lengths::new([heard]))))
+    }
+
+    #[test]
+    fn means_say_what_sounds_and_hardly_when() {
+        let (before, after) = (click(40, 0.5, 77, 0.0), click(41, 0.5, 77, 9.0));
+        for (t, (a, b)) in before.iter().zip(&after).take(77).enumerate() {
+            let frames = (t.min(LEVELED / 2) + 1 + (76 - t).min(LEVELED / 2)) as f32;
+            let hears = t.abs_diff(40) <= LEVELED / 2;
+            let expected = 0.5 + if hears { 1.0 / frames } else { 0.0 };
+            assert!((a - expected).abs() < 1e-5, "{t}: {a} {expected}");
+            assert!((a - b).abs() < 0.03, "{t}: {a} {b}");
+        }
+    }
+
+    #[test]
+    fn directions_have_a_norm_of_one_and_nothing_has_none() {
+        let pairs = [[0.3f32, -2e-2, 0.0], [0.4, 0.0, 0.0]].concat();
+        let pairs = Tensor::from_data(TensorData::new(pairs, [1, 2, 3]), &Device::flex());
+        let expected = [0.6, -1.0, 0.0, 0.8, 0.0, 0.0];
+        for (a, b) in values(direction(pairs)).iter().zip(expected) {
+            assert!((a - b).abs() < 2e-3, "{a} {b}");
         }
     }
 }

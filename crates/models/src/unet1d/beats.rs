@@ -18,7 +18,8 @@ pub enum Beats {
     #[default]
     Given,
     /// From the other features: a small network within the audio encoder is trained on the beats
-    /// that `data.audio_features` must list for it, and nothing else in the network hears those.
+    /// that `data.audio_features` must list for it. In training the rest of the network hears those,
+    /// and afterwards what is found.
     Tracked,
 }
 
@@ -113,6 +114,18 @@ impl BeatTracker {
         }
         self.head.forward(h)
     }
+}
+
+/// What features `[batch, channels, time]` tell of the place in the beat, sine and cosine, and where
+/// they do so, ones and zeros: `[batch, 2, time]` and `[batch, 1, time]`. Sine and cosine are of one
+/// angle unless either is masked, they are replaced by noise, or no beats are known.
+pub fn told_beats(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+    let first = features.dims()[1] - BEAT_CHANNELS;
+    let told = features.clone().narrow(1, first, TRACKED);
+    let norm = told.clone().square().sum_dim(1);
+    let both = told.clone().prod_dim(1).not_equal_elem(0.0).float();
+    let is_told = (norm - 1.0).abs().lower_elem(1e-3).float() * both;
+    (told, is_told)
 }
 
 /// The increase of the mean of each four adjacent features from frame to frame, then those left over.

@@ -67,6 +67,37 @@ fn it_hears_the_music_and_not_the_beats_that_it_is_told() {
 }
 
 #[test]
+fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
+    let (device, time) = (Device::flex(), 29);
+    let network = network(&device);
+    let x = normal(0, [2, 25, time], &device);
+    let music = normal(1, [2, 11, time], &device);
+    // The first sample is told a beat of ten frames, the second none.
+    let told = |start: f32| {
+        let mut rows = vec![0.0f32; 2 * BEAT_CHANNELS * time];
+        for t in 0..time {
+            let angle = std::f32::consts::TAU * (start + t as f32 / 10.3);
+            (rows[t], rows[time + t]) = angle.sin_cos();
+        }
+        Tensor::<3>::from_data(TensorData::new(rows, [2, BEAT_CHANNELS, time]), &device)
+    };
+    let predicted = |start: f32, hears_told_beats: bool| {
+        let cond = AudioCondition {
+            hears_told_beats,
+            ..Tensor::cat(vec![music.clone(), told(start)], 1).into()
+        };
+        let output = network.forward(x.clone(), &Time::of(&[400, 30]), cond, None);
+        [0, 1].map(|sample| output.clone().narrow(0, sample, 1))
+    };
+    let [early, late, tracked] = [(0.11, true), (0.61, true), (0.11, false)]
+        .map(|(start, hears_told_beats)| predicted(start, hears_told_beats));
+    assert!(largest(early[0].clone() - late[0].clone()) > 1e-3);
+    assert!(largest(early[0].clone() - tracked[0].clone()) > 1e-3);
+    assert_eq!(largest(early[1].clone() - late[1].clone()), 0.0);
+    assert_eq!(largest(early[1].clone() - tracked[1].clone()), 0.0);
+}
+
+#[test]
 fn its_tracker_learns_from_the_beats_alone() {
     let device = Device::flex().autodiff();
     let network = network(&device);

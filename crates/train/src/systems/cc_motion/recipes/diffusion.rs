@@ -11,10 +11,11 @@
 //!
 //! Where the network tracks the beats of the music itself (`model.beats`), the squared error of what
 //! it finds is added, over the frames of which the beats are told; its tracker has no other loss.
+//! The rest of the network then learns from the beats themselves, and in sampling hears the tracker's.
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{GaussianDiffusion, diffusion_loss};
-use kinegrad_models::{BEAT_CHANNELS, UNet1d};
+use kinegrad_models::{AudioCondition, UNet1d, told_beats};
 
 use crate::denoising::{DenoisingRecipe, Draws, HeldOut, Inputs};
 use crate::recipe::Loss;
@@ -28,7 +29,8 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above. Where it is `weighted`, with the weights w(t), and with that of the tracker.
+/// The loss above. Where it is `weighted`, as in training, with the weights w(t) and the loss of the
+/// tracker, and the denoiser hears the beats that are told in the place of what is tracked.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -43,7 +45,13 @@ pub(in super::super) fn denoising_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, cond, dropout| unet.forward(x_t, time, condition(cond, lengths), dropout),
+        |x_t, time, cond, dropout| {
+            let cond = AudioCondition {
+                hears_told_beats: weighted,
+                ..condition(cond, lengths)
+            };
+            unet.forward(x_t, time, cond, dropout)
+        },
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             diffusion_loss(
@@ -68,12 +76,7 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     let cond = condition(&inputs.cond, inputs.lengths.clone());
     let found = unet.track_beats(&cond)?;
     let [batch, tracked, time] = found.dims();
-    let first = cond.features.dims()[1] - BEAT_CHANNELS;
-    let told = cond.features.narrow(1, first, tracked);
-    // Sine and cosine of one angle, unless either is masked, they are replaced by noise, or unknown.
-    let norm = told.clone().square().sum_dim(1);
-    let both = told.clone().prod_dim(1).not_equal_elem(0.0).float();
-    let is_told = (norm - 1.0).abs().lower_elem(1e-3).float() * both;
+    let (told, is_told) = told_beats(&cond.features);
     let mask = is_told * inputs.mask.clone().reshape([batch, 1, time]);
     let error = (found - told).square() * mask.clone();
     let sum = |x: Tensor<3>| x.sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]);
@@ -98,7 +101,7 @@ mod tests {
 
     use burn::tensor::TensorData;
     use kinegrad_data::AUDIO;
-    use kinegrad_models::{AudioConditioning, Beats, Initializer, UNet1dConfig};
+    use kinegrad_models::{AudioConditioning, BEAT_CHANNELS, Beats, Initializer, UNet1dConfig};
 
     use super::*;
     use crate::denoising::Conditions;

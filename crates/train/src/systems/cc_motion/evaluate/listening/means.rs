@@ -150,6 +150,13 @@ impl AtScale {
     }
 }
 
+/// The mean of what the network's tracker errs by, with an interval over songs.
+pub(super) fn tracked(measured: &[MeasuredPhrase], seed: u64) -> Option<Estimate> {
+    let values = measured.iter();
+    let values = values.filter_map(|each| Some((each.song.as_str(), each.tracked_beat_error?)));
+    estimate(values, seed)
+}
+
 /// The mean of values of phrases, each with its song.
 fn estimate<'a>(values: impl Iterator<Item = (&'a str, f64)>, seed: u64) -> Option<Estimate> {
     let mut songs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
@@ -190,6 +197,7 @@ mod tests {
                 id: format!("{song}_{loss}"),
                 song: (*song).to_owned(),
                 beats_per_bar: 4.0,
+                tracked_beat_error: None,
                 conditions: vec![
                     value(Heard::Own, loss, 0.05),
                     value(Heard::Silence, loss + 0.5, 0.25),
@@ -225,6 +233,7 @@ mod tests {
             id: "a_0".to_owned(),
             song: "a".to_owned(),
             beats_per_bar: 4.0,
+            tracked_beat_error: None,
             conditions: vec![value(Heard::Own, 1.0, f64::NAN)],
         };
         let found = conditions_of(&[broken], 0);

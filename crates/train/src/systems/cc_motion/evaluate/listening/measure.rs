@@ -85,6 +85,9 @@ pub struct MeasuredPhrase {
     pub song: String,
     /// Beats in a bar of it.
     pub beats_per_bar: f64,
+    /// Distance of the beat phase that the network's own tracker finds in its music from that of the
+    /// music, beats; `None` without a tracker.
+    pub tracked_beat_error: Option<f64>,
     /// The values by what was heard.
     pub conditions: Vec<MeasuredCondition>,
 }
@@ -108,6 +111,7 @@ impl MeasuredPhrase {
             id: listened.phrase.id.clone(),
             song: listened.song.clone(),
             beats_per_bar: listened.beats_per_bar,
+            tracked_beat_error: None,
             conditions: Vec::new(),
         }
     }

@@ -7,12 +7,14 @@ mod means;
 mod measure;
 mod phrases;
 mod report;
+mod tracked;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use kinegrad_data::{AudioFeatures, Phrase};
 use kinegrad_motion::Motion;
+use kinegrad_motion::metrics::Estimate;
 use serde::Serialize;
 
 pub use conditions::Heard;
@@ -60,6 +62,9 @@ pub struct Listening {
     pub settings: ListeningSettings,
     /// Timesteps of the loss.
     pub timesteps: Vec<usize>,
+    /// Distance of the beat phase that the network's own tracker finds from that of the music, beats;
+    /// `None` without a tracker.
+    pub tracked_beat_error: Option<Estimate>,
     /// What was heard, and what came of it.
     pub conditions: Vec<Condition>,
     /// The beat alignment of the real phrases.
@@ -103,6 +108,7 @@ pub(super) fn listen(
             .iter()
             .map(|(_, music)| loss::loss(generator, &listened.phrase, &music.audio));
         losses.push(of_each.collect::<Vec<f64>>());
+        measured[index].tracked_beat_error = tracked::beat_error(generator, listened);
         go_on(on_step("loss", index + 1, held_out.len()))?;
     }
     for (index, listened) in held_out.iter().enumerate() {
@@ -145,6 +151,7 @@ pub(super) fn listen(
         songs: songs.len(),
         settings: settings.clone(),
         timesteps: loss::high_noise(generator.diffusion.config.num_train_timesteps),
+        tracked_beat_error: means::tracked(&measured, settings.seed),
         conditions: conditions_of(&measured, settings.seed),
         real: Alignment::of(real, settings.seed),
         guidance,

@@ -20,7 +20,13 @@ pub fn evaluated(listening: &Listening) -> Evaluated {
     let drawn = |heard: Heard| {
         let mut conditions = listening.conditions.iter();
         let found = conditions.find(|condition| condition.heard == heard);
-        found.map(of_condition).unwrap_or_default()
+        let mut numbers = found.map(of_condition).unwrap_or_default();
+        if heard == Heard::Own && listening.tracked_beat_error.is_some() {
+            let title = "beat-phase error of the network's tracker, beats";
+            let error = listening.tracked_beat_error;
+            add(&mut numbers, "tracked_beat_error", title, error);
+        }
+        numbers
     };
     let real = |heard: Heard| match heard {
         Heard::Own => of_alignment(&listening.real),
