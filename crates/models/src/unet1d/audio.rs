@@ -52,8 +52,8 @@ pub struct AudioCondition {
     /// not look at it.
     pub style: Option<StyleCondition>,
     /// Whether a network that tracks the beats hears those that it is told in their place, where it
-    /// is told some. So it is trained: of the songs that its tracker learns from it knows more than
-    /// of any other, or less, early on.
+    /// is told some. Training sets this: its tracker is poor at first and later nearly perfect on the
+    /// training songs, and neither is how it does on others.
     pub hears_told_beats: bool,
 }
 
