@@ -256,7 +256,8 @@ pub struct DenoisingRecipe<M> {
     measures_first: bool,
 }
 
-/// The loss of a network on a batch and what was drawn for it; whether timesteps are weighted.
+/// The loss of a network on a batch and what was drawn for it; whether it is for training, with the
+/// weights of timesteps and whatever else helps a network to learn, or for validation.
 pub type DrawnLoss<M> = dyn Fn(&GaussianDiffusion, &M, Inputs, Draws, bool) -> Loss;
 
 impl<M> DenoisingRecipe<M> {

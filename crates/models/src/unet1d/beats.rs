@@ -18,8 +18,8 @@ pub enum Beats {
     #[default]
     Given,
     /// From the other features: a small network within the audio encoder is trained on the beats
-    /// that `data.audio_features` must list for it. In training the rest of the network hears those,
-    /// and afterwards what is found.
+    /// that `data.audio_features` must list for it. In the diffusion loss of training the rest of the
+    /// network hears those, and else what is found.
     Tracked,
 }
 

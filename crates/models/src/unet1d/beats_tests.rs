@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
+use kinegrad_kernels::Lengths;
 use kinegrad_random::{Key, Purpose};
 
 use super::*;
@@ -95,6 +96,40 @@ fn in_training_the_rest_of_it_hears_the_told_beats_where_some_are_told() {
     assert!(largest(early[0].clone() - tracked[0].clone()) > 1e-3);
     assert_eq!(largest(early[1].clone() - late[1].clone()), 0.0);
     assert_eq!(largest(early[1].clone() - tracked[1].clone()), 0.0);
+}
+
+#[test]
+fn told_and_tracked_beats_are_joined_frame_by_frame() {
+    let (device, time) = (Device::flex(), 29);
+    let network = network(&device);
+    let lengths = Some(Lengths::new([29, 21]));
+    let x = normal(0, [2, 25, time], &device);
+    let music = normal(1, [2, 11, time], &device);
+    let none = Tensor::zeros([2, BEAT_CHANNELS, time], &device);
+    let cond = |told: Tensor<3>, hears_told_beats: bool| AudioCondition {
+        lengths: lengths.clone(),
+        hears_told_beats,
+        ..Tensor::cat(vec![music.clone(), told], 1).into()
+    };
+    let predicted = |told: Tensor<3>, hears_told_beats: bool| {
+        let cond = cond(told, hears_told_beats);
+        network.forward(x.clone(), &Time::of(&[400, 30]), cond, None)
+    };
+    // The first half is told what is tracked, turned by so much, and the second nothing.
+    let half = |turned: f32| {
+        let found = network.track_beats(&cond(none.clone(), false));
+        let found = found.expect("a tracker").narrow(2, 0, 14);
+        let unit = found.clone() / found.square().sum_dim(1).sqrt();
+        let (sin, cos) = (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 1));
+        let (s, c) = turned.sin_cos();
+        let sin_turned = sin.clone() * c + cos.clone() * s;
+        let told = Tensor::cat(vec![sin_turned, cos * c - sin * s], 1);
+        none.clone().slice_assign([0..2, 0..2, 0..14], told)
+    };
+    let tracked = predicted(none.clone(), true);
+    assert_eq!(largest(tracked.clone() - predicted(half(2.0), false)), 0.0);
+    assert!(largest(tracked.clone() - predicted(half(0.0), true)) < 1e-4);
+    assert!(largest(tracked - predicted(half(2.0), true)) > 1e-3);
 }
 
 #[test]

@@ -29,25 +29,25 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above. Where it is `weighted`, as in training, with the weights w(t) and the loss of the
+/// The loss above. For `training` with the weights w(t) and the loss of the
 /// tracker, and the denoiser hears the beats that are told in the place of what is tracked.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
     inputs: Inputs,
     draws: Draws,
-    weighted: bool,
+    training: bool,
 ) -> Loss {
     let lengths = inputs.lengths.clone();
-    let weights = weighted.then(|| diffusion.loss_weights(&draws.timesteps));
-    let tracking = weighted.then(|| tracking_loss(unet, &inputs)).flatten();
+    let weights = training.then(|| diffusion.loss_weights(&draws.timesteps));
+    let tracking = training.then(|| tracking_loss(unet, &inputs)).flatten();
     let mut loss = crate::denoising::denoising_loss(
         diffusion,
         inputs,
         draws,
         |x_t, time, cond, dropout| {
             let cond = AudioCondition {
-                hears_told_beats: weighted,
+                hears_told_beats: training,
                 ..condition(cond, lengths)
             };
             unet.forward(x_t, time, cond, dropout)
@@ -83,7 +83,7 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
 
-/// The same loss, not weighted, on held-out phrases.
+/// The same loss as in sampling: not weighted, and with the beats that are tracked, on held-out phrases.
 pub(super) fn denoising_validation_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -101,6 +101,7 @@ mod tests {
 
     use burn::tensor::TensorData;
     use kinegrad_data::AUDIO;
+    use kinegrad_diffusion::DiffusionConfig;
     use kinegrad_models::{AudioConditioning, BEAT_CHANNELS, Beats, Initializer, UNet1dConfig};
 
     use super::*;
@@ -169,5 +170,60 @@ mod tests {
         let loss = tracking_loss(&unet, &inputs).expect("a tracker");
         let loss = loss.into_scalar::<f32>();
         assert!((loss - sum / count).abs() < 1e-5, "{loss} {}", sum / count);
+    }
+
+    /// Batches of one sample that differ in the beats that they are told.
+    fn told(start: f32, device: &Device) -> Inputs {
+        let (features, time) = (9 + BEAT_CHANNELS, 13);
+        let mut values = vec![0.0f32; features * time];
+        for (index, value) in values[..9 * time].iter_mut().enumerate() {
+            *value = ((index * 37) % 11) as f32 / 11.0;
+        }
+        for t in 0..time {
+            let angle = TAU * (start + t as f32 / 7.3);
+            (values[9 * time + t], values[10 * time + t]) = angle.sin_cos();
+        }
+        let audio = TensorData::new(values, [1, features, time]);
+        Inputs {
+            x_start: Tensor::ones([1, 25, time], device),
+            cond: Conditions::new([(AUDIO, Tensor::from_data(audio, device))]),
+            mask: Tensor::ones([1, time], device),
+            lengths: None,
+        }
+    }
+
+    #[test]
+    fn told_beats_are_heard_in_training_and_not_in_validation() {
+        let device = Device::flex();
+        let config = UNet1dConfig {
+            audio_conditioning: AudioConditioning::Aligned,
+            beats: Beats::Tracked,
+            context_dim: 32,
+            ..UNet1dConfig::tiny()
+        };
+        let unet = config
+            .init(25, 9 + BEAT_CHANNELS, &Initializer::new(3, &device))
+            .expect("a network");
+        let diffusion = GaussianDiffusion::new(&DiffusionConfig::default()).expect("a process");
+        let loss = |start: f32, training: bool| {
+            let draws = Draws {
+                timesteps: vec![600],
+                noise: Tensor::ones([1, 25, 13], &device) * 0.5,
+                keep_cond: None,
+                keep_style: None,
+                dropout: None,
+            };
+            let inputs = told(start, &device);
+            let loss = denoising_loss(&diffusion, &unet, inputs, draws, training);
+            let of_motion = loss
+                .terms
+                .into_iter()
+                .find(|(name, _)| *name == "diffusion");
+            let (_, of_motion) = of_motion.expect("the loss of the motion");
+            [of_motion, loss.total].map(|loss| loss.into_scalar::<f32>())
+        };
+        let [early, late] = [0.11, 0.61].map(|start| loss(start, true));
+        assert!((early[0] - late[0]).abs() > 1e-5, "{early:?} {late:?}");
+        assert_eq!(loss(0.11, false), loss(0.61, false));
     }
 }

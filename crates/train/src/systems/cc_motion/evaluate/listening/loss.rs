@@ -21,8 +21,8 @@ pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
         .collect()
 }
 
-/// The loss that the network was trained with on one phrase that hears `audio`, as many frames, not
-/// weighted: mean over the levels of [`high_noise`]. Noise depends on the phrase's id and the level
+/// The loss of the motion on one phrase that hears `audio`, as many frames, as validation has it (not
+/// weighted, and of a network that tracks the beats with those that it finds): mean over the levels of [`high_noise`]. Noise depends on the phrase's id and the level
 /// alone, so that losses of one phrase differ by what is heard.
 pub(super) fn loss(generator: &Generator, phrase: &Phrase, audio: &AudioFeatures) -> f64 {
     let device = &generator.device;

@@ -21,12 +21,37 @@ pub(super) fn beat_error(generator: &Generator, listened: &Listened) -> Option<f
         .unet
         .track_beats(&AudioCondition::from(features))?;
     let found: Vec<f32> = found.into_data().try_into_vec().expect("float values");
-    let (sine, cosine) = found.split_at(frames);
-    let found = sine.iter().zip(cosine);
+    Some(error_of(&found, &listened.bars, listened.beats_per_bar))
+}
+
+/// Mean distance of the angles of `found`, all sines and then all cosines, from the beat phase that
+/// bar phases say, in beats.
+fn error_of(found: &[f32], bars: &[f64], beats_per_bar: f64) -> f64 {
+    let (sines, cosines) = found.split_at(bars.len());
+    let found = sines.iter().zip(cosines);
     let found = found.map(|(sine, cosine)| f64::from(*sine).atan2(f64::from(*cosine)) / TAU);
-    let expected = listened.bars.iter().map(|bar| bar * listened.beats_per_bar);
-    let distance = found
+    let expected = bars.iter().map(|bar| bar * beats_per_bar);
+    let distances = found
         .zip(expected)
         .map(|(found, expected)| circular::distance(found, expected));
-    Some(distance.sum::<f64>() / frames as f64)
+    distances.sum::<f64>() / bars.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_errs_by_how_far_what_it_finds_is_from_the_beat() {
+        for (beats_per_bar, late) in [(3.0, 0.0), (4.0, 0.1), (3.0, -0.4), (4.0, 0.5)] {
+            let bars: Vec<f64> = (0..37).map(|t| (0.83 + 0.017 * t as f64) % 1.0).collect();
+            // Of any size, as a tracker that is not sure has it.
+            let angles = bars.iter().map(|bar| TAU * (bar * beats_per_bar + late));
+            let (sines, cosines): (Vec<f32>, Vec<f32>) = angles
+                .map(|angle| ((0.3 * angle.sin()) as f32, (0.3 * angle.cos()) as f32))
+                .unzip();
+            let error = error_of(&[sines, cosines].concat(), &bars, beats_per_bar);
+            assert!((error - f64::abs(late)).abs() < 1e-5, "{late}: {error}");
+        }
+    }
 }
