@@ -7,7 +7,7 @@ use kinegrad_motion::speed::{at_speed, frames_at_speed};
 use kinegrad_motion::{Motion, anchor_floor, mirror, rotate_yaw};
 use kinegrad_random::{Key, Purpose};
 
-use crate::features::AudioFeatures;
+use crate::features::{AUDIO_CHANNELS, AudioFeatures};
 use crate::passage::{Passage, Window};
 use crate::{AugmentConfig, Crop, DataConfig, speed};
 
@@ -175,16 +175,16 @@ fn negate_quaternions(motion: &mut Motion) {
     }
 }
 
-/// Sets one stretch of time and one band of adjoining features to zero.
+/// Sets one stretch of time and one band of adjoining features to zero. Beats stay: where they fall is
+/// what motion is to follow, and a network that tracks them learns from these.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
         let start = below(length, key.at(0));
         start..(start + below(longest + 1, key.at(1))).min(length)
     };
     let time = range(audio.frames(), audio.frames() / 5, key.at(0));
-    let channels = audio.channels();
-    let band = range(channels, channels / 4, key.at(1));
-    for channel in 0..channels {
+    let band = range(AUDIO_CHANNELS, AUDIO_CHANNELS / 4, key.at(1));
+    for channel in 0..AUDIO_CHANNELS {
         audio.channel_mut(channel)[time.clone()].fill(0.0);
     }
     for channel in band {
@@ -219,7 +219,6 @@ fn with_noise(audio: AudioFeatures, std: f64, key: Key) -> AudioFeatures {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::AUDIO_CHANNELS;
     use crate::synthetic;
     use crate::{AudioLayout, Phrase};
     use kinegrad_motion::kinematics::{mean_norm, velocity_errors};
@@ -442,6 +441,25 @@ mod tests {
             (5.0..40.0).contains(&masked),
             "{masked} % masked on average"
         );
+    }
+
+    #[test]
+    fn audio_masks_leave_beats() {
+        let phrase = synthetic::phrase_in(AudioLayout::WITH_BEATS, 3, 60, 2);
+        let heard = |masks: usize, n: u64| {
+            let masking = sampler(|config| config.augment.audio_masks = masks);
+            let (_, audio) = masking.sample(&alone(&phrase), n);
+            let rows = AUDIO_CHANNELS * audio.frames();
+            (
+                audio.as_slice()[..rows].to_vec(),
+                audio.as_slice()[rows..].to_vec(),
+            )
+        };
+        for n in 0..20 {
+            let ((features, beats), (masked, left)) = (heard(0, n), heard(4, n));
+            assert_eq!(left, beats);
+            assert_ne!(masked, features);
+        }
     }
 
     #[test]

@@ -263,7 +263,7 @@ pub struct AugmentConfig {
     pub audio_noise: f64,
     /// Number of time masks, each up to a fifth of the sample, and of masks over adjacent features,
     /// each up to a quarter of them (SpecAugment, Park et al. 2019,
-    /// <https://arxiv.org/abs/1904.08779>).
+    /// <https://arxiv.org/abs/1904.08779>). Beat features are not masked.
     pub audio_masks: usize,
     /// Probability of replacing a sample's audio features by standard normal noise, for robustness
     /// to unfamiliar music.
