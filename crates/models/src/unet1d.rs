@@ -5,6 +5,7 @@ mod audio;
 mod beats;
 #[cfg(test)]
 mod beats_tests;
+mod steady;
 mod style;
 #[cfg(test)]
 mod style_tests;
@@ -619,6 +620,13 @@ impl UNet1d {
     pub fn track_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.track(cond.features.clone(), cond.lengths.as_ref())
+    }
+
+    /// Sine and cosine of the place of each frame in its beat as the rest of the network hears it: the
+    /// steady beat that is nearest to what the tracker finds, with a norm of one; zeros in silence.
+    pub fn find_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
+        let encoder = self.audio.as_ref()?;
+        encoder.find(cond.features.clone(), cond.lengths.as_ref())
     }
 
     fn hear(&self, cond: AudioCondition, stages: &mut impl Stages) -> Heard {

@@ -14,14 +14,13 @@ use crate::lora::{Adapting, LoraTarget};
 
 use super::StyleCondition;
 use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, told_beats};
+use super::steady::steady;
 
 /// Taps of the encoder's convolutions, but for those that halve the length.
 const KERNEL: usize = 5;
 
-/// Frames, about two seconds, over which an encoder that tracks the beats takes means of the other
-/// features. As they are they would say when something sounds a second time, in a way that is soon
-/// learned by heart of a few songs and is of no use for another one.
-const LEVELED: usize = 61;
+/// Frames, about two seconds, over which means are taken.
+const AROUND: usize = 61;
 
 /// Norm of sine and cosine below which an angle is none.
 const SMALLEST_NORM: f64 = 1e-3;
@@ -132,20 +131,19 @@ fn untold(features: Tensor<3>) -> Tensor<3> {
     features.narrow(1, 0, channels - BEAT_CHANNELS)
 }
 
-/// The mean of each feature over the [`LEVELED`] frames around each frame that are not padding: what
-/// sounds, and not when.
-fn leveled(features: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
+/// The mean of each feature over the [`AROUND`] frames around each frame that are not padding.
+pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
     let [batch, _, time] = features.dims();
     let device = features.device();
     let mask = match lengths {
         Some(lengths) => lengths.mask(time, &device),
         None => Tensor::ones([batch, 1, time], &device),
     };
-    let around = AvgPoolOptions::new([LEVELED])
+    let around = AvgPoolOptions::new([AROUND])
         .with_stride([1])
-        .with_padding([LEVELED / 2]);
+        .with_padding([AROUND / 2]);
     let mean = |x| avg_pool1d(x, around.clone());
-    let share = mean(mask.clone()).clamp_min(1.0 / LEVELED as f64);
+    let share = mean(mask.clone()).clamp_min(1.0 / AROUND as f64);
     mean(features * mask) / share
 }
 
@@ -233,15 +231,15 @@ impl AudioEncoder {
             hears_told_beats,
         } = cond;
         let stem = self.stem.operation().lengths(lengths.clone());
-        let features = match self.track(features.clone(), lengths.as_ref()) {
-            // The tracker learns from the beats alone.
-            Some(beats) => {
-                let mut beats = direction(beats.detach());
+        let features = match self.find(features.clone(), lengths.as_ref()) {
+            Some(mut beats) => {
                 if hears_told_beats {
                     let (told, is_told) = told_beats(&features);
                     beats = told * is_told.clone() + beats * (is_told.neg() + 1.0);
                 }
-                let sounds = leveled(untold(features), lengths.as_ref());
+                // As they are the features would say when something sounds a second time, in a way
+                // that is soon learned by heart of a few songs and is of no use for another one.
+                let sounds = mean_around(untold(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
             None => features,
@@ -266,6 +264,15 @@ impl AudioEncoder {
     pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let beats = self.beats.as_ref()?;
         Some(beats.forward(untold(features), lengths))
+    }
+
+    /// What the levels hear of the tracker: the steady beat nearest to what it finds, as a direction,
+    /// and zeros in silence. It does not learn from what becomes of it.
+    pub fn find(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
+        let found = self.track(features.clone(), lengths)?.detach();
+        let loudest = untold(features).detach().abs().max_dim(2).max_dim(1);
+        let sounds = loudest.greater_elem(0.0).float();
+        Some(direction(steady(found, lengths)) * sounds)
     }
 
     pub fn adapting(self, adapting: &Adapting<'_>) -> Self {
@@ -307,15 +314,15 @@ mod tests {
         row[heard..].fill(padding);
         row[at] += 1.0;
         let row = Tensor::from_data(TensorData::new(row, [1, 1, 90]), &device);
-        values(leveled(row, Some(&Lengths::new([heard]))))
+        values(mean_around(row, Some(&Lengths::new([heard]))))
     }
 
     #[test]
     fn means_say_what_sounds_and_hardly_when() {
         let (before, after) = (click(40, 0.5, 77, 0.0), click(41, 0.5, 77, 9.0));
         for (t, (a, b)) in before.iter().zip(&after).take(77).enumerate() {
-            let frames = (t.min(LEVELED / 2) + 1 + (76 - t).min(LEVELED / 2)) as f32;
-            let hears = t.abs_diff(40) <= LEVELED / 2;
+            let frames = (t.min(AROUND / 2) + 1 + (76 - t).min(AROUND / 2)) as f32;
+            let hears = t.abs_diff(40) <= AROUND / 2;
             let expected = 0.5 + if hears { 1.0 / frames } else { 0.0 };
             assert!((a - expected).abs() < 1e-5, "{t}: {a} {expected}");
             assert!((a - b).abs() < 0.03, "{t}: {a} {b}");

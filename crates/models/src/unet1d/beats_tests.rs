@@ -117,9 +117,8 @@ fn told_and_tracked_beats_are_joined_frame_by_frame() {
     };
     // The first half is told what is tracked, turned by so much, and the second nothing.
     let half = |turned: f32| {
-        let found = network.track_beats(&cond(none.clone(), false));
-        let found = found.expect("a tracker").narrow(2, 0, 14);
-        let unit = found.clone() / found.square().sum_dim(1).sqrt();
+        let found = network.find_beats(&cond(none.clone(), false));
+        let unit = found.expect("a tracker").narrow(2, 0, 14);
         let (sin, cos) = (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 1));
         let (s, c) = turned.sin_cos();
         let sin_turned = sin.clone() * c + cos.clone() * s;
@@ -130,6 +129,35 @@ fn told_and_tracked_beats_are_joined_frame_by_frame() {
     assert_eq!(largest(tracked.clone() - predicted(half(2.0), false)), 0.0);
     assert!(largest(tracked.clone() - predicted(half(0.0), true)) < 1e-4);
     assert!(largest(tracked - predicted(half(2.0), true)) > 1e-3);
+}
+
+#[test]
+fn it_hears_a_steady_beat_and_none_in_silence() {
+    let (device, time) = (Device::flex(), 60);
+    let network = network(&device);
+    let music = normal(1, [1, FEATURES, time], &device);
+    let both = Tensor::cat(vec![music.clone(), music.zeros_like()], 0);
+    let found = network.find_beats(&both.into()).expect("a tracker");
+    let norms = found.clone().square().sum_dim(1);
+    assert!(largest(norms.clone().narrow(0, 0, 1) - 1.0) < 0.01);
+    assert_eq!(largest(norms.narrow(0, 1, 1)), 0.0);
+    // What is heard turns by about as much in each frame.
+    let found: Vec<f32> = found
+        .narrow(0, 0, 1)
+        .into_data()
+        .try_into_vec()
+        .expect("values");
+    let place = |t: usize| found[t].atan2(found[time + t]) / std::f32::consts::TAU;
+    let steps = (1..time).map(|t| {
+        let step = place(t) - place(t - 1);
+        step - step.round()
+    });
+    let steps: Vec<f32> = steps.collect();
+    let mean = steps.iter().sum::<f32>() / steps.len() as f32;
+    assert!(
+        mean > 0.01 && steps.iter().all(|step| (step - mean).abs() < 0.1),
+        "{steps:?}"
+    );
 }
 
 #[test]

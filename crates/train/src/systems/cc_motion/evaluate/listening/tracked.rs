@@ -10,16 +10,14 @@ use super::Listened;
 use crate::systems::cc_motion::generate::Generator;
 
 /// Mean over the frames of a phrase of the distance of the beat phase that the network's tracker
-/// finds in its music from that of the music, in beats; `None` without a tracker.
+/// finds in its music, as the rest of the network hears it, from that of the music, in beats; `None` without a tracker.
 pub(super) fn beat_error(generator: &Generator, listened: &Listened) -> Option<f64> {
     let audio = &listened.phrase.audio;
     let (values, frames) = (audio.as_slice(), audio.frames());
     let shape = [1, values.len() / frames, frames];
     let features = TensorData::new(values.to_vec(), shape);
     let features: Tensor<3> = Tensor::from_data(features, &generator.device);
-    let found = generator
-        .unet
-        .track_beats(&AudioCondition::from(features))?;
+    let found = generator.unet.find_beats(&AudioCondition::from(features))?;
     let found: Vec<f32> = found.into_data().try_into_vec().expect("float values");
     Some(error_of(&found, &listened.bars, listened.beats_per_bar))
 }

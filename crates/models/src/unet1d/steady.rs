@@ -1,0 +1,176 @@
+//! The steady beat that is nearest to one that was found frame by frame.
+
+use std::f64::consts::TAU;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_kernels::Lengths;
+
+use super::audio::mean_around;
+
+/// Beats in a frame, from 30 to 300 a minute at 30 frames per second.
+const SLOWEST: f64 = 30.0 / 60.0 / 30.0;
+const FASTEST: f64 = 300.0 / 60.0 / 30.0;
+
+/// Steps of half a thousandth of a beat in a frame: between two of them, the places of two seconds
+/// turn by no more than a seventieth of a beat.
+const TEMPI: usize = 301;
+
+/// Sine and cosine of the place in a beat, of any norm, on a steady path: music keeps its beat, so
+/// that what the frames around say is said of this one as well.
+///
+/// The tempo `w` is the one that most of the frames agree with, the largest `|sum_t z_t exp(-i w t)|`
+/// with `z = cos + i sin`. What is left of the angles without it, `z_t exp(-i w t)`, is averaged over
+/// two seconds twice, so that tempo may drift a little within the music.
+///
+/// # Shapes
+/// - found, output: sine and cosine, `[batch, 2, time]`, of a norm that says how far frames agree
+pub(super) fn steady(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
+    let [batch, two, time] = found.dims();
+    let device = found.device();
+    let found = match lengths {
+        Some(lengths) => found * lengths.mask(time, &device),
+        None => found,
+    };
+    let [sines, cosines] = [f64::sin, f64::cos].map(|of| turns(of, time, &device));
+    let rows = found.clone().reshape([batch * two, time]);
+    let sums = |turns: &Tensor<2>| {
+        let sums = rows.clone().matmul(turns.clone().transpose());
+        let sums = sums.reshape([batch, two, TEMPI]);
+        [0, 1].map(|row| sums.clone().narrow(1, row, 1).reshape([batch, TEMPI]))
+    };
+    let ([sin_sin, cos_sin], [sin_cos, cos_cos]) = (sums(&sines), sums(&cosines));
+    let agreement = (cos_cos + sin_sin).square() + (sin_cos - cos_sin).square();
+    let tempo = agreement.argmax(1).reshape([batch]);
+    let [sine, cosine] = [sines, cosines].map(|turns| {
+        let turns = turns.select(0, tempo.clone());
+        turns.reshape([batch, 1, time])
+    });
+    let left = turned(found, sine.clone().neg(), cosine.clone());
+    let left = mean_around(mean_around(left, lengths), lengths);
+    turned(left, sine, cosine)
+}
+
+/// Sine and cosine `[batch, 2, time]` of an angle to which one is added.
+fn turned(angle: Tensor<3>, sine: Tensor<3>, cosine: Tensor<3>) -> Tensor<3> {
+    let [s, c] = [0, 1].map(|row| angle.clone().narrow(1, row, 1));
+    let sin = s.clone() * cosine.clone() + c.clone() * sine.clone();
+    Tensor::cat(vec![sin, c * cosine - s * sine], 1)
+}
+
+/// Sine or cosine of the angles of each tempo, `[TEMPI, time]`.
+fn turns(of: fn(f64) -> f64, time: usize, device: &Device) -> Tensor<2> {
+    let tempi = (0..TEMPI).map(|k| {
+        let share = k as f64 / (TEMPI - 1) as f64;
+        SLOWEST + share * (FASTEST - SLOWEST)
+    });
+    let angles = tempi.flat_map(|tempo| (0..time).map(move |t| (TAU * tempo * t as f64) % TAU));
+    let values: Vec<f32> = angles.map(|angle| of(angle) as f32).collect();
+    Tensor::from_data(TensorData::new(values, [TEMPI, time]), device)
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    /// Rows of sines and cosines of `places` in the beat, of a norm for each.
+    fn rows(places: &[f64], norms: &[f64]) -> Vec<f32> {
+        let row = |of: fn(f64) -> f64| {
+            let values = places.iter().zip(norms);
+            values.map(move |(place, norm)| (norm * of(TAU * place)) as f32)
+        };
+        row(f64::sin).chain(row(f64::cos)).collect()
+    }
+
+    /// The largest distance of what is heard from `places`, in beats.
+    fn distance(heard: &[f32], places: &[f64]) -> f64 {
+        let (sines, cosines) = heard.split_at(heard.len() / 2);
+        let heard = sines.iter().zip(cosines);
+        let heard = heard.map(|(s, c)| f64::from(*s).atan2(f64::from(*c)) / TAU);
+        let distances = heard.zip(places).map(|(a, b)| {
+            let apart = a - b;
+            (apart - apart.round()).abs()
+        });
+        distances.fold(0.0, f64::max)
+    }
+
+    fn heard(found: Vec<f32>, time: usize, lengths: Option<&Lengths>) -> Vec<f32> {
+        let batch = found.len() / 2 / time;
+        let found = Tensor::from_data(TensorData::new(found, [batch, 2, time]), &Device::flex());
+        steady(found, lengths)
+            .into_data()
+            .try_into_vec()
+            .expect("values")
+    }
+
+    #[test]
+    fn a_steady_beat_stays_and_errors_of_single_frames_go() {
+        for (time, a_minute) in [(120, 66.7), (120, 131.0), (97, 204.0), (61, 88.0)] {
+            let places: Vec<f64> = (0..time)
+                .map(|t| 0.3 + f64::from(t) * a_minute / 1800.0)
+                .collect();
+            let norms = vec![0.4; places.len()];
+            let kept = heard(rows(&places, &norms), places.len(), None);
+            assert!(distance(&kept, &places) < 0.01);
+            // A third of the frames half a beat off, the others by up to a tenth.
+            let noise = Key::new(3, Purpose::Noise).normals(places.len());
+            let found: Vec<f64> = (0..places.len())
+                .map(|t| {
+                    let off = 0.1 * f64::from(noise[t]).clamp(-1.0, 1.0);
+                    places[t] + if t % 3 == 0 { 0.5 } else { off }
+                })
+                .collect();
+            let found = rows(&found, &norms);
+            assert!(distance(&found, &places) > 0.45);
+            let mended = distance(&heard(found, places.len(), None), &places);
+            assert!(mended < 0.1, "{time} {a_minute}: {mended}");
+        }
+    }
+
+    #[test]
+    fn a_tempo_that_drifts_is_followed() {
+        // From 115 to 125 beats a minute within the four seconds.
+        let places: Vec<f64> = (0..120)
+            .map(|t| f64::from(t) / 15.65 + f64::from(t * t) / 21600.0 / 2.0)
+            .collect();
+        let found = heard(rows(&places, &[1.0; 120]), 120, None);
+        assert!(
+            distance(&found, &places) < 0.06,
+            "{}",
+            distance(&found, &places)
+        );
+    }
+
+    #[test]
+    fn each_sample_has_its_tempo_and_padding_none() {
+        let time = 90;
+        let (kept, tempi) = ([90usize, 70], [1.0 / 14.3, 1.0 / 21.0]);
+        let places = [0, 1].map(|sample: usize| {
+            let places = (0..time).map(move |t| t as f64 * tempi[sample]);
+            places.collect::<Vec<f64>>()
+        });
+        let found = |padding: f64| {
+            let of = |sample: usize| {
+                let of_frame = |t: usize| match t < kept[sample] {
+                    true => places[sample][t],
+                    false => padding * t as f64,
+                };
+                let found: Vec<f64> = (0..time).map(of_frame).collect();
+                rows(&found, &vec![1.0; time])
+            };
+            let found = [of(0), of(1)].concat();
+            heard(found, time, Some(&Lengths::new(kept)))
+        };
+        let (one, other) = (found(0.31), found(0.07));
+        for sample in 0..2 {
+            let of = |values: &[f32]| {
+                let rows = values[sample * 2 * time..][..2 * time].chunks(time);
+                let kept = rows.flat_map(|row| &row[..kept[sample]]);
+                kept.copied().collect::<Vec<f32>>()
+            };
+            assert_eq!(of(&one), of(&other));
+            assert!(distance(&of(&one), &places[sample][..kept[sample]]) < 0.01);
+        }
+    }
+}
