@@ -1,16 +1,21 @@
 //! The phase that is nearest to the stated one and advances steadily.
 //!
-//! First the turns `p` of a path through the bar that does not turn back are found, by dynamic
-//! programming: of all that advance by half to one and a half of the tempo a frame, the one with the most of `cos 2 pi (p_t - phase_t)`. A model that hears the beats and not which of
-//! them begins a bar may jump from one to another; the path catches up over some beats instead. Then
-//! the path is moved to the stated phases near it, and smoothed:
+//! A model that hears the beats and not which of them begins a bar jumps between bars by whole beats.
+//! So the phase is fitted in the part of a bar that is steadiest, whole bars where they are steady
+//! ([`parts`]), and the bar is then the one that most frames agree with: motion that is in time stays
+//! in time.
+//!
+//! First the turns `p` of a path through that part that does not turn back are found, by dynamic
+//! programming: of all that advance by half to one and a half of the tempo a frame, the one with the
+//! most of `cos 2 pi (p_t - phase_t)`. Where the phase jumps by less, the path catches up. Then the
+//! path is moved to the stated phases near it, and smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
 //! with `d_t` the distance from the path to the stated phase the shortest way around, where it is less
-//! than an eighth of a bar; other frames count with the path's own phase.
+//! than an eighth of a turn; other frames count with the path's own phase.
 
 use std::f64::consts::TAU;
 
@@ -37,8 +42,14 @@ const SPAN_FRAMES: usize = 120;
 /// Tempos that are compared.
 const TEMPOS: usize = 4 * SPAN_FRAMES;
 
-/// Bars from the path within which a stated phase counts.
+/// Turns from the path within which a stated phase counts.
 const NEAR: f64 = 0.125;
+
+/// Most parts of a bar that a phase may jump by and be steady.
+const MOST_PARTS: usize = 8;
+
+/// What the agreement of fewer parts may lack of the best.
+const AGREEMENT_MARGIN: f64 = 0.1;
 
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
@@ -54,8 +65,68 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     let said: Vec<f64> = (0..frames)
         .map(|t| f64::from(motion.frame(t)[PHASE]))
         .collect();
-    let path = path(&said, known);
+    let in_parts = |parts: usize| -> Vec<f64> {
+        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        let fitted = fit(&of_part, known);
+        let bar = bar(&fitted, &said, known, parts);
+        let turns = fitted.iter().map(|turn| (turn + bar) / parts as f64);
+        turns.collect()
+    };
+    let parts = parts(&said);
+    let mut fitted = in_parts(parts);
+    // Frames that are known of two bars: only whole bars lead from one to the other.
+    let misses = |t: usize| known[t] && apart(fitted[t], said[t]) > 0.5 / parts as f64;
+    if (0..frames).any(misses) {
+        fitted = in_parts(1);
+    }
+    for t in (0..frames).filter(|t| !known[*t]) {
+        let phase = fitted[t].rem_euclid(1.0) as f32;
+        // What is just below 1 may round to it.
+        motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
+    }
+}
 
+/// The distance of two phases the shortest way around, in turns.
+fn apart(a: f64, b: f64) -> f64 {
+    let apart = a - b;
+    (apart - apart.round()).abs()
+}
+
+/// Into how many parts a bar is divided for the phase to be steady: the fewest whose agreement with
+/// one tempo at a time lacks little of the best.
+fn parts(said: &[f64]) -> usize {
+    let agreement = |parts: usize| {
+        let of_part: Vec<f64> = said.iter().map(|turn| parts as f64 * turn).collect();
+        tempo(&of_part).agreement
+    };
+    let agreements: Vec<f64> = (1..=MOST_PARTS).map(agreement).collect();
+    let best = agreements.iter().copied().fold(0.0, f64::max);
+    let enough = agreements
+        .iter()
+        .position(|agreement| *agreement >= best - AGREEMENT_MARGIN);
+    1 + enough.unwrap_or(0)
+}
+
+/// The whole turns to add to `fitted`, in `parts` of a bar, for the bar that goes best with what is
+/// said.
+fn bar(fitted: &[f64], said: &[f64], known: &[bool], parts: usize) -> f64 {
+    let agreement = |bar: usize| {
+        let frames = fitted.iter().zip(said).zip(known);
+        let gains = frames.map(|((turn, said), known)| {
+            let turn = (turn + bar as f64) / parts as f64;
+            weight(*known) * (TAU * (turn - said)).cos()
+        });
+        gains.sum::<f64>()
+    };
+    let bars = (0..parts).map(|bar| (agreement(bar), bar as f64));
+    let best = bars.reduce(|a, b| if b.0 > a.0 { b } else { a });
+    best.map_or(0.0, |(_, bar)| bar)
+}
+
+/// The steady path nearest to what is said, counted on over the turns.
+fn fit(said: &[f64], known: &[bool]) -> Vec<f64> {
+    let path = path(said, known);
+    let frames = said.len();
     let mut normal = vec![[0.0; BAND]; frames];
     let mut fitted = Vec::with_capacity(frames);
     for (t, row) in normal.iter_mut().enumerate() {
@@ -73,14 +144,10 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
         }
     }
     Cholesky::new(normal).solve(&mut fitted);
-    for t in (0..frames).filter(|t| !known[*t]) {
-        let phase = fitted[t].rem_euclid(1.0) as f32;
-        // What is just below 1 may round to it.
-        motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
-    }
+    fitted
 }
 
-/// The turns, counted on over the bars, of the path that goes best with the phases that are `said`.
+/// The turns, counted on, of the path that goes best with the phases that are `said`.
 fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
     let cosines: Vec<f64> = (0..PLACES)
@@ -134,7 +201,7 @@ fn path(said: &[f64], known: &[bool]) -> Vec<f64> {
 /// Places that a path may advance by in a frame: those around the tempo of what is said, and none
 /// that stands still, of a tempo that allows it.
 fn advances(said: &[f64]) -> Vec<i64> {
-    let mean = tempo(said) * PLACES as f64;
+    let mean = tempo(said).advance * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
     bounds.sort_by(f64::total_cmp);
     let [mut low, mut high] = [bounds[0].floor() as i64, bounds[1].ceil() as i64];
@@ -149,10 +216,17 @@ fn advances(said: &[f64]) -> Vec<i64> {
         .collect()
 }
 
-/// The advance in bars a frame that the phases go with best, from half a bar back to half a bar on:
-/// the largest sum over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Noise of each frame by
+struct Tempo {
+    /// Turns a frame.
+    advance: f64,
+    /// From 0 to 1: how well the phases go with it.
+    agreement: f64,
+}
+
+/// The advance in turns a frame that the phases go with best, from half a turn back to half a turn on:
+/// the largest mean over spans of `|sum exp(2 pi i (phase_t - advance t))|`. Noise of each frame by
 /// itself drowns the advance from one frame to the next, and not this.
-fn tempo(said: &[f64]) -> f64 {
+fn tempo(said: &[f64]) -> Tempo {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = said.iter().map(|&turns| unit(turns)).collect();
     let fits = |advance: f64| {
@@ -169,7 +243,11 @@ fn tempo(said: &[f64]) -> f64 {
     let tempos = (1..=TEMPOS).map(|k| k as f64 / TEMPOS as f64 - 0.5);
     let best = tempos.map(|advance| (fits(advance), advance));
     let best = best.reduce(|a, b| if b.0 > a.0 { b } else { a });
-    best.map_or(0.0, |(_, advance)| advance)
+    let (sum, advance) = best.expect("tempos");
+    Tempo {
+        advance,
+        agreement: sum / said.len() as f64,
+    }
 }
 
 #[cfg(test)]
@@ -265,6 +343,58 @@ mod tests {
     }
 
     #[test]
+    fn jumps_between_bars_by_beats_leave_the_beat() {
+        for (beats, tempo, frames) in [(4, 0.0161, 2700), (3, 0.0153, 120), (4, 0.0187, 131)] {
+            let beat = 1.0 / f64::from(beats);
+            let jumps = Key::new(6, Purpose::Noise).integers(frames / 40, beats as usize);
+            let noise = Key::new(5, Purpose::Noise).normals(frames);
+            let truth: Vec<f64> = (0..frames).map(|t| 0.37 + tempo * t as f64).collect();
+            let said: Vec<f64> = (0..frames)
+                .map(|t| {
+                    let bar = jumps[(t / 40).min(jumps.len() - 1)] as f64 * beat;
+                    truth[t] + bar + 0.01 * f64::from(noise[t])
+                })
+                .collect();
+            let mut motion = with_phases(&said);
+            fit_phase(&mut motion, &vec![false; frames]);
+            let off = |t: usize| {
+                let phase = f64::from(motion.frame(t)[PHASE]);
+                circular::distance(phase / beat, truth[t] / beat)
+            };
+            let worst = (0..frames).map(off).fold(0.0, f64::max);
+            assert!(worst < 0.06, "{beats} {tempo}: {worst}");
+            let steps = crate::movement::phase_steps(&motion);
+            let steady = |step: &f64| (step - tempo).abs() < 0.002;
+            assert!(steps.iter().all(steady), "{beats} {tempo}");
+        }
+    }
+
+    #[test]
+    fn known_frames_choose_the_bar() {
+        // The last second is known, a beat from what the others say; so is the first, of either bar.
+        for first in [0.25, 0.0] {
+            let frames = 300;
+            let truth = |t: usize| 0.2 + 0.0151 * t as f64;
+            let said = |t: usize| match t {
+                0..30 => truth(t) + first,
+                270.. => truth(t) + 0.25,
+                _ => truth(t) + 0.25 * ((t / 30) % 4) as f64,
+            };
+            let said: Vec<f64> = (0..frames).map(said).collect();
+            let known: Vec<bool> = (0..frames).map(|t| !(30..270).contains(&t)).collect();
+            let (mut motion, before) = (with_phases(&said), with_phases(&said));
+            fit_phase(&mut motion, &known);
+            for t in (0..30).chain(270..frames) {
+                assert_eq!(motion.frame(t), before.frame(t));
+            }
+            let steps = crate::movement::phase_steps(&motion);
+            let allowed = if first == 0.25 { 0.002 } else { 0.013 };
+            let steady = |step: &f64| (step - 0.0151).abs() < allowed;
+            assert!(steps.iter().all(steady), "{first}: {steps:?}");
+        }
+    }
+
+    #[test]
     fn long_motion_and_wild_phases_take_their_time() {
         let noise = Key::new(8, Purpose::Noise).uniforms(20_000);
         let said: Vec<f64> = noise.into_iter().map(f64::from).collect();
@@ -282,7 +412,7 @@ mod tests {
             let said: Vec<f64> = said
                 .map(|(t, n)| t as f64 / 60.0 + 0.15 * f64::from(*n))
                 .collect();
-            let found = tempo(&said);
+            let found = tempo(&said).advance;
             assert!((found - 1.0 / 60.0).abs() < 0.004, "{seed}: {found}");
             let mut motion = with_phases(&said);
             fit_phase(&mut motion, &[false; 120]);
