@@ -186,12 +186,24 @@ impl Part {
             way,
         };
         if let Some((_, words, way)) = COMMON.iter().find(|(common, ..)| *common == name) {
+            let called = |joint: usize, words: &[&str]| {
+                let joint = bare(&joints[joint].name).to_lowercase();
+                words.iter().any(|word| joint.contains(word))
+            };
+            // A hip is the joint of a thigh, or that of the whole body.
+            let thigh = |hip: usize| {
+                let below = subtree(joints, hip);
+                let only_legs = |other: &(&str, &[&str], bool)| {
+                    other.0 == name || !below.iter().any(|&joint| called(joint, other.1))
+                };
+                name == "legs"
+                    && called(hip, &["hip"])
+                    && below.iter().any(|&joint| called(joint, words))
+                    && COMMON.iter().all(only_legs)
+            };
             let mut found: Vec<usize> = (1..joints.len())
                 .filter(|&joint| joint != figure.travelling())
-                .filter(|&joint| {
-                    let joint = bare(&joints[joint].name).to_lowercase();
-                    words.iter().any(|word| joint.contains(word))
-                })
+                .filter(|&joint| called(joint, words) || thigh(joint))
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
@@ -287,6 +299,8 @@ fn reach(joints: &[Joint]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use kinegrad_capture::Bvh;
+
     use super::*;
     use crate::FigureOptions;
     use crate::figure::tests::example;
@@ -351,5 +365,24 @@ mod tests {
         assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
         assert_eq!(of("RightFoot").unwrap(), (vec![5], false));
         assert!(of("arms").unwrap_err().to_string().contains("`arms`"));
+    }
+
+    #[test]
+    fn hips_above_knees_are_of_the_legs_and_those_of_the_body_are_not() {
+        // The right one has an arm below it, as the hips of a body have.
+        let names = [
+            ("LeftLeg", "left_hip"),
+            ("LeftFoot", "left_ankle"),
+            ("RightLeg", "RightHip"),
+            ("RightFoot", "RightHand"),
+        ];
+        let mut walk = example("walk.bvh", 20, 1.0 / 30.0);
+        let text = names.iter().fold(walk.bvh.to_text(), |text, (from, to)| {
+            text.replace(from, to)
+        });
+        walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
+        let figure = Figure::new(&[walk], FigureOptions::default()).unwrap();
+        let legs = Part::named("legs", &[], &figure).unwrap();
+        assert_eq!((legs.joints, legs.way), (vec![1, 2, 3], true));
     }
 }

@@ -40,6 +40,7 @@ pub mod statistics;
 pub mod stitch;
 pub mod style;
 pub mod targets;
+pub mod turning;
 
 #[cfg(test)]
 mod wandering;

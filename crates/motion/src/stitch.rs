@@ -4,7 +4,7 @@
 //! its own first frame puts it: heading, height and all derivatives are those of the world, but
 //! the place on the floor is relative to the window's beginning ([`crate::anchor_floor`]). Windows
 //! are therefore moved on the floor before they are blended, by what agrees best with their
-//! neighbours (least squares over the overlaps), and blended with weights that rise and fall with
+//! neighbours (least squares over the overlaps; [`crate::turning`] turns them before), and blended with weights that rise and fall with
 //! the squared sine and add up to 1 in every frame.
 //!
 //! Known frames hold everywhere: windows are moved to where those say, and what a window says
@@ -133,7 +133,7 @@ impl Windows {
     }
 
     /// Weight of frame `t` of the motion in a window, relative to other windows.
-    fn weight(&self, window: usize, t: usize) -> f64 {
+    pub(crate) fn weight(&self, window: usize, t: usize) -> f64 {
         let phase = (t - self.starts[window]) as f64 + 0.5;
         let sine = (std::f64::consts::PI * phase / self.length as f64).sin();
         sine * sine

@@ -63,6 +63,17 @@ impl Job {
                     let hint = "give the key frame a `part` that nothing fixes";
                     return Err(Error::file("key frame", problem, hint));
                 }
+                let way = figure.way();
+                if self.keyframes[index].0.place.is_some()
+                    && channels(fixed).iter().any(|channel| way.contains(channel))
+                {
+                    let problem = format!(
+                        "at {time} s the body has a place, and its way follows {} as part of `{}`",
+                        own.motion.file, own.part
+                    );
+                    let hint = "leave `place` out, or fix no part that brings the way";
+                    return Err(Error::file("key frame", problem, hint));
+                }
             }
             for (place, before) in keys[..index].iter().enumerate() {
                 if moment(before) != moment(key) {
@@ -86,12 +97,15 @@ impl Job {
 
 /// Channels that both hold.
 fn shared(one: &Held, other: &Held) -> Vec<usize> {
-    let of = |held: &Held| match held {
-        Held::Channels { channels, .. } | Held::Keyframe { channels, .. } => channels.clone(),
-    };
-    let others = of(other);
-    let own = of(one).into_iter();
+    let others = channels(other);
+    let own = channels(one).iter().copied();
     own.filter(|channel| others.contains(channel)).collect()
+}
+
+fn channels(held: &Held) -> &[usize] {
+    match held {
+        Held::Channels { channels, .. } | Held::Keyframe { channels, .. } => channels,
+    }
 }
 
 /// A channel to which two key frames give different values.
@@ -166,6 +180,12 @@ mod tests {
         );
         job.keyframes[0].0.part = Some("RightFoot".to_string());
         job.make(&[walk("walk.bvh", 70)]).unwrap();
+        job.keyframes[0].0.place = Some([1.0, 2.0]);
+        let led = said(&job);
+        assert!(
+            led.contains("the body has a place, and its way follows legs.bvh as part of `LeftLeg`"),
+            "{led}"
+        );
         // Parts that share the hips of one motion agree, of two they do not.
         job.fixed.push(fixed("RightLeg", legs.clone()));
         job.keyframes.clear();

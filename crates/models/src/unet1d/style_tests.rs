@@ -3,6 +3,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GuidanceScales, Time, guided};
 use kinegrad_random::{Key, Purpose};
+use serde::Deserialize;
 use serde::de::value::{Error as ValueError, MapDeserializer};
 
 use super::*;

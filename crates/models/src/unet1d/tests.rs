@@ -4,9 +4,11 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
 use kinegrad_kernels::{Lengths, Mode};
 use kinegrad_random::{Key, Purpose};
+use serde::Deserialize;
 use serde::de::value::{Error as ValueError, MapDeserializer};
 
 use super::*;
+use crate::NetworkConfig;
 use crate::parameters;
 
 const FEATURES: usize = 19;

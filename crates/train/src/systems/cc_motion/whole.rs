@@ -19,6 +19,7 @@ use kinegrad_motion::coherence::{fit_orientation, fit_trajectory};
 use kinegrad_motion::kinematics::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
+use kinegrad_motion::turning::Turning;
 use kinegrad_motion::{Motion, Statistics, process_around};
 use kinegrad_random::Key;
 
@@ -72,10 +73,7 @@ impl Generator {
         let mut raw = match &self.decoder {
             None => {
                 let mut values = latents;
-                let layout = Layout::Predicted(self.targets);
-                let all = whole
-                    .windows
-                    .stitch(&mut values, normalized.as_ref(), layout);
+                let all = self.stitched(&whole.windows, &mut values, normalized.as_ref());
                 let rows = self.state.normalization().denormalize(&all);
                 Motion::new(self.targets.decode(rows))?
             }
@@ -110,6 +108,35 @@ impl Generator {
             values: values.collect(),
             is_known: known.is_known.clone(),
         }
+    }
+
+    /// Windows as the network predicts them, as one motion of which each becomes its part.
+    fn stitched(&self, windows: &Windows, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
+        let turning = Turning {
+            layout: Layout::Predicted(self.targets),
+            statistics: Some(self.state.normalization()),
+        };
+        self.turned_and_stitched(turning, windows, values, known)
+    }
+
+    /// Windows as one motion, of which each becomes its part, where it stood and as it was turned. A
+    /// model that was trained on one heading draws windows that agree, and they stay as they are.
+    fn turned_and_stitched(
+        &self,
+        turning: Turning<'_>,
+        windows: &Windows,
+        values: &mut [f32],
+        known: Option<&Known>,
+    ) -> Vec<f32> {
+        if !self.state.config.data.augment.rotate_yaw {
+            return windows.stitch(values, known, turning.layout);
+        }
+        let angles = turning.angles(windows, values, known);
+        turning.turn(windows, values, &angles);
+        let motion = windows.stitch(values, known, turning.layout);
+        let back: Vec<f64> = angles.iter().map(|angle| -angle).collect();
+        turning.turn(windows, values, &back);
+        motion
     }
 
     fn on_device(&self, values: Vec<f32>, shape: [usize; 3]) -> Tensor<3> {
@@ -155,7 +182,7 @@ impl Generator {
                     return Err(kinegrad_diffusion::Error::Stopped);
                 }
             }
-            windows.stitch(&mut predicted, known, Layout::Predicted(self.targets));
+            self.stitched(windows, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);
             // What the network would have said, had it predicted that.
             let model_output = self.diffusion.convert(
@@ -224,7 +251,11 @@ impl Generator {
             let motion = batch_invariant(batch.len(), || decoder.frames(latent, None));
             decoded.extend(values(motion));
         }
-        let all = windows.stitch(&mut decoded, known, Layout::Phrase);
+        let turning = Turning {
+            layout: Layout::Phrase,
+            statistics: None,
+        };
+        let all = self.turned_and_stitched(turning, windows, &mut decoded, known);
         let mut motion = Motion::from_channel_major(&all, windows.frames())?;
         // Of quaternions that differ, the mean is short.
         for t in 0..motion.frames() {

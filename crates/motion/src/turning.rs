@@ -1,0 +1,266 @@
+//! Windows of one motion, turned to face the same way.
+//!
+//! To a model whose training phrases were turned about the vertical at random, no heading is better
+//! than another, and each window that it draws may face any way. Where neighbours face opposite ways
+//! the mean of their rotations is none, and the dancer spins in the overlap. So each window is turned
+//! about the vertical, as it is moved on the floor ([`crate::stitch`]), before they are blended.
+
+use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
+use crate::rotation::Quaternion;
+use crate::stitch::{Known, Layout, Windows};
+use crate::{OrientationTarget, Statistics};
+
+/// What the channels of windows are, and the units that they are in.
+#[derive(Clone, Copy, Debug)]
+pub struct Turning<'a> {
+    /// What they are.
+    pub layout: Layout,
+    /// Those by which they are normalised; none of physical units.
+    pub statistics: Option<&'a Statistics>,
+}
+
+impl Turning<'_> {
+    /// The angles about the vertical, in radians, by which windows `[windows, channels, length]` face
+    /// as their neighbours do where they overlap. Windows with `known` frames face as those say, and
+    /// without any the first window stays as it is.
+    ///
+    /// # Panics
+    /// Panics if the sizes do not fit.
+    pub fn angles(&self, windows: &Windows, values: &[f32], known: Option<&Known>) -> Vec<f64> {
+        let (channels, length) = (self.layout.channels(), windows.length());
+        assert_eq!(values.len(), windows.len() * channels * length, "windows");
+        let facing = |window: usize, t: usize| {
+            let first = window * channels * length + t - windows.starts()[window];
+            self.facing(|channel| values[first + channel * length])
+        };
+        let by_known = |window: usize| {
+            let known = known?;
+            let frames = windows.of(window).filter(|&t| known.is_known[t]);
+            let pairs = frames.map(|t| {
+                let there = |channel: usize| known.values[channel * windows.frames() + t];
+                (self.facing(there), facing(window, t), 1.0)
+            });
+            angle(pairs)
+        };
+        let apart = |window: usize| {
+            let shared = windows.starts()[window + 1]..windows.of(window).end;
+            let pairs = shared.map(|t| {
+                let weight = windows.weight(window, t) * windows.weight(window + 1, t);
+                (facing(window, t), facing(window + 1, t), weight)
+            });
+            angle(pairs).unwrap_or(0.0)
+        };
+        let mut angles: Vec<Option<f64>> = (0..windows.len()).map(by_known).collect();
+        let first = angles.iter().position(Option::is_some).unwrap_or(0);
+        let mut angle = angles[first].unwrap_or(0.0);
+        for window in (0..first).rev() {
+            let next = angles[window + 1].unwrap_or(angle);
+            angles[window] = Some(next - apart(window));
+        }
+        for (window, here) in angles.iter_mut().enumerate().skip(first) {
+            if window > first {
+                angle += apart(window - 1);
+            }
+            angle = here.unwrap_or(angle);
+            *here = Some(angle);
+        }
+        angles.into_iter().map(Option::unwrap_or_default).collect()
+    }
+
+    /// Turns each window by its angle.
+    pub fn turn(&self, windows: &Windows, values: &mut [f32], angles: &[f64]) {
+        let length = windows.length();
+        let windows = values.chunks_mut(self.layout.channels() * length);
+        for (values, angle) in windows.zip(angles).filter(|(_, angle)| **angle != 0.0) {
+            for t in 0..length {
+                self.turn_frame(values, length, t, *angle);
+            }
+        }
+    }
+
+    fn turn_frame(&self, values: &mut [f32], length: usize, t: usize, angle: f64) {
+        let (sin, cos) = angle.sin_cos();
+        for [x, z] in self.horizontal() {
+            let [at_x, at_z] = [x, z].map(|c| self.physical(c, values[c * length + t]));
+            let turned = [at_x * cos + at_z * sin, at_z * cos - at_x * sin];
+            for (channel, value) in [x, z].into_iter().zip(turned) {
+                values[channel * length + t] = self.own(channel, value);
+            }
+        }
+        if self.is_quaternion() {
+            let parts = QUATERNION.map(|c| self.physical(c, values[c * length + t]));
+            let parts: Vec<f64> = parts.collect();
+            let turned = Quaternion::from_yaw(angle) * quaternion(&parts);
+            let turned = [turned.w, turned.x, turned.y, turned.z];
+            for (channel, value) in QUATERNION.zip(turned) {
+                values[channel * length + t] = self.own(channel, value);
+            }
+        }
+    }
+
+    fn is_quaternion(&self) -> bool {
+        match self.layout {
+            Layout::Phrase => true,
+            Layout::Predicted(targets) => targets.orientation != OrientationTarget::Rotation6d,
+        }
+    }
+
+    /// Channels of horizontal parts of vectors, x and z.
+    fn horizontal(&self) -> Vec<[usize; 2]> {
+        let rotation = match self.layout {
+            Layout::Phrase => crate::phrase::ANGULAR_VELOCITY,
+            Layout::Predicted(targets) => targets.angular_velocity_channels(),
+        };
+        let mut starts = vec![
+            POSITION.start,
+            VELOCITY.start,
+            ACCELERATION.start,
+            rotation.start,
+        ];
+        if !self.is_quaternion() {
+            starts.extend([QUATERNION.start, QUATERNION.start + 3]);
+        }
+        starts.into_iter().map(|start| [start, start + 2]).collect()
+    }
+
+    /// Where the body's own x axis points over the ground, as z and x, and where its y axis leans.
+    fn facing(&self, value: impl Fn(usize) -> f32) -> [[f64; 2]; 2] {
+        let at = |channel: usize| self.physical(channel, value(channel));
+        let axes = match self.is_quaternion() {
+            true => {
+                let parts: Vec<f64> = QUATERNION.map(at).collect();
+                let quaternion = quaternion(&parts);
+                [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| quaternion.rotate(axis))
+            }
+            false => [0, 3].map(|column| [0, 1, 2].map(|i| at(QUATERNION.start + column + i))),
+        };
+        axes.map(|[x, _, z]| [z, x])
+    }
+
+    fn physical(&self, channel: usize, value: f32) -> f64 {
+        let value = f64::from(value);
+        match self.statistics {
+            Some(Statistics { mean, std, .. }) => value * std[channel] + mean[channel],
+            None => value,
+        }
+    }
+
+    fn own(&self, channel: usize, value: f64) -> f32 {
+        let own = match self.statistics {
+            Some(Statistics { mean, std, .. }) => (value - mean[channel]) / std[channel],
+            None => value,
+        };
+        own as f32
+    }
+}
+
+fn quaternion(parts: &[f64]) -> Quaternion {
+    Quaternion {
+        w: parts[0],
+        x: parts[1],
+        y: parts[2],
+        z: parts[3],
+    }
+}
+
+type Facing = [[f64; 2]; 2];
+
+/// The angle by which the second of each pair is turned to face as the first, in weighted least
+/// squares; none of no pairs.
+fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
+    let mut sums = None;
+    for (here, there, weight) in pairs {
+        let (sin, cos) = sums.get_or_insert((0.0, 0.0));
+        for ([z, x], [other_z, other_x]) in here.into_iter().zip(there) {
+            *sin += weight * (x * other_z - z * other_x);
+            *cos += weight * (z * other_z + x * other_x);
+        }
+    }
+    sums.map(|(sin, cos): (f64, f64)| sin.atan2(cos))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wandering::wandering;
+    use crate::{Motion, PhaseTarget, Targets, anchor_floor, rotate_yaw};
+
+    /// The windows of a motion, each anchored where it begins and turned by an angle.
+    fn cut(windows: &Windows, motion: &Motion, angles: &[f64]) -> Vec<Motion> {
+        let parts = angles.iter().enumerate().map(|(window, angle)| {
+            let mut part = motion.slice(windows.of(window));
+            anchor_floor(&mut part);
+            rotate_yaw(&mut part, *angle);
+            part
+        });
+        parts.collect()
+    }
+
+    fn rows(parts: &[Motion]) -> Vec<f32> {
+        parts.iter().flat_map(Motion::channel_major).collect()
+    }
+
+    fn turned(angle: f64) -> f64 {
+        let turns = angle / std::f64::consts::TAU;
+        (turns - turns.round()).abs()
+    }
+
+    #[test]
+    fn windows_that_were_turned_are_turned_back() {
+        let (motion, windows) = (wandering(3, 61), Windows::new(61, 24));
+        let by: Vec<f64> = (0..windows.len()).map(|w| 2.3 * w as f64).collect();
+        let parts = cut(&windows, &motion, &by);
+        let turning = Turning {
+            layout: Layout::Phrase,
+            statistics: None,
+        };
+        let mut values = rows(&parts);
+        let angles = turning.angles(&windows, &values, None);
+        for (angle, by) in angles.iter().zip(&by) {
+            assert!(turned(angle + by) < 1e-3, "{angle} {by}");
+        }
+        turning.turn(&windows, &mut values, &angles);
+        let straight = rows(&cut(&windows, &motion, &vec![0.0; by.len()]));
+        for (a, b) in values.iter().zip(&straight) {
+            assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+        // Known frames say which way, from the window that has them in both directions.
+        let known = Known {
+            is_known: (0..61).map(|t| (25..30).contains(&t)).collect(),
+            values: motion.channel_major(),
+        };
+        let values = rows(&parts);
+        let angles = turning.angles(&windows, &values, Some(&known));
+        for (angle, by) in angles.iter().zip(&by) {
+            assert!(turned(angle + by) < 1e-3, "{angle} {by}");
+        }
+    }
+
+    #[test]
+    fn normalised_targets_turn_as_phrases_do() {
+        let windows = Windows::new(20, 20);
+        let motion = wandering(4, 20);
+        for orientation in [OrientationTarget::Rotation6d, OrientationTarget::Quaternion] {
+            let targets = Targets {
+                phase: PhaseTarget::Harmonics,
+                orientation,
+            };
+            let channels = targets.channels();
+            let mean = (0..channels).map(|c| 0.1 * c as f64 - 0.7);
+            let std = (0..channels).map(|c| 0.5 + 0.03 * c as f64);
+            let statistics = Statistics::new(mean.collect(), std.collect(), None).unwrap();
+            let own = |motion: &Motion| statistics.normalize(&targets.encode(motion.as_slice()));
+            let turning = Turning {
+                layout: Layout::Predicted(targets),
+                statistics: Some(&statistics),
+            };
+            let mut values = own(&motion);
+            turning.turn(&windows, &mut values, &[0.8]);
+            let mut expected = motion.clone();
+            rotate_yaw(&mut expected, 0.8);
+            for (place, (a, b)) in values.iter().zip(own(&expected)).enumerate() {
+                assert!((a - b).abs() < 1e-4, "{orientation:?} {place}: {a} {b}");
+            }
+        }
+    }
+}
