@@ -118,7 +118,7 @@ impl BeatTracker {
 
 /// What features `[batch, channels, time]` tell of the place in the beat, sine and cosine, and where
 /// they do so, ones and zeros: `[batch, 2, time]` and `[batch, 1, time]`. Sine and cosine are of one
-/// angle unless either is masked, they are replaced by noise, or no beats are known.
+/// angle unless they are replaced by noise or no beats are known.
 pub fn told_beats(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let first = features.dims()[1] - BEAT_CHANNELS;
     let told = features.clone().narrow(1, first, TRACKED);

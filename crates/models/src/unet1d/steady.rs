@@ -70,6 +70,7 @@ fn turns(of: fn(f64) -> f64, time: usize, device: &Device) -> Tensor<2> {
 
 #[cfg(test)]
 mod tests {
+    use kinegrad_motion::circular;
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
@@ -88,10 +89,7 @@ mod tests {
         let (sines, cosines) = heard.split_at(heard.len() / 2);
         let heard = sines.iter().zip(cosines);
         let heard = heard.map(|(s, c)| f64::from(*s).atan2(f64::from(*c)) / TAU);
-        let distances = heard.zip(places).map(|(a, b)| {
-            let apart = a - b;
-            (apart - apart.round()).abs()
-        });
+        let distances = heard.zip(places).map(|(a, b)| circular::distance(a, *b));
         distances.fold(0.0, f64::max)
     }
 

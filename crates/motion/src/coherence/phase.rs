@@ -20,9 +20,9 @@
 use std::f64::consts::TAU;
 
 use super::weight;
-use crate::Motion;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::PHASE;
+use crate::{Motion, circular};
 
 /// `S`: a change of tempo that comes and goes within four seconds is taken for noise.
 const STEADINESS_FRAMES: f64 = 20.0;
@@ -75,7 +75,7 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
     let parts = parts(&said);
     let mut fitted = in_parts(parts);
     // Frames that are known of two bars: only whole bars lead from one to the other.
-    let misses = |t: usize| known[t] && apart(fitted[t], said[t]) > 0.5 / parts as f64;
+    let misses = |t: usize| known[t] && circular::distance(fitted[t], said[t]) > 0.5 / parts as f64;
     if (0..frames).any(misses) {
         fitted = in_parts(1);
     }
@@ -84,12 +84,6 @@ pub fn fit_phase(motion: &mut Motion, known: &[bool]) {
         // What is just below 1 may round to it.
         motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
     }
-}
-
-/// The distance of two phases the shortest way around, in turns.
-fn apart(a: f64, b: f64) -> f64 {
-    let apart = a - b;
-    (apart - apart.round()).abs()
 }
 
 /// Into how many parts a bar is divided for the phase to be steady: the fewest whose agreement with
@@ -255,7 +249,6 @@ mod tests {
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
-    use crate::circular;
     use crate::phrase::CHANNELS;
 
     /// A motion with these phases in turns.
