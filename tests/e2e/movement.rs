@@ -107,6 +107,13 @@ fn broken(good: &Motion) -> Vec<(&'static str, Motion, Vec<&'static str>)> {
             vec!["turn_rate", "turn_acceleration"],
         ),
         (
+            "upside down",
+            posed(good, |_, p, q, phase| {
+                (p, q * Quaternion::new(0.0, 0.0, 0.0, 1.0), phase)
+            }),
+            vec!["largest_tilt"],
+        ),
+        (
             "phase that stands",
             posed(good, |_, p, q, _| (p, q, 0.5)),
             vec!["phase_rate"],
@@ -185,7 +192,7 @@ fn motions_broken_on_purpose_fail_by_name_and_real_ones_pass() {
         // The checks of the channels let most of them through, and say so of themselves.
         let document = sandbox.run("check broken --json");
         let document = parsed(&document.stdout);
-        assert_eq!(document["passed"], 13, "{document:#}");
+        assert_eq!(document["passed"], 14, "{document:#}");
     }
 }
 

@@ -296,6 +296,52 @@ fn fine_tuning_holds_out_what_its_base_did_or_says_what_leaks() {
 }
 
 #[test]
+fn other_phrases_of_a_held_out_song_are_told_too() {
+    let sandbox = sandbox();
+    sandbox
+        .run("data synth --out set --phrases 6 --frames 40")
+        .succeeded();
+    // Three songs of two phrases.
+    for folder in ["motion", "audio"] {
+        for name in sandbox.list(&format!("set/{folder}")) {
+            let number = name.trim_matches(|c: char| !c.is_ascii_digit());
+            let number: u32 = number.parse().expect("a number");
+            let song = ["A_1", "B_2", "C_3"][number as usize / 2];
+            let renamed = name.replace(
+                &format!("synthetic_{number:05}"),
+                &format!("{song}_{:05}", 10 * number),
+            );
+            let [from, to] = [&name, &renamed].map(|name| format!("set/{folder}/{name}"));
+            fs::rename(sandbox.path(from), sandbox.path(to)).expect("renamed");
+        }
+    }
+    let data = |held_out: &str| {
+        format!(
+            "--set data.kind=phrases --set data.source=set \
+             --set data.validation.patterns=[{held_out}]"
+        )
+    };
+    let settings = data("\"B_2_00020\",\"A_1_*\"");
+    sandbox.run(&base("base", &settings)).succeeded();
+    let told = |name: &str, held_out: &str| {
+        let told = sandbox.run(&decoder(name, &data(held_out))).succeeded();
+        let words: Vec<&str> = told.stderr.split_whitespace().collect();
+        words.join(" ")
+    };
+    let found = told("phrases", "\"B_*\"");
+    let expected = "was trained on 1 of the 2 phrases that are held out here";
+    assert!(found.contains(expected), "{found}");
+    let found = told("songs", "\"B_2_00020\",\"A_1_00000\"");
+    let expected = "was trained on other phrases of 1 of the 2 songs that are held out here";
+    assert!(
+        found.contains(expected) && found.contains(": B_2."),
+        "{found}"
+    );
+    let found = told("new", "\"A_1_00000\"");
+    assert!(!found.contains("was trained on"), "{found}");
+}
+
+#[test]
 fn samples_longer_than_training_saw_are_drawn_in_windows_or_told() {
     let sandbox = sandbox();
     sandbox.run(&base("base", "")).succeeded();

@@ -31,7 +31,7 @@ pub fn decode(targets: Targets, x: Tensor<3>) -> Tensor<3> {
             match targets.orientation {
                 OrientationTarget::Quaternion => orientation,
                 OrientationTarget::CanonicalQuaternion => canonical_signs(unit(orientation)),
-                OrientationTarget::Rotation6d => canonical_signs(from_columns(orientation)),
+                OrientationTarget::Rotation6d => canonical_signs(nearest_rotations(orientation)),
             },
             part(targets.angular_velocity_channels()),
             match targets.phase {
@@ -91,21 +91,34 @@ fn unit(x: Tensor<3>) -> Tensor<3> {
     x / square.clamp_min(LEAST_SQUARE).sqrt()
 }
 
-/// The unit quaternions `[batch, 4, time]`, of any sign, of rotations whose matrices have nearly
-/// the first two columns `[batch, 6, time]`, by Gram and Schmidt.
-fn from_columns(columns: Tensor<3>) -> Tensor<3> {
-    let a = unit(columns.clone().narrow(1, 0, 3));
-    let b = columns.narrow(1, 3, 3);
-    let along = (a.clone() * b.clone()).sum_dim(1);
-    let b = unit(b - a.clone() * along);
+/// The unit quaternions `[batch, 4, time]`, of any sign, of rotations whose matrices have the
+/// orthonormal columns that are nearest to the first two columns `[batch, 6, time]`, as
+/// [`nearest_rotation`](kinegrad_motion::targets::nearest_rotation) has them.
+fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
     let parts = |x: &Tensor<3>| [0, 1, 2].map(|index| x.clone().narrow(1, index, 1));
-    let ([ax, ay, az], [bx, by, bz]) = (parts(&a), parts(&b));
     let cross = |p: &Tensor<3>, q: &Tensor<3>, r: &Tensor<3>, s: &Tensor<3>| {
         p.clone() * q.clone() - r.clone() * s.clone()
     };
-    let cx = cross(&ay, &bz, &az, &by);
-    let cy = cross(&az, &bx, &ax, &bz);
-    let cz = cross(&ax, &by, &ay, &bx);
+    let normal = |a: &[Tensor<3>; 3], b: &[Tensor<3>; 3]| {
+        let ([ax, ay, az], [bx, by, bz]) = (a, b);
+        [
+            cross(ay, bz, az, by),
+            cross(az, bx, ax, bz),
+            cross(ax, by, ay, bx),
+        ]
+    };
+    let a = columns.clone().narrow(1, 0, 3);
+    let b = columns.narrow(1, 3, 3);
+    let area = Tensor::cat(normal(&parts(&a), &parts(&b)).to_vec(), 1);
+    let s = area.square().sum_dim(1).clamp_min(LEAST_SQUARE).sqrt();
+    let dot = |x: &Tensor<3>, y: &Tensor<3>| (x.clone() * y.clone()).sum_dim(1);
+    let (p, q, r) = (dot(&a, &a), dot(&b, &b), dot(&a, &b));
+    let scale = ((p.clone() + q.clone() + s.clone() * 2.0).sqrt() * s.clone()).recip();
+    let first = (a.clone() * (q + s.clone()) - b.clone() * r.clone()) * scale.clone();
+    let second = (b * (p + s) - a * r) * scale;
+    let (a, b) = (parts(&first), parts(&second));
+    let [cx, cy, cz] = normal(&a, &b);
+    let ([ax, ay, az], [bx, by, bz]) = (a, b);
     // The matrix 4 q q^T: its row of the largest diagonal, which is 1 or more, is q, scaled.
     let (wx, wy, wz) = (
         bz.clone() - cy.clone(),

@@ -21,6 +21,9 @@ const FACTOR: f64 = 2.0;
 /// slowest training phrase is no tempo, but an error.
 const PHASE_FACTOR: f64 = 1.5;
 
+/// A lean in degrees that is no fault even of dancers who were trained on bodies that stand upright.
+const HARMLESS_TILT: f64 = 20.0;
+
 /// On which sides a measure is held against the training phrases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bounds {
@@ -28,6 +31,13 @@ pub enum Bounds {
     Both(f64),
     /// Not above the 99th percentile times the factor: a small value is no fault.
     Upper(f64),
+    /// The same, but a value up to `harmless` is no fault whatever the training phrases are.
+    UpperBeyond {
+        /// How many times the 99th percentile it may be.
+        factor: f64,
+        /// The value that is always allowed, in the measure's unit.
+        harmless: f64,
+    },
     /// Not at all: it depends on the phrase's length.
     Unchecked,
 }
@@ -49,6 +59,8 @@ pub enum Movement {
     TurnAcceleration,
     /// Largest angle between the orientations of neighbouring frames, degrees.
     LargestTurn,
+    /// Largest angle between the body's own upward axis, its local +y, and the vertical, degrees.
+    LargestTilt,
     /// Mean advance of the phase, bars per second; steps are taken the short way around.
     PhaseRate,
     /// Largest step of the phase from one frame to the next, the short way around, bars.
@@ -62,7 +74,7 @@ pub enum Movement {
 
 impl Movement {
     /// All measures.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::PathSpeed,
         Self::PathAcceleration,
         Self::PathJerk,
@@ -70,6 +82,7 @@ impl Movement {
         Self::TurnRate,
         Self::TurnAcceleration,
         Self::LargestTurn,
+        Self::LargestTilt,
         Self::PhaseRate,
         Self::LargestPhaseStep,
         Self::NetTravel,
@@ -86,6 +99,7 @@ impl Movement {
             Self::TurnRate => "turn_rate",
             Self::TurnAcceleration => "turn_acceleration",
             Self::LargestTurn => "largest_turn",
+            Self::LargestTilt => "largest_tilt",
             Self::PhaseRate => "phase_rate",
             Self::LargestPhaseStep => "largest_phase_step",
             Self::NetTravel => "net_travel",
@@ -103,6 +117,7 @@ impl Movement {
             Self::TurnRate => "mean turn rate",
             Self::TurnAcceleration => "mean change of the turn rate",
             Self::LargestTurn => "largest turn from one frame to the next",
+            Self::LargestTilt => "largest tilt from the vertical",
             Self::PhaseRate => "mean advance of the phase",
             Self::LargestPhaseStep => "largest step of the phase from one frame to the next",
             Self::NetTravel => "travel from the first frame to the last",
@@ -119,7 +134,7 @@ impl Movement {
             Self::Travel | Self::NetTravel => "m",
             Self::TurnRate => "degrees/s",
             Self::TurnAcceleration => "degrees/s^2",
-            Self::LargestTurn => "degrees",
+            Self::LargestTurn | Self::LargestTilt => "degrees",
             Self::PhaseRate => "bars/s",
             Self::LargestPhaseStep => "bars",
             Self::PhaseWraps => "bars begun",
@@ -131,6 +146,10 @@ impl Movement {
         match self {
             // Who turns and counts evenly, or dances on the spot, is no worse for it.
             Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
+            Self::LargestTilt => Bounds::UpperBeyond {
+                factor: FACTOR,
+                harmless: HARMLESS_TILT,
+            },
             Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
             Self::NetTravel | Self::PhaseWraps => Bounds::Unchecked,
             _ => Bounds::Both(FACTOR),
@@ -163,6 +182,7 @@ impl Movement {
                 (!changes.is_empty()).then(|| mean_norm(&changes).to_degrees())
             }
             Self::LargestTurn => largest(turns(motion)),
+            Self::LargestTilt => largest(tilts(motion)),
             Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
             Self::LargestPhaseStep => largest(phase_steps(motion)),
             Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
@@ -206,6 +226,18 @@ fn turns(motion: &Motion) -> Vec<f64> {
         .collect()
 }
 
+/// Angles between the body's upward axis and the vertical, degrees, `[frames]`.
+fn tilts(motion: &Motion) -> Vec<f64> {
+    let tilt = |t| {
+        let quaternion = motion.quaternion(t);
+        let [x, y, z] = quaternion
+            .scale(1.0 / quaternion.norm())
+            .rotate([0.0, 1.0, 0.0]);
+        x.hypot(z).atan2(y).to_degrees()
+    };
+    (0..motion.frames()).map(tilt).collect()
+}
+
 /// Steps of the phase from frame to frame, taken the short way around: -0.5 to 0.5, `[frames - 1]`.
 pub fn phase_steps(motion: &Motion) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
@@ -245,7 +277,20 @@ mod tests {
     #[test]
     fn steady_motion_has_the_values_it_was_made_with() {
         let motion = steady(121);
-        let expected = [0.6, 0.0, 0.0, 0.6, 90.0, 0.0, 3.0, 0.5, 0.5 / FPS, 2.4, 2.0];
+        let expected = [
+            0.6,
+            0.0,
+            0.0,
+            0.6,
+            90.0,
+            0.0,
+            3.0,
+            0.0,
+            0.5,
+            0.5 / FPS,
+            2.4,
+            2.0,
+        ];
         for (measure, expected) in Movement::ALL.into_iter().zip(expected) {
             let value = measure.of(&motion).unwrap();
             // Third differences of values rounded to single precision.
@@ -287,7 +332,11 @@ mod tests {
             motion.frame_mut(20)[channel] = f32::NAN;
             let asked = match channel {
                 0 => vec![Movement::PathSpeed, Movement::PathJerk, Movement::Travel],
-                9 => vec![Movement::TurnRate, Movement::LargestTurn],
+                9 => vec![
+                    Movement::TurnRate,
+                    Movement::LargestTurn,
+                    Movement::LargestTilt,
+                ],
                 _ => vec![Movement::PhaseRate, Movement::LargestPhaseStep],
             };
             for measure in asked {
@@ -318,9 +367,23 @@ mod tests {
     }
 
     #[test]
+    fn the_tilt_is_that_of_the_body_whatever_its_heading() {
+        let tilted = |tilt: f64| {
+            let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
+            let mut motion = steady(60);
+            let turned = Quaternion::from_yaw(2.0) * lean;
+            motion.set_quaternion(30, turned.scale(-0.5));
+            Movement::LargestTilt.of(&motion).unwrap()
+        };
+        for tilt in [0.0, 25.0, 90.0, 172.0] {
+            assert!((tilted(tilt) - tilt).abs() < 1e-3, "{tilt}");
+        }
+    }
+
+    #[test]
     fn too_few_frames_have_no_value() {
         // From how many frames on each has one.
-        let needed = [2, 3, 4, 31, 2, 3, 2, 2, 2, 2, 2];
+        let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = steady(frames);
             for (measure, needed) in Movement::ALL.into_iter().zip(needed) {

@@ -21,7 +21,7 @@ use crate::augment::mirrored_channels;
 use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
 use crate::{ChannelMoments, Motion, Quaternion, Statistics, rotate_yaw};
 
-/// Below this square, a predicted axis of a rotation is not divided by its length.
+/// Below this square, a predicted axis of a rotation, or the area of two, is not divided by its size.
 pub const LEAST_SQUARE: f64 = 1e-8;
 
 /// What is predicted of the phase.
@@ -227,7 +227,7 @@ impl Targets {
             let values = frame[self.orientation_channels()].iter();
             let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                OrientationTarget::Rotation6d => from_columns(&values),
+                OrientationTarget::Rotation6d => nearest_rotation(&values),
                 _ => Quaternion::new(values[0], values[1], values[2], values[3]),
             }
         });
@@ -248,6 +248,27 @@ impl Targets {
             decoded.extend_from_slice(&frame[self.style_channels()]);
         }
         decoded
+    }
+
+    /// How sure predicted `rows` `[frames, channels]` are of each orientation, 0 to 1, `[frames]`,
+    /// where [`decode`](Self::decode) brings it to unit norm: the area that the two columns of a
+    /// rotation span, or the norm of the quaternion. A mean of orientations that differ is short.
+    pub fn sureness(self, rows: &[f32]) -> Vec<f64> {
+        let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
+        let sure = |frame: &[f32]| {
+            let values = frame[self.orientation_channels()].iter();
+            let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
+            match self.orientation {
+                // Stays as short as it is.
+                OrientationTarget::Quaternion => 1.0,
+                OrientationTarget::CanonicalQuaternion => length(&v).min(1.0),
+                OrientationTarget::Rotation6d => {
+                    let [a, b] = pair(&v);
+                    length(&cross(a, b)).min(1.0)
+                }
+            }
+        };
+        rows.chunks_exact(self.channels()).map(sure).collect()
     }
 
     /// How such channels with these `moments` are normalised: zero mean and unit deviation, except
@@ -289,26 +310,67 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation whose matrix has nearly these first two columns, `[6]`, by Gram and Schmidt; its sign
-/// is arbitrary. Not finite where the columns are not.
+/// The rotation whose matrix has nearly these first two columns, `[6]`, by Gram and Schmidt: the first
+/// is kept in direction. Its sign is arbitrary. Not finite where the columns are not.
 ///
 /// # Panics
 /// Panics if there are fewer than six numbers.
 pub fn from_columns(columns: &[f64]) -> Quaternion {
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
-    if !columns.iter().all(|part| part.is_finite()) {
-        return Quaternion::new(f64::NAN, f64::NAN, f64::NAN, f64::NAN);
-    }
-    let a = unit([columns[0], columns[1], columns[2]]);
-    let b = [columns[3], columns[4], columns[5]];
+    let [a, b] = pair(columns);
+    let a = unit(a);
     let along = dot(a, b);
-    let b = unit([0, 1, 2].map(|i| b[i] - along * a[i]));
-    let c = [
+    of_orthonormal(a, unit([0, 1, 2].map(|i| b[i] - along * a[i])))
+}
+
+/// The rotation whose matrix has the orthonormal columns that are nearest to these first two, `[6]`,
+/// in least squares; its sign is arbitrary. Not finite where the columns are not.
+///
+/// A column that is short, as the mean of many directions is, turns the other one little. Of a dancer
+/// whose heading is open the side is short and the upward axis is not: by Gram and Schmidt, which
+/// keep the first direction, the body would fall over.
+///
+/// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, they are
+///
+/// ```text
+/// M (M^T M)^{-1/2} = M [[q + s, -r], [-r, p + s]] / (s sqrt(p + q + 2 s))
+/// ```
+///
+/// # Panics
+/// Panics if there are fewer than six numbers.
+pub fn nearest_rotation(columns: &[f64]) -> Quaternion {
+    let [a, b] = pair(columns);
+    let (p, q, r) = (dot(a, a), dot(b, b), dot(a, b));
+    let normal = cross(a, b);
+    let s = dot(normal, normal).max(LEAST_SQUARE).sqrt();
+    let scale = 1.0 / (s * (p + q + 2.0 * s).sqrt());
+    let mixed = |x: f64, y: f64| [0, 1, 2].map(|i| scale * (x * a[i] + y * b[i]));
+    of_orthonormal(mixed(q + s, -r), mixed(-r, p + s))
+}
+
+/// Two columns of six numbers.
+fn pair(columns: &[f64]) -> [[f64; 3]; 2] {
+    [0, 3].map(|first| std::array::from_fn(|axis| columns[first + axis]))
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
         a[0] * b[1] - a[1] * b[0],
-    ];
+    ]
+}
+
+/// The rotation whose matrix has these first two columns.
+fn of_orthonormal(a: [f64; 3], b: [f64; 3]) -> Quaternion {
+    if !a.iter().chain(&b).all(|part| part.is_finite()) {
+        return Quaternion::new(f64::NAN, f64::NAN, f64::NAN, f64::NAN);
+    }
+    let c = cross(a, b);
     // The matrix 4 q q^T: its row of the largest diagonal is q, scaled by 4 times that part.
     let (wx, wy, wz) = (b[2] - c[1], c[0] - a[2], a[1] - b[0]);
     let (xy, xz, yz) = (a[1] + b[0], c[0] + a[2], b[2] + c[1]);

@@ -7,15 +7,18 @@
 //! diagonals, solved in time and memory proportional to the frames:
 //!
 //! - [`fit_trajectory`]: positions to positions, velocities and accelerations
+//! - [`fit_heading`]: headings to orientations, each as far as it is sure, and angular velocities
 //! - [`fit_orientation`]: orientations to quaternions and angular velocities
 //! - [`fit_phase`]: a phase that advances steadily
 //!
 //! That a fitted motion is coherent is true by construction and says nothing of the network.
 
+mod heading;
 mod orientation;
 mod phase;
 mod trajectory;
 
+pub use heading::fit_heading;
 pub use orientation::{OrientationFit, fit_orientation};
 pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};

@@ -24,7 +24,7 @@ const LEAST_STEP: f64 = 1e-6;
 /// The fit of the components of `u` for motion of some length.
 #[derive(Clone, Debug)]
 pub struct OrientationFit {
-    /// Of each frame, 1 or that of a known frame.
+    /// Of each frame: 1, less where it says little, or that of a known frame.
     weights: Vec<f64>,
     factor: Cholesky<BAND>,
 }
@@ -42,11 +42,15 @@ impl OrientationFit {
     fn around(known: &[bool], rates: &[f64]) -> Self {
         // Half a rotation vector is what a small rotation adds to a quaternion.
         let step_scale = rates.iter().sum::<f64>() / rates.len() as f64 / (2.0 * FPS);
+        let weights = known.iter().map(|&known| weight(known)).collect();
+        Self::weighted(weights, [QUATERNION_SCALE, step_scale])
+    }
+
+    /// The fit with a weight of each frame, and the scales of a component and of its steps.
+    pub(super) fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
         assert!(step_scale > 0.0, "deviations of the angular velocity");
-        let step_scale = step_scale.max(LEAST_STEP);
-        let stiffness = (QUATERNION_SCALE / step_scale).powi(2);
-        let weights: Vec<f64> = known.iter().map(|&known| weight(known)).collect();
-        let mut normal = vec![[0.0; BAND]; known.len()];
+        let stiffness = (scale / step_scale.max(LEAST_STEP)).powi(2);
+        let mut normal = vec![[0.0; BAND]; weights.len()];
         for (t, weight) in weights.iter().enumerate() {
             normal[t][0] += weight;
             if t > 0 {
@@ -67,7 +71,7 @@ impl OrientationFit {
     }
 
     /// The fitted values of one component, in place of what is said of it, `[frames]`. Without
-    /// known frames it is its own adjoint.
+    /// known frames or weights it is its own adjoint.
     pub fn fit(&self, component: &mut [f64]) {
         for (value, weight) in component.iter_mut().zip(&self.weights) {
             *value *= weight;

@@ -22,7 +22,7 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostPr
 
 use std::ops::Range;
 
-use crate::coherence::{fit_orientation, fit_phase, fit_trajectory};
+use crate::coherence::{fit_heading, fit_orientation, fit_phase, fit_trajectory};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
@@ -102,7 +102,13 @@ pub fn process_around(
         && processed.first_non_finite().is_none()
     {
         let mut fitted = processed.clone();
+        // Short quaternions, which were brought to unit norm above, say little of the heading.
+        for t in 0..fitted.frames() {
+            let sure = motion.quaternion(t).norm().min(1.0);
+            fitted.set_quaternion(t, fitted.quaternion(t).scale(sure));
+        }
         fit_trajectory(&mut fitted, std, known);
+        fit_heading(&mut fitted, std, known);
         fit_orientation(&mut fitted, std, known);
         fit_phase(&mut fitted, known);
         if fitted.first_non_finite().is_none() {

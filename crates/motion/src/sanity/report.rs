@@ -58,6 +58,17 @@ impl Check {
             message,
         }
     }
+
+    /// Whichever of two outcomes of one check lies farther beyond its threshold, or less far within.
+    pub fn worse(self, other: Self) -> Self {
+        let excess = |check: &Self| check.threshold.excess(check.value);
+        // What is not a number is the worst.
+        if excess(&self) >= excess(&other) || excess(&self).is_nan() {
+            self
+        } else {
+            other
+        }
+    }
 }
 
 /// A measurement. In JSON a number or a pair of numbers (`null` where it is not finite).
@@ -102,6 +113,30 @@ impl Threshold {
         match value {
             Value::Number(number) => admits(number),
             Value::Range([low, high]) => admits(low) && admits(high),
+        }
+    }
+
+    /// How far beyond the bound the value lies (of a range the worse end): negative within. NaN of
+    /// what is not a number.
+    fn excess(self, value: Value) -> f64 {
+        let excess = |value: f64| match self {
+            Self::Below(bound) | Self::AtMost(bound) => value - bound,
+            Self::Above(bound) => bound - value,
+            Self::Within([low, high]) if value.is_nan() => low + high + value,
+            Self::Within([low, high]) => (low - value).max(value - high),
+        };
+        match value {
+            Value::Number(number) => excess(number),
+            Value::Range([low, high]) => {
+                let [low, high] = [excess(low), excess(high)];
+                if low.is_nan() {
+                    low
+                } else if high > low || high.is_nan() {
+                    high
+                } else {
+                    low
+                }
+            }
         }
     }
 }

@@ -1,9 +1,11 @@
 //! Checks of every frame, with bounds taken from the training phrases.
 
+use std::ops::Range;
+
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::kinematics::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
 use crate::movement::{Bounds, phase_steps};
-use crate::{Motion, Movement, Statistics};
+use crate::{FPS, Motion, Movement, Statistics};
 
 /// Largest deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -21,14 +23,60 @@ const PHASE_TOLERANCE: f64 = 0.01;
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
 /// not say how lively training motion is and how it moves.
 ///
-/// A phrase too short for a measure of the movement is not checked for it, and one shorter than the
-/// training phrases is held to bounds as much wider as it is shorter.
+/// What is a mean over frames is checked in windows as long as the training phrases, half of one
+/// shared with the next, and the worst of them is reported: a minute of dancing does not make up
+/// for ten seconds of standing. A phrase too short for a measure of the movement is not checked for
+/// it, and one shorter than the training phrases is held to bounds as much wider as it is shorter.
 pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
+    if training.movement.is_empty() {
+        return None;
+    }
     let mut checks = vec![
         finite_phrase(motion),
         quaternion_norm(motion),
         quaternion_sign(motion),
         phase(motion, [0.0, 1.0]),
+    ];
+    checks.extend(phase_direction(motion));
+    let windows = windows(motion.frames(), training);
+    let mut measured = means(&motion.slice(windows[0].clone()), training)?;
+    if windows.len() > 1 {
+        name_window(&mut measured, &windows[0]);
+        for window in &windows[1..] {
+            let mut others = means(&motion.slice(window.clone()), training)?;
+            name_window(&mut others, window);
+            let pairs = measured.into_iter().zip(others);
+            measured = pairs.map(|(one, other)| one.worse(other)).collect();
+        }
+    }
+    checks.extend(measured);
+    Some(Report::new(checks))
+}
+
+/// Windows of the mean length of the training phrases, which cover `frames` frames: a single one of
+/// a phrase that is not half as long again.
+fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
+    let length = (training.frames / training.items.max(1)).max(1);
+    if 2 * frames <= 3 * length {
+        return vec![0..frames];
+    }
+    let gaps = (2 * (frames - length)).div_ceil(length);
+    let starts = (0..=gaps).map(|window| window * (frames - length) / gaps);
+    starts.map(|start| start..start + length).collect()
+}
+
+/// Says in the messages of checks of a window which one it is.
+fn name_window(checks: &mut [Check], window: &Range<usize>) {
+    let [from, to] = [window.start, window.end].map(|frame| frame as f64 / FPS);
+    for check in checks {
+        check.message += &format!(" in seconds {from:.1} to {to:.1}");
+    }
+}
+
+/// The checks of means over frames, and of how the poses move; none where the statistics do not say
+/// how lively training motion is.
+fn means(motion: &Motion, training: &Statistics) -> Option<Vec<Check>> {
+    let mut checks = vec![
         coherence(
             "velocity_coherence",
             mean_norm(&velocity_errors(motion)),
@@ -49,13 +97,9 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
         ),
         jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
     ];
-    checks.extend(phase_direction(motion));
-    if training.movement.is_empty() {
-        return None;
-    }
     let measures = Movement::ALL.into_iter();
     checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
-    Some(Report::new(checks))
+    Some(checks)
 }
 
 /// A measure of the movement against its 1st and 99th percentile in training motion; `None` where
@@ -71,6 +115,9 @@ fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option
             Threshold::Within([low / factor, high * factor])
         }
         Bounds::Upper(factor) => Threshold::AtMost(high * factor),
+        Bounds::UpperBeyond { factor, harmless } => {
+            Threshold::AtMost((high * factor).max(harmless))
+        }
         Bounds::Unchecked => return None,
     };
     let value = measure.of(motion)?;
@@ -280,6 +327,75 @@ mod tests {
             ([0.001 * t as f64, 1.0, 0.0], q, phase)
         }));
         assert!(slow.contains(&"path_speed"), "{slow:?}");
+    }
+
+    #[test]
+    fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
+        let failing = |tilt: f64, p99: f64| {
+            let mut training = training();
+            let bounds = [p99 / 2.0, p99];
+            training.movement.insert("largest_tilt".into(), bounds);
+            let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
+            let leaning = with_poses(|t, p, _, phase| {
+                (p, Quaternion::from_yaw(0.05 * t as f64) * lean, phase)
+            });
+            let report = check(&leaning, &training).unwrap();
+            !report.check("largest_tilt").unwrap().passed
+        };
+        assert!(failing(75.0, 37.0) && !failing(73.0, 37.0));
+        assert!(failing(180.0, 37.0));
+        assert!(failing(21.0, 0.0) && !failing(19.0, 0.0));
+    }
+
+    #[test]
+    fn no_part_of_a_long_motion_makes_up_for_another() {
+        let training = training();
+        let long = wandering(7, 600);
+        let failed = |motion: &Motion| {
+            let report = check(motion, &training).unwrap();
+            report
+                .checks
+                .into_iter()
+                .filter(|check| !check.passed)
+                .map(|check| (check.name, check.message))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(failed(&long), []);
+        // It stands for three seconds of twenty, from second 8 on, and goes on from there.
+        let standing = |t: usize| t.clamp(0, 240) + t.saturating_sub(330);
+        let poses = (0..600).map(standing);
+        let positions: Vec<_> = poses.clone().map(|t| long.vector(t, POSITION)).collect();
+        let quaternions: Vec<_> = poses.map(|t| long.quaternion(t)).collect();
+        let phases: Vec<_> = (0..600).map(|t| f64::from(long.frame(t)[PHASE])).collect();
+        let motion = derive(&positions, &quaternions, &phases, &[[0.0; 8]; 600]).unwrap();
+        let found = failed(&motion);
+        let speed = found.iter().find(|(name, _)| *name == "path_speed");
+        let (_, message) = speed.expect("a window that stands");
+        assert!(
+            message.contains("0.000 m/s in seconds 8.") || message.contains("in seconds 9."),
+            "{message}"
+        );
+        // As a mean over all of it, that is within the bounds.
+        assert!(
+            means(&motion, &training)
+                .unwrap()
+                .iter()
+                .all(|check| check.passed || check.name != "path_speed")
+        );
+    }
+
+    #[test]
+    fn windows_cover_a_motion_and_are_as_long_as_training_phrases() {
+        let training = training();
+        for frames in [1, 59, 60, 61, 90, 91, 119, 120, 121, 600, 1001] {
+            let windows = windows(frames, &training);
+            assert_eq!((windows[0].start, windows.last().unwrap().end), (0, frames));
+            assert_eq!(windows.len() == 1, frames <= 90, "{frames}");
+            for pair in windows.windows(2) {
+                assert_eq!(pair[1].len(), 60);
+                assert!(pair[1].start > pair[0].start && pair[1].start <= pair[0].start + 30);
+            }
+        }
     }
 
     #[test]

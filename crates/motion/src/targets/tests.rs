@@ -269,8 +269,9 @@ fn beats_place_what_the_bar_leaves_open() {
 proptest! {
     #[test]
     fn any_columns_give_a_rotation(columns in proptest::collection::vec(-5.0f64..5.0, 6)) {
-        let unit = from_columns(&columns);
-        prop_assert!((unit.norm() - 1.0).abs() < 1e-9);
+        for unit in [from_columns(&columns), nearest_rotation(&columns)] {
+            prop_assert!((unit.norm() - 1.0).abs() < 1e-9);
+        }
     }
 
     #[test]
@@ -279,8 +280,23 @@ proptest! {
         prop_assume!(given.norm() > 1e-3);
         let unit = given.normalised();
         let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| unit.rotate(axis));
-        let found = from_columns(&columns.concat());
-        prop_assert!((found.dot(unit).abs() - 1.0).abs() < 1e-9);
+        for found in [from_columns(&columns.concat()), nearest_rotation(&columns.concat())] {
+            prop_assert!((found.dot(unit).abs() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn no_rotation_is_nearer_to_the_columns(
+        columns in proptest::collection::vec(-2.0f64..2.0, 6),
+        turn in proptest::collection::vec(-0.3f64..0.3, 3),
+    ) {
+        let apart = |rotation: Quaternion| -> f64 {
+            let found = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| rotation.rotate(axis));
+            found.concat().iter().zip(&columns).map(|(a, b)| (a - b).powi(2)).sum()
+        };
+        let nearest = nearest_rotation(&columns);
+        let turned = Quaternion::from_rotation_vector([turn[0], turn[1], turn[2]]) * nearest;
+        prop_assert!(apart(nearest) <= apart(turned) + 1e-9);
     }
 
     #[test]
@@ -294,4 +310,46 @@ proptest! {
         prop_assert!((0.0..1.0).contains(&found));
         prop_assert!(apart(found, phase) < 1e-6, "{found} {phase}");
     }
+}
+
+#[test]
+fn a_dancer_whose_heading_is_open_stands_upright() {
+    // What is left of the side points upward a little; the upward axis is sure.
+    let columns = [0.001, 0.004, -0.002, 0.05, 0.96, -0.02];
+    let tilt = |rotation: Quaternion| rotation.rotate([0.0, 1.0, 0.0])[1].acos().to_degrees();
+    assert!(tilt(nearest_rotation(&columns)) < 5.0);
+    assert!(tilt(from_columns(&columns)) > 45.0);
+}
+
+#[test]
+fn a_mean_of_orientations_that_differ_is_unsure() {
+    for orientation in [
+        OrientationTarget::CanonicalQuaternion,
+        OrientationTarget::Rotation6d,
+    ] {
+        let targets = Targets {
+            orientation,
+            ..Targets::default()
+        };
+        let encoded = |turn: f64| {
+            let mut motion = wandering(3, 2);
+            // The first frame of a canonical sample is at rest.
+            motion.set_quaternion(0, Quaternion::IDENTITY);
+            motion.set_quaternion(1, Quaternion::from_rotation_vector([turn, 0.4 * turn, 0.0]));
+            targets.encode(motion.as_slice()).into_owned()
+        };
+        let mean = |a: &[f32], b: &[f32]| -> Vec<f32> {
+            a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect()
+        };
+        let of = |turn: f64| targets.sureness(&mean(&encoded(turn), &encoded(-turn)));
+        let [none, some, much] = [0.0, 0.6, 1.5].map(of);
+        assert!((none[1] - 1.0).abs() < 1e-6, "{none:?}");
+        assert!(some[1] < 0.96 && much[1] < 0.75, "{some:?} {much:?}");
+        for sure in [none, some, much] {
+            assert!((sure[0] - 1.0).abs() < 1e-6, "{sure:?}");
+        }
+    }
+    let mut rows = vec![0.5; CHANNELS];
+    rows[QUATERNION.start] = f32::NAN;
+    assert_eq!(Targets::default().sureness(&rows), [1.0]);
 }

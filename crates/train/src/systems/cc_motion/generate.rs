@@ -10,8 +10,8 @@ use kinegrad_diffusion::{GaussianDiffusion, NoiseKeys, sample};
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::{AudioCondition, MotionDecoder, UNet1d};
 use kinegrad_motion::phrase::CHANNELS;
-use kinegrad_motion::postprocess::{PostProcessConfig, process};
-use kinegrad_motion::{Motion, Phrases, Statistics, Targets};
+use kinegrad_motion::postprocess::PostProcessConfig;
+use kinegrad_motion::{Motion, Phrases, Statistics, Targets, process_around};
 use kinegrad_random::{Key, Purpose};
 
 use super::lengths::windows;
@@ -35,6 +35,22 @@ pub struct Sample {
     pub raw: Motion,
     /// Post-processed.
     pub motion: Motion,
+}
+
+/// A motion as a network predicts it.
+pub(super) struct Raw {
+    motion: Motion,
+    /// How sure it is of the orientation of each frame, 0 to 1; of none, it does not say.
+    sureness: Vec<f64>,
+}
+
+impl From<Motion> for Raw {
+    fn from(motion: Motion) -> Self {
+        Self {
+            motion,
+            sureness: Vec::new(),
+        }
+    }
 }
 
 /// A trained model, ready to generate samples.
@@ -163,6 +179,32 @@ impl Generator {
         self.state.step
     }
 
+    /// The motion that the network's normalised `values`, `[channels, frames]`, say.
+    ///
+    /// # Errors
+    /// If they are not whole frames.
+    pub(super) fn predicted(&self, values: &[f32]) -> Result<Raw, Error> {
+        let rows = self.state.normalization().denormalize(values);
+        let sureness = self.targets.sureness(&rows);
+        let motion = Motion::new(self.targets.decode(rows))?;
+        Ok(Raw { motion, sureness })
+    }
+
+    /// The post-processed sample of a raw motion of which some frames are known.
+    pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
+        let Raw {
+            motion: raw,
+            sureness,
+        } = raw;
+        let mut said = raw.clone();
+        for (t, sure) in sureness.into_iter().enumerate() {
+            said.set_quaternion(t, said.quaternion(t).scale(sure));
+        }
+        let statistics = Some(self.statistics());
+        let motion = process_around(&said, &self.post_processing, statistics, is_known);
+        Sample { raw, motion }
+    }
+
     /// Generates one sample per condition, as a batch; all conditions have the same number of
     /// frames. Sample i depends on `seed` and i alone, on the CPU to the bit, elsewhere up to rounding.
     /// Samples longer than those of training are drawn [in windows](Self::sample_whole).
@@ -262,11 +304,10 @@ impl Generator {
             let width = self.decoder.as_ref().map_or(drawn, |_| CHANNELS);
             for values in values.chunks(width * frames) {
                 let raw = match &self.decoder {
-                    Some(_) => Motion::from_channel_major(values, frames)?,
-                    None => Motion::new(self.targets.decode(normalization.denormalize(values)))?,
+                    Some(_) => Motion::from_channel_major(values, frames)?.into(),
+                    None => self.predicted(values)?,
                 };
-                let motion = process(&raw, &self.post_processing, Some(self.statistics()));
-                take(Sample { raw, motion })?;
+                take(self.finished(raw, &vec![false; frames]))?;
             }
         }
         Ok(())

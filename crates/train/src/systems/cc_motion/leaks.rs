@@ -1,15 +1,16 @@
-//! Held-out phrases that a fine-tuning's start was trained on.
+//! Held-out phrases and songs that a fine-tuning's start was trained on.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase};
+use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase, Songs};
 
 use super::start::Starts;
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::observer::Observer;
 
-/// Most phrases that a warning names.
+/// Most phrases or songs that a warning names.
 const NAMED: usize = 5;
 
 /// Whether two runs read one dataset, whatever they hold out.
@@ -29,8 +30,8 @@ fn place(source: &str) -> PathBuf {
     std::fs::canonicalize(source).unwrap_or_else(|_| source.into())
 }
 
-/// Warns of the phrases held out of `dataset` that one of the `starts` was trained on: measures of
-/// them are not of phrases that are new to the model.
+/// Warns of the phrases held out of `dataset` that one of the `starts` was trained on, or where there
+/// are none of the songs: measures of them are not of what is new to the model.
 ///
 /// # Errors
 /// If a checkpoint is damaged.
@@ -75,23 +76,44 @@ fn warning(
             ));
         }
     };
-    let seen: std::collections::BTreeSet<&str> = trained.ids().collect();
-    let held_out = dataset.validation.ids();
-    let leaked: Vec<&str> = held_out.filter(|id| seen.contains(id)).collect();
-    if leaked.is_empty() {
-        return None;
+    let seen: BTreeSet<&str> = trained.ids().collect();
+    let (leaked, rest): (Vec<&str>, Vec<&str>) =
+        dataset.validation.ids().partition(|id| seen.contains(id));
+    let count = dataset.validation.len();
+    let hint = "Without `data.validation` and with its `data.source` this run holds out what that \
+                run did";
+    if !leaked.is_empty() {
+        return Some(format!(
+            "`{key}` was trained on {} of the {count} phrases that are held out here, so that \
+             measures of them are not of new phrases: {}. {hint}",
+            leaked.len(),
+            named(&leaked)
+        ));
     }
-    let mut names = leaked[..leaked.len().min(NAMED)].join(", ");
-    if leaked.len() > NAMED {
-        names += &format!(" and {} more", leaked.len() - NAMED);
+    // Other phrases of a song have its music and its dancer.
+    let [before, now] = [&before, data].map(|data| Songs::read(data).ok());
+    let (before, now) = (before?, now?);
+    let heard: BTreeSet<String> = trained.ids().map(|id| before.song(id)).collect();
+    let songs: BTreeSet<String> = rest.iter().map(|id| now.song(id)).collect();
+    let leaked: Vec<&str> = songs.intersection(&heard).map(String::as_str).collect();
+    (!leaked.is_empty()).then(|| {
+        format!(
+            "`{key}` was trained on other phrases of {} of the {} songs that are held out here, so \
+             that measures of them are not of new songs: {}. {hint}",
+            leaked.len(),
+            songs.len(),
+            named(&leaked)
+        )
+    })
+}
+
+/// The first of the names, and how many more there are.
+fn named(names: &[&str]) -> String {
+    let first = names[..names.len().min(NAMED)].join(", ");
+    match names.len().saturating_sub(NAMED) {
+        0 => first,
+        more => format!("{first} and {more} more"),
     }
-    Some(format!(
-        "`{key}` was trained on {} of the {} phrases that are held out here, so that measures of \
-         them are not of new phrases: {names}. Without `data.validation` and with its `data.source` \
-         this run holds out what that run did",
-        leaked.len(),
-        dataset.validation.len()
-    ))
 }
 
 #[cfg(test)]

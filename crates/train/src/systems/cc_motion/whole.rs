@@ -15,12 +15,12 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::{fit_orientation, fit_trajectory};
+use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory};
 use kinegrad_motion::kinematics::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
 use kinegrad_motion::turning::Turning;
-use kinegrad_motion::{Motion, Statistics, process_around};
+use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
@@ -70,24 +70,22 @@ impl Generator {
         let physical = whole.given.map(GivenMotion::known);
         let normalized = whole.given.map(|given| self.normalized(&given.known()));
         let latents = self.latents(whole, normalized.as_ref(), sampling, key, on_windows)?;
-        let mut raw = match &self.decoder {
+        let raw = match &self.decoder {
             None => {
                 let mut values = latents;
                 let all = self.stitched(&whole.windows, &mut values, normalized.as_ref());
-                let rows = self.state.normalization().denormalize(&all);
-                Motion::new(self.targets.decode(rows))?
+                self.predicted(&all)?
             }
-            Some(_) => self.decoded(whole, physical.as_ref(), &latents)?,
+            Some(_) => self.decoded(whole, physical.as_ref(), &latents)?.into(),
         };
-        let none = || vec![false; raw.frames()];
+        let none = || vec![false; whole.windows.frames()];
         let is_known = physical.map_or_else(none, |known| known.is_known);
-        let statistics = Some(self.statistics());
-        let mut motion = process_around(&raw, &self.post_processing, statistics, &is_known);
+        let mut sample = self.finished(raw, &is_known);
         if let Some(given) = whole.given {
-            given.put_into(&mut raw);
-            given.put_into(&mut motion);
+            given.put_into(&mut sample.raw);
+            given.put_into(&mut sample.motion);
         }
-        Ok(Sample { raw, motion })
+        Ok(sample)
     }
 
     /// Known frames of a phrase in the channels and units of the network.
@@ -257,10 +255,6 @@ impl Generator {
         };
         let all = self.turned_and_stitched(turning, windows, &mut decoded, known);
         let mut motion = Motion::from_channel_major(&all, windows.frames())?;
-        // Of quaternions that differ, the mean is short.
-        for t in 0..motion.frames() {
-            motion.set_quaternion(t, motion.quaternion(t).normalised());
-        }
         let coherence = decoder.coherence();
         if coherence != Coherence::None {
             let none = || vec![false; windows.frames()];
@@ -268,15 +262,21 @@ impl Generator {
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
+                // Of windows that differ, the mean quaternion is short and counts for little.
+                fit_heading(&mut motion, std, &is_known);
                 fit_orientation(&mut motion, std, &is_known);
-            } else {
-                let frames = 0..motion.frames();
-                let mut quaternions: Vec<_> = frames.map(|t| motion.quaternion(t)).collect();
-                make_sign_continuous(&mut quaternions);
-                for (t, quaternion) in quaternions.into_iter().enumerate() {
-                    motion.set_quaternion(t, quaternion);
-                }
             }
+        }
+        let frames = 0..motion.frames();
+        let units = frames.map(|t| motion.quaternion(t).normalised());
+        let mut quaternions: Vec<_> = units.collect();
+        if coherence != Coherence::None {
+            make_sign_continuous(&mut quaternions);
+        }
+        for (t, quaternion) in quaternions.into_iter().enumerate() {
+            motion.set_quaternion(t, quaternion);
+        }
+        if coherence != Coherence::None {
             // As the decoder does for a phrase: that of the quaternions.
             derive_angular_velocity(&mut motion);
         }

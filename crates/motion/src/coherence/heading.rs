@@ -1,0 +1,185 @@
+//! The headings nearest to those of orientations, each as far as it is sure, and to the angular
+//! velocity about the vertical:
+//!
+//! ```text
+//! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i W_t / fps) h_t|^2 / s_w^2
+//! ```
+//!
+//! over complex numbers of any size. `psi_t` is the heading of frame t, `W_t` its angular velocity
+//! about the vertical. Their arguments say by how many whole turns the headings `psi_t` are to be
+//! moved; the same fit of those angles themselves, which cannot turn around at once where a complex
+//! number passes through zero, is the result.
+//!
+//! A network that is unsure of an orientation predicts a mean of many. They stand alike and face
+//! elsewhere: the tilt of the mean is sound, and its heading points anywhere. The weights `w_t` are the
+//! squared norms of the quaternions, at most 1, so that the angular velocities lead over frames that
+//! say little. Bodies stay as tilted as they were.
+
+use std::f64::consts::TAU;
+
+use super::{OrientationFit, weight};
+use crate::phrase::{ANGULAR_VELOCITY, FPS};
+use crate::{Motion, Quaternion};
+
+/// The scale `s_h`: root mean square of a component of unit complex numbers.
+const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// Least weight of a frame.
+const LEAST_WEIGHT: f64 = 1e-4;
+
+/// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
+/// theirs and to the angular velocities, except in frames that are `known`. A quaternion shorter than
+/// 1 counts the less the shorter it is; all become unit quaternions. The angular velocity turns with
+/// the body, and about the vertical becomes that of the headings. `std` are the training deviations of
+/// the channels, `[25]`.
+///
+/// # Panics
+/// Panics if there is not one flag for each frame, or the deviation is not positive.
+pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool]) {
+    let frames = motion.frames();
+    assert_eq!(known.len(), frames, "known frames");
+    let vertical = ANGULAR_VELOCITY.start + 1;
+    let weights = known.iter().enumerate().map(|(t, &known)| match known {
+        true => weight(known),
+        false => motion.quaternion(t).norm().powi(2).clamp(LEAST_WEIGHT, 1.0),
+    });
+    let scales = [HEADING_SCALE, std[vertical] / FPS];
+    let fit = OrientationFit::weighted(weights.collect(), scales);
+
+    let mut along = Vec::with_capacity(frames);
+    let mut turned = 0.0;
+    for t in 0..frames {
+        along.push(turned);
+        turned += motion.vector(t, ANGULAR_VELOCITY)[1] / FPS;
+    }
+    let headings: Vec<f64> = (0..frames)
+        .map(|t| motion.quaternion(t).normalised().yaw())
+        .collect();
+    let rest = headings.iter().zip(&along);
+    let rest: Vec<f64> = rest.map(|(heading, along)| heading - along).collect();
+    let [mut sines, mut cosines] = [f64::sin, f64::cos].map(|part| {
+        let parts = rest.iter().map(|&angle| part(angle));
+        parts.collect::<Vec<f64>>()
+    });
+    fit.fit(&mut sines);
+    fit.fit(&mut cosines);
+    let mut fitted = Vec::with_capacity(frames);
+    let mut before = 0.0;
+    for (t, angle) in rest.into_iter().enumerate() {
+        before += wrapped(sines[t].atan2(cosines[t]) - before);
+        fitted.push(before + wrapped(angle - before));
+    }
+    fit.fit(&mut fitted);
+    let turned: Vec<f64> = (0..frames).map(|t| along[t] + fitted[t]).collect();
+    for t in (0..frames).filter(|&t| !known[t]) {
+        let turn = Quaternion::from_yaw(turned[t] - headings[t]);
+        motion.set_quaternion(t, turn * motion.quaternion(t).normalised());
+        let mut rate = turn.rotate(motion.vector(t, ANGULAR_VELOCITY));
+        if let Some(next) = turned.get(t + 1) {
+            rate[1] = (next - turned[t]) * FPS;
+        }
+        motion.set_vector(t, ANGULAR_VELOCITY, rate);
+    }
+}
+
+/// An angle in radians, from -pi to pi.
+fn wrapped(angle: f64) -> f64 {
+    angle - TAU * (angle / TAU).round()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotation::length;
+
+    /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
+    fn turning(frames: usize) -> Motion {
+        let mut motion = crate::wandering::wandering(4, frames);
+        for t in 0..frames {
+            let lean = 0.35 * (0.2 * t as f64).sin();
+            let turn = Quaternion::from_yaw(1.2 * (0.05 * t as f64).sin() + 0.02 * t as f64);
+            let leaning = Quaternion::from_rotation_vector([lean, 0.0, 0.5 * lean]);
+            motion.set_quaternion(t, turn * leaning);
+        }
+        crate::postprocess::derive_angular_velocity(&mut motion);
+        motion
+    }
+
+    fn apart(a: &Motion, b: &Motion) -> f64 {
+        let apart = |t| (a.quaternion(t) * b.quaternion(t).conjugate()).to_rotation_vector();
+        (0..a.frames())
+            .map(|t| length(apart(t)))
+            .fold(0.0, f64::max)
+    }
+
+    fn tilt(motion: &Motion, t: usize) -> f64 {
+        motion.quaternion(t).rotate([0.0, 1.0, 0.0])[1].acos()
+    }
+
+    #[test]
+    fn headings_that_agree_stay() {
+        for frames in [1, 2, 3, 150] {
+            let original = turning(frames);
+            let mut fitted = original.clone();
+            fit_heading(&mut fitted, &[1.5; 25], &vec![false; frames]);
+            assert!(apart(&original, &fitted) < 0.06, "{frames}");
+        }
+    }
+
+    #[test]
+    fn the_angular_velocities_lead_over_headings_that_are_means() {
+        let original = turning(200);
+        let mut lost = original.clone();
+        for t in 60..100 {
+            let elsewhere = Quaternion::from_yaw(2.0 + 0.9 * (t % 5) as f64);
+            lost.set_quaternion(t, (elsewhere * original.quaternion(t)).scale(0.03));
+        }
+        let fitted = |mut motion: Motion| {
+            fit_heading(&mut motion, &[1.5; 25], &[false; 200]);
+            motion
+        };
+        let weighted = fitted(lost.clone());
+        assert!(
+            apart(&original, &weighted) < 0.15,
+            "{}",
+            apart(&original, &weighted)
+        );
+        for t in 0..200 {
+            assert!(
+                (tilt(&weighted, t) - tilt(&original, t)).abs() < 1e-3,
+                "{t}"
+            );
+            lost.set_quaternion(t, lost.quaternion(t).normalised());
+        }
+        assert!(apart(&original, &fitted(lost)) > 1.0);
+    }
+
+    #[test]
+    fn frames_that_say_nothing_at_all_keep_the_fit_finite() {
+        let mut motion = turning(90);
+        for t in 0..90 {
+            motion.set_quaternion(t, Quaternion::new(0.0, 0.0, 0.0, 0.0));
+        }
+        fit_heading(&mut motion, &[1.0; 25], &[false; 90]);
+        assert_eq!(motion.first_non_finite(), None);
+        assert!((motion.quaternion(45).norm() - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn known_frames_stay_and_the_others_turn_towards_them() {
+        let original = turning(60);
+        let mut motion = original.clone();
+        for t in 20..60 {
+            let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
+            motion.set_quaternion(t, turned.scale(-0.7));
+        }
+        let known: Vec<bool> = (0..60).map(|t| t < 20).collect();
+        fit_heading(&mut motion, &[1.5; 25], &known);
+        for t in 0..20 {
+            assert_eq!(motion.frame(t), original.frame(t), "{t}");
+        }
+        let step =
+            (motion.quaternion(20) * original.quaternion(20).conjugate()).to_rotation_vector();
+        assert!(length(step) < 0.1, "{step:?}");
+    }
+}
