@@ -137,7 +137,10 @@ fn lengths_examples_and_uses_of_all_kinds_work() {
         ("dance.bvh --length 0.5x --loop", 75),
         ("dance.bvh --preset paper", 300),
         ("dance.bvh --parts parts.toml --heading", 300),
-        ("dance.bvh --coherence 0.8 --patch-size 7 --steps 2", 300),
+        (
+            "dance.bvh --coherence 0.8 --patch-size 7 --num-steps 2",
+            300,
+        ),
         ("dance.bvh --alpha none --sigma 0 --coarse-ratio 0.3", 300),
         ("dance.bvh --keyframes k.toml", 300),
         ("dance.bvh --fix legs=other.bvh", 85),
@@ -245,6 +248,10 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         "[[keyframe]]\ntime = 1.0\nsource_time = 0.0\nfile = 'one.bvh'\n",
     );
     sandbox.write("from.svg", "[[part]]\nname = 'leg'\nbelow = ['LeftLeg']\n");
+    sandbox.write("empty.toml", "keyframe = []\n");
+    sandbox.write("nothing.toml", "part = []\n");
+    let leg = "[[part]]\nname = 'leg'\nbelow = ['LeftLeg']\n";
+    sandbox.write("twice.toml", leg.repeat(2));
     let before = sandbox.list(".");
     for (options, texts) in [
         ("none.bvh", &["none.bvh cannot be read"][..]),
@@ -262,6 +269,27 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         (
             "dance.bvh --content dance.bvh --length 3x",
             &["dance.bvh: has 150 frames, and another length asked for is 450"],
+        ),
+        (
+            "dance.bvh --content dance.bvh --seed 1",
+            &["--seed", "cannot be used with", "--content"],
+        ),
+        (
+            "dance.bvh --content dance.bvh --sigma 1",
+            &["--sigma", "cannot be used with", "--content"],
+        ),
+        ("dance.bvh --num-steps 0", &["`num_steps` is 0"]),
+        (
+            "dance.bvh --keyframes empty.toml",
+            &["empty.toml: holds no `[[keyframe]]`"],
+        ),
+        (
+            "dance.bvh --parts nothing.toml",
+            &["nothing.toml: holds no `[[part]]`"],
+        ),
+        (
+            "dance.bvh --parts twice.toml",
+            &["twice.toml: two parts are called `leg`"],
         ),
         (
             "one.bvh",

@@ -183,6 +183,27 @@ fn killed_fine_tuning_with_aligned_conditioning_ends_the_same() {
     check_kills(&format!("{FINE_TUNING} {ALIGNED} --set lora.rank=2"));
 }
 
+/// A network that tracks the beats itself, predicts harmonics of the bar, and hears masked music at
+/// other speeds.
+const TRACKED: &str = "--set model.audio_conditioning=aligned --set model.beats=tracked \
+    --set data.audio_features=[\"document\",\"beats\"] --set model.phase_target=harmonics \
+    --set model.orientation_target=rotation_6d --set data.augment.speed=0.25 \
+    --set data.augment.audio_masks=2 --set data.augment.bar_drop_prob=0.5 \
+    --set data.augment.rotate_yaw=true --set data.augment.mirror=true";
+
+#[test]
+fn killed_run_of_a_network_that_tracks_beats_ends_the_same() {
+    check_kills(&format!("{TRACKED} --set data.num_workers=1"));
+}
+
+#[test]
+fn killed_fine_tuning_of_a_network_that_tracks_beats_ends_the_same() {
+    // The last coherence that is given counts.
+    check_kills(&format!(
+        "{FINE_TUNING} {TRACKED} --set decoder.coherence=full"
+    ));
+}
+
 #[test]
 fn killed_fine_tuning_ends_the_same() {
     check_kills(FINE_TUNING);

@@ -16,6 +16,7 @@ use crate::{Error, Frames, displacements, rotation6d};
 
 mod feet;
 mod fit;
+mod lead;
 mod survey;
 mod way;
 

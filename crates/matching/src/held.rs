@@ -86,16 +86,17 @@ mod tests {
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
         // The neighbours are those of the source, weighted, and held at its ends.
-        assert_eq!(second[9], 3.0 * falloff(1, 6));
-        assert_eq!(second[7], 5.0 * falloff(3, 6));
-        assert_eq!(second[12], 5.0 * falloff(2, 6));
+        assert_eq!(second[9], 3.0 * falloff(1, 4));
+        assert_eq!(second[7], 5.0 * falloff(3, 4));
+        assert_eq!(second[12], 5.0 * falloff(2, 4));
         assert_eq!((second[3], second[17]), (0.0, 0.0));
         assert!((0..21).all(|t| frames.frame(t)[0] == 0.0));
-        // At a level of a third of the frames the source goes three times as fast.
+        // At a level of a third of the frames the source goes three times as fast, and the bend is as
+        // much shorter.
         let mut coarse = Frames::zeros(7, 2);
         Held::hold(&[key], &mut coarse, false);
         let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
-        assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 6)));
+        assert_eq!((second[3], second[4]), (2.0, 7.0 * falloff(1, 2)));
     }
 
     #[test]

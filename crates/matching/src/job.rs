@@ -203,7 +203,7 @@ impl Job {
         if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
             figure.start_at(*place);
         }
-        figure.lead(&mut synthesis.frames, &points);
+        figure.lead(&mut synthesis.frames, &points, around);
         let mut bvh = figure.bvh(&synthesis.frames)?;
         let mut sliding = None;
         if self.feet {

@@ -7,6 +7,9 @@ use crate::{Error, Example, Figure, Frames, Held, Part};
 /// Seconds before and after a key frame that bend towards it.
 const REACH: f64 = 0.4;
 
+/// Largest coordinate of a place, in the file's units: beyond it, single precision knows no step.
+const FURTHEST: f64 = 1e6;
+
 /// A pose that the new motion takes at a moment.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
@@ -21,7 +24,7 @@ pub struct Keyframe {
     /// it.
     pub part: Option<String>,
     /// Where the joint that travels is then, on the two axes that do not point up, in the file's
-    /// units. The way before it is bent evenly; without it the way goes on as it does.
+    /// units. The way is bent towards it; without it the way goes on as it does.
     pub place: Option<[f64; 2]>,
     /// Seconds before and after it that bend towards the pose; without it 0.4.
     pub reach: Option<f64>,
@@ -43,12 +46,14 @@ impl Keyframe {
         let hint = "docs/matching.md describes files of key frames";
         let document: Document = toml::from_str(text)
             .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
+        if document.keyframe.is_empty() {
+            return Err(Error::file(file, "holds no `[[keyframe]]`", hint));
+        }
         for keyframe in &document.keyframe {
-            if let Some(place) = keyframe
-                .place
-                .filter(|place| !place.iter().all(|v| v.is_finite()))
-            {
-                let problem = format!("`place` is {place:?}, allowed: two finite numbers");
+            let is_near = |place: &[f64; 2]| place.iter().all(|v| v.abs() <= FURTHEST);
+            if let Some(place) = keyframe.place.filter(|place| !is_near(place)) {
+                let problem =
+                    format!("`place` is {place:?}, allowed: two numbers of at most {FURTHEST:e}");
                 return Err(Error::file(file, problem, hint));
             }
             let seconds = [
@@ -167,8 +172,13 @@ mod tests {
             ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [nan, 1.0]",
-                "`place` is [NaN, 1.0]",
+                "`place` is [NaN, 1.0], allowed: two numbers of at most 1e6",
             ),
+            (
+                "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [1e300, 1.0]",
+                "`place` is [1e300, 1.0]",
+            ),
+            ("keyframe = []", "holds no `[[keyframe]]`"),
             ("[[keyframe]]\ntime = 1.0", "missing field `source_time`"),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\npose = 1",

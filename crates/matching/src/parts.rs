@@ -133,8 +133,15 @@ impl Part {
         let hint = "docs/matching.md describes files of parts";
         let document: Document = toml::from_str(text)
             .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
-        let mut parts = Vec::with_capacity(document.part.len());
+        if document.part.is_empty() {
+            return Err(Error::file(file, "holds no `[[part]]`", hint));
+        }
+        let mut parts: Vec<Self> = Vec::with_capacity(document.part.len());
         for entry in document.part {
+            if parts.iter().any(|part| part.name == entry.name) {
+                let problem = format!("two parts are called `{}`", entry.name);
+                return Err(Error::file(file, problem, hint));
+            }
             let mut joints = Vec::new();
             for name in &entry.joints {
                 joints.push(joint(figure, name, file)?);

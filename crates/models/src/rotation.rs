@@ -28,6 +28,18 @@ pub fn conjugate(q: Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![q.clone().narrow(1, 0, 1), -q.narrow(1, 1, 3)], 1)
 }
 
+/// The rotations of angular velocities over one frame, `exp(w / fps)`, as unit quaternions.
+///
+/// # Shapes
+/// - rates: `[batch, 3, time]`, radians per second in the world frame
+/// - output: `[batch, 4, time]`
+pub fn step(rates: Tensor<3>) -> Tensor<3> {
+    let half = rates / (2.0 * FPS);
+    let angle = (half.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
+    let sine = half * (angle.clone().sin() / angle.clone());
+    Tensor::cat(vec![angle.cos(), sine], 1)
+}
+
 /// The rotations that angular velocities lead to from no rotation at the first frame: at frame `t`
 /// the product of `exp(w[s] / fps)` over the frames `s` before it. Unit quaternions.
 ///
@@ -36,12 +48,7 @@ pub fn conjugate(q: Tensor<3>) -> Tensor<3> {
 /// - output: `[batch, 4, time]`
 pub fn turned(rates: Tensor<3>) -> Tensor<3> {
     let [batch, _, time] = rates.dims();
-    let half = rates / (2.0 * FPS);
-    let angle = (half.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
-    let steps = Tensor::cat(
-        vec![angle.clone().cos(), half * (angle.clone().sin() / angle)],
-        1,
-    );
+    let steps = step(rates);
     let none = Tensor::cat(
         vec![
             steps.clone().slice([0..batch, 0..1, 0..1]).ones_like(),

@@ -70,7 +70,7 @@ fn turns_of(pairs: Tensor<3>) -> Tensor<3> {
 }
 
 /// The angle of `[batch, (sine, cosine), time]` in turns from 0 to 1: `[batch, 1, time]`.
-fn turns(circle: Tensor<3>) -> Tensor<3> {
+pub(crate) fn turns(circle: Tensor<3>) -> Tensor<3> {
     let component = |x: &Tensor<3>, index: usize| x.clone().narrow(1, index, 1);
     let known = circle.clone().without_autodiff();
     let (s0, c0) = (component(&known, 0), component(&known, 1));

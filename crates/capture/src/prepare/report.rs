@@ -20,8 +20,8 @@ pub struct TakeReport {
     pub rejected: Vec<Rejection>,
     /// What a user should know of the rest.
     pub notes: Vec<String>,
-    /// Where the plan states the beats: from the beginning of each bar to the nearest tracked
-    /// beat, in milliseconds, positive where the music comes later. Bars that lie wholly before or
+    /// Where the plan states the beats: from the stated beginning of each bar to the nearest tracked
+    /// beat, whichever of the two the motion is laid on, in milliseconds, positive where the music comes later. Bars that lie wholly before or
     /// after all tracked beats are left out.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub bar_offsets_ms: Vec<f64>,

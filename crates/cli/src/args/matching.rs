@@ -44,7 +44,7 @@ pub struct MatchArguments {
     #[arg(long)]
     pub length: Option<Length>,
     /// Random seed of the noise
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, conflicts_with = "content")]
     pub seed: u64,
     /// Settings to start from: `published` (the published program's) or `paper` (the paper's: by
     /// body parts, with contacts of the feet)
@@ -68,11 +68,11 @@ pub struct MatchArguments {
     #[arg(long, value_parser = alpha)]
     pub alpha: Option<Completeness>,
     /// Standard deviation of the noise to start with [default: from the preset]
-    #[arg(long)]
+    #[arg(long, conflicts_with = "content")]
     pub sigma: Option<f64>,
     /// Steps of matching at each level [default: from the preset]
-    #[arg(long, value_name = "N")]
-    pub steps: Option<usize>,
+    #[arg(long, alias = "steps", value_name = "N")]
+    pub num_steps: Option<usize>,
     /// Lead the end of the motion into its beginning
     #[arg(long = "loop")]
     pub looping: bool,

@@ -24,6 +24,9 @@ mod record;
 use motions::{Motion, is_clip};
 use record::Record;
 
+/// Degrees that examples face over before `--heading` is mentioned.
+const TURNS: f64 = 120.0;
+
 /// Makes a motion of examples.
 pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
@@ -74,6 +77,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
             }
             record.summarize();
             note_short(&job, &made);
+            note_turns(&made);
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -216,7 +220,7 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
     set(arguments.pyr_factor, &mut settings.pyr_factor);
     set(arguments.sigma, &mut settings.sigma);
     settings.patch_size = arguments.patch_size.unwrap_or(settings.patch_size);
-    settings.num_steps = arguments.steps.unwrap_or(settings.num_steps);
+    settings.num_steps = arguments.num_steps.unwrap_or(settings.num_steps);
     settings.coarse_ratio = arguments.coarse_ratio.unwrap_or(settings.coarse_ratio);
     settings.alpha = arguments.alpha.map_or(settings.alpha, |alpha| alpha.0);
     settings.validate()?;
@@ -274,6 +278,17 @@ fn note_short(job: &Job, made: &Made) {
             "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which \
              leaves many splices; `--coarse-ratio 2x` or `--coherence 1` makes fewer",
             100.0 * ratio.min(1.0)
+        );
+    }
+}
+
+/// Says that the examples turn around, where patches fit only those that face the same way.
+fn note_turns(made: &Made) {
+    let arc = made.figure.turns_over(&made.examples).map(f64::to_degrees);
+    if let Some(arc) = arc.filter(|arc| *arc > TURNS) {
+        tell!(
+            "note: the examples face over {arc:.0} degrees, and what faces one way goes on only with what \
+             does too; `--heading` sees them all from their own heading"
         );
     }
 }

@@ -79,7 +79,7 @@ fn print(report: &Report) {
         "phrases",
         "seconds",
         "left out (s)",
-        "bars off the beat (ms)",
+        "stated bars off the beat (ms)",
     ];
     let mut rows = vec![header.map(String::from).to_vec()];
     for take in &report.takes {

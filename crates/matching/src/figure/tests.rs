@@ -284,3 +284,30 @@ fn a_sliding_limb_does_not_carry_the_body() {
     let bvh = Bvh::parse(text.as_bytes(), "sways.bvh").unwrap();
     assert_eq!(travelling(&bvh, &[0.0, 0.4, 0.0, 0.0, 0.0]), 0);
 }
+
+#[test]
+fn the_arc_of_the_headings_goes_over_the_end_of_the_circle() {
+    let walk = example("walk.bvh", 60, 1.0 / 30.0);
+    let of = |heading: bool, facing: &dyn Fn(f64) -> f64| {
+        let options = FigureOptions {
+            heading,
+            ..FigureOptions::default()
+        };
+        let figure = Figure::new(std::slice::from_ref(&walk), options).unwrap();
+        let mut frames = figure.frames(&walk).unwrap();
+        let six = figure.rotation_of(figure.travelling());
+        for t in 0..60 {
+            let turned = Quaternion::from_yaw(facing(t as f64 / 59.0));
+            let values = rotation6d::from_quaternion(turned).map(|value| value as f32);
+            frames.frame_mut(t)[six.clone()].copy_from_slice(&values);
+        }
+        figure.turns_over(&[frames])
+    };
+    let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-3;
+    assert!(near(of(false, &|part| 0.5 + part), 1.0));
+    assert!(near(of(false, &|part| 2.9 + 0.6 * part), 0.6));
+    assert!(near(of(false, &|part| -0.3 + 0.6 * part), 0.6));
+    let circle = std::f64::consts::TAU * 59.0 / 60.0;
+    assert!(near(of(false, &|part| circle * part), circle));
+    assert_eq!(of(true, &|part| part), None);
+}

@@ -6,7 +6,7 @@ use kinegrad_capture::{Axis, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
 
 use super::Figure;
-use crate::{Frames, places};
+use crate::{Frames, places, rotation6d};
 
 impl Figure {
     /// The way of the joint that travels, `[frames]`, in the file's units.
@@ -15,45 +15,6 @@ impl Figure {
             .into_iter()
             .map(|(place, _)| place)
             .collect()
-    }
-
-    /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
-    /// point up, in the file's units, for each of `points`. Each bends what is behind the one before
-    /// it, most in the middle and not at its ends. The first frame stays where it is
-    /// ([`start_at`](Self::start_at) says otherwise).
-    pub fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])]) {
-        let mut points = points.to_vec();
-        points.sort_by_key(|(t, _)| *t);
-        let level = [0, 1, 2]
-            .into_iter()
-            .filter(|&axis| axis != self.up as usize);
-        let level: Vec<usize> = level.collect();
-        let first = self.channels() - 3;
-        let mut before = 0;
-        for (t, place) in points.into_iter().filter(|(t, _)| *t > 0) {
-            if t == before {
-                continue;
-            }
-            let way = self.way_of(frames);
-            let mut missed = [0.0; 3];
-            for (&axis, place) in level.iter().zip(place) {
-                missed[axis] = (place - self.base[axis] - way[t].0[axis]) * self.scale;
-            }
-            // The speed of the least jerk from rest to rest, so that no corner is left.
-            let speed = |frame: usize| {
-                let part = ((frame - before) as f64 - 0.5) / (t - before) as f64;
-                (part * (1.0 - part)).powi(2)
-            };
-            let all: f64 = (before + 1..=t).map(speed).sum();
-            for (frame, (_, heading)) in way.iter().enumerate().take(t + 1).skip(before + 1) {
-                let share = missed.map(|value| value * speed(frame) / all);
-                let moved = self.turned(-heading).rotate(share);
-                for &axis in &level {
-                    frames.frame_mut(frame)[first + axis] += moved[axis] as f32;
-                }
-            }
-            before = t;
-        }
     }
 
     /// Has motions start at `place`, on the two axes that do not point up, in the file's units.
@@ -109,6 +70,28 @@ impl Figure {
     pub(super) fn heading_of(&self, rotation: Quaternion) -> f64 {
         let about = [rotation.x, rotation.y, rotation.z][self.up as usize];
         2.0 * about.atan2(rotation.w)
+    }
+
+    /// The arc in radians that holds all headings of the joint that travels in motions that are seen
+    /// from outside; none of others.
+    pub fn turns_over(&self, motions: &[Frames]) -> Option<f64> {
+        if self.heading.is_some() {
+            return None;
+        }
+        let six = self.rotation_of(self.travelling);
+        let headings = motions.iter().flat_map(|frames| {
+            (0..frames.frames()).map(|t| {
+                let values = &frames.frame(t)[six.clone()];
+                let rotation =
+                    rotation6d::to_quaternion(std::array::from_fn(|i| f64::from(values[i])));
+                self.heading_of(rotation).rem_euclid(TAU)
+            })
+        });
+        let mut headings: Vec<f64> = headings.collect();
+        headings.sort_unstable_by(f64::total_cmp);
+        let (first, last) = (headings.first()?, headings.last()?);
+        let gaps = headings.windows(2).map(|pair| pair[1] - pair[0]);
+        Some(TAU - gaps.fold(first + TAU - last, f64::max))
     }
 
     /// Turns rotations and displacements of the joint that travels to where it heads, and returns

@@ -4,8 +4,11 @@ use super::Held;
 use crate::Frames;
 
 /// Frames of a level that bend towards a key frame at least: about half a patch, so that patches of
-/// its source match there from the coarsest level on.
+/// its source match there from the coarsest level on. Less where a level is so short that little
+/// would be left to the noise.
 const LEAST_REACH: usize = 6;
+/// A level has so many frames for each of these at least.
+const FRAMES_PER_REACH: usize = 8;
 
 /// A key frame of a level.
 struct Key<'a> {
@@ -22,6 +25,7 @@ struct Key<'a> {
 /// so their order does not matter.
 pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) {
     let n = frames.frames();
+    let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
     let keys = held.iter().filter_map(|held| match held {
         Held::Channels { .. } => None,
         Held::Keyframe {
@@ -39,7 +43,7 @@ pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) {
                 source,
                 from: *from,
                 pace,
-                reach: ((*reach as f64 / pace).ceil() as usize).max(LEAST_REACH),
+                reach: ((*reach as f64 / pace).ceil() as usize).max(least),
             })
         }
     });

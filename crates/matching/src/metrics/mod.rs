@@ -2,6 +2,7 @@
 
 mod novelty;
 mod sliding;
+mod stillness;
 mod windows;
 
 use serde::Serialize;
@@ -10,6 +11,7 @@ use crate::{Figure, Frames, Made};
 
 pub use novelty::{Novelty, Run};
 pub use sliding::Sliding;
+pub use stillness::Stillness;
 use windows::{cheapest, segmented};
 
 /// Frames of a window of coverage, and of the shortest segment of global diversity.

@@ -3,6 +3,7 @@
 
 mod coherent;
 mod config;
+mod heading;
 mod identity;
 mod orientation;
 
@@ -222,8 +223,8 @@ impl MotionDecoder {
     }
 
     /// Replaces position, velocity and acceleration by the nearest coherent ones, under
-    /// [`Coherence::Full`] the quaternions by those nearest to them and the angular velocities, makes
-    /// their sign continuous, and derives the angular velocities from them.
+    /// [`Coherence::Full`] the headings and then the quaternions by those nearest to them and the
+    /// angular velocities, makes their sign continuous, and derives the angular velocities from them.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let fits = Fits::new(time, &self.normalization.std);
@@ -235,7 +236,9 @@ impl MotionDecoder {
         let quaternion = match self.coherence {
             Coherence::Full => {
                 let rates = &self.normalization.std[self.targets.angular_velocity_channels()];
-                orientation::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates)
+                let (quaternion, turning) =
+                    heading::fitted(part(QUATERNION), part(ANGULAR_VELOCITY), rates);
+                orientation::fitted(quaternion, turning, rates)
             }
             Coherence::Projection | Coherence::None => sign_continuous(part(QUATERNION)),
         };

@@ -33,7 +33,7 @@ pub(super) fn fitted(quaternion: Tensor<3>, rates: Tensor<3>, std: &[f64]) -> Te
 
 /// The fit of each channel by itself, `[channels, frames]`.
 #[derive(Debug)]
-struct Smooth(OrientationFit);
+pub(super) struct Smooth(pub OrientationFit);
 
 impl LinearMap for Smooth {
     fn shape(&self, channels: usize, frames: usize) -> [usize; 2] {
@@ -73,7 +73,7 @@ impl LinearMap for Smooth {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use burn::tensor::Device;
     use kinegrad_kernels::Mode;
     use kinegrad_motion::coherence::fit_orientation;
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     /// A dancer who turns, and says of both orientation and turning something else than is.
-    fn shaken(seed: u64, frames: usize) -> Motion {
+    pub(in super::super) fn shaken(seed: u64, frames: usize) -> Motion {
         let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
         let mut motion = Motion::new(vec![0.0; CHANNELS * frames]).unwrap();
         for (t, noise) in noise.chunks(6).enumerate() {
@@ -102,7 +102,7 @@ mod tests {
         motion
     }
 
-    fn tensors(motions: &[Motion], device: &Device) -> [Tensor<3>; 2] {
+    pub(in super::super) fn tensors(motions: &[Motion], device: &Device) -> [Tensor<3>; 2] {
         let frames = motions[0].frames();
         let rows: Vec<f32> = motions.iter().flat_map(|m| m.as_slice().to_vec()).collect();
         let rows = TensorData::new(rows, [motions.len(), frames, CHANNELS]);

@@ -2,11 +2,11 @@
 //! velocity about the vertical:
 //!
 //! ```text
-//! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i W_t / fps) h_t|^2 / s_w^2
+//! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2
 //! ```
 //!
-//! over complex numbers of any size. `psi_t` is the heading of frame t, `W_t` its angular velocity
-//! about the vertical. Their arguments say by how many whole turns the headings `psi_t` are to be
+//! over complex numbers of any size. `psi_t` is the heading of frame t and `d_t` what the angular
+//! velocity turns it by until the next. Their arguments say by how many whole turns the headings `psi_t` are to be
 //! moved; the same fit of those angles themselves, which cannot turn around at once where a complex
 //! number passes through zero, is the result.
 //!
@@ -21,16 +21,13 @@ use super::{OrientationFit, weight};
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
 use crate::{Motion, Quaternion};
 
-/// The scale `s_h`: root mean square of a component of unit complex numbers.
-const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
-
 /// Least weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
 /// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
 /// theirs and to the angular velocities, except in frames that are `known`. A quaternion shorter than
 /// 1 counts the less the shorter it is; all become unit quaternions. The angular velocity turns with
-/// the body, and about the vertical becomes that of the headings. `std` are the training deviations of
+/// the body, and about the vertical changes as that of the headings does. `std` are the training deviations of
 /// the channels, `[25]`.
 ///
 /// # Panics
@@ -43,18 +40,22 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool]) {
         true => weight(known),
         false => motion.quaternion(t).norm().powi(2).clamp(LEAST_WEIGHT, 1.0),
     });
-    let scales = [HEADING_SCALE, std[vertical] / FPS];
-    let fit = OrientationFit::weighted(weights.collect(), scales);
+    let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);
 
-    let mut along = Vec::with_capacity(frames);
-    let mut turned = 0.0;
-    for t in 0..frames {
-        along.push(turned);
-        turned += motion.vector(t, ANGULAR_VELOCITY)[1] / FPS;
-    }
-    let headings: Vec<f64> = (0..frames)
-        .map(|t| motion.quaternion(t).normalised().yaw())
+    let units: Vec<Quaternion> = (0..frames)
+        .map(|t| motion.quaternion(t).normalised())
         .collect();
+    let headings: Vec<f64> = units.iter().map(|unit| unit.yaw()).collect();
+    let steps = units.iter().enumerate().map(|(t, unit)| {
+        let step = motion.vector(t, ANGULAR_VELOCITY).map(|rate| rate / FPS);
+        let next = Quaternion::from_rotation_vector(step) * *unit;
+        wrapped(next.yaw() - headings[t])
+    });
+    let steps: Vec<f64> = steps.collect();
+    let mut along = vec![0.0; frames];
+    for t in 1..frames {
+        along[t] = along[t - 1] + steps[t - 1];
+    }
     let rest = headings.iter().zip(&along);
     let rest: Vec<f64> = rest.map(|(heading, along)| heading - along).collect();
     let [mut sines, mut cosines] = [f64::sin, f64::cos].map(|part| {
@@ -73,10 +74,10 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool]) {
     let turned: Vec<f64> = (0..frames).map(|t| along[t] + fitted[t]).collect();
     for t in (0..frames).filter(|&t| !known[t]) {
         let turn = Quaternion::from_yaw(turned[t] - headings[t]);
-        motion.set_quaternion(t, turn * motion.quaternion(t).normalised());
+        motion.set_quaternion(t, turn * units[t]);
         let mut rate = turn.rotate(motion.vector(t, ANGULAR_VELOCITY));
         if let Some(next) = turned.get(t + 1) {
-            rate[1] = (next - turned[t]) * FPS;
+            rate[1] += (next - turned[t] - steps[t]) * FPS;
         }
         motion.set_vector(t, ANGULAR_VELOCITY, rate);
     }
@@ -112,8 +113,9 @@ mod tests {
             .fold(0.0, f64::max)
     }
 
-    fn tilt(motion: &Motion, t: usize) -> f64 {
-        motion.quaternion(t).rotate([0.0, 1.0, 0.0])[1].acos()
+    /// The cosine of the tilt.
+    fn upright(motion: &Motion, t: usize) -> f64 {
+        motion.quaternion(t).normalised().rotate([0.0, 1.0, 0.0])[1]
     }
 
     #[test]
@@ -122,7 +124,7 @@ mod tests {
             let original = turning(frames);
             let mut fitted = original.clone();
             fit_heading(&mut fitted, &[1.5; 25], &vec![false; frames]);
-            assert!(apart(&original, &fitted) < 0.06, "{frames}");
+            assert!(apart(&original, &fitted) < 1e-3, "{frames}");
         }
     }
 
@@ -146,7 +148,7 @@ mod tests {
         );
         for t in 0..200 {
             assert!(
-                (tilt(&weighted, t) - tilt(&original, t)).abs() < 1e-3,
+                (upright(&weighted, t) - upright(&original, t)).abs() < 1e-5,
                 "{t}"
             );
             lost.set_quaternion(t, lost.quaternion(t).normalised());

@@ -18,6 +18,9 @@ use crate::{Motion, Quaternion};
 /// The scale `s_q`: root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
 
+/// The scale of headings: root mean square of a component of unit complex numbers.
+const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
 /// Least scale of a step: a body that hardly turns would ask for more than double precision holds.
 const LEAST_STEP: f64 = 1e-6;
 
@@ -46,8 +49,22 @@ impl OrientationFit {
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
+    /// The fit of headings of `frames` frames; `rate` is the training deviation of the angular velocity
+    /// about the vertical in radians per second.
+    ///
+    /// # Panics
+    /// Panics unless the deviation is positive.
+    pub fn of_headings(frames: usize, rate: f64) -> Self {
+        Self::of_weighted_headings(vec![1.0; frames], rate)
+    }
+
+    /// The same with a weight of each frame.
+    pub(super) fn of_weighted_headings(weights: Vec<f64>, rate: f64) -> Self {
+        Self::weighted(weights, [HEADING_SCALE, rate / FPS])
+    }
+
     /// The fit with a weight of each frame, and the scales of a component and of its steps.
-    pub(super) fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
+    fn weighted(weights: Vec<f64>, [scale, step_scale]: [f64; 2]) -> Self {
         assert!(step_scale > 0.0, "deviations of the angular velocity");
         let stiffness = (scale / step_scale.max(LEAST_STEP)).powi(2);
         let mut normal = vec![[0.0; BAND]; weights.len()];

@@ -18,13 +18,21 @@ pub const BEAT_SIGMA: f64 = 0.05;
 /// first and the last frame are none, nor is a stretch that touches them: the speed beyond is not
 /// known. The speed is not smoothed.
 pub fn kinematic_beats(motion: &Motion) -> Vec<f64> {
-    let slowness: Vec<f64> = (0..motion.frames())
-        .map(|t| -length(motion.vector(t, VELOCITY)))
-        .collect();
-    local_maxima(&slowness)
-        .into_iter()
-        .map(|place| place / FPS)
-        .collect()
+    peaks(motion, |speed| -speed)
+}
+
+/// Times in seconds at which the root is fastest: the local maxima of the same speed. Of real ballroom
+/// dancers these fall on beats more often than by chance, and the slowest moments do not
+/// (docs/results.md).
+pub fn speed_peaks(motion: &Motion) -> Vec<f64> {
+    peaks(motion, |speed| speed)
+}
+
+/// Times in seconds of the local maxima of what `of` makes of the speed.
+fn peaks(motion: &Motion, of: fn(f64) -> f64) -> Vec<f64> {
+    let values = (0..motion.frames()).map(|t| of(length(motion.vector(t, VELOCITY))));
+    let places = local_maxima(&values.collect::<Vec<_>>()).into_iter();
+    places.map(|place| place / FPS).collect()
 }
 
 /// Mean over the kinematic beats of `exp(-d^2 / (2 sigma^2))`, d the distance in seconds to the
@@ -113,6 +121,9 @@ mod tests {
         assert!(beats(&[1.0, 1.0, 2.0, 3.0, 1.0]).is_empty(), "the edges");
         assert!(beats(&[2.0, 2.0]).is_empty() && beats(&[2.0]).is_empty());
         assert!(beats(&[2.0, f64::NAN, 2.0, f64::NAN]).is_empty());
+        let fast = |speeds: &[f64]| frames(&speed_peaks(&with_speeds(speeds)));
+        assert_eq!(fast(&[3.0, 1.0, 2.0, 4.0, 0.5, 5.0]), [3.0]);
+        assert!(fast(&[3.0, 2.0, 2.0, 3.0]).is_empty());
     }
 
     #[test]

@@ -17,7 +17,7 @@ mod joints;
 mod phase;
 pub mod text_motion;
 
-pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats};
+pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats, speed_peaks};
 pub use bootstrap::Estimate;
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};

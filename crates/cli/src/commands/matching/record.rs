@@ -2,10 +2,13 @@
 
 use std::path::PathBuf;
 
-use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Settings, Sliding};
+use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Settings, Sliding, Stillness};
 use serde::Serialize;
 
 use crate::args::MatchArguments;
+
+/// By how much more of its frames than of the examples' a motion stands still before that is said.
+const MORE_STILL: f64 = 0.03;
 
 /// How a motion was made, and what it has of its examples.
 #[derive(Serialize)]
@@ -32,6 +35,8 @@ pub struct Record {
     /// None where feet are not held.
     #[serde(skip_serializing_if = "Option::is_none")]
     sliding: Option<Sliding>,
+    /// None of motions of one frame.
+    still: Option<Stillness>,
     /// None where the motions are too short, or too long to be compared.
     measures: Option<Measures>,
 }
@@ -90,6 +95,7 @@ impl Record {
                 .map(|(part, path)| format!("{part}={}", path.display()))
                 .collect(),
             sliding: made.sliding,
+            still: made.stillness(),
             measures: made.measures(&[]),
         }
     }
@@ -107,6 +113,16 @@ impl Record {
                 measures.coverage,
                 measures.window_cost,
                 measures.local_diversity
+            );
+        }
+        if let Some(still) = self
+            .still
+            .filter(|still| still.motion > still.examples + MORE_STILL)
+        {
+            tell!(
+                "it stands still in {:.0} % of its frames, the examples in {:.0} %",
+                100.0 * still.motion,
+                100.0 * still.examples
             );
         }
         if let Some(sliding) = &self.sliding {

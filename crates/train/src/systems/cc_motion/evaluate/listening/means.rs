@@ -9,7 +9,7 @@ use super::Heard;
 use super::measure::{MeasuredCondition, MeasuredPhrase, Score};
 use crate::systems::cc_motion::evaluate::Measures;
 
-/// Beat alignment with the phrases' own music, and by chance.
+/// Alignment of moments of the motions with the beats of the phrases' own music, and by chance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Alignment {
     /// The score; `None` where no motion has beats.
@@ -21,24 +21,54 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// The alignment of scores with the songs of their phrases.
-    pub(super) fn of<'a>(
+    /// The alignment of scores with the songs of their phrases: of what each has of its own, and by
+    /// chance.
+    fn of<'a>(
         scores: impl Iterator<Item = (&'a str, &'a Score)> + Clone,
+        pair: fn(&Score) -> [Option<f64>; 2],
         seed: u64,
     ) -> Self {
-        let estimate_of = |of: fn(&Score) -> Option<f64>| {
+        let estimate_of = |of: fn([Option<f64>; 2]) -> Option<f64>| {
             let values = scores.clone();
             estimate(
-                values.filter_map(|(song, score)| Some((song, of(score)?))),
+                values.filter_map(|(song, score)| Some((song, of(pair(score))?))),
                 seed,
             )
         };
         Self {
-            score: estimate_of(|score| score.beat_alignment),
-            chance: estimate_of(|score| score.chance_alignment),
-            above_chance: estimate_of(|score| {
-                Some(score.beat_alignment? - score.chance_alignment?)
-            }),
+            score: estimate_of(|[score, _]| score),
+            chance: estimate_of(|[_, chance]| chance),
+            above_chance: estimate_of(|[score, chance]| Some(score? - chance?)),
+        }
+    }
+}
+
+/// How motions fall in with the beats.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Alignments {
+    /// The moments at which the root is slowest.
+    pub beat_alignment: Alignment,
+    /// Those at which it is fastest.
+    pub peak_alignment: Alignment,
+}
+
+impl Alignments {
+    /// Those of scores with the songs of their phrases.
+    pub(super) fn of<'a>(
+        scores: impl Iterator<Item = (&'a str, &'a Score)> + Clone,
+        seed: u64,
+    ) -> Self {
+        Self {
+            beat_alignment: Alignment::of(
+                scores.clone(),
+                |score| [score.beat_alignment, score.chance_alignment],
+                seed,
+            ),
+            peak_alignment: Alignment::of(
+                scores,
+                |score| [score.peak_alignment, score.chance_peak_alignment],
+                seed,
+            ),
         }
     }
 }
@@ -58,8 +88,9 @@ pub struct Condition {
     pub heard_beat_phase_error: Option<Estimate>,
     /// The same of the bar phase.
     pub heard_bar_phase_error: Option<Estimate>,
-    /// Beat alignment of the samples.
-    pub beat_alignment: Alignment,
+    /// How the samples fall in with the beats.
+    #[serde(flatten)]
+    pub alignments: Alignments,
     /// What was measured with the own music less this, phrase by phrase; `None` of the own music.
     pub own_minus: Option<Differences>,
 }
@@ -106,7 +137,7 @@ pub(super) fn conditions_of(measured: &[MeasuredPhrase], seed: u64) -> Vec<Condi
             bar_phase_error: mean(|each| Some(each.score.bar_phase_error)),
             heard_beat_phase_error: mean(|each| each.score.heard_beat_phase_error),
             heard_bar_phase_error: mean(|each| each.score.heard_bar_phase_error),
-            beat_alignment: Alignment::of(scores, seed),
+            alignments: Alignments::of(scores, seed),
             own_minus: (heard != Heard::Own).then(|| Differences {
                 loss: difference(|each| each.loss),
                 beat_phase_error: difference(|each| each.score.beat_phase_error),
@@ -181,6 +212,8 @@ mod tests {
                 heard_bar_phase_error: None,
                 beat_alignment: (heard == Heard::Own).then_some(0.5),
                 chance_alignment: (heard == Heard::Own).then_some(0.2),
+                peak_alignment: (heard == Heard::Own).then_some(0.7),
+                chance_peak_alignment: (heard == Heard::Own).then_some(0.3),
             },
         }
     }
@@ -213,9 +246,11 @@ mod tests {
         };
         assert_eq!(own.loss.unwrap().mean, 13.75);
         assert_eq!(own.own_minus, None);
-        let apart = own.beat_alignment.above_chance.unwrap();
+        let peaks = own.alignments.peak_alignment.above_chance.unwrap();
+        assert!((peaks.mean - 0.4).abs() < 1e-12, "{peaks:?}");
+        let apart = own.alignments.beat_alignment.above_chance.unwrap();
         assert!((apart.mean - 0.3).abs() < 1e-12 && apart.low > 0.29);
-        assert_eq!(silence.beat_alignment.score, None);
+        assert_eq!(silence.alignments.beat_alignment.score, None);
         assert!(silence.loss.unwrap().high - silence.loss.unwrap().low > 10.0);
         let paired = silence.own_minus.as_ref().unwrap();
         let loss = paired.loss.unwrap();

@@ -1,7 +1,8 @@
 //! What is measured of each phrase with something heard.
 
-use kinegrad_audio::beats::track;
-use kinegrad_motion::metrics::{beat_alignment, chance_alignment, kinematic_beats, phase_error};
+use kinegrad_motion::metrics::{
+    beat_alignment, chance_alignment, kinematic_beats, phase_error, speed_peaks,
+};
 use kinegrad_motion::{FPS, Motion};
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
@@ -21,10 +22,15 @@ pub struct Score {
     pub heard_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
     pub heard_bar_phase_error: Option<f64>,
-    /// Beat alignment with the phrase's own music; mean over the samples that have beats.
+    /// Alignment of the moments at which the root is slowest with the beats of the phrase's own music;
+    /// mean over the samples that have such moments.
     pub beat_alignment: Option<f64>,
-    /// The same of their beats moved by random offsets.
+    /// The same of their moments moved by random offsets.
     pub chance_alignment: Option<f64>,
+    /// Alignment of the moments at which it is fastest.
+    pub peak_alignment: Option<f64>,
+    /// The same of those moved by random offsets.
+    pub chance_peak_alignment: Option<f64>,
 }
 
 /// A phrase to dance to.
@@ -38,7 +44,7 @@ impl<'a> Dancing<'a> {
     pub fn to(listened: &'a Listened) -> Self {
         Self {
             to: listened,
-            music: track(listened.phrase.audio.onset_strength()).times(),
+            music: listened.beat_times(),
         }
     }
 
@@ -53,25 +59,32 @@ impl<'a> Dancing<'a> {
         };
         let seconds = self.to.phrase.frames() as f64 / FPS;
         let key = Key::new(seed, Purpose::BeatOffset).named(&self.to.phrase.id);
-        let aligned: Vec<(f64, f64)> = samples
-            .iter()
-            .filter_map(|motion| {
-                let beats = kinematic_beats(motion);
-                let score = beat_alignment(&beats, &self.music)?;
-                Some((score, chance_alignment(&beats, &self.music, seconds, key)?))
+        let aligned = |moments: fn(&Motion) -> Vec<f64>| {
+            let (scores, chances): (Vec<f64>, Vec<f64>) = samples
+                .iter()
+                .filter_map(|motion| {
+                    let moments = moments(motion);
+                    let score = beat_alignment(&moments, &self.music)?;
+                    let chance = chance_alignment(&moments, &self.music, seconds, key)?;
+                    Some((score, chance))
+                })
+                .unzip();
+            [scores, chances].map(|values| {
+                let sum = values.iter().sum::<f64>();
+                (!values.is_empty()).then(|| sum / values.len() as f64)
             })
-            .collect();
-        let aligned_mean = |of: fn(&(f64, f64)) -> f64| {
-            let sum = aligned.iter().map(of).sum::<f64>();
-            (!aligned.is_empty()).then(|| sum / aligned.len() as f64)
         };
+        let [beat_alignment, chance_alignment] = aligned(kinematic_beats);
+        let [peak_alignment, chance_peak_alignment] = aligned(speed_peaks);
         Score {
             beat_phase_error: error(&self.to.bars, self.to.beats_per_bar),
             bar_phase_error: error(&self.to.bars, 1.0),
             heard_beat_phase_error: heard.map(|(bars, beats)| error(bars, *beats)),
             heard_bar_phase_error: heard.map(|(bars, _)| error(bars, 1.0)),
-            beat_alignment: aligned_mean(|(score, _)| *score),
-            chance_alignment: aligned_mean(|(_, chance)| *chance),
+            beat_alignment,
+            chance_alignment,
+            peak_alignment,
+            chance_peak_alignment,
         }
     }
 }

@@ -18,7 +18,7 @@ use kinegrad_motion::metrics::Estimate;
 use serde::Serialize;
 
 pub use conditions::Heard;
-pub use means::{Alignment, AtScale, Condition, Differences};
+pub use means::{Alignment, Alignments, AtScale, Condition, Differences};
 pub use measure::{MeasuredCondition, MeasuredPhrase, Score};
 pub(super) use phrases::Listened;
 pub(super) use report::evaluated;
@@ -68,7 +68,7 @@ pub struct Listening {
     /// What was heard, and what came of it.
     pub conditions: Vec<Condition>,
     /// The beat alignment of the real phrases.
-    pub real: Alignment,
+    pub real: Alignments,
     /// Samples with the own music at each of the guidance scales.
     pub guidance: Vec<AtScale>,
     /// The values of each phrase that the means are of.
@@ -153,7 +153,7 @@ pub(super) fn listen(
         timesteps: loss::high_noise(generator.diffusion.config.num_train_timesteps),
         tracked_beat_error: means::tracked(&measured, settings.seed),
         conditions: conditions_of(&measured, settings.seed),
-        real: Alignment::of(real, settings.seed),
+        real: Alignments::of(real, settings.seed),
         guidance,
         measured,
     })

@@ -62,6 +62,21 @@ impl Listened {
         }
         beats
     }
+
+    /// Times in seconds of its beats, between two frames in proportion to the beat phase.
+    pub fn beat_times(&self) -> Vec<f64> {
+        let first = self.bars[0] * self.beats_per_bar;
+        let beats: Vec<f64> = self.beats().iter().map(|beat| first + beat).collect();
+        let crossed = |t: usize| {
+            let (before, after) = (beats[t - 1], beats[t]);
+            let beat = after.floor();
+            (before < beat || (t == 1 && before == beat)).then(|| {
+                let share = (beat - before) / (after - before);
+                (t as f64 - 1.0 + share) / FPS
+            })
+        };
+        (1..beats.len()).filter_map(crossed).collect()
+    }
 }
 
 /// The bar phase in each frame of a motion.
@@ -140,6 +155,25 @@ mod tests {
             let beats = heard.beats();
             assert_eq!((beats.len(), beats[0]), (90, 0.0));
             assert!((beats[60] - 3.2).abs() < 1e-4, "{}", beats[60]);
+        }
+    }
+
+    #[test]
+    fn beats_fall_where_the_phase_passes_them() {
+        for (beats_per_bar, start) in [(3.0, 0.9), (4.0, 0.0), (4.0, 0.2)] {
+            // 96 beats a minute.
+            let phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);
+            let found = listened(phrase, Some(beats_per_bar)).unwrap().beat_times();
+            let first = (f64::ceil(start * beats_per_bar) - start * beats_per_bar) / 1.6;
+            assert_eq!(
+                found.len(),
+                1 + ((89.0 / FPS - first) * 1.6) as usize,
+                "{found:?}"
+            );
+            for (beat, time) in found.iter().enumerate() {
+                let expected = first + beat as f64 / 1.6;
+                assert!((time - expected).abs() < 1e-4, "{time} {expected}");
+            }
         }
     }
 

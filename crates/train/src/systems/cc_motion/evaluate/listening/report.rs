@@ -3,7 +3,7 @@
 use kinegrad_motion::metrics::Estimate;
 use serde_json::to_value;
 
-use super::{Alignment, AtScale, Condition, Heard, Listening};
+use super::{Alignments, AtScale, Condition, Heard, Listening};
 use crate::evaluation::{Column, Evaluated, Group, Number};
 use crate::systems::cc_motion::evaluate::report::numbers as numbers_of;
 
@@ -29,7 +29,7 @@ pub fn evaluated(listening: &Listening) -> Evaluated {
         numbers
     };
     let real = |heard: Heard| match heard {
-        Heard::Own => of_alignment(&listening.real),
+        Heard::Own => of_alignments(&listening.real),
         _ => Vec::new(),
     };
     let seeds = listening.settings.seeds as u64;
@@ -115,26 +115,32 @@ fn of_condition(condition: &Condition) -> Vec<Number> {
             add(&mut numbers, name, title, estimate);
         }
     }
-    numbers.extend(of_alignment(&condition.beat_alignment));
+    numbers.extend(of_alignments(&condition.alignments));
     numbers
 }
 
-fn of_alignment(alignment: &Alignment) -> Vec<Number> {
+fn of_alignments(alignments: &Alignments) -> Vec<Number> {
     let mut numbers = Vec::new();
-    for (name, title, estimate) in [
-        ("beat_alignment.score", "beat alignment", alignment.score),
+    for (key, title, alignment) in [
         (
-            "beat_alignment.chance",
-            "beat alignment by chance",
-            alignment.chance,
+            "beat_alignment",
+            "beat alignment",
+            &alignments.beat_alignment,
         ),
         (
-            "beat_alignment.above_chance",
-            "beat alignment above chance",
-            alignment.above_chance,
+            "peak_alignment",
+            "beat alignment of speed peaks",
+            &alignments.peak_alignment,
         ),
     ] {
-        add(&mut numbers, name, title, estimate);
+        for (name, how, estimate) in [
+            ("score", "", alignment.score),
+            ("chance", " by chance", alignment.chance),
+            ("above_chance", " above chance", alignment.above_chance),
+        ] {
+            let name = format!("{key}.{name}");
+            add(&mut numbers, &name, &format!("{title}{how}"), estimate);
+        }
     }
     numbers
 }

@@ -1,0 +1,82 @@
+//! How much of a motion stands still.
+
+use serde::Serialize;
+
+use super::rotations;
+use crate::{Frames, Made};
+
+/// Part of the examples' median change from frame to frame below which a pose stands still.
+const STILL: f64 = 0.1;
+
+/// Share of frames that stand still: the Euclidean distance of all rotations to the frame before, six
+/// numbers a joint, is below a tenth of the examples' median. Means of many patches that differ move
+/// less than any of them, which neither coverage nor diversity tells.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Stillness {
+    /// Of the new motion.
+    pub motion: f64,
+    /// Of the examples.
+    pub examples: f64,
+}
+
+impl Stillness {
+    /// Of rotations, `[frames, channels]` each. None without two frames in each.
+    fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
+        let mut usual: Vec<f64> = examples.iter().flat_map(changes).collect();
+        let all = usual.len();
+        if all == 0 || motion.frames() < 2 {
+            return None;
+        }
+        usual.sort_unstable_by(f64::total_cmp);
+        let bound = STILL * usual[all / 2];
+        let share = |changes: &[f64]| {
+            let still = changes.iter().filter(|change| **change < bound).count();
+            still as f64 / changes.len() as f64
+        };
+        Some(Self {
+            motion: share(&changes(motion)),
+            examples: share(&usual),
+        })
+    }
+}
+
+/// Distances of neighbouring frames.
+fn changes(frames: &Frames) -> Vec<f64> {
+    let change = |t: usize| {
+        let pairs = frames.frame(t).iter().zip(frames.frame(t - 1));
+        let squares = pairs.map(|(now, before)| f64::from(now - before).powi(2));
+        squares.sum::<f64>().sqrt()
+    };
+    (1..frames.frames()).map(change).collect()
+}
+
+impl Made {
+    /// How much of the motion stands still, beside the examples.
+    pub fn stillness(&self) -> Option<Stillness> {
+        let channels = rotations(&self.figure, &[]);
+        let examples = self.examples.iter();
+        let examples: Vec<Frames> = examples.map(|each| each.columns(&channels)).collect();
+        Stillness::of(&self.synthesis.frames.columns(&channels), &examples)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_that_is_held_stands_still_and_a_slow_one_does_not() {
+        let walk = |pace: fn(usize) -> f32| Frames::new(1, (0..100).map(pace).collect());
+        let example = walk(|t| t as f32);
+        let of = |motion: &Frames| Stillness::of(motion, std::slice::from_ref(&example)).unwrap();
+        assert_eq!(of(&walk(|t| 0.5 * t as f32)).motion, 0.0);
+        let held = of(&walk(|t| t.min(79) as f32));
+        assert!((held.motion - 20.0 / 99.0).abs() < 1e-12, "{held:?}");
+        assert_eq!(held.examples, 0.0);
+        // Examples that rest themselves.
+        let resting = walk(|t| t.max(30) as f32);
+        let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();
+        assert_eq!((both.motion, both.examples), (0.0, 30.0 / 198.0));
+        assert_eq!(Stillness::of(&Frames::new(1, vec![0.0]), &[example]), None);
+    }
+}
