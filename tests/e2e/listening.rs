@@ -150,7 +150,10 @@ fn document_models_hear_a_set_of_frames_and_aligned_ones_their_order() {
         }
         let own = condition(evaluation, "own");
         assert_eq!(own["heard_beat_phase_error"], own["beat_phase_error"]);
-        assert!(evaluation["real"].get("above_chance").is_some());
+        for of in ["beat_alignment", "peak_alignment"] {
+            assert!(evaluation["real"][of].get("above_chance").is_some());
+            assert!(own[of].get("above_chance").is_some());
+        }
         let scales = evaluation["guidance"].as_array().expect("scales");
         let named: Vec<f64> = scales
             .iter()

@@ -200,7 +200,7 @@ fn killed_run_of_a_network_that_tracks_beats_ends_the_same() {
 fn killed_fine_tuning_of_a_network_that_tracks_beats_ends_the_same() {
     // The last coherence that is given counts.
     check_kills(&format!(
-        "{FINE_TUNING} {TRACKED} --set decoder.coherence=full"
+        "{FINE_TUNING} {TRACKED} --set decoder.coherence=full --set decoder.hidden_dim=34"
     ));
 }
 

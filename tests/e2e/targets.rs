@@ -302,7 +302,7 @@ fn other_phrases_of_a_held_out_song_are_told_too() {
         .run("data synth --out set --phrases 6 --frames 40")
         .succeeded();
     // Three songs of two phrases.
-    for folder in ["motion", "audio"] {
+    for folder in ["motion", "audio_features"] {
         for name in sandbox.list(&format!("set/{folder}")) {
             let number = name.trim_matches(|c: char| !c.is_ascii_digit());
             let number: u32 = number.parse().expect("a number");

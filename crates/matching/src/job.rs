@@ -185,6 +185,15 @@ impl Job {
         if around {
             figure.close(&mut synthesis.frames);
         }
+        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
+            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            Some((frame, keyframe.place?))
+        });
+        let points: Vec<(usize, [f64; 2])> = points.collect();
+        if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
+            figure.start_at(*place);
+        }
+        figure.lead(&mut synthesis.frames, &points, around);
         calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;
         if !self.fixed.is_empty() {
             let usual = matrices.iter().chain(&fixed).map(|motion| {
@@ -195,14 +204,7 @@ impl Job {
             let most = usual.into_iter().fold(0.0, f64::max);
             calm::over_fixed_parts(&figure, &mut synthesis.frames, &held, most)?;
         }
-        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
-            let frame = (keyframe.time / figure.frame_time()).round() as usize;
-            Some((frame, keyframe.place?))
-        });
-        let points: Vec<(usize, [f64; 2])> = points.collect();
-        if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
-            figure.start_at(*place);
-        }
+        // What was smoothed has moved the way a little.
         figure.lead(&mut synthesis.frames, &points, around);
         let mut bvh = figure.bvh(&synthesis.frames)?;
         let mut sliding = None;

@@ -167,6 +167,11 @@ impl Part {
         rest.joints.retain(|joint| !taken(joint));
         rest.way = parts.iter().all(|part| !part.way);
         if !rest.joints.is_empty() {
+            if parts.iter().any(|part| part.name == rest.name) {
+                let problem =
+                    "a part is called `rest`, and joints are left over that are called so";
+                return Err(Error::file(file, problem, hint));
+            }
             parts.push(rest);
         } else if rest.way {
             let travels = figure.travelling();

@@ -3,6 +3,7 @@
 //! Convention (CC-MotionGen, section 2.2; docs/sources.md, section 1.1): (w, x, y, z),
 //! right-handed, +y up; `a * b` turns by `b` first, then by `a`.
 
+use std::f64::consts::PI;
 use std::ops::Mul;
 
 /// A Hamilton quaternion; a rotation where its norm is 1. `q` and `-q` are the same rotation.
@@ -115,6 +116,14 @@ impl Quaternion {
     pub fn slerp(self, other: Self, fraction: f64) -> Self {
         let turn = (other * self.conjugate()).to_rotation_vector();
         Self::from_rotation_vector(turn.map(|v| v * fraction)) * self
+    }
+
+    /// The turn about +y in radians, from -pi to pi, that is part of a rotation: with the rotation
+    /// about a horizontal axis that is left it makes the whole. Zero upside down, where none is told
+    /// from another.
+    pub fn twist(self) -> f64 {
+        let half = self.y.atan2(self.w);
+        2.0 * (half - PI * (half / PI).round())
     }
 
     /// Heading in radians, from -pi to pi: the angle about +y from +z to the turned +z, seen from

@@ -250,18 +250,18 @@ impl Targets {
         decoded
     }
 
-    /// How sure predicted `rows` `[frames, channels]` are of each orientation, 0 to 1, `[frames]`,
-    /// where [`decode`](Self::decode) brings it to unit norm: the area that the two columns of a
-    /// rotation span, or the norm of the quaternion. A mean of orientations that differ is short.
+    /// How sure predicted `rows` `[frames, channels]` are of each heading, 0 to 1, `[frames]`: the area
+    /// that the two columns of a rotation span, or the norm of the quaternion. A mean of orientations
+    /// that differ is short. NaN of what is not finite.
     pub fn sureness(self, rows: &[f32]) -> Vec<f64> {
         let length = |v: &[f64]| v.iter().map(|part| part * part).sum::<f64>().sqrt();
         let sure = |frame: &[f32]| {
             let values = frame[self.orientation_channels()].iter();
             let v: Vec<f64> = values.map(|&value| f64::from(value)).collect();
             match self.orientation {
-                // Stays as short as it is.
-                OrientationTarget::Quaternion => 1.0,
-                OrientationTarget::CanonicalQuaternion => length(&v).min(1.0),
+                OrientationTarget::Quaternion | OrientationTarget::CanonicalQuaternion => {
+                    length(&v).min(1.0)
+                }
                 OrientationTarget::Rotation6d => {
                     let [a, b] = pair(&v);
                     length(&cross(a, b)).min(1.0)
@@ -324,7 +324,8 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
 }
 
 /// The rotation whose matrix has the orthonormal columns that are nearest to these first two, `[6]`,
-/// in least squares; its sign is arbitrary. Not finite where the columns are not.
+/// in least squares, where they span an area; its sign is arbitrary. Not finite where the columns are
+/// not.
 ///
 /// A column that is short, as the mean of many directions is, turns the other one little. Of a dancer
 /// whose heading is open the side is short and the upward axis is not: by Gram and Schmidt, which

@@ -5,8 +5,11 @@ use serde::Serialize;
 use super::rotations;
 use crate::{Frames, Made};
 
-/// Part of the examples' median change from frame to frame below which a pose stands still.
+/// Part of the examples' median change between frames that differ, below which a pose stands still.
 const STILL: f64 = 0.1;
+
+/// A change that is no more than the rounding of a file.
+const HELD: f64 = 1e-5;
 
 /// Share of frames that stand still: the Euclidean distance of all rotations to the frame before, six
 /// numbers a joint, is below a tenth of the examples' median. Means of many patches that differ move
@@ -22,13 +25,14 @@ pub struct Stillness {
 impl Stillness {
     /// Of rotations, `[frames, channels]` each. None without two frames in each.
     fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
-        let mut usual: Vec<f64> = examples.iter().flat_map(changes).collect();
-        let all = usual.len();
-        if all == 0 || motion.frames() < 2 {
+        let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
+        // Frames that are held say nothing of how fast the others are.
+        let mut moving: Vec<f64> = usual.iter().copied().filter(|c| *c > HELD).collect();
+        if moving.is_empty() || motion.frames() < 2 {
             return None;
         }
-        usual.sort_unstable_by(f64::total_cmp);
-        let bound = STILL * usual[all / 2];
+        moving.sort_unstable_by(f64::total_cmp);
+        let bound = STILL * moving[moving.len() / 2];
         let share = |changes: &[f64]| {
             let still = changes.iter().filter(|change| **change < bound).count();
             still as f64 / changes.len() as f64
@@ -78,5 +82,10 @@ mod tests {
         let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();
         assert_eq!((both.motion, both.examples), (0.0, 30.0 / 198.0));
         assert_eq!(Stillness::of(&Frames::new(1, vec![0.0]), &[example]), None);
+        // Three of four frames are held, as in a capture that is stored at four times its rate.
+        let stored = walk(|t| (t / 4) as f32);
+        let frozen = Stillness::of(&walk(|_| 0.0), std::slice::from_ref(&stored)).unwrap();
+        assert_eq!(frozen.motion, 1.0);
+        assert!((frozen.examples - 0.75).abs() < 0.01, "{frozen:?}");
     }
 }

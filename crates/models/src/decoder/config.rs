@@ -112,7 +112,7 @@ pub enum Coherence {
     /// trajectory that has all three (least squares), the quaternion keeps its sign from frame to
     /// frame, and the angular velocity is the derivative of the quaternions.
     Projection,
-    /// As `projection`, and the quaternions are replaced by the orientations nearest to them and to
+    /// As `projection`, and headings, then orientations, are replaced by those nearest to them and to
     /// the head's angular velocities (least squares) before the derivative is taken.
     Full,
 }

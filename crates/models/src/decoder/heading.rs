@@ -14,7 +14,7 @@ use crate::targets::turns;
 
 use super::orientation::Smooth;
 
-/// Added under the root of a direction's length.
+/// Added to squared lengths that are divided by.
 const ROOT_EPS: f64 = 1e-12;
 
 /// Unit quaternions turned about the vertical to the headings nearest to theirs and to the angular
@@ -77,15 +77,13 @@ pub(super) fn fitted(
     (quaternion, Tensor::cat(vec![x, y, z], 1))
 }
 
-/// Sine and cosine of the heading, `[batch, 2, time]`: where unit quaternions turn +z, seen from above,
-/// zero where that is vertical.
+/// Sine and cosine of the heading, `[batch, 2, time]`: the turn about the vertical that is part of
+/// quaternions of any norm. Nearly zero upside down, where none is told from another.
 fn heading(quaternion: Tensor<3>) -> Tensor<3> {
-    let [w, x, y, z] = [0, 1, 2, 3].map(|part| quaternion.clone().narrow(1, part, 1));
-    let along_x = (x.clone() * z + w * y.clone()) * 2.0;
-    let along_z = (x.square() + y.square()) * -2.0 + 1.0;
-    let direction = Tensor::cat(vec![along_x, along_z], 1);
-    let length = (direction.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
-    direction / length
+    let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
+    let square = w.clone().square() + y.clone().square() + ROOT_EPS;
+    let sine = w.clone() * y.clone() * 2.0;
+    Tensor::cat(vec![sine, w.square() - y.square()], 1) / square
 }
 
 /// Sine and cosine of the angle from the heading `from` to `to`, `[batch, 2, time]` each.
@@ -159,7 +157,12 @@ mod tests {
                 let mut expected = motion.clone();
                 let mut std = [1.0; CHANNELS];
                 std[ANGULAR_VELOCITY].copy_from_slice(&rates);
-                fit_heading(&mut expected, &std, &vec![false; frames]);
+                fit_heading(
+                    &mut expected,
+                    &std,
+                    &vec![false; frames],
+                    &vec![1.0; frames],
+                );
                 for t in 0..frames {
                     let place = item * frames + t;
                     let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(found[4 * place + i]));

@@ -5,15 +5,16 @@
 //! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2
 //! ```
 //!
-//! over complex numbers of any size. `psi_t` is the heading of frame t and `d_t` what the angular
-//! velocity turns it by until the next. Their arguments say by how many whole turns the headings `psi_t` are to be
+//! over complex numbers of any size. `psi_t` is the heading of frame t, the turn about the vertical
+//! that is part of it ([`Quaternion::twist`]), and `d_t` what the angular velocity turns it by until
+//! the next. Their arguments say by how many whole turns the headings `psi_t` are to be
 //! moved; the same fit of those angles themselves, which cannot turn around at once where a complex
 //! number passes through zero, is the result.
 //!
 //! A network that is unsure of an orientation predicts a mean of many. They stand alike and face
 //! elsewhere: the tilt of the mean is sound, and its heading points anywhere. The weights `w_t` are the
-//! squared norms of the quaternions, at most 1, so that the angular velocities lead over frames that
-//! say little. Bodies stay as tilted as they were.
+//! squares of how sure it is, so that the angular velocities lead over frames that say little. Bodies
+//! stay as tilted as they were.
 
 use std::f64::consts::TAU;
 
@@ -25,31 +26,35 @@ use crate::{Motion, Quaternion};
 const LEAST_WEIGHT: f64 = 1e-4;
 
 /// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
-/// theirs and to the angular velocities, except in frames that are `known`. A quaternion shorter than
-/// 1 counts the less the shorter it is; all become unit quaternions. The angular velocity turns with
-/// the body, and about the vertical changes as that of the headings does. `std` are the training deviations of
-/// the channels, `[25]`.
+/// theirs and to the angular velocities, except in frames that are `known`. `sureness`, 0 to 1, says
+/// how sure each heading is. All quaternions but the known become unit quaternions. The angular velocity
+/// turns with the body, and about the vertical changes as that of the headings does. `std` are the
+/// training deviations of the channels, `[25]`.
 ///
 /// # Panics
-/// Panics if there is not one flag for each frame, or the deviation is not positive.
-pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool]) {
+/// Panics if there is not one flag and one number for each frame, or the deviation is not positive.
+pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
-    let vertical = ANGULAR_VELOCITY.start + 1;
-    let weights = known.iter().enumerate().map(|(t, &known)| match known {
-        true => weight(known),
-        false => motion.quaternion(t).norm().powi(2).clamp(LEAST_WEIGHT, 1.0),
-    });
-    let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);
-
+    assert_eq!(sureness.len(), frames, "how sure frames are");
     let units: Vec<Quaternion> = (0..frames)
         .map(|t| motion.quaternion(t).normalised())
         .collect();
-    let headings: Vec<f64> = units.iter().map(|unit| unit.yaw()).collect();
+    let weights = known
+        .iter()
+        .zip(sureness)
+        .map(|(&known, sure)| match known {
+            true => weight(known),
+            false => sure.powi(2).clamp(LEAST_WEIGHT, 1.0),
+        });
+    let vertical = ANGULAR_VELOCITY.start + 1;
+    let fit = OrientationFit::of_weighted_headings(weights.collect(), std[vertical]);
+
+    let headings: Vec<f64> = units.iter().map(|unit| unit.twist()).collect();
     let steps = units.iter().enumerate().map(|(t, unit)| {
         let step = motion.vector(t, ANGULAR_VELOCITY).map(|rate| rate / FPS);
         let next = Quaternion::from_rotation_vector(step) * *unit;
-        wrapped(next.yaw() - headings[t])
+        wrapped(next.twist() - headings[t])
     });
     let steps: Vec<f64> = steps.collect();
     let mut along = vec![0.0; frames];
@@ -123,7 +128,12 @@ mod tests {
         for frames in [1, 2, 3, 150] {
             let original = turning(frames);
             let mut fitted = original.clone();
-            fit_heading(&mut fitted, &[1.5; 25], &vec![false; frames]);
+            fit_heading(
+                &mut fitted,
+                &[1.5; 25],
+                &vec![false; frames],
+                &vec![1.0; frames],
+            );
             assert!(apart(&original, &fitted) < 1e-3, "{frames}");
         }
     }
@@ -134,13 +144,26 @@ mod tests {
         let mut lost = original.clone();
         for t in 60..100 {
             let elsewhere = Quaternion::from_yaw(2.0 + 0.9 * (t % 5) as f64);
-            lost.set_quaternion(t, (elsewhere * original.quaternion(t)).scale(0.03));
+            lost.set_quaternion(t, elsewhere * original.quaternion(t));
         }
-        let fitted = |mut motion: Motion| {
-            fit_heading(&mut motion, &[1.5; 25], &[false; 200]);
+        let fitted = |lost_ones: f64| {
+            let sure = (0..200).map(|t| {
+                if (60..100).contains(&t) {
+                    lost_ones
+                } else {
+                    1.0
+                }
+            });
+            let mut motion = lost.clone();
+            fit_heading(
+                &mut motion,
+                &[1.5; 25],
+                &[false; 200],
+                &sure.collect::<Vec<_>>(),
+            );
             motion
         };
-        let weighted = fitted(lost.clone());
+        let weighted = fitted(0.03);
         assert!(
             apart(&original, &weighted) < 0.15,
             "{}",
@@ -151,9 +174,8 @@ mod tests {
                 (upright(&weighted, t) - upright(&original, t)).abs() < 1e-5,
                 "{t}"
             );
-            lost.set_quaternion(t, lost.quaternion(t).normalised());
         }
-        assert!(apart(&original, &fitted(lost)) > 1.0);
+        assert!(apart(&original, &fitted(1.0)) > 1.0);
     }
 
     #[test]
@@ -162,7 +184,7 @@ mod tests {
         for t in 0..90 {
             motion.set_quaternion(t, Quaternion::new(0.0, 0.0, 0.0, 0.0));
         }
-        fit_heading(&mut motion, &[1.0; 25], &[false; 90]);
+        fit_heading(&mut motion, &[1.0; 25], &[false; 90], &[0.0; 90]);
         assert_eq!(motion.first_non_finite(), None);
         assert!((motion.quaternion(45).norm() - 1.0).abs() < 1e-6);
     }
@@ -173,15 +195,58 @@ mod tests {
         let mut motion = original.clone();
         for t in 20..60 {
             let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
-            motion.set_quaternion(t, turned.scale(-0.7));
+            motion.set_quaternion(t, turned.scale(-1.0));
         }
         let known: Vec<bool> = (0..60).map(|t| t < 20).collect();
-        fit_heading(&mut motion, &[1.5; 25], &known);
+        fit_heading(&mut motion, &[1.5; 25], &known, &[0.8; 60]);
         for t in 0..20 {
             assert_eq!(motion.frame(t), original.frame(t), "{t}");
         }
         let step =
             (motion.quaternion(20) * original.quaternion(20).conjugate()).to_rotation_vector();
         assert!(length(step) < 0.1, "{step:?}");
+    }
+
+    #[test]
+    fn bodies_that_pitch_beyond_the_vertical_keep_their_heading() {
+        for peak in [80.0f64, 95.0, 140.0] {
+            let mut motion = crate::wandering::wandering(4, 150);
+            let noise = kinegrad_random::Key::new(3, kinegrad_random::Purpose::Noise).normals(900);
+            for t in 0..150 {
+                let pitch = peak.to_radians() * (0.021 * t as f64).sin().abs();
+                let bent = Quaternion::from_rotation_vector([pitch, 0.0, 0.0]);
+                motion.set_quaternion(t, Quaternion::from_yaw(0.4) * bent);
+            }
+            crate::postprocess::derive_angular_velocity(&mut motion);
+            let original = motion.clone();
+            for (t, noise) in noise.chunks(6).enumerate() {
+                let noise: Vec<f64> = noise.iter().map(|&value| f64::from(value)).collect();
+                let shaken = Quaternion::from_rotation_vector([0, 1, 2].map(|i| 0.02 * noise[i]));
+                motion.set_quaternion(t, shaken * motion.quaternion(t));
+                let rate = motion.vector(t, ANGULAR_VELOCITY);
+                let rate = [0, 1, 2].map(|i| rate[i] + 0.12 * noise[3 + i]);
+                motion.set_vector(t, ANGULAR_VELOCITY, rate);
+            }
+            fit_heading(&mut motion, &[1.0; 25], &[false; 150], &[1.0; 150]);
+            assert!(
+                apart(&original, &motion) < 0.15,
+                "{peak}: {}",
+                apart(&original, &motion)
+            );
+        }
+    }
+
+    #[test]
+    fn a_body_that_hardly_turns_and_says_little_keeps_its_heading() {
+        let mut motion = turning(300);
+        for t in 0..300 {
+            motion.set_quaternion(t, Quaternion::from_yaw(0.7));
+            motion.set_vector(t, ANGULAR_VELOCITY, [0.0; 3]);
+        }
+        let original = motion.clone();
+        for std in [1.0, 1e-3, 1e-6] {
+            fit_heading(&mut motion, &[std; 25], &[false; 300], &[0.0; 300]);
+            assert!(apart(&original, &motion) < 1e-4, "{std}");
+        }
     }
 }

@@ -24,6 +24,9 @@ const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Least scale of a step: a body that hardly turns would ask for more than double precision holds.
 const LEAST_STEP: f64 = 1e-6;
 
+/// The same of headings, of which whole stretches may weigh next to nothing.
+const LEAST_TURN: f64 = 1e-3;
+
 /// The fit of the components of `u` for motion of some length.
 #[derive(Clone, Debug)]
 pub struct OrientationFit {
@@ -60,7 +63,8 @@ impl OrientationFit {
 
     /// The same with a weight of each frame.
     pub(super) fn of_weighted_headings(weights: Vec<f64>, rate: f64) -> Self {
-        Self::weighted(weights, [HEADING_SCALE, rate / FPS])
+        assert!(rate > 0.0, "deviation of the angular velocity");
+        Self::weighted(weights, [HEADING_SCALE, (rate / FPS).max(LEAST_TURN)])
     }
 
     /// The fit with a weight of each frame, and the scales of a component and of its steps.

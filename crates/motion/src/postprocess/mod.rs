@@ -41,19 +41,29 @@ pub fn process(
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
 ) -> Motion {
-    process_around(motion, config, statistics, &vec![false; motion.frames()])
+    let none = vec![false; motion.frames()];
+    // A mean of orientations that differ is short.
+    let norms = (0..motion.frames()).map(|t| motion.quaternion(t).norm().min(1.0));
+    process_around(
+        motion,
+        config,
+        statistics,
+        &none,
+        &norms.collect::<Vec<_>>(),
+    )
 }
 
 /// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through
-/// them. Other steps treat all frames alike.
+/// them. `sureness`, 0 to 1, says how sure each heading is. Other steps treat all frames alike.
 ///
 /// # Panics
-/// Panics if there is not one flag for each frame.
+/// Panics if there is not one flag and one number for each frame.
 pub fn process_around(
     motion: &Motion,
     config: &PostProcessConfig,
     statistics: Option<&Statistics>,
     known: &[bool],
+    sureness: &[f64],
 ) -> Motion {
     assert_eq!(known.len(), motion.frames(), "known frames");
     let mut frames: Frames = motion
@@ -102,13 +112,8 @@ pub fn process_around(
         && processed.first_non_finite().is_none()
     {
         let mut fitted = processed.clone();
-        // Short quaternions, which were brought to unit norm above, say little of the heading.
-        for t in 0..fitted.frames() {
-            let sure = motion.quaternion(t).norm().min(1.0);
-            fitted.set_quaternion(t, fitted.quaternion(t).scale(sure));
-        }
         fit_trajectory(&mut fitted, std, known);
-        fit_heading(&mut fitted, std, known);
+        fit_heading(&mut fitted, std, known, sureness);
         fit_orientation(&mut fitted, std, known);
         fit_phase(&mut fitted, known);
         if fitted.first_non_finite().is_none() {

@@ -14,8 +14,14 @@ const NORM_TOLERANCE: f64 = 1e-3;
 /// counts as incoherent.
 const COHERENCE_SHARE: f64 = 0.1;
 
+/// Frames of a window at least: all measures are of as many.
+const SHORTEST_WINDOW: usize = 31;
+
 /// Mean error of the angular velocity, radians per second, at which it counts as incoherent.
 const MAX_ROTATION_ERROR: f64 = 0.1;
+
+/// The largest tilt, degrees: bounds stay below it, halfway to it where dancers lie on the floor.
+const UPSIDE_DOWN: f64 = 180.0;
 
 /// How far the phase may run backwards from one frame to the next, bars.
 const PHASE_TOLERANCE: f64 = 0.01;
@@ -53,10 +59,10 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     Some(Report::new(checks))
 }
 
-/// Windows of the mean length of the training phrases, which cover `frames` frames: a single one of
+/// Windows of the mean length of the training phrases, if that is a second or more, which cover `frames` frames: a single one of
 /// a phrase that is not half as long again.
 fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
-    let length = (training.frames / training.items.max(1)).max(1);
+    let length = (training.frames / training.items.max(1)).max(SHORTEST_WINDOW);
     if 2 * frames <= 3 * length {
         return vec![0..frames];
     }
@@ -115,9 +121,11 @@ fn movement(measure: Movement, motion: &Motion, training: &Statistics) -> Option
             Threshold::Within([low / factor, high * factor])
         }
         Bounds::Upper(factor) => Threshold::AtMost(high * factor),
-        Bounds::UpperBeyond { factor, harmless } => {
-            Threshold::AtMost((high * factor).max(harmless))
-        }
+        Bounds::UpperBeyond { factor, harmless } => Threshold::AtMost(
+            (high * factor)
+                .max(harmless)
+                .min((high + UPSIDE_DOWN) / 2.0),
+        ),
         Bounds::Unchecked => return None,
     };
     let value = measure.of(motion)?;
@@ -345,6 +353,8 @@ mod tests {
         assert!(failing(75.0, 37.0) && !failing(73.0, 37.0));
         assert!(failing(180.0, 37.0));
         assert!(failing(21.0, 0.0) && !failing(19.0, 0.0));
+        // Dancers who lie on the floor.
+        assert!(failing(180.0, 95.0) && !failing(130.0, 95.0));
     }
 
     #[test]

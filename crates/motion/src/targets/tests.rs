@@ -351,5 +351,10 @@ fn a_mean_of_orientations_that_differ_is_unsure() {
     }
     let mut rows = vec![0.5; CHANNELS];
     rows[QUATERNION.start] = f32::NAN;
-    assert_eq!(Targets::default().sureness(&rows), [1.0]);
+    rows[QUATERNION.start] = 0.0;
+    rows[QUATERNION].copy_from_slice(&[0.0, 0.3, 0.0, 0.4]);
+    let [sure] = Targets::default().sureness(&rows)[..] else {
+        panic!("one frame")
+    };
+    assert!((sure - 0.5).abs() < 1e-6);
 }

@@ -40,16 +40,15 @@ pub struct Sample {
 /// A motion as a network predicts it.
 pub(super) struct Raw {
     motion: Motion,
-    /// How sure it is of the orientation of each frame, 0 to 1; of none, it does not say.
+    /// How sure it is of the heading of each frame, 0 to 1.
     sureness: Vec<f64>,
 }
 
+/// Of a decoder, which does not say how sure it is.
 impl From<Motion> for Raw {
     fn from(motion: Motion) -> Self {
-        Self {
-            motion,
-            sureness: Vec::new(),
-        }
+        let sureness = vec![1.0; motion.frames()];
+        Self { motion, sureness }
     }
 }
 
@@ -192,17 +191,13 @@ impl Generator {
 
     /// The post-processed sample of a raw motion of which some frames are known.
     pub(super) fn finished(&self, raw: Raw, is_known: &[bool]) -> Sample {
-        let Raw {
-            motion: raw,
-            sureness,
-        } = raw;
-        let mut said = raw.clone();
-        for (t, sure) in sureness.into_iter().enumerate() {
-            said.set_quaternion(t, said.quaternion(t).scale(sure));
+        let Raw { motion, sureness } = raw;
+        let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
+        let processed = process_around(&motion, steps, statistics, is_known, &sureness);
+        Sample {
+            raw: motion,
+            motion: processed,
         }
-        let statistics = Some(self.statistics());
-        let motion = process_around(&said, &self.post_processing, statistics, is_known);
-        Sample { raw, motion }
     }
 
     /// Generates one sample per condition, as a batch; all conditions have the same number of

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase, Songs};
+use kinegrad_data::{DataConfig, DataKind, Dataset, Phrase, Songs, song_of};
 
 use super::start::Starts;
 use crate::checkpoint::State;
@@ -42,38 +42,35 @@ pub(super) fn warn(
     observer: &mut dyn Observer,
 ) -> Result<(), Error> {
     for (key, state) in starts.states()? {
-        if let Some(warning) = warning(key, &state, dataset, data) {
+        for warning in warnings(key, &state, dataset, data) {
             observer.warning(&warning);
         }
     }
     Ok(())
 }
 
-fn warning(
-    key: &str,
-    state: &State,
-    dataset: &Dataset<Phrase>,
-    data: &DataConfig,
-) -> Option<String> {
+fn warnings(key: &str, state: &State, dataset: &Dataset<Phrase>, data: &DataConfig) -> Vec<String> {
     // Datasets of one digest are split alike.
     let same = state.dataset_sha256.as_deref() == Some(&dataset.digest.to_string());
     if same || dataset.validation.is_empty() {
-        return None;
+        return Vec::new();
     }
     let mut before = state.config.data.clone();
     let made = |data: &DataConfig| data.kind == DataKind::Synthetic;
     if made(&before) != made(data) || (made(data) && before.synthetic.seed != data.synthetic.seed) {
         // Phrases that are made up of different seeds share their ids alone.
-        return None;
+        return Vec::new();
     }
     before.cache.memory_mib = 0;
-    let trained = match Dataset::<Phrase>::open(&before) {
-        Ok(trained) => trained.train,
-        Err(error) => {
-            return Some(format!(
+    let opened = Dataset::<Phrase>::open(&before);
+    let opened = opened.and_then(|trained| Ok((trained.train, [&before, data].map(Songs::read))));
+    let (trained, songs) = match opened {
+        Ok((trained, [Ok(heard), Ok(own)])) => (trained, [heard, own]),
+        Err(error) | Ok((_, [Err(error), _] | [_, Err(error)])) => {
+            return vec![format!(
                 "whether `{key}` was trained on phrases that are held out here cannot be told, as \
                  its dataset cannot be opened: {error}"
-            ));
+            )];
         }
     };
     let seen: BTreeSet<&str> = trained.ids().collect();
@@ -82,29 +79,34 @@ fn warning(
     let count = dataset.validation.len();
     let hint = "Without `data.validation` and with its `data.source` this run holds out what that \
                 run did";
+    let mut warnings = Vec::new();
     if !leaked.is_empty() {
-        return Some(format!(
+        warnings.push(format!(
             "`{key}` was trained on {} of the {count} phrases that are held out here, so that \
              measures of them are not of new phrases: {}. {hint}",
             leaked.len(),
             named(&leaked)
         ));
     }
-    // Other phrases of a song have its music and its dancer.
-    let [before, now] = [&before, data].map(|data| Songs::read(data).ok());
-    let (before, now) = (before?, now?);
-    let heard: BTreeSet<String> = trained.ids().map(|id| before.song(id)).collect();
-    let songs: BTreeSet<String> = rest.iter().map(|id| now.song(id)).collect();
-    let leaked: Vec<&str> = songs.intersection(&heard).map(String::as_str).collect();
-    (!leaked.is_empty()).then(|| {
-        format!(
+    // Other phrases of a song have its music and its dancer. Of two datasets one may state songs and
+    // the other not: the takes that ids name are compared too.
+    let names = |songs: &Songs, id: &str| [songs.song(id), song_of(id, None)];
+    let [heard, own] = songs;
+    let heard: BTreeSet<String> = trained.ids().flat_map(|id| names(&heard, id)).collect();
+    let known = |id: &&&str| names(&own, id).iter().any(|name| heard.contains(name));
+    let songs: BTreeSet<String> = rest.iter().map(|id| own.song(id)).collect();
+    let leaked: BTreeSet<String> = rest.iter().filter(known).map(|id| own.song(id)).collect();
+    if !leaked.is_empty() {
+        let leaked: Vec<&str> = leaked.iter().map(String::as_str).collect();
+        warnings.push(format!(
             "`{key}` was trained on other phrases of {} of the {} songs that are held out here, so \
              that measures of them are not of new songs: {}. {hint}",
             leaked.len(),
             songs.len(),
             named(&leaked)
-        )
-    })
+        ));
+    }
+    warnings
 }
 
 /// The first of the names, and how many more there are.

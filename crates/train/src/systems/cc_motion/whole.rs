@@ -262,8 +262,10 @@ impl Generator {
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
-                // Of windows that differ, the mean quaternion is short and counts for little.
-                fit_heading(&mut motion, std, &is_known);
+                // Of windows that differ, the mean quaternion is short.
+                let norms = (0..motion.frames()).map(|t| motion.quaternion(t).norm().min(1.0));
+                let sureness: Vec<f64> = norms.collect();
+                fit_heading(&mut motion, std, &is_known, &sureness);
                 fit_orientation(&mut motion, std, &is_known);
             }
         }

@@ -67,7 +67,7 @@ pub struct Listening {
     pub tracked_beat_error: Option<Estimate>,
     /// What was heard, and what came of it.
     pub conditions: Vec<Condition>,
-    /// The beat alignment of the real phrases.
+    /// How the real phrases fall in with the beats.
     pub real: Alignments,
     /// Samples with the own music at each of the guidance scales.
     pub guidance: Vec<AtScale>,

@@ -66,7 +66,13 @@ impl Listened {
     /// Times in seconds of its beats, between two frames in proportion to the beat phase.
     pub fn beat_times(&self) -> Vec<f64> {
         let first = self.bars[0] * self.beats_per_bar;
-        let beats: Vec<f64> = self.beats().iter().map(|beat| first + beat).collect();
+        // A phase that wavers passes a beat once.
+        let mut furthest = f64::NEG_INFINITY;
+        let beats = self.beats().into_iter().map(|beat| {
+            furthest = furthest.max(first + beat);
+            furthest
+        });
+        let beats: Vec<f64> = beats.collect();
         let crossed = |t: usize| {
             let (before, after) = (beats[t - 1], beats[t]);
             let beat = after.floor();
