@@ -190,8 +190,12 @@ impl Job {
             Some((frame, keyframe.place?))
         });
         let points: Vec<(usize, [f64; 2])> = points.collect();
-        if let Some((_, place)) = points.iter().find(|(frame, _)| *frame == 0) {
-            figure.start_at(*place);
+        let first = points.iter().min_by_key(|(frame, _)| *frame);
+        match first {
+            Some((0, place)) => figure.start_at(*place),
+            // A loop begins anywhere: its first place says where it is.
+            Some(point) if around => figure.start_for(&synthesis.frames, *point),
+            _ => {}
         }
         figure.lead(&mut synthesis.frames, &points, around);
         calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;

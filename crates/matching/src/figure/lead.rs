@@ -11,8 +11,9 @@ const FADE: f64 = 0.25;
 /// Weights of a third difference's frames.
 const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
 
-/// What keeps a bend near the straight line between places, as a part of the weight of its speed.
-const NEAR: f64 = 1e-4;
+/// What leads a bend back to the straight line between places, as a part of the weight of its speed:
+/// within a second or two.
+const NEAR: f64 = 1e-3;
 
 impl Figure {
     /// Bends the way of a motion, so that at frame `t` it is at `place` on the two axes that do not
@@ -27,7 +28,8 @@ impl Figure {
     /// ```
     ///
     /// that moves the points to their places: the first term has it go evenly from one to the next,
-    /// and the second, the jerk, has it change its speed over a quarter of a second. `around`: the last
+    /// and the second, the jerk, has it change its speed over a quarter of a second, or half the time
+    /// between the two points that are nearest to each other. `around`: the last
     /// frame is followed by the first, where the steps stay as they are.
     pub(crate) fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])], around: bool) {
         let mut points: Vec<_> = points.iter().filter(|(t, _)| *t > 0).copied().collect();
@@ -79,7 +81,11 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         knots.extend(ends.map(|t| (t, end)));
     }
     let even = even(n, &knots);
-    let slow = fade.max(1.0).powi(-4);
+    // A change of speed that lasted longer than the way to the next point would lead far beyond it.
+    let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
+    let gaps = times.clone().zip(times.skip(1)).map(|(from, to)| to - from);
+    let least = gaps.min().map_or(fade, |gap| gap as f64 / 2.0);
+    let slow = fade.min(least).max(1.0).powi(-4);
     let mut matrix = vec![[NEAR * slow, 0.0, 0.0, 0.0]; n];
     let mut bend = vec![0.0; n];
     let mut add = |from: usize, weights: &[f64], strength: f64| {
@@ -140,14 +146,15 @@ mod tests {
         let low = values.clone().fold(0.0, f64::min);
         let high = values.fold(0.0, f64::max);
         let outside = moved.iter().map(|x| (x - high).max(low - x));
-        outside.fold(0.0, f64::max) / (high - low)
+        outside.fold(0.0, f64::max) / (high - low).max(1e-9)
     }
 
     #[test]
     fn places_are_met_and_the_way_does_not_fly_off() {
-        let cases: [&[(usize, f64)]; 7] = [
+        let cases: [&[(usize, f64)]; 8] = [
             &[(15, 0.3)],
             &[(6, 0.3)],
+            &[(6, 0.1), (12, 0.3)],
             &[(2, 0.3)],
             &[(30, 0.0), (60, 1.0), (90, 0.0)],
             &[(100, 0.0), (101, 0.05)],
@@ -156,6 +163,11 @@ mod tests {
         ];
         for points in cases {
             for around in [false, true] {
+                let mut points = points.to_vec();
+                if around {
+                    points[0].1 = 0.0; // A loop starts so that its first place is passed.
+                }
+                let points = &points[..];
                 let moved = moved(300, points, FRAMES, around);
                 assert_eq!(moved[0], 0.0);
                 for &(t, value) in points {

@@ -25,6 +25,15 @@ impl Figure {
         }
     }
 
+    /// Has motions start where `frames` pass `place` at frame `t` without a bend.
+    pub(crate) fn start_for(&mut self, frames: &Frames, (t, place): (usize, [f64; 2])) {
+        let passed = self.way_of(frames)[t].0;
+        let level = (0..3).filter(|&axis| axis != self.up as usize);
+        for (axis, place) in level.zip(place) {
+            self.start[axis] += place - self.base[axis] - passed[axis];
+        }
+    }
+
     /// Closes the heading of a loop: what is missing to whole turns from its first frame around to it
     /// is shared out evenly, so that the body goes on as it began. Without a heading nothing changes.
     pub(crate) fn close(&self, frames: &mut Frames) {
