@@ -64,7 +64,7 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
 fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
     let length = (training.frames / training.items.max(1)).max(SHORTEST_WINDOW);
     if 2 * frames <= 3 * length {
-        return vec![0..frames];
+        return std::iter::once(0..frames).collect();
     }
     let gaps = (2 * (frames - length)).div_ceil(length);
     let starts = (0..=gaps).map(|window| window * (frames - length) / gaps);

@@ -63,7 +63,7 @@ fn warnings(key: &str, state: &State, dataset: &Dataset<Phrase>, data: &DataConf
     }
     before.cache.memory_mib = 0;
     let opened = Dataset::<Phrase>::open(&before);
-    let opened = opened.and_then(|trained| Ok((trained.train, [&before, data].map(Songs::read))));
+    let opened = opened.map(|trained| (trained.train, [&before, data].map(Songs::read)));
     let (trained, songs) = match opened {
         Ok((trained, [Ok(heard), Ok(own)])) => (trained, [heard, own]),
         Err(error) | Ok((_, [Err(error), _] | [_, Err(error)])) => {
