@@ -5,7 +5,7 @@ use kinegrad_motion::banded::Cholesky;
 use crate::{Frames, Held};
 
 /// Weights of a third difference's frames.
-const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
+pub(crate) const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
 /// Weight of a frame that must keep its values, beside 1 of all others.
 const KEPT: f64 = 1e9;
 

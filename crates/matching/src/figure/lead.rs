@@ -4,12 +4,10 @@ use kinegrad_motion::banded::Cholesky;
 
 use super::Figure;
 use crate::Frames;
+use crate::smoothing::THIRD;
 
 /// Seconds over which a change of the way's speed is spread.
 const FADE: f64 = 0.25;
-
-/// Weights of a third difference's frames.
-const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
 
 /// What leads a bend back to the straight line between places, as a part of the weight of its speed:
 /// within a second or two.
@@ -29,7 +27,7 @@ impl Figure {
     ///
     /// that moves the points to their places: the first term has it go evenly from one to the next,
     /// and the second, the jerk, has it change its speed over a quarter of a second, or half the time
-    /// between the two points that are nearest to each other. `around`: the last
+    /// between points that are close. `around`: the last
     /// frame is followed by the first, where the steps stay as they are.
     pub(crate) fn lead(&self, frames: &mut Frames, points: &[(usize, [f64; 2])], around: bool) {
         let mut points: Vec<_> = points.iter().filter(|(t, _)| *t > 0).copied().collect();
@@ -81,12 +79,11 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         knots.extend(ends.map(|t| (t, end)));
     }
     let even = even(n, &knots);
-    // A change of speed that lasted longer than the way to the next point would lead far beyond it.
-    let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
-    let gaps = times.clone().zip(times.skip(1)).map(|(from, to)| to - from);
-    let least = gaps.min().map_or(fade, |gap| gap as f64 / 2.0);
-    let slow = fade.min(least).max(1.0).powi(-4);
-    let mut matrix = vec![[NEAR * slow, 0.0, 0.0, 0.0]; n];
+    let slow = slow(n, points, fade);
+    let mut matrix: Vec<[f64; 4]> = slow
+        .iter()
+        .map(|slow| [NEAR * slow, 0.0, 0.0, 0.0])
+        .collect();
     let mut bend = vec![0.0; n];
     let mut add = |from: usize, weights: &[f64], strength: f64| {
         let pairs = weights.iter().zip(&even[from..]);
@@ -98,7 +95,7 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
             bend[from + a] -= strength * one * value;
         }
     };
-    (1..n).for_each(|t| add(t - 1, &[-1.0, 1.0], slow));
+    (1..n).for_each(|t| add(t - 1, &[-1.0, 1.0], slow[t]));
     (3..n).for_each(|t| add(t - 3, &THIRD, 1.0));
     for &(t, _) in &knots {
         matrix[t] = [1.0, 0.0, 0.0, 0.0];
@@ -112,6 +109,28 @@ fn moved(n: usize, points: &[(usize, f64)], fade: f64, around: bool) -> Vec<f64>
         .zip(bend)
         .map(|(even, bend)| even + bend)
         .collect()
+}
+
+/// What the square of the step to each frame weighs. A change of speed that lasted longer than the way to
+/// the next point would lead far beyond it: between close points, and on either side of them, it is
+/// quicker.
+fn slow(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
+    let times = std::iter::once(0).chain(points.iter().map(|(t, _)| *t));
+    let times: Vec<usize> = times.collect();
+    let gaps: Vec<usize> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut weights = Vec::with_capacity(n);
+    for (place, &from) in times.iter().enumerate() {
+        let to = times.get(place + 1).copied().unwrap_or(n - 1);
+        let around = place.saturating_sub(1)..(place + 2).min(gaps.len());
+        let least = gaps[around]
+            .iter()
+            .min()
+            .map_or(fade, |gap| *gap as f64 / 2.0);
+        let weight = fade.min(least).max(1.0).powi(-4);
+        weights.resize(if place == 0 { 1 } else { from + 1 }, weight);
+        weights.resize(to + 1, weight);
+    }
+    weights
 }
 
 /// The straight course between knots, which begin at frame 0, level behind the last.
@@ -195,6 +214,10 @@ mod tests {
         let far = moved(300, &[(120, 1.0)], FRAMES, false);
         assert!(jerk(&far) < 15.0, "{}", jerk(&far));
         assert!(beyond(&far, &[(120, 1.0)]) < 0.05);
+        // Two close places later on ask for nothing.
+        let points = [(150, 2.0), (300, -1.0), (420, -1.0), (422, -1.0)];
+        let beside = moved(500, &points, FRAMES, false);
+        assert!(jerk(&beside) < 15.0, "{}", jerk(&beside));
     }
 
     #[test]

@@ -6,13 +6,16 @@ use std::sync::Arc;
 
 use burn::tensor::Tensor;
 use kinegrad_kernels::linear_map;
-use kinegrad_motion::coherence::OrientationFit;
+use kinegrad_motion::coherence::{OrientationFit, UPRIGHT};
 use kinegrad_motion::phrase::FPS;
 
 use crate::rotation::{product, step};
 use crate::targets::turns;
 
 use super::orientation::Smooth;
+
+/// Below this square a direction is not divided by its length.
+const LEAST_SQUARE: f64 = 1e-4;
 
 /// Added to squared lengths that are divided by.
 const ROOT_EPS: f64 = 1e-12;
@@ -37,7 +40,7 @@ pub(super) fn fitted(
     let heading = heading(quaternion.clone());
     let next = product(step(rates), quaternion.clone());
     let apart = from_to(heading.clone(), self::heading(next));
-    let steps = short(turns(apart)) * TAU;
+    let steps = nearest(turns(apart)) * TAU;
     let along = match time {
         1 => steps.zeros_like(),
         _ => {
@@ -52,10 +55,15 @@ pub(super) fn fitted(
     let course = course / length;
     let places = turns(course.clone());
     let apart = turned_by(rest, places.clone() * -TAU);
-    let smoothed = linear_map(unwrapped(places) + short(turns(apart)), fit) * TAU;
+    let smoothed = linear_map(unwrapped(places) + nearest(turns(apart)), fit) * TAU;
 
     let turned = along + smoothed;
-    let turn = turned.clone() - turns(heading) * TAU;
+    // Upside down the heading and the axis of the tilt may each be anything.
+    let told = (upright(quaternion.clone()) / UPRIGHT).clamp_max(1.0);
+    let places = turns(heading);
+    let turn = nearest(turned / TAU - places.clone()) * told.clone();
+    let headings = (places + turn.clone()) * TAU;
+    let turn = turn * TAU;
     let half = turn.clone() / 2.0;
     let none = half.zeros_like();
     let about = Tensor::cat(vec![half.clone().cos(), none.clone(), half.sin(), none], 1);
@@ -67,21 +75,34 @@ pub(super) fn fitted(
     let y = match time {
         1 => rate_y,
         _ => {
-            let next = turned.clone().narrow(2, 1, time - 1);
-            let more = next - turned.narrow(2, 0, time - 1) - steps.narrow(2, 0, time - 1);
+            let before = |x: Tensor<3>| x.narrow(2, 0, time - 1);
+            let next = headings.clone().narrow(2, 1, time - 1);
+            let more = nearest((next - before(headings) - before(steps)) / TAU) * TAU;
             let last = rate_y.clone().narrow(2, time - 1, 1);
-            let changed = rate_y.narrow(2, 0, time - 1) + more * FPS;
+            let changed = before(rate_y) + more * before(told) * FPS;
             Tensor::cat(vec![changed, last], 2)
         }
     };
     (quaternion, Tensor::cat(vec![x, y, z], 1))
 }
 
+/// The squared cosine of half the tilt of quaternions of any norm, `[batch, 1, time]`.
+fn upright(quaternion: Tensor<3>) -> Tensor<3> {
+    let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
+    (w.square() + y.square()) / (quaternion.square().sum_dim(1) + LEAST_SQUARE)
+}
+
+/// Turns less whole ones, up to half a turn either way.
+fn nearest(turns: Tensor<3>) -> Tensor<3> {
+    let whole = turns.clone().without_autodiff().round();
+    turns - whole
+}
+
 /// Sine and cosine of the heading, `[batch, 2, time]`: the turn about the vertical that is part of
-/// quaternions of any norm. Nearly zero upside down, where none is told from another.
+/// quaternions of any norm. Short upside down, where none is told from another.
 fn heading(quaternion: Tensor<3>) -> Tensor<3> {
     let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
-    let square = w.clone().square() + y.clone().square() + ROOT_EPS;
+    let square = (w.clone().square() + y.clone().square()).clamp_min(LEAST_SQUARE);
     let sine = w.clone() * y.clone() * 2.0;
     Tensor::cat(vec![sine, w.square() - y.square()], 1) / square
 }
@@ -92,12 +113,6 @@ fn from_to(from: Tensor<3>, to: Tensor<3>) -> Tensor<3> {
     let [sine, cosine] = [0, 1].map(|row| from.clone().narrow(1, row, 1));
     let sin = s.clone() * cosine.clone() - c.clone() * sine.clone();
     Tensor::cat(vec![sin, c * cosine + s * sine], 1)
-}
-
-/// Places from 0 to 1 as turns the short way around, up to half a turn.
-fn short(places: Tensor<3>) -> Tensor<3> {
-    let whole = places.clone().without_autodiff().greater_elem(0.5).float();
-    places - whole
 }
 
 /// Sine and cosine `[batch, 2, time]` of an angle to which another one is added, `[batch, 1, time]`.
@@ -125,13 +140,12 @@ fn unwrapped(places: Tensor<3>) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
-    use kinegrad_kernels::Mode;
     use kinegrad_motion::coherence::fit_heading;
     use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS};
     use kinegrad_motion::{Motion, Quaternion};
     use kinegrad_random::{Key, Purpose};
 
-    use super::super::orientation::tests::{shaken, tensors};
+    use super::super::orientation::tests::{assert_gradients, shaken, tensors};
     use super::*;
 
     /// A dancer who leans, and whose heading jumps in every seventh frame.
@@ -184,7 +198,6 @@ mod tests {
 
     #[test]
     fn gradients_reach_both_and_are_those_of_small_changes() {
-        let device = Device::flex().autodiff();
         let frames = 9;
         let motions = [jumping(3, frames), shaken(4, frames)];
         let weights = Key::new(5, Purpose::Noise).normals(2 * 7 * frames);
@@ -195,36 +208,8 @@ mod tests {
             // q and -q are one rotation.
             (Tensor::cat(vec![quaternion.square(), rates], 1) * weights).sum()
         };
-        for mode in [Mode::Fused, Mode::Composed] {
-            mode.scope(|| {
-                let [quaternion, rates] = tensors(&motions, &device).map(Tensor::require_grad);
-                let gradients = loss(quaternion.clone(), rates.clone()).backward();
-                for (which, of) in [&quaternion, &rates].into_iter().enumerate() {
-                    let gradient = of.grad(&gradients).expect("a gradient");
-                    let gradient: Vec<f32> = gradient.into_data().try_into_vec::<f32>().unwrap();
-                    let values: Vec<f32> = of.to_data().try_into_vec::<f32>().unwrap();
-                    for index in (0..values.len()).step_by(5) {
-                        let at = |step: f32| -> f64 {
-                            let mut values = values.clone();
-                            values[index] += step;
-                            let data = TensorData::new(values, of.dims());
-                            let changed = Tensor::<3>::from_data(data, &device);
-                            let both = match which {
-                                0 => (changed, rates.clone()),
-                                _ => (quaternion.clone(), changed),
-                            };
-                            f64::from(loss(both.0, both.1).into_scalar::<f32>())
-                        };
-                        let expected = (at(2e-3) - at(-2e-3)) / 4e-3;
-                        let found = f64::from(gradient[index]);
-                        let allowed = 2e-2 * expected.abs().max(1.0);
-                        assert!(
-                            (found - expected).abs() < allowed,
-                            "{which} {index}: {found} {expected}"
-                        );
-                    }
-                }
-            });
-        }
+        assert_gradients(&motions, loss, 2e-3, |expected| {
+            2e-2 * expected.abs().max(1.0)
+        });
     }
 }

@@ -139,20 +139,18 @@ pub(super) mod tests {
         }
     }
 
-    #[test]
-    fn gradients_reach_both_and_are_those_of_small_changes() {
+    /// Asserts that a loss of quaternions and angular velocities has the gradients that changes by
+    /// `step` up and down say, each within what is `allowed` of it.
+    pub(in super::super) fn assert_gradients(
+        motions: &[Motion],
+        loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,
+        step: f32,
+        allowed: fn(f64) -> f64,
+    ) {
         let device = Device::flex().autodiff();
-        let frames = 9;
-        let motions = [shaken(3, frames), shaken(4, frames)];
-        let weights = Key::new(5, Purpose::Noise).normals(2 * 4 * frames);
-        let loss = |quaternion: Tensor<3>, rates: Tensor<3>| {
-            let weights = TensorData::new(weights.clone(), [2, 4, frames]);
-            let weights = Tensor::<3>::from_data(weights, &quaternion.device());
-            (fitted(quaternion, rates, &[0.9; 3]) * weights).sum()
-        };
         for mode in [Mode::Fused, Mode::Composed] {
             mode.scope(|| {
-                let [quaternion, rates] = tensors(&motions, &device).map(Tensor::require_grad);
+                let [quaternion, rates] = tensors(motions, &device).map(Tensor::require_grad);
                 let gradients = loss(quaternion.clone(), rates.clone()).backward();
                 for (which, of) in [&quaternion, &rates].into_iter().enumerate() {
                     let gradient = of.grad(&gradients).expect("a gradient");
@@ -170,10 +168,10 @@ pub(super) mod tests {
                             };
                             f64::from(loss(both.0, both.1).into_scalar::<f32>())
                         };
-                        let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+                        let expected = (at(step) - at(-step)) / (2.0 * f64::from(step));
                         let found = f64::from(gradient[index]);
                         assert!(
-                            (found - expected).abs() < 2e-2,
+                            (found - expected).abs() < allowed(expected),
                             "{which} {index}: {found} {expected}"
                         );
                     }
@@ -181,5 +179,18 @@ pub(super) mod tests {
                 }
             });
         }
+    }
+
+    #[test]
+    fn gradients_reach_both_and_are_those_of_small_changes() {
+        let frames = 9;
+        let motions = [shaken(3, frames), shaken(4, frames)];
+        let weights = Key::new(5, Purpose::Noise).normals(2 * 4 * frames);
+        let loss = |quaternion: Tensor<3>, rates: Tensor<3>| {
+            let weights = TensorData::new(weights.clone(), [2, 4, frames]);
+            let weights = Tensor::<3>::from_data(weights, &quaternion.device());
+            (fitted(quaternion, rates, &[0.9; 3]) * weights).sum()
+        };
+        assert_gradients(&motions, loss, 1e-2, |_| 2e-2);
     }
 }

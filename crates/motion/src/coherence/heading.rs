@@ -25,6 +25,19 @@ use crate::{Motion, Quaternion};
 /// Least weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
+/// How sure quaternions are of their headings, 0 to 1, by their norms: a mean of orientations that
+/// differ is short.
+pub fn sureness_of(motion: &Motion) -> Vec<f64> {
+    let frames = 0..motion.frames();
+    frames
+        .map(|t| motion.quaternion(t).norm().min(1.0))
+        .collect()
+}
+
+/// The squared cosine of half the tilt of bodies, 120 degrees, beyond which they are turned less and
+/// less: upside down not at all.
+pub const UPRIGHT: f64 = 0.25;
+
 /// Turns the orientations of a phrase of any length about the vertical to the headings nearest to
 /// theirs and to the angular velocities, except in frames that are `known`. `sureness`, 0 to 1, says
 /// how sure each heading is. All quaternions but the known become unit quaternions. The angular velocity
@@ -76,13 +89,24 @@ pub fn fit_heading(motion: &mut Motion, std: &[f64], known: &[bool], sureness: &
         fitted.push(before + wrapped(angle - before));
     }
     fit.fit(&mut fitted);
-    let turned: Vec<f64> = (0..frames).map(|t| along[t] + fitted[t]).collect();
+    // Upside down the heading and the axis of the tilt may each be anything.
+    let told = units.iter().map(|unit| {
+        let upright = unit.w.powi(2) + unit.y.powi(2);
+        (upright / UPRIGHT).min(1.0)
+    });
+    let told: Vec<f64> = told.collect();
+    let turn = |t: usize| match known[t] {
+        true => 0.0,
+        false => told[t] * wrapped(along[t] + fitted[t] - headings[t]),
+    };
+    let turns: Vec<f64> = (0..frames).map(turn).collect();
     for t in (0..frames).filter(|&t| !known[t]) {
-        let turn = Quaternion::from_yaw(turned[t] - headings[t]);
+        let turn = Quaternion::from_yaw(turns[t]);
         motion.set_quaternion(t, turn * units[t]);
         let mut rate = turn.rotate(motion.vector(t, ANGULAR_VELOCITY));
-        if let Some(next) = turned.get(t + 1) {
-            rate[1] += (next - turned[t] - steps[t]) * FPS;
+        if t + 1 < frames {
+            let step = headings[t + 1] + turns[t + 1] - headings[t] - turns[t];
+            rate[1] += told[t] * wrapped(step - steps[t]) * FPS;
         }
         motion.set_vector(t, ANGULAR_VELOCITY, rate);
     }
@@ -209,7 +233,14 @@ mod tests {
 
     #[test]
     fn bodies_that_pitch_beyond_the_vertical_keep_their_heading() {
-        for peak in [80.0f64, 95.0, 140.0] {
+        // The noise is 0.02 rad, and of up to 0.07 in a frame.
+        for (peak, allowed) in [
+            (80.0f64, 0.15),
+            (95.0, 0.15),
+            (140.0, 0.15),
+            (165.0, 0.3),
+            (180.0, 0.3),
+        ] {
             let mut motion = crate::wandering::wandering(4, 150);
             let noise = kinegrad_random::Key::new(3, kinegrad_random::Purpose::Noise).normals(900);
             for t in 0..150 {
@@ -229,7 +260,7 @@ mod tests {
             }
             fit_heading(&mut motion, &[1.0; 25], &[false; 150], &[1.0; 150]);
             assert!(
-                apart(&original, &motion) < 0.15,
+                apart(&original, &motion) < allowed,
                 "{peak}: {}",
                 apart(&original, &motion)
             );

@@ -22,7 +22,7 @@ pub use config::{ClampLimits, Differences, Hemisphere, PostProcessConfig, PostPr
 
 use std::ops::Range;
 
-use crate::coherence::{fit_heading, fit_orientation, fit_phase, fit_trajectory};
+use crate::coherence::{fit_heading, fit_orientation, fit_phase, fit_trajectory, sureness_of};
 use crate::phrase::{
     ACCELERATION, ANGULAR_VELOCITY, CHANNELS, FPS, PHASE, POSITION, STYLE, VELOCITY,
 };
@@ -42,15 +42,7 @@ pub fn process(
     statistics: Option<&Statistics>,
 ) -> Motion {
     let none = vec![false; motion.frames()];
-    // A mean of orientations that differ is short.
-    let norms = (0..motion.frames()).map(|t| motion.quaternion(t).norm().min(1.0));
-    process_around(
-        motion,
-        config,
-        statistics,
-        &none,
-        &norms.collect::<Vec<_>>(),
-    )
+    process_around(motion, config, statistics, &none, &sureness_of(motion))
 }
 
 /// The same for a phrase of which some frames are `known`: the fit of coherent motion passes through

@@ -14,6 +14,9 @@ const NORM_TOLERANCE: f64 = 1e-3;
 /// counts as incoherent.
 const COHERENCE_SHARE: f64 = 0.1;
 
+/// Windows that begin within the length of one.
+const WINDOWS_A_LENGTH: usize = 8;
+
 /// Frames of a window at least: all measures are of as many.
 const SHORTEST_WINDOW: usize = 31;
 
@@ -29,9 +32,9 @@ const PHASE_TOLERANCE: f64 = 0.01;
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none where the statistics do
 /// not say how lively training motion is and how it moves.
 ///
-/// What is a mean over frames is checked in windows as long as the training phrases, half of one
-/// shared with the next, and the worst of them is reported: a minute of dancing does not make up
-/// for ten seconds of standing. A phrase too short for a measure of the movement is not checked for
+/// What is a mean over frames is checked in windows as long as the training phrases, an eighth of one
+/// apart, and the worst of them is reported: a minute of dancing does not make up for five seconds of
+/// standing. A phrase too short for a measure of the movement is not checked for
 /// it, and one shorter than the training phrases is held to bounds as much wider as it is shorter.
 pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
@@ -59,14 +62,14 @@ pub(super) fn check(motion: &Motion, training: &Statistics) -> Option<Report> {
     Some(Report::new(checks))
 }
 
-/// Windows of the mean length of the training phrases, if that is a second or more, which cover `frames` frames: a single one of
-/// a phrase that is not half as long again.
+/// Windows that cover `frames` frames, of the mean length of the training phrases, if that is a second
+/// or more: a single one of a phrase that is hardly longer.
 fn windows(frames: usize, training: &Statistics) -> Vec<Range<usize>> {
     let length = (training.frames / training.items.max(1)).max(SHORTEST_WINDOW);
-    if 2 * frames <= 3 * length {
+    if frames <= length + length / WINDOWS_A_LENGTH {
         return std::iter::once(0..frames).collect();
     }
-    let gaps = (2 * (frames - length)).div_ceil(length);
+    let gaps = (WINDOWS_A_LENGTH * (frames - length)).div_ceil(length);
     let starts = (0..=gaps).map(|window| window * (frames - length) / gaps);
     starts.map(|start| start..start + length).collect()
 }
@@ -171,264 +174,4 @@ fn quaternion_sign(motion: &Motion) -> Check {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
-    use crate::wandering::wandering;
-    use crate::{Quaternion, derive};
-
-    fn training() -> Statistics {
-        let phrases: Vec<Motion> = (0..20).map(|seed| wandering(seed, 60)).collect();
-        crate::phrase_statistics(&phrases).unwrap()
-    }
-
-    /// Changes one frame of a good phrase, then names the checks that fail.
-    fn failing(change: impl Fn(&mut Motion)) -> Vec<&'static str> {
-        let mut motion = wandering(7, 60);
-        change(&mut motion);
-        let report = check(&motion, &training()).unwrap();
-        report
-            .checks
-            .iter()
-            .filter(|check| !check.passed)
-            .map(|check| check.name)
-            .collect()
-    }
-
-    fn add_everywhere(motion: &mut Motion, channels: std::ops::Range<usize>, offset: [f64; 3]) {
-        for t in 0..motion.frames() {
-            let value = motion.vector(t, channels.clone());
-            motion.set_vector(
-                t,
-                channels.clone(),
-                [0, 1, 2].map(|axis| value[axis] + offset[axis]),
-            );
-        }
-    }
-
-    #[test]
-    fn coherent_phrases_pass() {
-        for seed in 0..20 {
-            let report = check(&wandering(seed, 60), &training()).unwrap();
-            assert!(report.passed, "{report:#?}");
-            // Two of the measures depend on the length.
-            assert_eq!(report.checks.len(), 9 + Movement::ALL.len() - 2);
-        }
-    }
-
-    #[test]
-    fn a_single_frame_of_wrong_norm_or_sign_fails() {
-        let scale =
-            |factor: f64| failing(move |m| m.set_quaternion(30, m.quaternion(30).scale(factor)));
-        assert_eq!(scale(1.002), ["quaternion_norm"]);
-        assert_eq!(scale(0.998), ["quaternion_norm"]);
-        assert!(scale(1.0005).is_empty());
-        assert_eq!(scale(-1.0), ["quaternion_sign"]);
-    }
-
-    #[test]
-    fn phase_outside_the_bar_fails() {
-        // The whole phrase, so that no single step stands out.
-        assert_eq!(
-            failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
-            ["phase"]
-        );
-        assert_eq!(failing(|m| m.frame_mut(0)[PHASE] = -0.001), ["phase"]);
-    }
-
-    #[test]
-    fn errors_beyond_a_tenth_of_the_training_scale_fail() {
-        let statistics = training();
-        // By its Euclidean norm, 0.6 / 0.8 of the offset along two axes.
-        let offset = |share: f64, scale: f64| [0.6 * share * scale, 0.0, -0.8 * share * scale];
-        let (speed, rate) = (
-            statistics.rms_speed.unwrap(),
-            statistics.rms_acceleration.unwrap(),
-        );
-        let velocity = |share| failing(|m| add_everywhere(m, VELOCITY, offset(share, speed)));
-        assert!(velocity(0.099).is_empty());
-        assert_eq!(velocity(0.101), ["velocity_coherence"]);
-        let acceleration =
-            |share| failing(|m| add_everywhere(m, ACCELERATION, offset(share, rate)));
-        assert!(acceleration(0.099).is_empty());
-        assert_eq!(acceleration(0.101), ["accel_coherence"]);
-    }
-
-    #[test]
-    fn trembling_fails() {
-        let zigzag = |times: f64| {
-            let size = times * training().jerk_p95.unwrap() / 30.0;
-            failing(move |m| {
-                (0..60)
-                    .for_each(|t| m.set_vector(t, ACCELERATION, [0.0, size * (t % 2) as f64, 0.0]))
-            })
-        };
-        assert!(zigzag(3.01).contains(&"jerk"));
-        assert!(!zigzag(2.99).contains(&"jerk"));
-    }
-
-    /// A phrase of these poses whose other channels follow from them.
-    fn with_poses(
-        pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
-    ) -> Motion {
-        let good = wandering(7, 60);
-        let (mut positions, mut quaternions, mut phases) = (Vec::new(), Vec::new(), Vec::new());
-        for t in 0..60 {
-            let phase = f64::from(good.frame(t)[PHASE]);
-            let pose = pose(t, good.vector(t, POSITION), good.quaternion(t), phase);
-            positions.push(pose.0);
-            quaternions.push(pose.1);
-            phases.push(pose.2);
-        }
-        derive(&positions, &quaternions, &phases, &[[0.0; 8]; 60]).unwrap()
-    }
-
-    fn failed(motion: &Motion) -> Vec<&'static str> {
-        let report = check(motion, &training()).unwrap();
-        let failed = report.checks.iter().filter(|check| !check.passed);
-        failed.map(|check| check.name).collect()
-    }
-
-    #[test]
-    fn broken_movement_that_agrees_with_its_channels_fails_by_name() {
-        assert!(failed(&with_poses(|_, p, q, phase| (p, q, phase))).is_empty());
-        let first = wandering(7, 60);
-        let (place, pose) = (first.vector(0, POSITION), first.quaternion(0));
-
-        let frozen = failed(&with_poses(|_, _, _, phase| (place, pose, phase)));
-        for name in ["path_speed", "path_acceleration", "path_jerk", "turn_rate"] {
-            assert!(frozen.contains(&name), "{frozen:?}");
-        }
-        // A deterministic tremble of one centimetre.
-        let tremble = |t: usize| 0.01 * ((t * 7919 % 13) as f64 / 6.0 - 1.0);
-        let shaking = failed(&with_poses(|t, p, q, phase| {
-            (p.map(|x| x + tremble(t)), q, phase)
-        }));
-        assert!(shaking.contains(&"path_jerk"), "{shaking:?}");
-        // The heading jumps by 60 degrees and back in every tenth frame.
-        let jumping = failed(&with_poses(|t, p, q, phase| {
-            let jump = if t % 10 == 5 { 60f64.to_radians() } else { 0.0 };
-            (p, Quaternion::from_yaw(jump) * q, phase)
-        }));
-        assert!(jumping.contains(&"largest_turn"), "{jumping:?}");
-        assert!(jumping.contains(&"turn_acceleration"), "{jumping:?}");
-        // It spins at three turns a second.
-        let spinning = failed(&with_poses(|t, p, q, phase| {
-            (p, Quaternion::from_yaw(0.628 * t as f64) * q, phase)
-        }));
-        assert!(spinning.contains(&"turn_rate"), "{spinning:?}");
-        let standing = failed(&with_poses(|_, p, q, _| (p, q, 0.5)));
-        assert_eq!(standing, ["phase_rate"]);
-        // From 0.17 to 0.88 of the bar at the right tempo, then a leap over the rest.
-        let leaping = failed(&with_poses(|_, p, q, phase| {
-            (p, q, 0.17 + 0.71 * (phase + 0.5).fract())
-        }));
-        assert_eq!(leaping, ["largest_phase_step"]);
-        let backwards = failed(&with_poses(|_, p, q, phase| (p, q, 1.0 - phase)));
-        assert_eq!(backwards, ["phase_direction", "phase_rate"]);
-        // It is carried off at twelve metres a second.
-        let carried = failed(&with_poses(|t, [x, y, z], q, phase| {
-            ([x + 0.4 * t as f64, y, z], q, phase)
-        }));
-        assert_eq!(carried, ["path_speed", "travel"]);
-        let slow = failed(&with_poses(|t, _, q, phase| {
-            ([0.001 * t as f64, 1.0, 0.0], q, phase)
-        }));
-        assert!(slow.contains(&"path_speed"), "{slow:?}");
-    }
-
-    #[test]
-    fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
-        let failing = |tilt: f64, p99: f64| {
-            let mut training = training();
-            let bounds = [p99 / 2.0, p99];
-            training.movement.insert("largest_tilt".into(), bounds);
-            let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
-            let leaning = with_poses(|t, p, _, phase| {
-                (p, Quaternion::from_yaw(0.05 * t as f64) * lean, phase)
-            });
-            let report = check(&leaning, &training).unwrap();
-            !report.check("largest_tilt").unwrap().passed
-        };
-        assert!(failing(75.0, 37.0) && !failing(73.0, 37.0));
-        assert!(failing(180.0, 37.0));
-        assert!(failing(21.0, 0.0) && !failing(19.0, 0.0));
-        // Dancers who lie on the floor.
-        assert!(failing(180.0, 95.0) && !failing(130.0, 95.0));
-    }
-
-    #[test]
-    fn no_part_of_a_long_motion_makes_up_for_another() {
-        let training = training();
-        let long = wandering(7, 600);
-        let failed = |motion: &Motion| {
-            let report = check(motion, &training).unwrap();
-            report
-                .checks
-                .into_iter()
-                .filter(|check| !check.passed)
-                .map(|check| (check.name, check.message))
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(failed(&long), []);
-        // It stands for three seconds of twenty, from second 8 on, and goes on from there.
-        let standing = |t: usize| t.clamp(0, 240) + t.saturating_sub(330);
-        let poses = (0..600).map(standing);
-        let positions: Vec<_> = poses.clone().map(|t| long.vector(t, POSITION)).collect();
-        let quaternions: Vec<_> = poses.map(|t| long.quaternion(t)).collect();
-        let phases: Vec<_> = (0..600).map(|t| f64::from(long.frame(t)[PHASE])).collect();
-        let motion = derive(&positions, &quaternions, &phases, &[[0.0; 8]; 600]).unwrap();
-        let found = failed(&motion);
-        let speed = found.iter().find(|(name, _)| *name == "path_speed");
-        let (_, message) = speed.expect("a window that stands");
-        assert!(
-            message.contains("0.000 m/s in seconds 8.") || message.contains("in seconds 9."),
-            "{message}"
-        );
-        // As a mean over all of it, that is within the bounds.
-        assert!(
-            means(&motion, &training)
-                .unwrap()
-                .iter()
-                .all(|check| check.passed || check.name != "path_speed")
-        );
-    }
-
-    #[test]
-    fn windows_cover_a_motion_and_are_as_long_as_training_phrases() {
-        let training = training();
-        for frames in [1, 59, 60, 61, 90, 91, 119, 120, 121, 600, 1001] {
-            let windows = windows(frames, &training);
-            assert_eq!((windows[0].start, windows.last().unwrap().end), (0, frames));
-            assert_eq!(windows.len() == 1, frames <= 90, "{frames}");
-            for pair in windows.windows(2) {
-                assert_eq!(pair[1].len(), 60);
-                assert!(pair[1].start > pair[0].start && pair[1].start <= pair[0].start + 30);
-            }
-        }
-    }
-
-    #[test]
-    fn channels_that_lie_about_the_movement_fail() {
-        let lying = failing(|m| add_everywhere(m, ANGULAR_VELOCITY, [0.0, 0.2, 0.0]));
-        assert_eq!(lying, ["rotation_coherence"]);
-        // A zigzag of the path under the smooth velocity, acceleration and jerk of another.
-        let zigzag = failing(|m| {
-            for t in (0..60).step_by(2) {
-                let place = m.vector(t, POSITION);
-                m.set_vector(t, POSITION, [place[0] + 0.03, place[1], place[2]]);
-            }
-        });
-        assert!(zigzag.contains(&"path_jerk"), "{zigzag:?}");
-        assert!(!zigzag.contains(&"jerk"));
-    }
-
-    #[test]
-    fn statistics_of_before_the_movement_was_measured_say_too_little() {
-        let old = Statistics {
-            movement: Default::default(),
-            ..training()
-        };
-        assert!(check(&wandering(7, 60), &old).is_none());
-    }
-}
+mod tests;

@@ -15,7 +15,7 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::decoder::Coherence;
-use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory};
+use kinegrad_motion::coherence::{fit_heading, fit_orientation, fit_trajectory, sureness_of};
 use kinegrad_motion::kinematics::make_sign_continuous;
 use kinegrad_motion::postprocess::derive_angular_velocity;
 use kinegrad_motion::stitch::{Known, Layout, Windows};
@@ -262,9 +262,7 @@ impl Generator {
             let std = &self.statistics().std;
             fit_trajectory(&mut motion, std, &is_known);
             if coherence == Coherence::Full {
-                // Of windows that differ, the mean quaternion is short.
-                let norms = (0..motion.frames()).map(|t| motion.quaternion(t).norm().min(1.0));
-                let sureness: Vec<f64> = norms.collect();
+                let sureness = sureness_of(&motion);
                 fit_heading(&mut motion, std, &is_known, &sureness);
                 fit_orientation(&mut motion, std, &is_known);
             }
