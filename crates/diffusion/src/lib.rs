@@ -51,7 +51,7 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    ClipRange, FinalAlpha, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
+    ClipRange, FinalAlpha, GivenNoise, NoiseKeys, OnStep, Path, Predict, Prediction, SamplerConfig,
     SamplerKind, TimestepSpacing, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, draw, heun,
     must_suit, noise_of_parts, sample, timesteps,
 };

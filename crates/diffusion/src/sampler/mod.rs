@@ -33,7 +33,7 @@ pub use ddim::{ddim, ddim_step};
 pub use ddpm::{ddpm, ddpm_step};
 pub use dpm_solver::dpmpp_2m;
 pub use heun::heun;
-pub use noise::{NoiseKeys, noise_of_parts};
+pub use noise::{GivenNoise, NoiseKeys, noise_of_parts};
 pub use path::Path;
 pub use prediction::{Predict, Prediction};
 pub use spacing::timesteps;

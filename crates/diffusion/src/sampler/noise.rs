@@ -23,6 +23,17 @@ pub enum NoiseKeys<'a> {
         /// The first frame of each sample.
         starts: &'a [usize],
     },
+    /// Noise that is given, to repeat a draw of another program.
+    Given(&'a GivenNoise),
+}
+
+/// Standard normal noise of each step, `[batch, channels, time]`, in the order of use.
+#[derive(Clone, Debug, Default)]
+pub struct GivenNoise {
+    /// The sampling noise.
+    pub sampling: Vec<Tensor<3>>,
+    /// The noise of known values that are imputed.
+    pub imputation: Vec<Tensor<3>>,
 }
 
 impl From<Key> for NoiseKeys<'_> {
@@ -33,6 +44,9 @@ impl From<Key> for NoiseKeys<'_> {
 
 impl NoiseKeys<'_> {
     /// Standard normal noise like `x` of a step; noise of another purpose has a `name`.
+    ///
+    /// # Panics
+    /// Panics if noise is given, but not for this step.
     pub(super) fn noise(self, step: usize, name: Option<&str>, x: &Tensor<3>) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         let of_step = |key: Key| {
@@ -52,6 +66,13 @@ impl NoiseKeys<'_> {
                 of_step(key).at(number)
             }),
             Self::Parts { key, starts } => noise_of_parts(of_step(key), starts, [channels, time]),
+            Self::Given(given) => {
+                let of_purpose = match name {
+                    None => &given.sampling,
+                    Some(_) => &given.imputation,
+                };
+                return of_purpose[step].clone();
+            }
         };
         let data = TensorData::new(values, [batch, channels, time]);
         Tensor::from_data(data, (&x.device(), x.dtype()))

@@ -66,6 +66,8 @@ struct Sample {
     obstacles: Vec<Obstacle>,
     margin: f64,
     obstacle_weight: f64,
+    // Frames of the goal: the clip ends there, whatever is drawn behind it.
+    frames: usize,
 }
 
 impl GuidanceLoss {
@@ -87,16 +89,44 @@ impl GuidanceLoss {
             require(goal.frames <= frames, "frames", goal.frames, allowed)
                 .hint("shorten the goal, or sample a longer motion")?;
         }
-        let samples: Vec<Sample> = goals.iter().map(Sample::new).collect();
+        let samples = goals.iter().map(|goal| Sample::new(goal, goal.points()));
+        Ok(Self::of_samples(config, samples.collect(), frames))
+    }
+
+    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and `frames`
+    /// long, from beginning to end: they replace keyframes and trajectories. Obstacles and weights
+    /// stay those of the goals.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    ///
+    /// # Panics
+    /// Panics if there is not one path of `frames` positions for each goal.
+    pub fn along(
+        config: &GuidanceConfig,
+        goals: &[Goal],
+        paths: &[Vec<[f64; 2]>],
+        frames: usize,
+    ) -> Result<Self, InvalidSetting> {
+        assert_eq!(goals.len(), paths.len(), "a path for each goal");
+        let mut whole = Self::new(config, goals, frames)?;
+        for (sample, path) in whole.samples.iter_mut().zip(paths) {
+            assert_eq!(path.len(), frames, "a position for each frame");
+            sample.targets = GroundTargets::trajectory(path, 0, frames);
+        }
+        Ok(Self::of_samples(config, whole.samples, frames))
+    }
+
+    fn of_samples(config: &GuidanceConfig, samples: Vec<Sample>, frames: usize) -> Self {
         let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();
-        Ok(Self {
+        Self {
             norm: config.norm,
             frame_limit: config.frame_limit.unwrap_or(frames),
             frames,
             // Without a target there is no term to multiply.
             factor: samples.len() as f64 / masked.max(1) as f64,
             samples,
-        })
+        }
     }
 
     /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient with respect to
@@ -153,9 +183,10 @@ impl GuidanceLoss {
 }
 
 impl Sample {
-    fn new(goal: &Goal) -> Self {
+    fn new(goal: &Goal, targets: GroundTargets) -> Self {
         Self {
-            targets: goal.points(),
+            targets,
+            frames: goal.frames,
             position_weight: goal.weights.position,
             obstacles: goal.obstacles.clone(),
             margin: goal.margin,
@@ -165,7 +196,7 @@ impl Sample {
 
     /// The sample's part of the second sum; its gradient is added to `gradient`.
     fn add_depths(&self, positions: &[[f64; 2]], gradient: &mut [[f64; 2]]) -> f64 {
-        let frames = self.targets.frames();
+        let frames = self.frames;
         let factor = self.obstacle_weight / frames as f64;
         let mut value = 0.0;
         for obstacle in &self.obstacles {

@@ -19,8 +19,8 @@ pub enum Phase {
 /// Until which timestep of a sampler, counted down, each [`Phase`] acts.
 ///
 /// The appendix (GMD, F) ends guidance and imputation at t = 20; the published evaluation changes
-/// from the line to the keyframes at t = 100. The published demonstration goes on to t = 1 with
-/// the motion model, which is `points_until = 1` here.
+/// from the line to the keyframes at t = 100. The published demonstration goes on imputing to t = 1
+/// with the motion model, which is `motion_until = 1` here.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
@@ -29,6 +29,9 @@ pub struct GuidanceSchedule {
     pub dense_until: usize,
     /// Last timestep at which keyframes act; below it the model finishes the motion by itself.
     pub points_until: usize,
+    /// Last timestep at which positions are imputed into the motion model's samples, instead of
+    /// `points_until`, which still ends guidance. The published demonstration has 1.
+    pub motion_until: Option<usize>,
 }
 
 impl Default for GuidanceSchedule {
@@ -36,19 +39,27 @@ impl Default for GuidanceSchedule {
         Self {
             dense_until: 100,
             points_until: 20,
+            motion_until: None,
         }
     }
 }
 
 impl GuidanceSchedule {
-    /// What acts at timestep `t`.
+    /// What guides at timestep `t`, and what is imputed then into a trajectory model's samples.
     pub fn phase(&self, t: usize) -> Phase {
-        if t >= self.dense_until {
-            Phase::Dense
-        } else if t >= self.points_until {
-            Phase::Points
-        } else {
-            Phase::Off
+        self.until(self.points_until, t)
+    }
+
+    /// What is imputed at timestep `t` into the motion model's samples.
+    pub fn phase_of_motion(&self, t: usize) -> Phase {
+        self.until(self.motion_until.unwrap_or(self.points_until), t)
+    }
+
+    fn until(&self, last: usize, t: usize) -> Phase {
+        match t {
+            _ if t < last => Phase::Off,
+            _ if t < self.dense_until => Phase::Points,
+            _ => Phase::Dense,
         }
     }
 
@@ -81,6 +92,34 @@ mod tests {
             Phase::Off,
         ];
         assert_eq!(phases, expected);
+        assert_eq!(
+            phases,
+            [999, 100, 99, 20, 19, 0].map(|t| schedule.phase_of_motion(t))
+        );
+    }
+
+    #[test]
+    fn the_motion_model_may_be_imputed_longer_or_shorter() {
+        let until = |motion_until| GuidanceSchedule {
+            motion_until,
+            ..GuidanceSchedule::default()
+        };
+        let phases = [999, 99, 19, 1, 0].map(|t| until(Some(1)).phase_of_motion(t));
+        let expected = [
+            Phase::Dense,
+            Phase::Points,
+            Phase::Points,
+            Phase::Points,
+            Phase::Off,
+        ];
+        assert_eq!(phases, expected);
+        assert_eq!(
+            until(Some(1)).phase(19),
+            Phase::Off,
+            "guidance ends as before"
+        );
+        let phases = [400, 399].map(|t| until(Some(400)).phase_of_motion(t));
+        assert_eq!(phases, [Phase::Dense, Phase::Off]);
     }
 
     #[test]

@@ -13,6 +13,9 @@ pub struct SteeringConfig {
     pub scale: f64,
     /// Whether known positions are imputed.
     pub imputation: bool,
+    /// Whether the second stage is guided along the path of the first, beside its imputation: the
+    /// published demonstration does, the published evaluation does not.
+    pub second_stage_guidance: bool,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
     /// Which positions act at which timesteps.
@@ -24,6 +27,7 @@ impl Default for SteeringConfig {
         Self {
             scale: 100.0,
             imputation: true,
+            second_stage_guidance: true,
             guidance: GuidanceConfig::default(),
             schedule: GuidanceSchedule::default(),
         }

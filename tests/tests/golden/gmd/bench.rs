@@ -5,8 +5,11 @@ use kinegrad_diffusion::{
     BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
     PredictionType, Steering, Time, ddpm_step, steered_prediction,
 };
+use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_tests::golden::{Golden, GoldenTensors, Reference, ReferenceTensors, wide};
+use kinegrad_tests::{gmd, weights};
 use kinegrad_train::systems::gmd::FeatureSpace;
 
 /// The process of the published models, for networks that predict this.
@@ -161,4 +164,37 @@ pub fn space(golden: &Golden, channels: usize, projected: bool, device: &Device)
     });
     let (mean, std) = (numbers("in.mean"), numbers("in.std"));
     FeatureSpace::new(&mean, &std, projection.as_ref(), device)
+}
+
+/// The whole model whose weights stand under `prefix`, over clips padded to `padded_frames`.
+pub fn whole_model(
+    golden: &Golden,
+    prefix: &str,
+    padded_frames: usize,
+    device: &Device,
+) -> TextDenoiser {
+    let (unet, channels, _) = gmd::unet(golden, &format!("{prefix}unet."));
+    let backbone = Backbone::GmdUnet(GmdUnetConfig {
+        padded_frames,
+        ..unet
+    });
+    let init = Initializer::new(0, device);
+    let network = TextDenoiser::new(&backbone, channels, &init).expect("a network");
+    parameters::load(network, weights(golden, prefix)).expect("the weights fit")
+}
+
+/// The timesteps that a file's draws keep, noisiest first.
+pub fn kept_timesteps(golden: &Golden) -> Vec<usize> {
+    let mut kept = golden.get("in.timesteps").indices();
+    kept.reverse();
+    kept
+}
+
+/// Noise `[steps, batch, channels, 1, frames]` of a file, a tensor for each step.
+pub fn noise_of_steps(golden: &Golden, name: &str, device: &Device) -> Vec<Tensor<3>> {
+    let noise = golden.get(name);
+    let steps = 0..noise.shape[0];
+    steps
+        .map(|step| noise.part(step).flat().tensor(device))
+        .collect()
 }

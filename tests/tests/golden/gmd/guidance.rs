@@ -85,7 +85,7 @@ fn golden_gmd_guidance(golden: Golden) {
             let loss = GuidanceLoss::new(&config, &goals, frames).expect("goals");
             let goal = GroundObjective {
                 space: &space,
-                loss: &loss,
+                loss,
             };
             for (index, &timestep) in timesteps.iter().enumerate() {
                 let steering = Steering {

@@ -163,7 +163,7 @@ fn golden_gmd_guided_imputation(golden: Golden) {
         let loss = GuidanceLoss::new(&GuidanceConfig::default(), &goals, frames).expect("goals");
         let goal = GroundObjective {
             space: &space,
-            loss: &loss,
+            loss,
         };
         // The masks are of the trajectory's channels; the motion's others are free.
         let mask = |name: &str| {

@@ -1,6 +1,7 @@
 //! Guided Motion Diffusion.
 
 mod bench;
+mod draw_and_cut;
 mod emphasis;
 mod goals;
 mod guidance;
@@ -10,12 +11,14 @@ mod networks;
 mod p_sample;
 mod schedule;
 mod trajectory_loss;
+mod two_stage;
 
 use kinegrad_tests::trials::GoldenTest;
 
 /// The tests of this folder.
 pub fn tests() -> Vec<GoldenTest> {
     let tests = [
+        draw_and_cut::tests(),
         emphasis::tests(),
         goals::tests(),
         guidance::tests(),
@@ -25,6 +28,7 @@ pub fn tests() -> Vec<GoldenTest> {
         p_sample::tests(),
         schedule::tests(),
         trajectory_loss::tests(),
+        two_stage::tests(),
     ];
     tests.into_iter().flatten().collect()
 }

@@ -2,13 +2,14 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Time, guided};
-use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::gmd::interleaved_sinusoidal;
-use kinegrad_models::{Backbone, Initializer, TextDenoiser, parameters};
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{gmd, gradients, trials, weights};
+
+use super::bench::whole_model;
 
 const OUTPUT: f64 = 2e-5;
 const WHOLE: f64 = 5e-5;
@@ -81,14 +82,7 @@ fn compare_unet(golden: Golden) {
 fn golden_gmd_whole_model(golden: Golden) {
     let device = Device::flex().autodiff();
     let padded_frames = golden.metadata("padded_frames").parse().expect("a number");
-    let (unet, channels, _) = gmd::unet(&golden, "model.unet.");
-    let backbone = Backbone::GmdUnet(GmdUnetConfig {
-        padded_frames,
-        ..unet
-    });
-    let init = Initializer::new(0, &device);
-    let network = TextDenoiser::new(&backbone, channels, &init).expect("a network");
-    let network = parameters::load(network, weights(&golden, "model.")).expect("the weights fit");
+    let network = whole_model(&golden, "model.", padded_frames, &device);
     let at = Time::of(&golden.get("in.t").indices());
     let text = golden
         .tensor::<2>("in.text_features", &device)

@@ -5,6 +5,7 @@
 //! guidance in every frame. Rotation and height are not constrained.
 
 use std::fmt::Display;
+use std::iter::repeat;
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -13,12 +14,11 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
 use kinegrad_diffusion::{
-    GaussianDiffusion, Guidance, Imputation, Networks, NoiseKeys, SamplerConfig, Steering, sample,
-    steered_sample,
+    GaussianDiffusion, Networks, NoiseKeys, SamplerConfig, sample, steered_sample,
 };
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::TextDenoiser;
-use kinegrad_motion::goal::{Goal, GuidanceLoss, Phase, Trajectory};
+use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, in_words, must_be_finite, must_be_tables, require};
@@ -27,7 +27,8 @@ use toml::Table;
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of};
 use super::recipe_name::RecipeName;
-use super::space::{FeatureSpace, GroundObjective};
+use super::space::FeatureSpace;
+use super::stage::{StageModel, StageSteering};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;
@@ -63,6 +64,16 @@ pub struct GeneratedClip {
 }
 
 impl GeneratedClip {
+    /// The first `frames` frames.
+    fn cut(mut self, frames: usize) -> Self {
+        self.features = self.features.map(|features| features.slice(0..frames));
+        self.ground.truncate(frames);
+        if let Some(path) = &mut self.path {
+            path.truncate(frames);
+        }
+        self
+    }
+
     /// The clip of these features.
     pub(super) fn of(features: Features) -> Self {
         let positions = features.root_positions().into_iter();
@@ -72,6 +83,27 @@ impl GeneratedClip {
             path: None,
         }
     }
+}
+
+/// What a draw is steered to.
+#[derive(Clone, Copy)]
+struct Aim<'a> {
+    /// One for each clip.
+    goals: &'a [Goal],
+    /// The paths of a first stage, one for each clip and of the length that is drawn.
+    paths: Option<&'a [Vec<[f64; 2]>]>,
+}
+
+impl<'a> Aim<'a> {
+    fn of(goals: &'a [Goal], paths: Option<&'a [Vec<[f64; 2]>]>) -> Option<Self> {
+        (!goals.is_empty()).then_some(Self { goals, paths })
+    }
+}
+
+/// Frames that are drawn for clips of `frames` frames: those of training, or more where more are
+/// asked for.
+pub(super) fn drawn_frames(config: &Config, frames: usize) -> usize {
+    frames.max(config.data.target_frames)
 }
 
 /// A trained denoiser of clips, ready to generate samples.
@@ -150,6 +182,10 @@ impl ClipGenerator {
     /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
     /// `motion`, and its steps done and in total.
     ///
+    /// As many frames are drawn as the models were trained with, and the rest is cut off: shorter
+    /// noise would leave the network more padding than it has ever seen (docs/sources.md, section
+    /// 4.9). So the first frames of a clip do not depend on `frames`.
+    ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
     /// of the models cannot follow goals.
@@ -164,10 +200,12 @@ impl ClipGenerator {
     ) -> Result<Vec<GeneratedClip>, Error> {
         let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
+        let goals = goals.unwrap_or_default();
+        let own = drawn_frames(self.config(), frames);
         let mut paths = None;
-        let mut goals = goals.unwrap_or_default();
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
+            let frames = own.max(drawn_frames(model.config(), frames));
             let mut told = |done, all| on_step("trajectory", done, all);
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
@@ -176,29 +214,38 @@ impl ClipGenerator {
                 clip: model.config().sampling.clip,
                 ..sampling.clone()
             };
-            let x = model.draw(&texts, &goals, frames, &first, &keys, &mut told)?;
-            let drawn = model.paths(x);
-            for (goal, path) in goals.iter_mut().zip(&drawn) {
-                *goal = on_path(goal, path);
-            }
+            let aim = Aim::of(&goals, None);
+            let x = model.draw(&texts, aim, frames, &first, &keys, &mut told)?;
+            let mut drawn = model.paths(x);
+            drawn.iter_mut().for_each(|path| path.truncate(own));
             paths = Some(drawn);
         }
         let mut told = |done, all| on_step("motion", done, all);
-        let x = self.draw(&texts, &goals, frames, sampling, keys, &mut told)?;
-        if RecipeName::of(self.config())? == RecipeName::Trajectory {
-            let of_path = |ground| GeneratedClip {
-                features: None,
-                ground,
-                path: None,
-            };
-            return Ok(self.paths(x).into_iter().map(of_path).collect());
-        }
-        let features = self.features(x)?.into_iter();
-        let mut samples: Vec<_> = features.map(GeneratedClip::of).collect();
-        for (sample, path) in samples.iter_mut().zip(paths.into_iter().flatten()) {
-            sample.path = Some(path);
-        }
-        Ok(samples)
+        let aim = Aim::of(&goals, paths.as_deref());
+        let x = self.draw(&texts, aim, own, sampling, keys, &mut told)?;
+        let samples: Vec<GeneratedClip> = match RecipeName::of(self.config())? {
+            RecipeName::Trajectory => {
+                let of_path = |ground| GeneratedClip {
+                    features: None,
+                    ground,
+                    path: None,
+                };
+                self.paths(x).into_iter().map(of_path).collect()
+            }
+            RecipeName::Motion => {
+                let features = self.features(x)?.into_iter();
+                let paths = paths.into_iter().flatten().map(Some);
+                features
+                    .map(GeneratedClip::of)
+                    .zip(paths.chain(repeat(None)))
+                    .map(|(sample, path)| GeneratedClip { path, ..sample })
+                    .collect()
+            }
+        };
+        Ok(samples
+            .into_iter()
+            .map(|sample| sample.cut(frames))
+            .collect())
     }
 
     /// Rejects a trajectory model of other clips, or before another trajectory model.
@@ -219,11 +266,11 @@ impl ClipGenerator {
         }
     }
 
-    /// Motion in the network's space, guided to `goals` if there are any.
+    /// Motion in the network's space, steered to an aim if there is one.
     fn draw(
         &self,
         texts: &[Option<&[f32]>],
-        goals: &[Goal],
+        aim: Option<Aim<'_>>,
         frames: usize,
         sampling: &SamplingConfig,
         keys: &[NoiseKey],
@@ -259,7 +306,7 @@ impl ClipGenerator {
         };
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
-        if goals.is_empty() {
+        let Some(aim) = aim else {
             // Each clip as if it were drawn alone, to the bit.
             let x = batch_invariant(batch, || {
                 sample(
@@ -274,7 +321,7 @@ impl ClipGenerator {
                 )
             })?;
             return Ok(x);
-        }
+        };
         require(
             self.config().data.humanml3d.root == Root::Absolute,
             "data.humanml3d.root",
@@ -282,27 +329,18 @@ impl ClipGenerator {
             "\"absolute\" for position control",
         )
         .hint("train with `data.humanml3d.root = \"absolute\"`, its default")?;
-        let loss = GuidanceLoss::new(&steering.guidance, goals, frames)?;
-        let objective = GroundObjective {
+        let model = StageModel {
             space: &self.space,
-            loss: &loss,
+            channels,
+            of_motion: RecipeName::of(self.config())? == RecipeName::Motion,
+            frames,
+            device: &self.device,
         };
-        let dense = self.known(goals, Phase::Dense, frames);
-        let points = self.known(goals, Phase::Points, frames);
-        let at = |timestep: usize| {
-            let known = match steering.schedule.phase(timestep) {
-                Phase::Dense => &dense,
-                Phase::Points => &points,
-                Phase::Off => return Steering::default(),
-            };
-            Steering {
-                guidance: (steering.scale > 0.0).then_some(Guidance {
-                    objective: &objective,
-                    scale: steering.scale,
-                }),
-                imputation: steering.imputation.then(|| known.clone()),
-            }
+        let steering = match aim.paths {
+            Some(paths) => StageSteering::along(steering, aim.goals, paths, model)?,
+            None => StageSteering::of_goals(steering, aim.goals, model)?,
         };
+        let at = |timestep| steering.at(timestep);
         let networks = Networks {
             tracked: &self.tracked,
             plain: &self.plain,
@@ -319,24 +357,6 @@ impl ClipGenerator {
             &mut told,
         )?;
         Ok(x)
-    }
-
-    /// The ground positions that `goals` know in a phase that acts.
-    fn known(&self, goals: &[Goal], phase: Phase, frames: usize) -> Imputation<'_> {
-        let channels = self.channels;
-        let targets = goals.iter().filter_map(|goal| goal.targets(phase));
-        let (targets, masks): (Vec<_>, Vec<_>) = targets
-            .map(|targets| targets.in_channels(channels, frames).into())
-            .unzip();
-        let tensor = |values: Vec<Vec<f32>>| {
-            let data = TensorData::new(values.concat(), [goals.len(), channels, frames]);
-            Tensor::from_data(data, &self.device)
-        };
-        Imputation {
-            space: &self.space,
-            target: tensor(targets),
-            mask: tensor(masks),
-        }
     }
 
     fn paths(&self, x: Tensor<3>) -> Vec<Vec<[f64; 2]>> {
@@ -400,15 +420,4 @@ pub(super) fn read_goal_and_digest(path: &Path) -> Result<(Goal, Digest), Error>
         .map_err(|unfit| refused(&unfit))?;
     goal.validate().map_err(|error| refused(&error))?;
     Ok((goal, Digest::of(text.as_bytes())))
-}
-
-/// The goal of a second stage: the whole path of the first.
-fn on_path(goal: &Goal, path: &[[f64; 2]]) -> Goal {
-    let mut whole = Goal::new(path.len());
-    whole.weights = goal.weights.clone();
-    whole.trajectory = Some(Trajectory {
-        first_frame: 0,
-        points: path.to_vec(),
-    });
-    whole
 }

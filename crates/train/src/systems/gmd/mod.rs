@@ -14,6 +14,7 @@ mod recipe_name;
 pub mod recipes;
 mod sample;
 mod space;
+mod stage;
 mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};
@@ -25,6 +26,7 @@ pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, 
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundObjective};
+pub use stage::{StageModel, StageSteering};
 
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;

@@ -10,7 +10,9 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
 use super::Gmd;
-use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, read_goal_and_digest};
+use super::generate::{
+    ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, read_goal_and_digest,
+};
 use super::networks::footprint;
 use super::recipe_name::RecipeName;
 use crate::checkpoint::State;
@@ -166,7 +168,7 @@ fn must_fit_as_batch(
     guided: bool,
     hint: &str,
 ) -> Result<(), Error> {
-    let networks = footprint(&subject.config, frames)?;
+    let networks = footprint(&subject.config, drawn_frames(&subject.config, frames))?;
     must_fit(
         &format!("drawing {clips} clips of {frames} frames"),
         networks.of_sampling(clips, guided, subject.on_host),

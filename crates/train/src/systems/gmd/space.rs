@@ -92,12 +92,12 @@ impl Space for FeatureSpace {
 }
 
 /// The guidance loss of the root's ground path.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct GroundObjective<'a> {
     /// Where the network works.
     pub space: &'a FeatureSpace,
     /// What the path is measured by.
-    pub loss: &'a GuidanceLoss,
+    pub loss: GuidanceLoss,
 }
 
 impl Objective for GroundObjective<'_> {

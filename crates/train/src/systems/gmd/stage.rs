@@ -1,0 +1,153 @@
+//! What steers one stage of a draw towards goals.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{Guidance, Imputation, Steering};
+use kinegrad_motion::goal::{Goal, GroundTargets, GuidanceLoss, Phase};
+
+use super::space::{FeatureSpace, GroundObjective};
+use crate::config::SteeringConfig;
+use crate::error::Error;
+
+/// A network's motion, which goals steer.
+#[derive(Clone, Copy, Debug)]
+pub struct StageModel<'a> {
+    /// Its space.
+    pub space: &'a FeatureSpace,
+    /// Its channels.
+    pub channels: usize,
+    /// Whether it is a motion model, whose imputation may end at another timestep.
+    pub of_motion: bool,
+    /// Frames that are drawn, as many as the longest goal's or more.
+    pub frames: usize,
+    /// The plain device.
+    pub device: &'a Device,
+}
+
+/// Guidance and imputation of one stage (Guided Motion Diffusion, appendix F; docs/sources.md,
+/// sections 4.6 and 4.7).
+#[derive(Debug)]
+pub struct StageSteering<'a> {
+    config: &'a SteeringConfig,
+    objective: GroundObjective<'a>,
+    scale: f64,
+    of_motion: bool,
+    dense: Known,
+    points: Known,
+}
+
+/// Positions to impute, `[batch, channels, frames]`, in metres, and where they are known.
+#[derive(Clone, Debug)]
+struct Known {
+    target: Tensor<3>,
+    mask: Tensor<3>,
+}
+
+impl<'a> StageSteering<'a> {
+    /// Steers to the positions that `goals` ask for: a trajectory model's stage, or the only one.
+    ///
+    /// # Errors
+    /// If a goal is not valid or longer than the motion.
+    pub fn of_goals(
+        config: &'a SteeringConfig,
+        goals: &[Goal],
+        model: StageModel<'a>,
+    ) -> Result<Self, Error> {
+        let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
+        let known = |phase| {
+            let targets = goals.iter().filter_map(|goal| goal.targets(phase));
+            Known::new(targets, model)
+        };
+        Ok(Self {
+            config,
+            scale: config.scale,
+            of_motion: model.of_motion,
+            dense: known(Phase::Dense),
+            points: known(Phase::Points),
+            objective: GroundObjective {
+                space: model.space,
+                loss,
+            },
+        })
+    }
+
+    /// Steers the second stage along the `paths` that the first has drawn, one for each goal, in
+    /// every frame, and around the goals' obstacles.
+    ///
+    /// # Errors
+    /// As [`of_goals`](Self::of_goals).
+    ///
+    /// # Panics
+    /// Panics if there is not one path of the model's frames for each goal.
+    pub fn along(
+        config: &'a SteeringConfig,
+        goals: &[Goal],
+        paths: &[Vec<[f64; 2]>],
+        model: StageModel<'a>,
+    ) -> Result<Self, Error> {
+        let loss = GuidanceLoss::along(&config.guidance, goals, paths, model.frames)?;
+        let targets = paths
+            .iter()
+            .map(|path| GroundTargets::trajectory(path, 0, path.len()));
+        let known = Known::new(targets, model);
+        Ok(Self {
+            config,
+            scale: match config.second_stage_guidance {
+                true => config.scale,
+                false => 0.0,
+            },
+            of_motion: model.of_motion,
+            dense: known.clone(),
+            points: known,
+            objective: GroundObjective {
+                space: model.space,
+                loss,
+            },
+        })
+    }
+
+    /// What acts at timestep `t`.
+    pub fn at(&self, t: usize) -> Steering<'_> {
+        let schedule = &self.config.schedule;
+        let guided = self.scale > 0.0 && schedule.phase(t) != Phase::Off;
+        let imputed = match self.of_motion {
+            true => schedule.phase_of_motion(t),
+            false => schedule.phase(t),
+        };
+        let known = match imputed {
+            _ if !self.config.imputation => None,
+            Phase::Dense => Some(&self.dense),
+            Phase::Points => Some(&self.points),
+            Phase::Off => None,
+        };
+        Steering {
+            guidance: guided.then_some(Guidance {
+                objective: &self.objective,
+                scale: self.scale,
+            }),
+            imputation: known.map(|known| Imputation {
+                space: self.objective.space,
+                target: known.target.clone(),
+                mask: known.mask.clone(),
+            }),
+        }
+    }
+}
+
+impl Known {
+    fn new(targets: impl Iterator<Item = GroundTargets>, model: StageModel<'_>) -> Self {
+        let StageModel {
+            channels, frames, ..
+        } = model;
+        let (targets, masks): (Vec<_>, Vec<_>) = targets
+            .map(|targets| targets.in_channels(channels, frames).into())
+            .unzip();
+        let tensor = |values: Vec<Vec<f32>>| {
+            let data = TensorData::new(values.concat(), [values.len(), channels, frames]);
+            Tensor::from_data(data, model.device)
+        };
+        Self {
+            target: tensor(targets),
+            mask: tensor(masks),
+        }
+    }
+}
