@@ -3,6 +3,7 @@
 mod bench;
 mod draw_and_cut;
 mod emphasis;
+mod evaluator;
 mod goals;
 mod guidance;
 mod guidance_loss;
@@ -20,6 +21,7 @@ pub fn tests() -> Vec<GoldenTest> {
     let tests = [
         draw_and_cut::tests(),
         emphasis::tests(),
+        evaluator::tests(),
         goals::tests(),
         guidance::tests(),
         guidance_loss::tests(),
