@@ -77,6 +77,10 @@ pub enum Purpose {
     StyleDropout = 24,
     /// Noise that matching by patches starts from.
     Matching = 25,
+    /// Frames of a goal's keyframes, keyed by the clip's id.
+    GoalFrames = 26,
+    /// The order in which motions and captions are divided into pools.
+    Pools = 27,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

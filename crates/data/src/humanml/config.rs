@@ -23,6 +23,9 @@ pub struct Humanml3dConfig {
     pub train_list: String,
     /// The same of the held-out clips; empty where none are held out.
     pub validation_list: String,
+    /// The same of the clips of the final evaluation, which training never reads
+    /// (`evaluation.split = "test"`).
+    pub test_list: String,
     /// Clips, and passages that captions speak of, with fewer frames are left out.
     pub min_frames: usize,
     /// Clips with this many frames or more are left out.
@@ -44,6 +47,7 @@ impl Default for Humanml3dConfig {
             skeleton: SkeletonName::Humanml3d,
             train_list: "train.txt".to_owned(),
             validation_list: "val.txt".to_owned(),
+            test_list: "test.txt".to_owned(),
             min_frames: 40,
             max_frames: 200,
             unit_frames: 4,

@@ -13,6 +13,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
@@ -67,8 +68,14 @@ impl Default for GmdLossConfig {
 pub struct GmdEvaluationConfig {
     /// Number of held-out clips, with one goal each.
     pub goals: usize,
+    /// The list that goals are taken from.
+    pub split: EvaluationSplit,
+    /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
+    pub batch_size: usize,
     /// Keyframes per goal.
     pub keyframes: usize,
+    /// Which frames are keyframes.
+    pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
     /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
@@ -79,11 +86,24 @@ impl Default for GmdEvaluationConfig {
     fn default() -> Self {
         Self {
             goals: 20,
+            split: EvaluationSplit::Validation,
+            batch_size: 32,
             keyframes: 5,
+            keyframe_placement: KeyframePlacement::Random,
             obstacles: 0,
             evaluator: EvaluatorFiles::default(),
         }
     }
+}
+
+/// The clips of a dataset that goals are taken from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EvaluationSplit {
+    /// Those of `data.humanml3d.validation_list`, or what `data.validation` holds out.
+    Validation,
+    /// Those of `data.humanml3d.test_list`.
+    Test,
 }
 
 /// The table `evaluation.evaluator`: files of the text-motion evaluator; empty without one.
@@ -192,6 +212,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     )?;
     let evaluation = &own.evaluation;
     in_range("evaluation.goals", evaluation.goals, 1..)?;
+    in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
+    require(
+        evaluation.split == EvaluationSplit::Validation || data.kind == DataKind::Humanml3d,
+        "evaluation.split",
+        "\"test\"",
+        "\"validation\" for `data.kind = \"synthetic_walks\"`, which has no list",
+    )?;
     in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
     in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
     let files = evaluation.evaluator.named();

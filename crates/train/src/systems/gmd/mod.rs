@@ -22,7 +22,9 @@ use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation}
 use kinegrad_settings::Key;
 use toml::Table;
 
-pub use config::{EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
+pub use config::{
+    EvaluationSplit, EvaluatorFiles, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig,
+};
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey, read_goal};
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundObjective};

@@ -1,78 +1,25 @@
 //! How well models of clips reach goals taken from held-out clips.
 
+use std::iter::repeat;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_motion::goal::{Goal, Keyframe, Obstacle};
-use kinegrad_motion::humanml::{Joints, TEXT_CHANNELS};
-use kinegrad_motion::metrics::{GoalReport, GoalSample};
+use kinegrad_motion::goal::Goal;
+use kinegrad_motion::humanml::{Features, Joints, TEXT_CHANNELS};
+use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
 use serde::Serialize;
 
+use super::GoalTask;
 use super::text_motion::{TextMotion, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
+use crate::sampling::item_seed;
+use crate::systems::gmd::generate::keys;
 use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
-
-/// Radius of the obstacles, metres: a person with some room.
-const OBSTACLE_RADIUS: f64 = 0.35;
-
-/// Distance of an obstacle's edge from where the way begins and ends, metres.
-const CLEARANCE: f64 = 0.1;
 
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
-
-/// How a goal is derived from a held-out clip.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct GoalTask {
-    /// Number of keyframes, evenly spaced, the last one in the last frame.
-    pub keyframes: usize,
-    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
-    /// start or end are left out. With obstacles, only the last frame is a keyframe.
-    pub obstacles: usize,
-    /// Maximum number of frames.
-    pub frames: usize,
-}
-
-impl GoalTask {
-    /// The goal derived from `clip`.
-    pub fn goal(&self, clip: &Clip) -> Goal {
-        let frames = clip.features.frames().min(self.frames);
-        let features = clip.features.slice(0..frames).to_absolute();
-        let path = features.root_positions();
-        let last = frames - 1;
-        let mut goal = Goal::new(frames);
-        let keyframe = |frame: usize| {
-            let [x, _, z] = path[frame];
-            Keyframe { frame, x, z }
-        };
-        if self.obstacles == 0 {
-            let parts = self.keyframes.max(1);
-            goal.keyframes = (1..=self.keyframes)
-                .map(|k| keyframe(k * last / parts))
-                .collect();
-            goal.keyframes.dedup_by_key(|keyframe| keyframe.frame);
-            return goal;
-        }
-        goal.keyframes = vec![keyframe(last)];
-        let ends = [path[0], path[last]];
-        let clear = |[x, _, z]: &[f64; 3]| {
-            let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > OBSTACLE_RADIUS + CLEARANCE;
-            ends.iter().all(far)
-        };
-        goal.obstacles = (1..=self.obstacles)
-            .map(|k| path[k * last / (self.obstacles + 1)])
-            .filter(clear)
-            .map(|[x, _, z]| Obstacle::Disc {
-                x,
-                z,
-                radius: OBSTACLE_RADIUS,
-            })
-            .collect();
-        goal
-    }
-}
 
 /// Settings of an evaluation of goals.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -82,8 +29,10 @@ pub struct GoalSettings {
     /// The sampler, guidance and imputation.
     #[serde(flatten)]
     pub sampling: SamplingConfig,
-    /// Seed of the noise.
+    /// Seed of the noise, and of the frames that are keyframes.
     pub seed: u64,
+    /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
+    pub batch_size: usize,
 }
 
 /// Results of an evaluation of goals.
@@ -108,7 +57,8 @@ pub struct GoalEvaluation {
     pub text_motion: Option<TextMotionReports>,
 }
 
-/// Generates one clip for each of the `held_out`, all as one batch, and computes their metrics.
+/// Generates one clip for each of the `held_out` and computes their metrics. The sample of a clip
+/// depends on the seed, its id and, with goals, on the batch that it is drawn in.
 ///
 /// # Errors
 /// As [`ClipGenerator::sample`].
@@ -120,56 +70,70 @@ pub fn evaluate_goals(
     evaluator: Option<&TextMotion>,
     on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
-    let task = &settings.task;
-    let goals: Vec<Goal> = held_out.iter().map(|clip| task.goal(clip)).collect();
+    let (task, seed) = (&settings.task, settings.seed);
+    let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
+    let goals: Vec<Goal> = held_out.iter().map(goal).collect();
     let asks = task.keyframes + task.obstacles > 0;
-    let requests: Vec<ClipRequest> = held_out
-        .iter()
-        .zip(&goals)
-        .map(|(clip, goal)| ClipRequest {
-            goal: asks.then(|| goal.clone()),
-            text: embedding(clip),
-        })
-        .collect();
     let frames = goals.iter().map(|goal| goal.frames).max().unwrap_or(0);
-    let samples = generator.sample(
-        trajectory,
-        &requests,
-        frames,
-        &settings.sampling,
-        settings.seed,
-        on_step,
-    )?;
-    let drawn: Option<Vec<_>> = samples
-        .iter()
-        .map(|sample| sample.features.as_ref())
-        .collect();
-    let text_motion = match (evaluator, drawn) {
-        (Some(evaluator), Some(drawn)) => {
-            let real: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
-            Some(evaluator.reports(&drawn, &real, settings.seed)?)
+    let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
+    let batches = clips.chunks(settings.batch_size);
+    let count = batches.len();
+    let mut samples = Vec::with_capacity(clips.len());
+    for (batch, clips) in batches.enumerate() {
+        let requests = clips.iter().map(|(clip, goal)| ClipRequest {
+            goal: asks.then(|| Goal::clone(goal)),
+            text: embedding(clip),
+        });
+        let noise = clips
+            .iter()
+            .flat_map(|(clip, _)| keys(item_seed(seed, &clip.id), 1));
+        samples.extend(generator.sample_keyed(
+            trajectory,
+            &requests.collect::<Vec<_>>(),
+            frames,
+            &settings.sampling,
+            &noise.collect::<Vec<_>>(),
+            &mut |stage, done, all| on_step(stage, batch * all + done, count * all),
+        )?);
+    }
+    let real = clips.iter().map(|(clip, goal)| {
+        let features = clip.features.slice(0..goal.frames).to_absolute();
+        GeneratedClip::of(features)
+    });
+    let real: Vec<GeneratedClip> = real.collect();
+    let drawn = Measured::new(&samples, &goals);
+    let real = Measured::new(&real, &goals);
+    let text_motion = match (evaluator, drawn.cut.len() == held_out.len()) {
+        (Some(evaluator), true) => {
+            let captions: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
+            Some(evaluator.reports(&drawn.cut, &real.cut, &captions, seed)?)
         }
         _ => None,
     };
-    let real: Vec<GeneratedClip> = held_out
-        .iter()
-        .zip(&goals)
-        .map(|(clip, goal)| {
-            let features = clip.features.slice(0..goal.frames).to_absolute();
-            GeneratedClip::of(features)
-        })
-        .collect();
-    let drawn = Measured::new(&samples, &goals);
-    let real = Measured::new(&real, &goals);
     Ok(GoalEvaluation {
         run: generator.config().run.name.clone(),
         step: generator.step(),
         trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
         drawn: drawn.report(generator, &goals, &real),
-        real: real.report(generator, &goals, &real),
+        real: GoalReport {
+            // From itself it is none: the distance that as many clips of the same kind have.
+            frechet_distance: between_halves(&real.features),
+            ..real.report(generator, &goals, &real)
+        },
         text_motion,
         settings: settings.clone(),
     })
+}
+
+/// The distance between every second of the feature vectors and the others.
+fn between_halves(features: &[Vec<f64>]) -> Option<f64> {
+    let half = |first| -> Vec<Vec<f64>> {
+        let half = features.iter().skip(first).step_by(2);
+        half.cloned().collect()
+    };
+    let [even, odd] = [half(0), half(1)];
+    let moments = FeatureMoments::compute(&even).zip(FeatureMoments::compute(&odd));
+    moments.map(|(even, odd)| frechet_distance(&even, &odd))
 }
 
 /// The embedding of a clip's first caption.
@@ -179,51 +143,40 @@ pub fn embedding(clip: &Clip) -> Option<Vec<f32>> {
     Some(embedding.to_vec())
 }
 
-/// Clips in the form that metrics take.
+/// Clips in the form that metrics take, generated and real ones alike: cut to their goals' lengths.
 struct Measured<'a> {
     samples: &'a [GeneratedClip],
-    joints: Vec<Option<Joints>>,
+    /// None of a trajectory model.
+    cut: Vec<Features>,
+    joints: Vec<Joints>,
     /// Mean position of each joint about the root: what diversity and Fréchet distance compare.
     features: Vec<Vec<f64>>,
 }
 
 impl<'a> Measured<'a> {
     fn new(samples: &'a [GeneratedClip], goals: &[Goal]) -> Self {
-        let cut = samples.iter().zip(goals).map(|(sample, goal)| {
+        let cut = samples.iter().zip(goals).filter_map(|(sample, goal)| {
             let features = sample.features.as_ref()?;
             Some(features.slice(0..goal.frames))
         });
-        let cut: Vec<_> = cut.collect();
+        let cut: Vec<Features> = cut.collect();
         Self {
             samples,
-            joints: cut.iter().map(|f| f.as_ref().map(|f| f.joints())).collect(),
-            features: cut
-                .iter()
-                .flatten()
-                .map(|features| {
-                    // Of the body alone: where the root goes is what the goal says.
-                    let body = features.layout().positions();
-                    let frames = features.frames() as f64;
-                    body.map(|channel| {
-                        let sum: f64 = (0..features.frames())
-                            .map(|t| f64::from(features.frame(t)[channel]))
-                            .sum();
-                        sum / frames
-                    })
-                    .collect()
-                })
-                .collect(),
+            joints: cut.iter().map(Features::joints).collect(),
+            features: cut.iter().map(mean_positions).collect(),
+            cut,
         }
     }
 
     fn report(&self, generator: &ClipGenerator, goals: &[Goal], real: &Self) -> GoalReport {
         let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
-        let samples = self.samples.iter().zip(goals).zip(&self.joints);
+        let bodies = self.joints.iter().map(Some).chain(repeat(None));
+        let samples = self.samples.iter().zip(goals).zip(bodies);
         let samples: Vec<GoalSample> = samples
             .map(|((sample, goal), joints)| GoalSample {
                 goal,
                 ground: &sample.ground,
-                joints: joints.as_ref(),
+                joints,
             })
             .collect();
         let feet = skeleton.contact_joints();
@@ -233,4 +186,16 @@ impl<'a> Measured<'a> {
         let seed = generator.config().run.seed;
         report.with_features(&self.features, &real.features, DIVERSITY_PAIRS, seed)
     }
+}
+
+/// The mean over time of each joint's position about the root. Where the root goes is what the goal
+/// says.
+fn mean_positions(features: &Features) -> Vec<f64> {
+    let frames = features.frames();
+    let body = features.layout().positions();
+    let mean = |channel| {
+        let values = (0..frames).map(|t| f64::from(features.frame(t)[channel]));
+        values.sum::<f64>() / frames as f64
+    };
+    body.map(mean).collect()
 }

@@ -13,9 +13,10 @@ use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
+use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
-use crate::systems::gmd::{ClipGenerator, GmdConfig};
+use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
 
 /// An evaluation of position control.
 ///
@@ -41,6 +42,10 @@ pub fn prepare<'a>(
         // The dataset's own lists say what is held out.
         data.validation = ValidationSplit::default();
     }
+    if asked.split == EvaluationSplit::Test {
+        data.humanml3d.validation_list = data.humanml3d.test_list.clone();
+        data.validation = ValidationSplit::default();
+    }
     let dataset = Dataset::<Clip>::open(&data)?;
     if dataset.validation.is_empty() {
         let message = format!("no clip is held out for {}", subject.checkpoint.display());
@@ -58,9 +63,11 @@ pub fn prepare<'a>(
             subject.checkpoint.display()
         ));
     }
-    let networks = footprint(&subject.config, data.target_frames)?;
-    let needed = networks.of_sampling(held_out.len(), true, subject.on_host);
-    let hint = "all goals are drawn for as one batch: choose fewer `evaluation.goals`";
+    let frames = drawn_frames(&subject.config, data.target_frames);
+    let together = asked.batch_size.min(held_out.len());
+    let networks = footprint(&subject.config, frames)?;
+    let needed = networks.of_sampling(together, true, subject.on_host);
+    let hint = "draw for fewer goals together: `evaluation.batch_size`";
     must_fit("the evaluation", needed, hint)?;
     if let Some(path) = &request.trajectory {
         must_draw_paths(path)?;
@@ -72,11 +79,13 @@ pub fn prepare<'a>(
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,
+            keyframe_placement: asked.keyframe_placement,
             obstacles: asked.obstacles,
             frames: data.target_frames,
         },
         sampling: subject.config.sampling.clone(),
         seed: request.seed,
+        batch_size: asked.batch_size,
     };
     // The two are compared: neither replaces the other's report.
     let report = match trajectory {

@@ -7,6 +7,7 @@ use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, TextMotionReport, Token, WordVectors};
+use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
 use crate::error::Error;
@@ -168,24 +169,31 @@ impl TextMotion {
         )
     }
 
-    /// Evaluates generated clips, one for each of the `real` ones, with the first caption of each.
+    /// Evaluates generated clips, one for each of the `real` ones of the same lengths, with the
+    /// first captions of `clips`. `seed` draws the pools that captions are ranked in, and the pairs
+    /// for diversity.
     ///
     /// # Errors
     /// If features are of another layout than the evaluator's.
     pub fn reports(
         &self,
-        drawn: &[&Features],
-        real: &[&Clip],
+        drawn: &[Features],
+        real: &[Features],
+        clips: &[&Clip],
         seed: u64,
     ) -> Result<TextMotionReports, Error> {
-        let captions: Vec<&[Token]> = real
+        // In the order of their ids, neighbours would be of one kind.
+        let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
+        let captions: Vec<&[Token]> = order
             .iter()
-            .map(|clip| clip.captions.first().map_or(&[][..], |c| &c.tokens))
+            .map(|&clip| clips[clip].captions.first().map_or(&[][..], |c| &c.tokens))
             .collect();
         let texts = self.text_embeddings(&captions);
-        let truths: Vec<&Features> = real.iter().map(|clip| &clip.features).collect();
-        let truths = self.motion_embeddings(&truths)?;
-        let drawn = self.motion_embeddings(drawn)?;
+        let in_order = |of: &[Features]| -> Result<_, Error> {
+            let clips: Vec<&Features> = order.iter().map(|&clip| &of[clip]).collect();
+            self.motion_embeddings(&clips)
+        };
+        let (truths, drawn) = (in_order(real)?, in_order(drawn)?);
         Ok(TextMotionReports {
             drawn: TextMotionReport::compute(&texts, &drawn, &truths, seed),
             real: TextMotionReport::compute(&texts, &truths, &truths, seed),
