@@ -79,6 +79,71 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
 }
 
 #[test]
+fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
+    let sandbox = trained();
+    let features = |frames: usize| {
+        let out = format!("free{frames}");
+        let sample = format!("sample runs/gmd_motion --frames {frames} --out {out}");
+        sandbox.run(&sample).succeeded();
+        let features = read_array(&sandbox.path(format!("{out}.features.npy")));
+        features.expect("features").values
+    };
+    // 16 is the length of training; the network is padded to 20.
+    let (short, cut, whole) = (features(7), features(13), features(16));
+    assert_eq!(short[..], whole[..7 * 263]);
+    assert_eq!(cut[..], whole[..13 * 263]);
+    assert_ne!(
+        features(18)[..7 * 263],
+        short[..],
+        "18 frames are drawn as 18"
+    );
+
+    // A goal that ends early leaves the frames behind it to the model: the first stage's path is
+    // followed to the end of the batch's longest.
+    sandbox.write(
+        "short.toml",
+        GOAL.replace("frames = 16", "frames = 9").replace("15", "5"),
+    );
+    let two_stages = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory \
+                      --goal goal.toml --goal short.toml";
+    sandbox.run(&format!("{two_stages} --out both")).succeeded();
+    for (index, frames) in [16, 9].into_iter().enumerate() {
+        let name = format!("both-{index:03}");
+        assert_eq!(shape(&sandbox.path(format!("{name}.npy"))), [frames, 22, 3]);
+        assert_eq!(
+            shape(&sandbox.path(format!("{name}.path.npy"))),
+            [frames, 2]
+        );
+    }
+}
+
+#[test]
+fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
+    let sandbox = trained();
+    let obstacle = "[[obstacle]]\nkind = \"disc\"\nx = 0.1\nz = 0.4\nradius = 3.0\n";
+    sandbox.write("around.toml", format!("{GOAL}{obstacle}"));
+    let drawn = |goal: &str, settings: &str| {
+        let sample = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --steps 16";
+        let sample = format!("{sample} --goal {goal}.toml --out walk --overwrite {settings}");
+        sandbox.run(&sample).succeeded();
+        let read = |name: &str| read_array(&sandbox.path(name)).expect("an array").values;
+        (read("walk.path.npy"), read("walk.features.npy"))
+    };
+    let steering = "--set sampling.steering";
+    let (path, both) = drawn("around", "");
+    for settings in [
+        format!("{steering}.second_stage_guidance=false"),
+        format!("{steering}.schedule.motion_until=400"),
+    ] {
+        let (same, other) = drawn("around", &settings);
+        assert_eq!(same, path, "{settings}: the first stage is as before");
+        assert_ne!(other, both, "{settings}");
+    }
+    let record = fs::read_to_string(sandbox.path("walk.json")).expect("a record");
+    assert!(record.contains("second_stage_guidance"), "{record}");
+}
+
+#[test]
 fn positions_are_checked_with_the_statistics_of_the_features_trained_on() {
     let sandbox = trained();
     let walks = sandbox.path("walks");
@@ -139,6 +204,9 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
              --set sampling.steering.scale=0",
         )
         .succeeded();
+    sandbox
+        .run("eval runs/gmd_motion --set evaluation.split=test")
+        .failed(2, &["evaluation.split", "synthetic_walks"]);
     sandbox
         .run("eval runs/gmd_motion --set evaluation.evaluator.weights=finest.tar")
         .failed(2, &["evaluation.evaluator.mean", "word_vectors"]);
@@ -206,6 +274,47 @@ fn a_run_starts_from_another_and_keeps_its_space() {
     sandbox
         .run("train c.toml --name other --set init.diffusion=runs/gmd_trajectory")
         .failed(2, &["init.diffusion", "`gmd_trajectory`"]);
+}
+
+#[test]
+fn goals_are_taken_from_the_list_that_is_named() {
+    let sandbox = dataset();
+    sandbox
+        .run("train c.toml --set train.max_steps=2")
+        .succeeded();
+    let held_out = fs::read_to_string(sandbox.path("walks/val.txt")).expect("a list");
+    let evaluate = |settings: &str| {
+        let eval = "eval runs/smallest --json --steps 2 --set evaluation.goals=3";
+        sandbox.run(&format!("{eval} {settings}"))
+    };
+    let test = "--set evaluation.split=test";
+    evaluate(test).failed(2, &["walks/test.txt", "test_list"]);
+    // A clip to train on is none to be evaluated on.
+    fs::copy(
+        sandbox.path("walks/train.txt"),
+        sandbox.path("walks/test.txt"),
+    )
+    .expect("a copy");
+    evaluate(test).failed(2, &["walks/test.txt", "train.txt"]);
+    fs::write(sandbox.path("walks/test.txt"), &held_out).expect("written");
+    let report = |settings: &str| -> Value {
+        let said = evaluate(settings).succeeded().stdout;
+        let report: Value = serde_json::from_str(&said).expect("JSON");
+        report["evaluations"][0].clone()
+    };
+    let (test, validation) = (report(test), report(""));
+    assert_eq!(test["drawn"], validation["drawn"], "the same clips");
+    // Other keyframes, and another seed's.
+    let error = |report: &Value| report["drawn"]["average_error"].as_f64().expect("an error");
+    let even = report("--set evaluation.keyframe_placement=even");
+    let other = report("--seed 3");
+    assert_ne!(error(&even), error(&validation));
+    assert_ne!(error(&other), error(&validation));
+    // Without goals a clip does not depend on its batch.
+    let free = "--set evaluation.keyframes=0";
+    let together = report(free);
+    let alone = report(&format!("{free} --set evaluation.batch_size=1"));
+    assert_eq!(together["drawn"], alone["drawn"]);
 }
 
 /// A dataset of walks on disk, and a config that reads it.
@@ -313,7 +422,7 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
     );
     refused(
         "frames = 99\n[[keyframe]]\nframe = 50\nx = 0.0\nz = 0.0\n",
-        &["`frames` is 99", "16"],
+        &["`frames` is 99", "1 to 20"],
     );
     refused(
         "frames = 16\n[[keyframes]]\nframe = 1\n",

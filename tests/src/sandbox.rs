@@ -78,7 +78,7 @@ frames = 48
 kind = "gmd_unet"
 latent_dim = 16
 dim_mults = [1.0, 1.0]
-padded_frames = 16
+padded_frames = 20
 [optim]
 warmup_steps = 5
 learning_rate = 1e-3

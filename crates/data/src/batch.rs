@@ -10,6 +10,10 @@ pub const AUDIO: &str = "audio";
 /// Name of the condition on a text, its pooled feature `[512, 1]`.
 pub const TEXT: &str = "text";
 
+/// Name of the words of a caption, `[width + 1, words]`: of each its vector, and behind it the
+/// number of its part of speech plus 1, which is 0 where there is no word.
+pub const WORDS: &str = "words";
+
 /// Samples of one length. Flat arrays in row-major order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {

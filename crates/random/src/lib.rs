@@ -81,6 +81,8 @@ pub enum Purpose {
     GoalFrames = 26,
     /// The order in which motions and captions are divided into pools.
     Pools = 27,
+    /// Vectors of words that have no published ones, keyed by the word.
+    WordVectors = 28,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -375,12 +375,18 @@ impl HeldOut {
         self.ids.is_empty()
     }
 
-    /// Each batch, with the numbers of its items.
+    /// Each batch on the device, with the numbers of its items.
     pub fn batches(&self, device: &Device) -> impl Iterator<Item = (Range<usize>, Inputs)> {
+        self.host_batches()
+            .map(|(range, batch)| (range, Inputs::new(&batch, device)))
+    }
+
+    /// Each batch, with the numbers of its items.
+    pub fn host_batches(&self) -> impl Iterator<Item = (Range<usize>, Batch)> {
         (0..self.len()).step_by(self.batch_size).map(move |start| {
             let range = start..(start + self.batch_size).min(self.len());
-            let inputs = Inputs::new(&(self.collate)(range.clone()), device);
-            (range, inputs)
+            let batch = (self.collate)(range.clone());
+            (range, batch)
         })
     }
 

@@ -25,9 +25,14 @@ pub(super) fn read_lists(
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Listed>, Error> {
     let mut sides: BTreeMap<String, Side> = BTreeMap::new();
+    // An evaluation may hold out the clips of another list.
+    let held_out = match config.validation_list == config.test_list {
+        true => "test_list",
+        false => "validation_list",
+    };
     for (key, list, side) in [
         ("train_list", &config.train_list, Side::Train),
-        ("validation_list", &config.validation_list, Side::Validation),
+        (held_out, &config.validation_list, Side::Validation),
     ] {
         if list.is_empty() {
             continue;

@@ -1,17 +1,19 @@
 //! From clips to samples: caption, passage, crop, root, normalisation.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use kinegrad_motion::humanml::TEXT_CHANNELS;
+use kinegrad_motion::metrics::text_motion::{MAX_WORDS, PartOfSpeech, WordVectors};
 use kinegrad_motion::{JointFeatures, Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
 
-use crate::batch::{ConditionRows, SampleShape, TEXT};
+use crate::batch::{ConditionRows, SampleShape, TEXT, WORDS};
 use crate::loader::Samples;
 use crate::{Batch, Crop, DataConfig, Error};
 
 use super::clip::NO_EMBEDDING;
-use super::{Clip, ClipSet};
+use super::{Caption, Clip, ClipSet};
 
 /// Samples of clips, conditioned on the embedding of a caption: as long as whole units of
 /// `data.humanml3d.unit_frames` allow.
@@ -25,6 +27,7 @@ pub struct ClipSamples {
     unit_frames: usize,
     crop: Crop,
     seed: u64,
+    words: Option<Arc<WordVectors>>,
 }
 
 impl ClipSamples {
@@ -57,6 +60,16 @@ impl ClipSamples {
             unit_frames: config.humanml3d.unit_frames,
             crop: config.crop,
             seed,
+            words: None,
+        }
+    }
+
+    /// The same with the [`WORDS`] of captions in place of their embeddings.
+    #[must_use]
+    pub fn with_words(self, words: Arc<WordVectors>) -> Self {
+        Self {
+            words: Some(words),
+            ..self
         }
     }
 }
@@ -73,7 +86,10 @@ impl Samples for ClipSamples {
         SampleShape {
             channels: self.channels,
             frames: self.target_frames,
-            conditions: vec![(TEXT, TEXT_CHANNELS, 1)],
+            conditions: match &self.words {
+                Some(words) => vec![(WORDS, words.width() + 1, MAX_WORDS + 2)],
+                None => vec![(TEXT, TEXT_CHANNELS, 1)],
+            },
         }
     }
 
@@ -114,14 +130,37 @@ impl Samples for ClipSamples {
             };
         let features = clip.features.slice(first..first + length);
         let features = features.with_root(self.representation.root);
-        let embedding = caption.and_then(|caption| caption.embedding.as_deref());
-        let text = ConditionRows {
-            values: embedding.unwrap_or(&NO_EMBEDDING),
-            frames: 1,
-            range: 0..1,
+        let words;
+        let text = match &self.words {
+            Some(vectors) => {
+                let tokens = caption.map(Caption::words).unwrap_or_default();
+                let sentence = vectors.sentence(&tokens);
+                words = by_channel(&sentence, vectors.width());
+                ConditionRows {
+                    values: &words,
+                    frames: sentence.len(),
+                    range: 0..sentence.len(),
+                }
+            }
+            None => ConditionRows {
+                values: caption
+                    .and_then(|caption| caption.embedding.as_deref())
+                    .unwrap_or(&NO_EMBEDDING),
+                frames: 1,
+                range: 0..1,
+            },
         };
         batch.push(&clip.id, features.as_slice(), &self.statistics, &[text]);
     }
+}
+
+/// The words of a sentence as [`WORDS`] are.
+fn by_channel(sentence: &[(Cow<'_, [f32]>, PartOfSpeech)], width: usize) -> Vec<f32> {
+    let vectors = (0..width).flat_map(|channel| sentence.iter().map(move |(of, _)| of[channel]));
+    let classes = sentence
+        .iter()
+        .map(|(_, class)| (*class as usize + 1) as f32);
+    vectors.chain(classes).collect()
 }
 
 #[cfg(test)]
@@ -287,6 +326,36 @@ mod tests {
             }
         }
         assert!(seen.iter().all(|&count| count > 6), "{seen:?}");
+    }
+
+    #[test]
+    fn words_of_captions_fill_their_places() {
+        let config = config();
+        let vectors = Arc::new(WordVectors::drawn(6));
+        let all = samples(&config, 263).with_words(vectors.clone());
+        let clips = all.clips.load().unwrap();
+        let batch = all.collate(0..clips.len()).unwrap();
+        let words = &batch.conditions[0];
+        assert_eq!((words.name, words.channels, words.frames), (WORDS, 7, 22));
+        let mut lengths = BTreeSet::new();
+        for (clip, rows) in clips.iter().zip(words.values.chunks(7 * 22)) {
+            let sentence = vectors.sentence(&clip.captions[0].words());
+            lengths.insert(sentence.len());
+            for place in 0..22 {
+                let of_word: Vec<f32> = rows.chunks(22).map(|row| row[place]).collect();
+                match sentence.get(place) {
+                    Some((vector, class)) => {
+                        assert_eq!(of_word[..6], vector[..]);
+                        assert_eq!(of_word[6], (*class as usize + 1) as f32);
+                    }
+                    None => assert_eq!(of_word, [0.0; 7]),
+                }
+            }
+        }
+        assert!(
+            lengths.len() > 1,
+            "captions of different lengths: {lengths:?}"
+        );
     }
 
     #[test]

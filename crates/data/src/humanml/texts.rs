@@ -1,9 +1,10 @@
 //! The captions of a clip: `texts/ID.txt`, one a line.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
-use kinegrad_motion::metrics::text_motion::Token;
+use kinegrad_motion::metrics::text_motion::{PartOfSpeech, Token};
 
 use crate::FileError;
 
@@ -28,6 +29,19 @@ pub struct Caption {
 }
 
 impl Caption {
+    /// Its tokens or, where the file states none, the words of its text without parts of speech.
+    pub fn words(&self) -> Cow<'_, [Token]> {
+        if !self.tokens.is_empty() {
+            return Cow::Borrowed(&self.tokens);
+        }
+        let words = self.text.split(|letter: char| !letter.is_alphanumeric());
+        let token = |word: &str| Token {
+            word: word.to_lowercase(),
+            part_of_speech: PartOfSpeech::Other,
+        };
+        words.filter(|word| !word.is_empty()).map(token).collect()
+    }
+
     /// The frames that it describes of a clip of `frames` frames at `fps` a second.
     pub fn frames(&self, frames: usize, fps: f64) -> Range<usize> {
         let Some((from, to)) = self.seconds else {

@@ -1,10 +1,9 @@
-//! The published text-motion evaluator: encoders that measure how well motions match captions.
+//! Text-motion evaluators: encoders that measure how well motions match captions.
 //!
 //! One encodes clips of HumanML3D features, the other captions, to embeddings that are close
-//! together if the caption describes the clip. The networks are fixed: their weights come from a
-//! file, all widths are those of the weights, and they are run without gradients. Source: C. Guo et
-//! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), section 5, as its
-//! published program computes it.
+//! together if the caption describes the clip. Those of published weights have their widths, others
+//! are trained with [`TextMotionSizes`]. Source: C. Guo et al., "Generating Diverse and Natural 3D
+//! Human Motions from Text" (2022), section 5, as its published program computes it.
 //!
 //! ```text
 //! clip     normalised frames without contact flags -> two convolutions (4 wide, 2 apart), linear
@@ -13,9 +12,12 @@
 //! ```
 
 mod encoders;
+mod sizes;
 
 use burn::module::Module;
 use burn::tensor::{Int, Tensor};
+
+pub use sizes::TextMotionSizes;
 
 use crate::Initializer;
 use encoders::{MovementEncoder, SequenceEncoder, TextEncoder};

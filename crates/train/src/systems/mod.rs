@@ -7,9 +7,14 @@
 
 pub mod cc_motion;
 pub mod gmd;
+pub mod text_motion;
 
 pub use crate::recipe::RecipeInfo;
 pub use crate::system::{System, Systems};
 
 /// The systems of this crate.
-pub const BUILT_IN: Systems<'static> = Systems(&[&cc_motion::CcMotion, &gmd::Gmd]);
+pub const BUILT_IN: Systems<'static> = Systems(&[
+    &cc_motion::CcMotion,
+    &gmd::Gmd,
+    &text_motion::TextMotionSystem,
+]);

@@ -19,6 +19,8 @@ pub const DIVERSITY_PAIRS: usize = 300;
 ///
 /// Pools are [`POOL`] pairs in their order; what is left over at the end is not ranked. Of two
 /// motions equally near, the first counts as nearer: motions that are all alike rank as by chance.
+/// Where another caption of the pool has the same embedding, its motion is as good as the own one:
+/// datasets with few captions repeat them.
 /// Each caption ranks motions by Euclidean distance, as in the published program (the paper tells
 /// it the other way around). `None` for less than one pool or where a value is not finite.
 ///
@@ -38,14 +40,10 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
             if !distances.iter().all(|distance| distance.is_finite()) {
                 return None;
             }
-            let nearer = |(other, distance): (usize, &f64)| {
-                *distance < distances[own] || (*distance == distances[own] && other < own)
-            };
-            let rank = distances
-                .iter()
-                .enumerate()
-                .filter(|&of| nearer(of))
-                .count();
+            let mut order: Vec<usize> = (0..POOL).collect();
+            order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
+            let described = |&motion: &usize| motion == own || texts[motion] == *text;
+            let rank = order.iter().position(described).expect("its own");
             found.iter_mut().skip(rank).for_each(|count| *count += 1);
         }
     }
@@ -60,6 +58,34 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
 pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     mean(texts.iter().zip(motions).map(|(a, b)| Some(distance(a, b))))
+}
+
+/// Share of the motions whose nearest caption, of all different ones, is their own, by Euclidean
+/// distance; embeddings as those of [`r_precision`]. `None` of nothing, of one caption alone, or
+/// where a value is not finite.
+///
+/// # Panics
+/// Panics if there are not as many captions as motions, or the embeddings differ in length.
+pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
+    assert_eq!(texts.len(), motions.len(), "a caption for each motion");
+    let mut different: Vec<&Vec<f64>> = Vec::new();
+    for text in texts {
+        if !different.contains(&text) {
+            different.push(text);
+        }
+    }
+    if different.len() < 2 {
+        return None;
+    }
+    let own_is_nearest = |(text, motion): (&Vec<f64>, &Vec<f64>)| {
+        let of_own = distance(text, motion);
+        let nearest = different.iter().map(|text| distance(text, motion));
+        let nearest = nearest.fold(f64::INFINITY, f64::min);
+        of_own
+            .is_finite()
+            .then(|| f64::from(u8::from(of_own <= nearest)))
+    };
+    mean(texts.iter().zip(motions).map(own_is_nearest))
 }
 
 /// How motions match their captions and how they compare with real ones, by their embeddings.
@@ -80,6 +106,9 @@ pub struct TextMotionReport {
     pub r_precision_top2: Option<f64>,
     /// Third number of [`r_precision`].
     pub r_precision_top3: Option<f64>,
+    /// [`caption_accuracy`].
+    #[serde(default)]
+    pub caption_accuracy: Option<f64>,
     /// [`multimodal_distance`].
     pub multimodal_distance: Option<f64>,
     /// [`frechet_distance`] from real motion, known as FID.
@@ -104,6 +133,7 @@ impl TextMotionReport {
             r_precision_top1: r_precision.map(|top| top[0]),
             r_precision_top2: r_precision.map(|top| top[1]),
             r_precision_top3: r_precision.map(|top| top[2]),
+            caption_accuracy: caption_accuracy(texts, motions),
             multimodal_distance: multimodal_distance(texts, motions),
             frechet_distance: moments.map(|(motions, real)| frechet_distance(&motions, &real)),
             diversity: feature_diversity(motions, DIVERSITY_PAIRS, seed),
@@ -111,11 +141,12 @@ impl TextMotionReport {
     }
 
     /// The metrics in the order in which they print, each with its name.
-    pub fn rows(&self) -> [(&'static str, Option<f64>); 6] {
+    pub fn rows(&self) -> [(&'static str, Option<f64>); 7] {
         [
             ("R-precision, top 1", self.r_precision_top1),
             ("R-precision, top 2", self.r_precision_top2),
             ("R-precision, top 3", self.r_precision_top3),
+            ("caption accuracy", self.caption_accuracy),
             ("multimodal distance", self.multimodal_distance),
             ("FID", self.frechet_distance),
             ("diversity", self.diversity),
@@ -199,6 +230,21 @@ mod tests {
     }
 
     #[test]
+    fn motions_of_equal_captions_are_as_good_as_the_own_one() {
+        // Two kinds, the motions of each in any order: every caption finds one of its kind.
+        let motions = at(numbers(32).map(|place| place % 2.0 * 10.0 + place / 100.0));
+        let kinds = at(numbers(32).map(|place| place % 2.0 * 10.0));
+        assert_eq!(r_precision(&kinds, &motions), Some([1.0; 3]));
+        assert_eq!(caption_accuracy(&kinds, &motions), Some(1.0));
+        // Every caption beside the motions of the other kind, whose 16 come first.
+        let other = at(numbers(32).map(|place| 10.0 - place % 2.0 * 10.0));
+        assert_eq!(r_precision(&other, &motions), Some([0.0; 3]));
+        assert_eq!(caption_accuracy(&other, &motions), Some(0.0));
+        assert_eq!(caption_accuracy(&at([1.0; 4]), &at(numbers(4))), None);
+        assert_eq!(caption_accuracy(&[], &[]), None);
+    }
+
+    #[test]
     fn broken_embeddings_have_no_metrics() {
         let motions = at(numbers(32));
         let mut broken = motions.clone();
@@ -234,6 +280,6 @@ mod tests {
         );
         let printed = report.to_string();
         assert!(printed.starts_with("70 motions, 2 pools of 32\nR-precision, top 1 "));
-        assert_eq!(printed.lines().count(), 7);
+        assert_eq!(printed.lines().count(), 8);
     }
 }

@@ -1,8 +1,10 @@
 //! Words of captions: their parts of speech and their vectors.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fmt;
 
+use kinegrad_random::{Key, Purpose};
 use thiserror::Error;
 
 /// The most words of a caption that are read.
@@ -141,12 +143,22 @@ pub struct WordVectorsError {
     pub expected: &'static str,
 }
 
-/// A vector for each word of a vocabulary.
+/// A vector for each word.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WordVectors {
-    places: HashMap<String, usize>,
-    values: Vec<f32>,
+    vocabulary: Vocabulary,
     width: usize,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Vocabulary {
+    /// Some words, each with a row.
+    Stated {
+        places: HashMap<String, usize>,
+        values: Vec<f32>,
+    },
+    /// All words there are.
+    Drawn,
 }
 
 impl WordVectors {
@@ -178,15 +190,19 @@ impl WordVectors {
             return Err(refused(found, "a vector for it: that of words without one"));
         }
         Ok(Self {
-            places,
-            values,
+            vocabulary: Vocabulary::Stated { places, values },
             width,
         })
     }
 
-    /// Number of words.
-    pub fn words(&self) -> usize {
-        self.places.len()
+    /// A vector of `width` normal numbers for every word there is, drawn from the word: it tells
+    /// words apart and knows nothing of what they mean. For captions of few words, where an encoder
+    /// learns the meaning of each.
+    pub fn drawn(width: usize) -> Self {
+        Self {
+            vocabulary: Vocabulary::Drawn,
+            width,
+        }
     }
 
     /// Numbers of a vector.
@@ -195,14 +211,22 @@ impl WordVectors {
     }
 
     /// The vector of a word, if it has one.
-    pub fn vector(&self, word: &str) -> Option<&[f32]> {
-        let start = self.places.get(word)? * self.width;
-        Some(&self.values[start..start + self.width])
+    pub fn vector(&self, word: &str) -> Option<Cow<'_, [f32]>> {
+        match &self.vocabulary {
+            Vocabulary::Stated { places, values } => {
+                let start = places.get(word)? * self.width;
+                Some(Cow::Borrowed(&values[start..start + self.width]))
+            }
+            Vocabulary::Drawn => {
+                let key = Key::new(0, Purpose::WordVectors).named(word);
+                Some(Cow::Owned(key.normals(self.width)))
+            }
+        }
     }
 
     /// Vectors and classes of a caption's first [`MAX_WORDS`] words between `sos` and `eos`. A
     /// word without a vector has that of `unk` and is [`PartOfSpeech::Other`].
-    pub fn sentence(&self, tokens: &[Token]) -> Vec<(&[f32], PartOfSpeech)> {
+    pub fn sentence(&self, tokens: &[Token]) -> Vec<(Cow<'_, [f32]>, PartOfSpeech)> {
         let words = tokens.iter().take(MAX_WORDS);
         let words = words.map(|token| (token.word.as_str(), token.part_of_speech));
         let start = std::iter::once(("sos", PartOfSpeech::Other));
@@ -256,10 +280,24 @@ mod tests {
             (&[0.0, 1.0], PartOfSpeech::Other),
             (&[4.0, 5.0], PartOfSpeech::Other),
         ];
+        let expected = expected.map(|(vector, class)| (Cow::Borrowed(vector), class));
         assert_eq!(sentence, expected);
         let long = Token::parse_all(&"man/NOUN ".repeat(30));
         assert_eq!(vectors.sentence(&long).len(), MAX_WORDS + 2);
         assert_eq!(vectors.sentence(&[]).len(), 2);
+    }
+
+    #[test]
+    fn every_word_has_a_drawn_vector_of_its_own() {
+        let vectors = WordVectors::drawn(5);
+        let [walk, again, run] = ["walk", "walk", "run"].map(|word| vectors.vector(word).unwrap());
+        assert_eq!((walk.len(), &walk), (5, &again));
+        assert_ne!(walk, run);
+        let sentence = vectors.sentence(&Token::parse_all("zyx/NOUN walk/VERB"));
+        let classes = sentence.iter().map(|(_, class)| *class);
+        let other = PartOfSpeech::Other;
+        let expected = [other, PartOfSpeech::Noun, PartOfSpeech::Action, other];
+        assert_eq!(classes.collect::<Vec<_>>(), expected);
     }
 
     #[test]

@@ -78,7 +78,7 @@ pub struct GmdEvaluationConfig {
     pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
-    /// The published text-motion evaluator, for R-precision and FID: all of its files, or none.
+    /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published one.
     pub evaluator: EvaluatorFiles,
 }
 
@@ -106,10 +106,12 @@ pub enum EvaluationSplit {
     Test,
 }
 
-/// The table `evaluation.evaluator`: files of the text-motion evaluator; empty without one.
+/// The table `evaluation.evaluator`: the text-motion evaluator; empty without one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluatorFiles {
+    /// Run or checkpoint of recipe `text_motion`, in place of the files of the published one.
+    pub run: PathBuf,
     /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
     pub weights: PathBuf,
     /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
@@ -121,7 +123,7 @@ pub struct EvaluatorFiles {
 }
 
 impl EvaluatorFiles {
-    /// Whether any file is given.
+    /// Whether any file of the published evaluator is given.
     pub fn is_given(&self) -> bool {
         self.named()
             .iter()
@@ -228,6 +230,12 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let allowed = "a file: the evaluator needs weights, mean, std and word_vectors";
         return Err(InvalidSetting::new(key, "empty", allowed).into());
     }
+    require(
+        !evaluation.evaluator.is_given() || evaluation.evaluator.run.as_os_str().is_empty(),
+        "evaluation.evaluator.run",
+        "given together with files",
+        "one of the two",
+    )?;
     Ok(sampling.steering.validate().within("sampling.steering")?)
 }
 

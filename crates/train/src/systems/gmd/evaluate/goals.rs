@@ -10,13 +10,13 @@ use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_d
 use serde::Serialize;
 
 use super::GoalTask;
-use super::text_motion::{TextMotion, TextMotionReports};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
 use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
+use crate::systems::text_motion::{TextMotion, TextMotionReports};
 
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;

@@ -3,10 +3,8 @@
 mod goals;
 mod run;
 mod task;
-mod text_motion;
 
 pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, evaluate_goals};
 pub(super) use run::prepare;
 pub use task::{GoalTask, KeyframePlacement};
-pub use text_motion::{TextMotion, TextMotionReports};

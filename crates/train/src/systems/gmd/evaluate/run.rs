@@ -7,16 +7,18 @@ use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{GoalSettings, GoalTask, TextMotion, evaluate_goals};
+use super::{GoalSettings, GoalTask, evaluate_goals};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
+use crate::start::Start;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
 use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
+use crate::systems::text_motion::TextMotion;
 
 /// An evaluation of position control.
 ///
@@ -73,9 +75,14 @@ pub fn prepare<'a>(
         must_draw_paths(path)?;
     }
     let trajectory = request.trajectory.clone();
-    let files = asked.evaluator.is_given().then_some(&asked.evaluator);
-    let read = |files| TextMotion::read(files, &subject.device);
-    let evaluator = files.map(read).transpose()?;
+    let evaluator = match Start::named("evaluation.evaluator.run", &asked.evaluator.run)? {
+        Some(run) => Some(run.load(&subject.device, TextMotion::of_run)?),
+        None => {
+            let files = asked.evaluator.is_given().then_some(&asked.evaluator);
+            let read = |files| TextMotion::read(files, &subject.device);
+            files.map(read).transpose()?
+        }
+    };
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,

@@ -1,15 +1,23 @@
-//! The published text-motion evaluator: its files, and the embeddings of clips and captions.
+//! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
+//! captions.
+
+use std::borrow::Cow;
+use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::{Clip, read_word_vectors};
-use kinegrad_models::Initializer;
 use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
+use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, TextMotionReport, Token, WordVectors};
 use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 
+use super::networks::{encoders, word_vectors};
+use super::{RECIPE, TextMotionTables};
+use crate::checkpoint::{State, Weights, read_weights};
+use crate::config::SystemTables;
 use crate::error::Error;
 use crate::published::{load, read_tensors, vector};
 use crate::systems::gmd::EvaluatorFiles;
@@ -54,6 +62,27 @@ impl TextMotion {
         let (mean, std) = (vector(&files.mean)?, vector(&files.std)?);
         let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
         let words = read_word_vectors(&files.word_vectors)?;
+        Self::new(encoders, statistics, words, device)
+    }
+
+    /// The evaluator that the checkpoint in `path` of a run of recipe `text_motion` holds.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged or of another recipe, or its word vectors cannot be read.
+    pub fn of_run(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        let recipe = &state.config.train.recipe;
+        if recipe != RECIPE {
+            return Err(Error::usage(
+                format!("{} is of a run of recipe `{recipe}`", path.display()),
+                format!("an evaluator is a run of recipe `{RECIPE}`"),
+            ));
+        }
+        let words = word_vectors(&TextMotionTables::of(&state.config)?.words)?;
+        let fresh = encoders(&state.config, words.width(), device)?;
+        let encoders = parameters::load(fresh, read_weights(path, &state, weights)?)?;
+        let representation = state.config.data.humanml3d.representation();
+        let statistics = state.statistics_of(&representation)?.clone();
         Self::new(encoders, statistics, words, device)
     }
 
@@ -153,9 +182,9 @@ impl TextMotion {
             |group, lengths, padded| {
                 let (mut vectors, mut classes) = (Vec::new(), Vec::new());
                 for (row, &caption) in group.iter().enumerate() {
-                    for &(vector, class) in &sentences[caption] {
+                    for (vector, class) in &sentences[caption] {
                         vectors.extend_from_slice(vector);
-                        classes.push(class as i32);
+                        classes.push(*class as i32);
                     }
                     vectors.resize((row + 1) * padded * width, 0.0);
                     classes.resize((row + 1) * padded, 0);
@@ -184,10 +213,12 @@ impl TextMotion {
     ) -> Result<TextMotionReports, Error> {
         // In the order of their ids, neighbours would be of one kind.
         let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
-        let captions: Vec<&[Token]> = order
-            .iter()
-            .map(|&clip| clips[clip].captions.first().map_or(&[][..], |c| &c.tokens))
-            .collect();
+        let words = |&clip: &usize| match clips[clip].captions.first() {
+            Some(caption) => caption.words(),
+            None => Cow::Borrowed(&[][..]),
+        };
+        let captions: Vec<Cow<[Token]>> = order.iter().map(words).collect();
+        let captions: Vec<&[Token]> = captions.iter().map(AsRef::as_ref).collect();
         let texts = self.text_embeddings(&captions);
         let in_order = |of: &[Features]| -> Result<_, Error> {
             let clips: Vec<&Features> = order.iter().map(|&clip| &of[clip]).collect();

@@ -1,0 +1,82 @@
+//! How well the encoders tell held-out clips apart.
+
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataKind, Dataset, ValidationSplit};
+use kinegrad_motion::metrics::text_motion::TextMotionReport;
+use serde_json::json;
+
+use super::TextMotion;
+use crate::error::Error;
+use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
+use crate::sampling::Subject;
+
+/// An evaluation of the encoders on the held-out clips themselves.
+///
+/// # Errors
+/// If the request does not apply, or nothing is held out.
+pub(super) fn prepare<'a>(
+    subject: &'a Subject,
+    request: &EvaluationRequest,
+) -> Result<Evaluate<'a>, Error> {
+    if request.trajectory.is_some() || request.listening {
+        let message = "`--trajectory-run` or `--listening` with a run of recipe `text_motion`";
+        return Err(Error::usage(
+            message,
+            "its encoders generate nothing: leave them out",
+        ));
+    }
+    let mut data = subject.config.data.clone();
+    if let Some(source) = &request.source {
+        data.kind = DataKind::Humanml3d;
+        data.source = Some(source.clone());
+        data.validation = ValidationSplit::default();
+    }
+    let dataset = Dataset::<Clip>::open(&data)?;
+    if dataset.validation.is_empty() {
+        let message = format!("no clip is held out for {}", subject.checkpoint.display());
+        let hint = "give a dataset that holds out some with `--source URI`";
+        return Err(Error::usage(message, hint));
+    }
+    let held_out = dataset.validation.load()?;
+    let (seed, frames) = (request.seed, data.target_frames);
+    Ok(Box::new(move |_| {
+        let evaluator = TextMotion::of_run(&subject.checkpoint, subject.weights, &subject.device)?;
+        let clips: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
+        let cut = clips.iter().map(|clip| {
+            let length = clip.features.frames().min(frames);
+            clip.features.slice(0..length)
+        });
+        let real: Vec<_> = cut.collect();
+        let report = evaluator.reports(&real, &real, &clips, seed)?.real;
+        let run = subject.config.run.name.clone();
+        Ok(Evaluated {
+            run: run.clone(),
+            report: "eval-text-motion",
+            json: json!({ "run": run, "seed": seed, "real": report }),
+            drawn: column(&report),
+            real: column(&report),
+            remarks: Vec::new(),
+        })
+    }))
+}
+
+fn column(report: &TextMotionReport) -> Column {
+    let numbers = report.rows().into_iter().map(|(name, value)| Number {
+        name: name.to_string(),
+        value,
+        line: Some((name.to_string(), value.map(|value| format!("{value:.4}")))),
+    });
+    Column {
+        facts: vec![
+            ("clips", Some(report.samples as u64)),
+            ("pools", Some(report.pools as u64)),
+        ],
+        groups: vec![Group {
+            key: "text_motion",
+            title: "",
+            numbers: numbers.collect(),
+        }],
+    }
+}

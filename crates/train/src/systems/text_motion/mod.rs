@@ -1,0 +1,107 @@
+//! Text-motion evaluators: encoders of clips and captions to embeddings that are close together
+//! where the caption describes the clip (docs/sources.md, section 4.12).
+//!
+//! Recipe `text_motion` trains them on a dataset of clips, so that models of the same clips can be
+//! measured where no published evaluator fits. [`TextMotion`] is one ready to use, of such a run or
+//! of published weights.
+
+mod config;
+mod evaluate;
+mod evaluator;
+mod networks;
+pub mod recipe;
+mod train;
+
+use kinegrad_motion::Representation;
+use kinegrad_settings::Key;
+use toml::Table;
+
+pub use config::{TextMotionLossConfig, TextMotionNetwork, TextMotionTables, WordsConfig};
+pub use evaluator::{TextMotion, TextMotionReports};
+
+use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::memory::Footprint;
+use crate::observer::Observer;
+use crate::recipe::RecipeInfo;
+use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::system::System;
+
+/// Name of the recipe.
+pub(super) const RECIPE: &str = "text_motion";
+
+const RECIPES: [RecipeInfo; 1] = [RecipeInfo {
+    name: RECIPE,
+    groups: &["encoders"],
+}];
+
+/// The system.
+pub struct TextMotionSystem;
+
+impl System for TextMotionSystem {
+    fn name(&self) -> &'static str {
+        "text_motion"
+    }
+
+    fn recipes(&self) -> &'static [RecipeInfo] {
+        &RECIPES
+    }
+
+    /// None of its own: its clips are those of the systems that generate them.
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        Vec::new()
+    }
+
+    fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
+        config::DEFAULTS.parse().expect("text of a program")
+    }
+
+    fn keys(&self) -> Vec<Key> {
+        TextMotionTables::keys()
+    }
+
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
+        Ok(TextMotionTables::read(tables, place)?.to_table())
+    }
+
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
+        config::validate(config)?;
+        Ok(Vec::new())
+    }
+
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
+        networks::parameter_count(config)
+    }
+
+    fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
+        networks::footprint(config)
+    }
+
+    fn sample(
+        &self,
+        subject: &Subject,
+        _: &Request,
+        _: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error> {
+        let name = &subject.config.run.name;
+        Err(Error::usage(
+            format!("`{name}` is a run of recipe `{RECIPE}`, which generates nothing"),
+            "sample a run of `gmd_motion`, and name this one when evaluating it: `--set \
+             evaluation.evaluator.run=RUN`",
+        ))
+    }
+
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error> {
+        evaluate::prepare(subject, request)
+    }
+
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(setup, observer)
+    }
+}

@@ -1,0 +1,77 @@
+//! The encoders of a config, and the vectors of its words.
+
+use burn::tensor::Device;
+use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_models::text_motion::{TextMotionConfig, TextMotionEncoders};
+use kinegrad_models::{Initializer, parameters};
+use kinegrad_motion::metrics::text_motion::{MAX_WORDS, WordVectors};
+
+use super::{TextMotionTables, WordsConfig};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+use crate::memory::Footprint;
+
+/// Channels of a frame that the encoders read: all but the contact flags.
+pub(super) fn channels(config: &Config) -> usize {
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    skeleton.layout().contacts().start
+}
+
+/// The word vectors of a config.
+///
+/// # Errors
+/// If there is a file that cannot be read.
+pub(super) fn word_vectors(words: &WordsConfig) -> Result<WordVectors, Error> {
+    Ok(match words.vectors.as_os_str().is_empty() {
+        true => WordVectors::drawn(words.width),
+        false => read_word_vectors(&words.vectors)?,
+    })
+}
+
+/// The sizes of the encoders for word vectors of `width`.
+pub(super) fn sizes(config: &Config, width: usize) -> Result<TextMotionConfig, Error> {
+    let own = TextMotionTables::of(config)?;
+    Ok(own.model.network.sizes().config(channels(config), width))
+}
+
+/// The encoders with fresh weights.
+pub(super) fn encoders(
+    config: &Config,
+    width: usize,
+    device: &Device,
+) -> Result<TextMotionEncoders, Error> {
+    let init = Initializer::new(config.run.seed, device);
+    Ok(sizes(config, width)?.init(&init))
+}
+
+/// Number of parameters.
+///
+/// # Errors
+/// If the word vectors cannot be read, whose width counts.
+pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
+    let words = word_vectors(&TextMotionTables::of(config)?.words)?;
+    // Parameters are lazy: no weight is drawn and no memory taken.
+    let encoders = encoders(config, words.width(), &Device::flex())?;
+    Ok(parameters::count(&encoders))
+}
+
+/// What training takes.
+///
+/// # Errors
+/// As [`parameter_count`].
+pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
+    let own = TextMotionTables::of(config)?;
+    let width = word_vectors(&own.words)?.width();
+    let sizes = sizes(config, width)?;
+    let (frames, words) = (config.data.target_frames, MAX_WORDS + 2);
+    let motion =
+        frames * (2 * sizes.convolution) + frames / 4 * (sizes.movement + 8 * sizes.motion_state);
+    let text = words * (2 * width + 8 * sizes.text_state);
+    Ok(Footprint {
+        parameters: parameter_count(config)? as u64,
+        activations: (motion + text) as u64,
+        passes: 1,
+        item: (sizes.channels * frames + (width + 1) * words) as u64,
+        shared: 0,
+    })
+}
