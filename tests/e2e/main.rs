@@ -32,5 +32,6 @@ mod songs;
 mod stages;
 mod style;
 mod targets;
+mod text_motion;
 mod train;
 mod view;

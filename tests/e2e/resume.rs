@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::text_motion::EVALUATOR;
 use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, wait_for};
 use serde_json::{Map, Value};
 
@@ -235,6 +236,13 @@ fn killed_runs_on_clips_end_the_same() {
             &format!("--set train.recipe={recipe} --set data.num_workers=1"),
         );
     }
+}
+
+#[test]
+fn killed_runs_of_evaluators_end_the_same() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", EVALUATOR);
+    check_kills_in(&sandbox, "--name smallest --set data.num_workers=1");
 }
 
 #[test]

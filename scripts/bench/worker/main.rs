@@ -47,6 +47,7 @@ use kinegrad_train::systems::cc_motion::recipes::{
     E2eDraws, E2eRecipe, Rollouts, diffusion_recipe,
 };
 use kinegrad_train::systems::cc_motion::{LossConfig, RolloutConfig};
+use kinegrad_train::systems::gmd::GmdLossConfig;
 use kinegrad_train::systems::gmd::recipes::clip_recipe;
 use kinegrad_train::{Loss, Recipe};
 use serde::Deserialize;
@@ -346,7 +347,11 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(network.init(&device)?, weights)?;
             let channels = network.motion_channels;
-            let recipe = clip_recipe(diffusion, channels, trajectory_scale, held_out);
+            let loss = GmdLossConfig {
+                trajectory_scale,
+                ..GmdLossConfig::default()
+            };
+            let recipe = clip_recipe(diffusion, channels, &loss, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.draws()?);
             let loss = move |recipe: &DenoisingRecipe<TextDenoiser>, model: &TextDenoiser| {
                 recipe.loss_of(model, batch.clone(), draws.clone())

@@ -62,6 +62,7 @@ fn golden_gmd_trajectory_loss(golden: Golden) {
                     of(&target),
                     masked,
                     &weights,
+                    0.0,
                     None,
                     LossType::Mse,
                 );
@@ -70,8 +71,15 @@ fn golden_gmd_trajectory_loss(golden: Golden) {
                 golden.bound(&name, (found / expected - 1.0).abs(), 1e-5);
             }
             literal(&golden, &name, &output, &target, k);
-            let loss =
-                weighted_masked_loss(output, target, mask.clone(), &weights, None, LossType::Mse);
+            let loss = weighted_masked_loss(
+                output,
+                target,
+                mask.clone(),
+                &weights,
+                0.0,
+                None,
+                LossType::Mse,
+            );
             let gradients = loss.backward();
             golden.get(&format!("grad.{name}.W")).assert_close_tensor(
                 "dW",
@@ -102,7 +110,8 @@ fn literal(golden: &Golden, name: &str, output: &Tensor<3>, target: &Tensor<3>, 
         for frame in 0..frames {
             let (output, target) = (of(output, sample, frame), of(target, sample, frame));
             let mask = Tensor::ones([1, 1], &output.device());
-            let loss = weighted_masked_loss(output, target, mask, &weights, None, LossType::Mse);
+            let loss =
+                weighted_masked_loss(output, target, mask, &weights, 0.0, None, LossType::Mse);
             found.push(f64::from(loss.into_scalar::<f32>()) * sum);
         }
     }

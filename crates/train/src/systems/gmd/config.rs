@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, must_suit};
+use kinegrad_diffusion::{DiffusionConfig, PredictionType, must_suit};
 use kinegrad_models::Backbone;
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::transformer::EncoderConfig;
@@ -52,12 +52,17 @@ pub struct GmdLossConfig {
     /// For motion models without a projection: the first four channels (root rotation, x, z and
     /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
+    /// Weight of the squared error of the differences between consecutive frames, beside that of
+    /// the frames: what shakes between them weighs more. For `prediction_type = "sample"`; 0 in the
+    /// paper. Small models shake without it.
+    pub velocity: f64,
 }
 
 impl Default for GmdLossConfig {
     fn default() -> Self {
         Self {
             trajectory_scale: 1.0,
+            velocity: 0.0,
         }
     }
 }
@@ -191,6 +196,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
+    in_range("loss.velocity", own.loss.velocity, 0.0..)?;
+    require(
+        own.loss.velocity == 0.0 || own.diffusion.prediction_type == PredictionType::Sample,
+        "loss.velocity",
+        own.loss.velocity,
+        "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
+    )?;
     let projects = own.emphasis.kind != EmphasisKind::None;
     require(
         !(name == RecipeName::Trajectory && projects),

@@ -47,7 +47,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         ClipSamples::new(clips, representation, statistics, channels, data, seed)
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-    let recipe = clip_recipe(diffusion, channels, own.loss.trajectory_scale, held_out)
+    let recipe = clip_recipe(diffusion, channels, &own.loss, held_out)
         .measuring_first(!own.init.diffusion.as_os_str().is_empty());
     setup.train(material, recipe, model, observer)
 }

@@ -75,7 +75,7 @@ impl TextMotion {
         if recipe != RECIPE {
             return Err(Error::usage(
                 format!("{} is of a run of recipe `{recipe}`", path.display()),
-                format!("an evaluator is a run of recipe `{RECIPE}`"),
+                format!("`evaluation.evaluator.run` takes a run of recipe `{RECIPE}`"),
             ));
         }
         let words = word_vectors(&TextMotionTables::of(&state.config)?.words)?;

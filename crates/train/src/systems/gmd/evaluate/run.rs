@@ -8,12 +8,12 @@ use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
 use super::{GoalSettings, GoalTask, evaluate_goals};
+use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::memory::must_fit;
 use crate::sampling::Subject;
-use crate::start::Start;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
@@ -75,9 +75,17 @@ pub fn prepare<'a>(
         must_draw_paths(path)?;
     }
     let trajectory = request.trajectory.clone();
-    let evaluator = match Start::named("evaluation.evaluator.run", &asked.evaluator.run)? {
-        Some(run) => Some(run.load(&subject.device, TextMotion::of_run)?),
-        None => {
+    let run = &asked.evaluator.run;
+    let evaluator = match run.as_os_str().is_empty() {
+        false => {
+            let checkpoint = resolve_checkpoint(run, |_| {})?;
+            Some(TextMotion::of_run(
+                &checkpoint,
+                Weights::Ema,
+                &subject.device,
+            )?)
+        }
+        true => {
             let files = asked.evaluator.is_given().then_some(&asked.evaluator);
             let read = |files| TextMotion::read(files, &subject.device);
             files.map(read).transpose()?

@@ -22,17 +22,19 @@ use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 
 use super::loss::clip_loss;
 use crate::denoising::{DenoisingRecipe, HeldOut, Inputs};
+use crate::systems::gmd::GmdLossConfig;
 
 /// Trains a [`TextDenoiser`] on clips of `channels`, whole motion or the root's way, over
 /// `diffusion`, validated on `held_out`. The noise of given draws is that of the network's space.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
-    trajectory_scale: f64,
+    loss: &GmdLossConfig,
     held_out: HeldOut,
 ) -> DenoisingRecipe<TextDenoiser> {
     let mut channel_weights = vec![1.0; channels];
-    channel_weights[..TRAJECTORY_CHANNELS].fill(trajectory_scale.powi(2));
+    channel_weights[..TRAJECTORY_CHANNELS].fill(loss.trajectory_scale.powi(2));
+    let velocity = loss.velocity;
     DenoisingRecipe::new(
         diffusion,
         held_out,
@@ -42,7 +44,15 @@ pub fn clip_recipe(
                 None => inputs.x_start,
             };
             let inputs = Inputs { x_start, ..inputs };
-            clip_loss(diffusion, model, inputs, draws, &channel_weights, weighted)
+            clip_loss(
+                diffusion,
+                model,
+                inputs,
+                draws,
+                &channel_weights,
+                velocity,
+                weighted,
+            )
         },
     )
     .averaging_samples()

@@ -18,13 +18,15 @@ use crate::recipe::Loss;
 ///
 /// with the distance of `diffusion.loss_type` and the weights w(t) of `diffusion.snr_gamma`, where
 /// it is `weighted`. Source: GMD's published program, which has squares and no w(t)
-/// (docs/sources.md, section 4.10).
+/// (docs/sources.md, section 4.10). To the sum of a frame comes `loss.velocity` times the squared
+/// error of its difference from the frame before it.
 pub fn clip_loss(
     diffusion: &GaussianDiffusion,
     model: &TextDenoiser,
     inputs: Inputs,
     draws: Draws,
     channel_weights: &[f64],
+    velocity: f64,
     weighted: bool,
 ) -> Loss {
     let weights = (weighted && diffusion.config.snr_gamma.is_some())
@@ -41,6 +43,7 @@ pub fn clip_loss(
                 target,
                 mask,
                 channel_weights,
+                velocity,
                 weights.as_deref(),
                 loss_type,
             )
@@ -59,6 +62,7 @@ pub fn weighted_masked_loss(
     target: Tensor<3>,
     mask: Tensor<2>,
     channel_weights: &[f64],
+    velocity: f64,
     weights: Option<&[f64]>,
     loss_type: LossType,
 ) -> Tensor<1> {
@@ -68,7 +72,16 @@ pub fn weighted_masked_loss(
     let shares: Vec<f32> = channel_weights.iter().map(|w| (w / sum) as f32).collect();
     let device = model_output.device();
     let shares: Tensor<3> = Tensor::from_data(TensorData::new(shares, [1, channels, 1]), &device);
-    let distances = elementwise(model_output, target, loss_type) * shares;
+    let mut distances = elementwise(model_output.clone(), target.clone(), loss_type);
+    if velocity > 0.0 && time > 1 {
+        let error = model_output - target;
+        let [later, earlier] = [1, 0].map(|first| error.clone().narrow(2, first, time - 1));
+        let change = (later - earlier).powi_scalar(2) * velocity;
+        // The first frame follows none. Of two real frames the second is real.
+        let first = Tensor::zeros([batch, channels, 1], &device);
+        distances = distances + Tensor::cat(vec![first, change], 2);
+    }
+    let distances = distances * shares;
     // In a fixed order, whatever the number of threads: channels, frames, then the batch.
     let frames = distances.sum_dim(1).reshape([batch, time]) * mask.clone();
     let real = mask.sum_dim(1).clamp_min(1.0);
