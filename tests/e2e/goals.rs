@@ -310,6 +310,15 @@ fn goals_are_taken_from_the_list_that_is_named() {
     let other = report("--seed 3");
     assert_ne!(error(&even), error(&validation));
     assert_ne!(error(&other), error(&validation));
+    // Two replications are those of two seeds.
+    let both = report("--set evaluation.replications=2");
+    let next = report("--seed 1");
+    let mean = (error(&validation) + error(&next)) / 2.0;
+    assert!((error(&both) - mean).abs() < 1e-12);
+    let half = (error(&validation) - error(&next)).abs() / 2.0;
+    let interval = both["drawn"]["interval"]["average_error"].as_f64();
+    assert!((interval.expect("an interval") - 1.96 * half / 2f64.sqrt()).abs() < 1e-12);
+    assert!(validation["drawn"]["interval"].is_null());
     // Without goals a clip does not depend on its batch.
     let free = "--set evaluation.keyframes=0";
     let together = report(free);

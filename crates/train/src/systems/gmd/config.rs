@@ -77,6 +77,9 @@ pub struct GmdEvaluationConfig {
     pub split: EvaluationSplit,
     /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
     pub batch_size: usize,
+    /// Evaluations, each with a seed of its own; the report has means and 95 % intervals of several.
+    /// The published evaluation has 20.
+    pub replications: usize,
     /// Keyframes per goal.
     pub keyframes: usize,
     /// Which frames are keyframes.
@@ -93,6 +96,7 @@ impl Default for GmdEvaluationConfig {
             goals: 20,
             split: EvaluationSplit::Validation,
             batch_size: 32,
+            replications: 1,
             keyframes: 5,
             keyframe_placement: KeyframePlacement::Random,
             obstacles: 0,
@@ -227,6 +231,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let evaluation = &own.evaluation;
     in_range("evaluation.goals", evaluation.goals, 1..)?;
     in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
+    in_range("evaluation.replications", evaluation.replications, 1..=1000)?;
     require(
         evaluation.split == EvaluationSplit::Validation || data.kind == DataKind::Humanml3d,
         "evaluation.split",

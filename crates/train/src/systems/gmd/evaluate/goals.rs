@@ -6,10 +6,12 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Joints, TEXT_CHANNELS};
+use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 
-use super::GoalTask;
+use super::{GoalTask, Replicated};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
@@ -33,6 +35,8 @@ pub struct GoalSettings {
     pub seed: u64,
     /// Clips that are drawn together. Guidance divides by the keyframes of a batch.
     pub batch_size: usize,
+    /// Evaluations, each with a seed of its own: this one and those after it.
+    pub replications: usize,
 }
 
 /// Results of an evaluation of goals.
@@ -49,16 +53,33 @@ pub struct GoalEvaluation {
     #[serde(flatten)]
     pub settings: GoalSettings,
     /// The generated clips.
-    pub drawn: GoalReport,
+    pub drawn: Replicated<GoalReport>,
     /// The held-out clips, by the same metrics.
-    pub real: GoalReport,
+    pub real: Replicated<GoalReport>,
     /// How they match their captions, if the evaluator is given.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub text_motion: Option<TextMotionReports>,
+    pub text_motion: Option<ReplicatedTextMotion>,
 }
 
-/// Generates one clip for each of the `held_out` and computes their metrics. The sample of a clip
-/// depends on the seed, its id and, with goals, on the batch that it is drawn in.
+/// How generated and real motion match their captions.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReplicatedTextMotion {
+    /// The generated clips.
+    pub drawn: Replicated<TextMotionReport>,
+    /// The held-out clips.
+    pub real: Replicated<TextMotionReport>,
+}
+
+/// One replication.
+struct Replication {
+    drawn: GoalReport,
+    real: GoalReport,
+    text_motion: Option<TextMotionReports>,
+}
+
+/// Generates one clip for each of the `held_out` and computes their metrics, in every replication.
+/// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is drawn
+/// in.
 ///
 /// # Errors
 /// As [`ClipGenerator::sample`].
@@ -70,7 +91,55 @@ pub fn evaluate_goals(
     evaluator: Option<&TextMotion>,
     on_step: &mut OnStep<'_>,
 ) -> Result<GoalEvaluation, Error> {
-    let (task, seed) = (&settings.task, settings.seed);
+    let count = settings.replications;
+    let mut replications = Vec::with_capacity(count);
+    for number in 0..count {
+        let seed = settings.seed + number as u64;
+        replications.push(replicate(
+            generator,
+            trajectory,
+            held_out,
+            settings,
+            seed,
+            evaluator,
+            &mut |stage, done, all| on_step(stage, number * all + done, count * all),
+        )?);
+    }
+    fn of<'a, T>(each: impl Iterator<Item = &'a T>) -> Replicated<T>
+    where
+        T: Clone + Serialize + DeserializeOwned + 'a,
+    {
+        Replicated::of(&each.cloned().collect::<Vec<T>>())
+    }
+    let text_motion: Option<Vec<&TextMotionReports>> = replications
+        .iter()
+        .map(|each| each.text_motion.as_ref())
+        .collect();
+    Ok(GoalEvaluation {
+        run: generator.config().run.name.clone(),
+        step: generator.step(),
+        trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
+        drawn: of(replications.iter().map(|each| &each.drawn)),
+        real: of(replications.iter().map(|each| &each.real)),
+        text_motion: text_motion.map(|each| ReplicatedTextMotion {
+            drawn: of(each.iter().map(|reports| &reports.drawn)),
+            real: of(each.iter().map(|reports| &reports.real)),
+        }),
+        settings: settings.clone(),
+    })
+}
+
+/// One replication, by `seed`.
+fn replicate(
+    generator: &ClipGenerator,
+    trajectory: Option<&ClipGenerator>,
+    held_out: &[Arc<Clip>],
+    settings: &GoalSettings,
+    seed: u64,
+    evaluator: Option<&TextMotion>,
+    on_step: &mut OnStep<'_>,
+) -> Result<Replication, Error> {
+    let task = &settings.task;
     let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
     let goals: Vec<Goal> = held_out.iter().map(goal).collect();
     let asks = task.keyframes + task.obstacles > 0;
@@ -110,10 +179,7 @@ pub fn evaluate_goals(
         }
         _ => None,
     };
-    Ok(GoalEvaluation {
-        run: generator.config().run.name.clone(),
-        step: generator.step(),
-        trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
+    Ok(Replication {
         drawn: drawn.report(generator, &goals, &real),
         real: GoalReport {
             // From itself it is none: the distance that as many clips of the same kind have.
@@ -121,7 +187,6 @@ pub fn evaluate_goals(
             ..real.report(generator, &goals, &real)
         },
         text_motion,
-        settings: settings.clone(),
     })
 }
 

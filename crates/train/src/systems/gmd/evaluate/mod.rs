@@ -1,10 +1,12 @@
 //! Evaluation of position control and of text-motion alignment.
 
 mod goals;
+mod replications;
 mod run;
 mod task;
 
 pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, evaluate_goals};
+pub use replications::Replicated;
 pub(super) use run::prepare;
 pub use task::{GoalTask, KeyframePlacement};

@@ -7,7 +7,7 @@ use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{GoalSettings, GoalTask, evaluate_goals};
+use super::{GoalSettings, GoalTask, Replicated, evaluate_goals};
 use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::config::SystemTables;
 use crate::error::Error;
@@ -101,6 +101,7 @@ pub fn prepare<'a>(
         sampling: subject.config.sampling.clone(),
         seed: request.seed,
         batch_size: asked.batch_size,
+        replications: asked.replications,
     };
     // The two are compared: neither replaces the other's report.
     let report = match trajectory {
@@ -120,8 +121,8 @@ pub fn prepare<'a>(
             on_step,
         )?;
         if let Some(reports) = &evaluation.text_motion {
-            remarks.push(format!("{}: {}", evaluation.run, reports.drawn));
-            remarks.push(format!("held out: {}", reports.real));
+            remarks.push(format!("{}: {}", evaluation.run, reports.drawn.mean));
+            remarks.push(format!("held out: {}", reports.real.mean));
         }
         Ok(Evaluated {
             run: evaluation.run.clone(),
@@ -134,13 +135,21 @@ pub fn prepare<'a>(
     }))
 }
 
-fn column(step: Option<u64>, report: &GoalReport) -> Column {
-    let numbers = report.rows().into_iter().map(|(name, value, unit)| Number {
+fn column(step: Option<u64>, report: &Replicated<GoalReport>) -> Column {
+    let intervals = match &report.interval {
+        Some(interval) => interval.rows().map(|(_, value, _)| value),
+        None => [None; 10],
+    };
+    let numbers = report.mean.rows().into_iter().zip(intervals);
+    let numbers = numbers.map(|((name, value, unit), interval)| Number {
         name: name.to_string(),
         value,
         line: Some((
             format!("{name}{unit}"),
-            value.map(|value| format!("{value:.4}")),
+            value.map(|value| match interval {
+                Some(interval) => format!("{value:.4} ±{interval:.4}"),
+                None => format!("{value:.4}"),
+            }),
         )),
     });
     Column {

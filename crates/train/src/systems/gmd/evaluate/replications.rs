@@ -1,0 +1,95 @@
+//! Several evaluations that differ in their seed, as one.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value, from_value, to_value};
+
+/// Of a standard normal distribution, 95 % lies within so many deviations.
+const DEVIATIONS: f64 = 1.96;
+
+/// Reports of replications: their means, and half the width of the 95 % interval of each mean.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Replicated<T> {
+    /// The mean of each metric. Counts are those of the first report.
+    #[serde(flatten)]
+    pub mean: T,
+    /// By how much each mean may be off, where there are several: 1.96 standard deviations of the
+    /// values, divided by the square root of their number, as in the published program.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub interval: Option<T>,
+}
+
+impl<T: Serialize + DeserializeOwned> Replicated<T> {
+    /// The reports as one. A metric that one of them lacks is missing.
+    ///
+    /// # Panics
+    /// Panics if there is no report, or a report is no plain struct of numbers.
+    pub fn of(reports: &[T]) -> Self {
+        let tables = reports.iter().map(|report| match to_value(report) {
+            Ok(Value::Object(table)) => table,
+            _ => panic!("a report is a struct"),
+        });
+        let tables: Vec<Map<String, Value>> = tables.collect();
+        let combined = |of: &dyn Fn(&[f64]) -> f64| -> T {
+            let combine = |(key, first): (&String, &Value)| {
+                let values = tables.iter().map(|table| table.get(key)?.as_f64());
+                let value = match values.collect::<Option<Vec<f64>>>() {
+                    _ if first.is_u64() => first.clone(),
+                    Some(values) => of(&values).into(),
+                    None => Value::Null,
+                };
+                (key.clone(), value)
+            };
+            let table: Map<String, Value> = tables[0].iter().map(combine).collect();
+            from_value(Value::Object(table)).expect("a report of the same kind")
+        };
+        Self {
+            mean: combined(&mean),
+            interval: (reports.len() > 1).then(|| combined(&interval)),
+        }
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn interval(values: &[f64]) -> f64 {
+    let (mean, count) = (mean(values), values.len() as f64);
+    let variance = values
+        .iter()
+        .map(|value| (value - mean).powi(2))
+        .sum::<f64>()
+        / count;
+    DEVIATIONS * variance.sqrt() / count.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::metrics::GoalReport;
+
+    use super::*;
+
+    #[test]
+    fn metrics_are_averaged_and_counts_are_not() {
+        let report = |error, jerk| GoalReport {
+            samples: 7,
+            average_error: Some(error),
+            jerk,
+            ..GoalReport::default()
+        };
+        let reports = [
+            report(1.0, Some(4.0)),
+            report(3.0, None),
+            report(2.0, Some(2.0)),
+        ];
+        let all = Replicated::of(&reports);
+        assert_eq!(all.mean, report(2.0, None));
+        let interval = all.interval.expect("several");
+        let expected = 1.96 * (2.0f64 / 3.0).sqrt() / 3.0f64.sqrt();
+        assert!((interval.average_error.unwrap() - expected).abs() < 1e-12);
+        assert_eq!((interval.samples, interval.jerk), (7, None));
+        let one = Replicated::of(&reports[..1]);
+        assert_eq!((one.mean, one.interval), (reports[0].clone(), None));
+    }
+}
