@@ -75,6 +75,8 @@ def test_metrics_of_bodies():
     sliding[:, 10, 0] = np.arange(5)
     sliding[3:, 10, 1] = 1.0
     assert metrics.foot_skating(sliding, 20.0) == pytest.approx(0.5)
+    sliding[1:, 10, 0] -= 0.9
+    assert metrics.foot_sliding(sliding, 20.0) == pytest.approx(0.5)
     assert metrics.foot_skating(sliding, 20.0, feet=[11]) == 0.0
     with pytest.raises(kinegrad.UsageError, match="joint 22"):
         metrics.foot_skating(sliding, 20.0, feet=[22])

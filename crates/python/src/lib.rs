@@ -34,8 +34,8 @@ mod _kinegrad {
     use super::dataset::{Batches, Dataset, abandon};
     #[pymodule_export]
     use super::metrics::{
-        beat_alignment, diversity, foot_skating, frechet_distance, jerk, kinematic_beats,
-        trajectory_features,
+        beat_alignment, diversity, foot_skating, foot_sliding, frechet_distance, jerk,
+        kinematic_beats, trajectory_features,
     };
     #[pymodule_export]
     use super::runs::{evaluate, open_run, read_metrics};

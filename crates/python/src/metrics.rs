@@ -1,6 +1,9 @@
 //! Metrics of motion.
 
-use kinegrad_motion::metrics::{self, FeatureMoments, feature_diversity, mean_jerk, skating_ratio};
+use kinegrad_motion::humanml::Joints;
+use kinegrad_motion::metrics::{
+    self, FeatureMoments, feature_diversity, mean_jerk, skating_ratio, sliding_ratio,
+};
 use kinegrad_motion::{CHANNELS, Motion, Statistics};
 use kinegrad_train::Error;
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
@@ -10,7 +13,7 @@ use crate::arrays::{double, shape_and_values};
 use crate::calls::call;
 use crate::skeletons::{joints, skeleton_of};
 
-/// Share of the frames in which a foot that stands slides.
+/// Share of the frames in which a foot that stands skates.
 #[pyfunction]
 pub fn foot_skating(
     py: Python<'_>,
@@ -18,7 +21,32 @@ pub fn foot_skating(
     fps: f64,
     feet: Option<Vec<usize>>,
 ) -> PyResult<Option<f64>> {
-    let (shape, values) = shape_and_values(&positions);
+    of_feet(py, &positions, feet, |joints, feet| {
+        skating_ratio(joints, fps, feet)
+    })
+}
+
+/// Share of the frames in which a foot that stands slides.
+#[pyfunction]
+pub fn foot_sliding(
+    py: Python<'_>,
+    positions: PyReadonlyArrayDyn<'_, f64>,
+    fps: f64,
+    feet: Option<Vec<usize>>,
+) -> PyResult<Option<f64>> {
+    of_feet(py, &positions, feet, |joints, feet| {
+        sliding_ratio(joints, fps, feet)
+    })
+}
+
+/// A measure of the toes, or of other joints.
+fn of_feet(
+    py: Python<'_>,
+    positions: &PyReadonlyArrayDyn<'_, f64>,
+    feet: Option<Vec<usize>>,
+    measure: impl Fn(&Joints, &[usize]) -> Option<f64> + Send,
+) -> PyResult<Option<f64>> {
+    let (shape, values) = shape_and_values(positions);
     call(py, || {
         let joints = joints(&shape, &values)?;
         let feet = match feet {
@@ -35,7 +63,7 @@ pub fn foot_skating(
                 "give the indices of the toes",
             ));
         }
-        Ok(skating_ratio(&joints, fps, &feet))
+        Ok(measure(&joints, &feet))
     })
 }
 

@@ -4,7 +4,10 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FeatureMoments, feature_diversity, frechet_distance, mean, mean_jerk, skating_ratio};
+use super::{
+    FeatureMoments, feature_diversity, frechet_distance, mean, mean_jerk, skating_ratio,
+    sliding_ratio,
+};
 use crate::goal::Goal;
 use crate::humanml::Joints;
 
@@ -66,8 +69,11 @@ pub struct GoalReport {
     pub location_error_50cm: Option<f64>,
     /// Mean distance from all motions' keyframes, metres.
     pub average_error: Option<f64>,
-    /// Mean over motions of [`skating_ratio`].
+    /// Mean over motions of [`skating_ratio`], as published.
     pub foot_skating: Option<f64>,
+    /// Mean over motions of [`sliding_ratio`], which counts single quick steps too.
+    #[serde(default)]
+    pub foot_sliding: Option<f64>,
     /// Mean over motions of [`mean_jerk`], metres per second cubed.
     pub jerk: Option<f64>,
     /// Share of the frames of all motions with obstacles in which the root is inside of one.
@@ -117,6 +123,7 @@ impl GoalReport {
             location_error_50cm: missed_keyframes(0.5),
             average_error: mean(all.iter().copied().map(Some)),
             foot_skating: mean(bodies().map(|joints| skating_ratio(joints, fps, feet))),
+            foot_sliding: mean(bodies().map(|joints| sliding_ratio(joints, fps, feet))),
             jerk: mean(bodies().map(|joints| mean_jerk(joints, fps))),
             inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| known),
             diversity: None,
@@ -145,7 +152,7 @@ impl GoalReport {
     }
 
     /// The metrics in the order in which they print, each with its name and unit.
-    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 10] {
+    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 11] {
         [
             ("trajectory error, 20 cm", self.trajectory_error_20cm, ""),
             ("trajectory error, 50 cm", self.trajectory_error_50cm, ""),
@@ -153,6 +160,7 @@ impl GoalReport {
             ("location error, 50 cm", self.location_error_50cm, ""),
             ("average error", self.average_error, " m"),
             ("foot skating", self.foot_skating, ""),
+            ("foot sliding", self.foot_sliding, ""),
             ("mean jerk", self.jerk, " m/s^3"),
             ("inside obstacles", self.inside_obstacles, ""),
             ("diversity", self.diversity, ""),
@@ -269,7 +277,10 @@ mod tests {
             ..sliding
         };
         let report = GoalReport::compute(&[sliding, standing, sample(&goal, &ground)], 2.0, &[0]);
-        assert_eq!(report.foot_skating, Some(0.5));
+        assert_eq!(
+            (report.foot_skating, report.foot_sliding),
+            (Some(0.5), Some(0.5))
+        );
         assert_eq!(report.jerk, Some(0.0));
         let features = |shift: f64| vec![vec![shift], vec![shift + 2.0]];
         let report = report.with_features(&features(0.0), &features(3.0), 9, 0);

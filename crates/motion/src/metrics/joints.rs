@@ -16,7 +16,7 @@ pub const SKATING_SPEED: f64 = 0.5;
 ///
 /// # Panics
 /// Panics if a foot is not among the joints.
-pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
+pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     let steps = joints.frames() - 1;
     let slides = |t: usize, foot: usize| {
         let (here, there) = (joints.frame(t)[foot], joints.frame(t + 1)[foot]);
@@ -25,6 +25,60 @@ pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     };
     let slid = (0..steps).filter(|&t| feet.iter().any(|&foot| slides(t, foot)));
     (steps > 0).then(|| slid.count() as f64 / steps as f64)
+}
+
+/// Foot skating as the published evaluation computes it: the share of the steps from one frame to
+/// the next in which one of the `feet` is below [`SKATING_HEIGHT`] in both frames and moves
+/// horizontally faster than [`SKATING_SPEED`], both in that step and on average over it and the two
+/// steps on either side; steps beyond the ends count as still (docs/sources.md, section 4.13).
+/// `None` for fewer than two frames.
+///
+/// # Panics
+/// Panics if a foot is not among the joints.
+pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
+    let speeds: Vec<Vec<SkatingStep>> = feet
+        .iter()
+        .map(|&foot| skating_steps(joints, fps, foot))
+        .collect();
+    let steps = joints.frames() - 1;
+    let skates = |t: &usize| speeds.iter().any(|foot| foot[*t].skates());
+    (steps > 0).then(|| (0..steps).filter(skates).count() as f64 / steps as f64)
+}
+
+/// A step of a foot from one frame to the next.
+#[derive(Clone, Copy, Debug)]
+pub struct SkatingStep {
+    /// Whether the foot is on the ground in both frames.
+    pub contact: bool,
+    /// Horizontal speed, metres per second.
+    pub speed: f64,
+    /// The mean of the speed of five steps, this one in the middle.
+    pub mean_speed: f64,
+}
+
+impl SkatingStep {
+    fn skates(self) -> bool {
+        self.contact && self.speed > SKATING_SPEED && self.mean_speed > SKATING_SPEED
+    }
+}
+
+/// The steps of a foot, as [`skating_ratio`] sees them.
+///
+/// # Panics
+/// Panics if the foot is not among the joints.
+pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep> {
+    let track = joints.track(foot);
+    let speed = |pair: &[[f64; 3]]| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]) * fps;
+    let speeds: Vec<f64> = track.windows(2).map(speed).collect();
+    let step = |(t, &speed): (usize, &f64)| {
+        let around = &speeds[t.saturating_sub(2)..speeds.len().min(t + 3)];
+        SkatingStep {
+            contact: track[t][1] < SKATING_HEIGHT && track[t + 1][1] < SKATING_HEIGHT,
+            speed,
+            mean_speed: around.iter().sum::<f64>() / 5.0,
+        }
+    };
+    speeds.iter().enumerate().map(step).collect()
 }
 
 /// Mean over joints and frames of the Euclidean norm of the third difference of position times the
@@ -55,7 +109,7 @@ mod tests {
         ];
         let ratio = |fps, feet: &[usize]| {
             let joints = Joints::new(positions.as_flattened().to_vec(), 3).unwrap();
-            skating_ratio(&joints, fps, feet)
+            sliding_ratio(&joints, fps, feet)
         };
         assert_eq!(ratio(20.0, &[1, 2]), Some(0.5));
         assert_eq!(ratio(20.0, &[1]), Some(0.25));
@@ -64,10 +118,37 @@ mod tests {
         assert_eq!(ratio(20.0, &[0]), Some(0.0));
         assert_eq!(ratio(20.0, &[]), Some(0.0));
         let one = Joints::new(positions[0].to_vec(), 3).unwrap();
-        assert_eq!(skating_ratio(&one, 20.0, &[1]), None);
+        assert_eq!(sliding_ratio(&one, 20.0, &[1]), None);
         // Of positions that are not finite there are no joints.
         let nan = [[0.0, f64::NAN, 0.0], [0.0; 3]];
         assert!(Joints::new(nan.to_vec(), 1).is_err());
+    }
+
+    #[test]
+    fn a_single_quick_step_slides_and_does_not_skate() {
+        // One joint on the ground; half a metre a second is 2.5 cm a frame.
+        let ratio = |steps: &[f64]| {
+            let mut x = 0.0;
+            let mut places = vec![[0.0; 3]];
+            for step in steps {
+                x += step;
+                places.push([x, 0.0, 0.0]);
+            }
+            let joints = Joints::new(places, 1).unwrap();
+            [
+                skating_ratio(&joints, 20.0, &[0]),
+                sliding_ratio(&joints, 20.0, &[0]),
+            ]
+        };
+        let quick = [0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(ratio(&quick), [Some(0.0), Some(1.0 / 8.0)]);
+        let slide = [0.0, 0.0, 0.05, 0.05, 0.05, 0.05, 0.05, 0.0];
+        // The mean of the second and of the last but one is 4 cm, of the outer ones 3 cm.
+        assert_eq!(ratio(&slide), [Some(5.0 / 8.0); 2]);
+        // A slow step in the middle does not skate itself.
+        let slide = [0.05, 0.05, 0.01, 0.05, 0.05];
+        assert_eq!(ratio(&slide), [Some(4.0 / 5.0); 2]);
+        assert_eq!(ratio(&[]), [None; 2]);
     }
 
     #[test]

@@ -16,14 +16,19 @@ mod goal;
 mod joints;
 mod phase;
 pub mod text_motion;
+mod variety;
 
 pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats, speed_peaks};
 pub use bootstrap::Estimate;
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
 pub use goal::{GoalReport, GoalSample, inside_obstacles, keyframe_distances};
-pub use joints::{SKATING_HEIGHT, SKATING_SPEED, mean_jerk, skating_ratio};
+pub use joints::{
+    SKATING_HEIGHT, SKATING_SPEED, SkatingStep, mean_jerk, skating_ratio, skating_steps,
+    sliding_ratio,
+};
 pub use phase::phase_error;
+pub use variety::{mean_pair_distance, multimodality, replication_interval, trajectory_diversity};
 
 use std::ops::Range;
 

@@ -3,7 +3,7 @@
 use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
 use crate::humanml::kinematics::minus;
 use crate::humanml::{Joints, Skeleton};
-use crate::metrics::{mean_jerk, skating_ratio};
+use crate::metrics::{mean_jerk, sliding_ratio};
 use crate::rotation::length;
 use crate::{Error, Statistics};
 
@@ -78,7 +78,7 @@ fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
 }
 
 fn skating(joints: &Joints, skeleton: &Skeleton, fps: f64) -> Option<Check> {
-    let ratio = skating_ratio(joints, fps, &skeleton.contact_joints())?;
+    let ratio = sliding_ratio(joints, fps, &skeleton.contact_joints())?;
     Some(Check::new(
         "skating",
         ratio,

@@ -14,6 +14,7 @@ __all__ = [
     "beat_alignment",
     "diversity",
     "foot_skating",
+    "foot_sliding",
     "frechet_distance",
     "jerk",
     "kinematic_beats",
@@ -24,7 +25,8 @@ __all__ = [
 def foot_skating(
     positions: ArrayLike, fps: float, feet: Sequence[int] | None = None
 ) -> float | None:
-    """Share of the steps from frame to frame in which a toe below 5 cm moves faster than 0.5 m/s.
+    """Share of the steps from frame to frame in which a toe below 5 cm moves faster than 0.5 m/s,
+    and does so on average over five steps: the published measure.
 
     Args:
         positions: Joint positions `[T, J, 3]` in metres, +y up.
@@ -33,6 +35,20 @@ def foot_skating(
     """
     toes = None if feet is None else list(feet)
     return _kinegrad.foot_skating(np.asarray(positions, dtype=np.float64), fps, toes)
+
+
+def foot_sliding(
+    positions: ArrayLike, fps: float, feet: Sequence[int] | None = None
+) -> float | None:
+    """Share of the steps from frame to frame in which a toe below 5 cm moves faster than 0.5 m/s.
+
+    Args:
+        positions: Joint positions `[T, J, 3]` in metres, +y up.
+        fps: Frames per second.
+        feet: Indices of the toes; by default those of the 22 or 21 joints of HumanML3D or KIT-ML.
+    """
+    toes = None if feet is None else list(feet)
+    return _kinegrad.foot_sliding(np.asarray(positions, dtype=np.float64), fps, toes)
 
 
 def jerk(positions: ArrayLike, fps: float) -> float | None:

@@ -8,6 +8,7 @@ mod goals;
 mod guidance;
 mod guidance_loss;
 mod imputation;
+mod metrics;
 mod networks;
 mod p_sample;
 mod schedule;
@@ -26,6 +27,7 @@ pub fn tests() -> Vec<GoldenTest> {
         guidance::tests(),
         guidance_loss::tests(),
         imputation::tests(),
+        metrics::tests(),
         networks::tests(),
         p_sample::tests(),
         schedule::tests(),

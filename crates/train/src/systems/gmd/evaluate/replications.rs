@@ -1,11 +1,9 @@
 //! Several evaluations that differ in their seed, as one.
 
+use kinegrad_motion::metrics::replication_interval;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, from_value, to_value};
-
-/// Of a standard normal distribution, 95 % lies within so many deviations.
-const DEVIATIONS: f64 = 1.96;
 
 /// Reports of replications: their means, and half the width of the 95 % interval of each mean.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -13,8 +11,7 @@ pub struct Replicated<T> {
     /// The mean of each metric. Counts are those of the first report.
     #[serde(flatten)]
     pub mean: T,
-    /// By how much each mean may be off, where there are several: 1.96 standard deviations of the
-    /// values, divided by the square root of their number, as in the published program.
+    /// The [`replication_interval`] of each, where there are several.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<T>,
 }
@@ -45,23 +42,13 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
         };
         Self {
             mean: combined(&mean),
-            interval: (reports.len() > 1).then(|| combined(&interval)),
+            interval: (reports.len() > 1).then(|| combined(&replication_interval)),
         }
     }
 }
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
-}
-
-fn interval(values: &[f64]) -> f64 {
-    let (mean, count) = (mean(values), values.len() as f64);
-    let variance = values
-        .iter()
-        .map(|value| (value - mean).powi(2))
-        .sum::<f64>()
-        / count;
-    DEVIATIONS * variance.sqrt() / count.sqrt()
 }
 
 #[cfg(test)]

@@ -138,7 +138,7 @@ pub fn prepare<'a>(
 fn column(step: Option<u64>, report: &Replicated<GoalReport>) -> Column {
     let intervals = match &report.interval {
         Some(interval) => interval.rows().map(|(_, value, _)| value),
-        None => [None; 10],
+        None => [None; 11],
     };
     let numbers = report.mean.rows().into_iter().zip(intervals);
     let numbers = numbers.map(|((name, value, unit), interval)| Number {
