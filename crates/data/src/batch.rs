@@ -14,6 +14,9 @@ pub const TEXT: &str = "text";
 /// number of its part of speech plus 1, which is 0 where there is no word.
 pub const WORDS: &str = "words";
 
+/// Name of the number that clips share which have the same captions, `[1, 1]`.
+pub const CAPTIONS: &str = "captions";
+
 /// Samples of one length. Flat arrays in row-major order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {

@@ -64,7 +64,7 @@ pub use kinegrad_motion::MAX_FRAMES;
 
 pub use atomic::write as write_whole;
 pub use audio_layout::{AudioGroup, AudioLayout, check_groups};
-pub use batch::{AUDIO, Batch, Condition, ConditionRows, SampleShape, TEXT, WORDS};
+pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
     StoreConfig, SyntheticConfig, ValidationSplit,

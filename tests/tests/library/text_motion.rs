@@ -12,7 +12,7 @@ use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{TextMotionReport, Token, WordVectors};
 use kinegrad_tests::weights;
 use kinegrad_train::Error;
-use kinegrad_train::systems::gmd::evaluate::TextMotion;
+use kinegrad_train::systems::text_motion::TextMotion;
 
 /// Of embeddings and metrics, absolute.
 const TOLERANCE: f64 = 1e-5;

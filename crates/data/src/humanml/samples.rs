@@ -8,7 +8,7 @@ use kinegrad_motion::metrics::text_motion::{MAX_WORDS, PartOfSpeech, WordVectors
 use kinegrad_motion::{JointFeatures, Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
 
-use crate::batch::{ConditionRows, SampleShape, TEXT, WORDS};
+use crate::batch::{CAPTIONS, ConditionRows, SampleShape, TEXT, WORDS};
 use crate::loader::Samples;
 use crate::{Batch, Crop, DataConfig, Error};
 
@@ -64,7 +64,8 @@ impl ClipSamples {
         }
     }
 
-    /// The same with the [`WORDS`] of captions in place of their embeddings.
+    /// The same with the [`WORDS`] of captions in place of their embeddings, and which clips have the
+    /// same [`CAPTIONS`].
     #[must_use]
     pub fn with_words(self, words: Arc<WordVectors>) -> Self {
         Self {
@@ -87,7 +88,7 @@ impl Samples for ClipSamples {
             channels: self.channels,
             frames: self.target_frames,
             conditions: match &self.words {
-                Some(words) => vec![(WORDS, words.width() + 1, MAX_WORDS + 2)],
+                Some(words) => vec![(WORDS, words.width() + 1, MAX_WORDS + 2), (CAPTIONS, 1, 1)],
                 None => vec![(TEXT, TEXT_CHANNELS, 1)],
             },
         }
@@ -131,6 +132,7 @@ impl Samples for ClipSamples {
         let features = clip.features.slice(first..first + length);
         let features = features.with_root(self.representation.root);
         let words;
+        let same = [captions_number(clip)];
         let text = match &self.words {
             Some(vectors) => {
                 let tokens = caption.map(Caption::words).unwrap_or_default();
@@ -150,8 +152,23 @@ impl Samples for ClipSamples {
                 range: 0..1,
             },
         };
-        batch.push(&clip.id, features.as_slice(), &self.statistics, &[text]);
+        let captions = ConditionRows {
+            values: &same,
+            frames: 1,
+            range: 0..1,
+        };
+        let conditions = [text, captions];
+        let conditions = &conditions[..self.shape().conditions.len()];
+        batch.push(&clip.id, features.as_slice(), &self.statistics, conditions);
     }
+}
+
+/// A number that clips with the same captions share; of 24 bits, which a float holds.
+fn captions_number(clip: &Clip) -> f32 {
+    let texts = clip.captions.iter().map(|caption| caption.text.as_str());
+    let texts = texts.collect::<Vec<_>>().join("\n");
+    let number = Key::new(0, Purpose::WordVectors).named(&texts).seed();
+    (number & 0xff_ffff) as f32
 }
 
 /// The words of a sentence as [`WORDS`] are.
@@ -337,6 +354,22 @@ mod tests {
         let batch = all.collate(0..clips.len()).unwrap();
         let words = &batch.conditions[0];
         assert_eq!((words.name, words.channels, words.frames), (WORDS, 7, 22));
+        let same = &batch.conditions[1];
+        assert_eq!((same.name, same.channels, same.frames), (CAPTIONS, 1, 1));
+        let texts = |clip: &Clip| {
+            clip.captions
+                .iter()
+                .map(|c| c.text.clone())
+                .collect::<Vec<_>>()
+        };
+        let mut alike = 0;
+        for (a, first) in clips.iter().zip(&same.values) {
+            for (b, second) in clips.iter().zip(&same.values) {
+                assert_eq!(first == second, texts(a) == texts(b));
+                alike += usize::from(first == second);
+            }
+        }
+        assert!(alike < clips.len().pow(2), "clips with other captions");
         let mut lengths = BTreeSet::new();
         for (clip, rows) in clips.iter().zip(words.values.chunks(7 * 22)) {
             let sentence = vectors.sentence(&clip.captions[0].words());

@@ -7,11 +7,11 @@
 //!
 //! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
 //! (Guo et al. 2022, section 5) takes one other motion for each caption; here all pairs of the
-//! batch are taken, and those of equal captions belong together. The movement encoder is trained
-//! with the others, not before them.
+//! batch are taken, and a caption belongs to all clips that have the captions of its own clip. The
+//! movement encoder is trained with the others, not before them.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use kinegrad_data::{Batch, WORDS};
+use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
 use kinegrad_models::text_motion::TextMotionEncoders;
 
 use crate::denoising::HeldOut;
@@ -46,7 +46,7 @@ impl ContrastiveRecipe {
         let lengths = batch.mask.chunks(batch.frames);
         let lengths = lengths.map(|mask| mask.iter().filter(|&&valid| valid > 0.0).count());
         let motions = model.motions(frames, &lengths.collect::<Vec<_>>());
-        contrast(texts, motions, &captions.together(), self.margin)
+        contrast(texts, motions, &together(batch), self.margin)
     }
 }
 
@@ -91,8 +91,7 @@ struct Captions {
 
 impl Captions {
     fn of(batch: &Batch) -> Self {
-        let condition = batch.conditions.iter().find(|each| each.name == WORDS);
-        let condition = condition.expect("samples with words");
+        let condition = condition(batch, WORDS);
         let (words, width) = (condition.frames, condition.channels - 1);
         let (mut vectors, mut classes) = (Vec::new(), Vec::new());
         let mut lengths = Vec::with_capacity(batch.batch_size);
@@ -120,13 +119,18 @@ impl Captions {
         let classes = Tensor::<2, Int>::from_data(classes, device);
         model.texts(Tensor::from_data(vectors, device), classes, &self.lengths)
     }
+}
 
-    /// Of each pair whether its captions are equal.
-    fn together(&self) -> Vec<bool> {
-        let captions: Vec<_> = self.vectors.chunks(self.words * self.width).collect();
-        let of = |first| captions.iter().map(move |second| first == second);
-        captions.iter().flat_map(of).collect()
-    }
+/// Of each pair whether its clips have the same captions.
+fn together(batch: &Batch) -> Vec<bool> {
+    let captions = &condition(batch, CAPTIONS).values;
+    let of = |first| captions.iter().map(move |second| first == second);
+    captions.iter().flat_map(of).collect()
+}
+
+fn condition<'a>(batch: &'a Batch, name: &str) -> &'a Condition {
+    let found = batch.conditions.iter().find(|each| each.name == name);
+    found.expect("samples with words")
 }
 
 impl Recipe for ContrastiveRecipe {
