@@ -69,6 +69,7 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
         .run(&format!("train c.toml --set train.max_steps=2 {same}"))
         .succeeded();
     let eval = "eval runs/smallest --json --steps 2 --set evaluation.goals=33 \
+                --set evaluation.variety_clips=2 --set evaluation.variety_repeats=3 \
                 --set evaluation.keyframes=0 --set evaluation.evaluator.run=runs/evaluator";
     let measured = report(&sandbox, eval);
     let of = |side: &str| {
@@ -79,6 +80,15 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
     // Two steps of training: nothing is drawn that a caption describes.
     assert!(of("real") > of("drawn"), "{} {}", of("real"), of("drawn"));
     assert_eq!(measured["text_motion"]["real"]["samples"], 33);
+
+    let variety = &measured["variety"];
+    assert_eq!(
+        (&variety["conditions"], &variety["repeats"]),
+        (&2.into(), &3.into())
+    );
+    for metric in ["trajectory_diversity", "multimodality"] {
+        assert!(variety[metric].as_f64() > Some(0.0), "{metric}");
+    }
 
     let files = "eval runs/smallest --set evaluation.evaluator.run=runs/smallest";
     sandbox.run(files).failed(

@@ -80,6 +80,11 @@ pub struct GmdEvaluationConfig {
     /// Evaluations, each with a seed of its own; the report has means and 95 % intervals of several.
     /// The published evaluation has 20.
     pub replications: usize,
+    /// Number of held-out clips of which several are drawn, for trajectory diversity and
+    /// multimodality; 0 for neither. The published evaluation has 100.
+    pub variety_clips: usize,
+    /// How many are drawn of each.
+    pub variety_repeats: usize,
     /// Keyframes per goal.
     pub keyframes: usize,
     /// Which frames are keyframes.
@@ -97,6 +102,8 @@ impl Default for GmdEvaluationConfig {
             split: EvaluationSplit::Validation,
             batch_size: 32,
             replications: 1,
+            variety_clips: 0,
+            variety_repeats: 30,
             keyframes: 5,
             keyframe_placement: KeyframePlacement::Random,
             obstacles: 0,
@@ -232,6 +239,11 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range("evaluation.goals", evaluation.goals, 1..)?;
     in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
     in_range("evaluation.replications", evaluation.replications, 1..=1000)?;
+    in_range(
+        "evaluation.variety_repeats",
+        evaluation.variety_repeats,
+        2..=1000,
+    )?;
     require(
         evaluation.split == EvaluationSplit::Validation || data.kind == DataKind::Humanml3d,
         "evaluation.split",

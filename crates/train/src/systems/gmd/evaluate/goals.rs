@@ -1,6 +1,6 @@
 //! How well models of clips reach goals taken from held-out clips.
 
-use std::iter::repeat;
+use std::iter::{repeat, repeat_n};
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
@@ -11,7 +11,7 @@ use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_d
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{GoalTask, Replicated};
+use super::{GoalTask, Replicated, VarietyReport};
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
@@ -37,6 +37,10 @@ pub struct GoalSettings {
     pub batch_size: usize,
     /// Evaluations, each with a seed of its own: this one and those after it.
     pub replications: usize,
+    /// Number of clips of which several are drawn, to see how much they differ; 0 for none.
+    pub variety_clips: usize,
+    /// How many are drawn of each.
+    pub variety_repeats: usize,
 }
 
 /// Results of an evaluation of goals.
@@ -59,6 +63,9 @@ pub struct GoalEvaluation {
     /// How they match their captions, if the evaluator is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_motion: Option<ReplicatedTextMotion>,
+    /// How much several clips of one condition differ, where that is asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub variety: Option<Replicated<VarietyReport>>,
 }
 
 /// How generated and real motion match their captions.
@@ -75,6 +82,7 @@ struct Replication {
     drawn: GoalReport,
     real: GoalReport,
     text_motion: Option<TextMotionReports>,
+    variety: Option<VarietyReport>,
 }
 
 /// Generates one clip for each of the `held_out` and computes their metrics, in every replication.
@@ -115,7 +123,12 @@ pub fn evaluate_goals(
         .iter()
         .map(|each| each.text_motion.as_ref())
         .collect();
+    let variety: Option<Vec<&VarietyReport>> = replications
+        .iter()
+        .map(|each| each.variety.as_ref())
+        .collect();
     Ok(GoalEvaluation {
+        variety: variety.map(|each| of(each.into_iter())),
         run: generator.config().run.name.clone(),
         step: generator.step(),
         trajectory_run: trajectory.map(|t| t.config().run.name.clone()),
@@ -145,26 +158,44 @@ fn replicate(
     let asks = task.keyframes + task.obstacles > 0;
     let frames = goals.iter().map(|goal| goal.frames).max().unwrap_or(0);
     let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
-    let batches = clips.chunks(settings.batch_size);
-    let count = batches.len();
-    let mut samples = Vec::with_capacity(clips.len());
-    for (batch, clips) in batches.enumerate() {
-        let requests = clips.iter().map(|(clip, goal)| ClipRequest {
-            goal: asks.then(|| Goal::clone(goal)),
-            text: embedding(clip),
+    let draw = |clips: &[(&Arc<Clip>, &Goal)], repeats: usize, on_step: &mut OnStep<'_>| {
+        let all = clips.iter().flat_map(|(clip, goal)| {
+            let request = ClipRequest {
+                goal: asks.then(|| Goal::clone(goal)),
+                text: embedding(clip),
+            };
+            repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
         });
-        let noise = clips
-            .iter()
-            .flat_map(|(clip, _)| keys(item_seed(seed, &clip.id), 1));
-        samples.extend(generator.sample_keyed(
-            trajectory,
-            &requests.collect::<Vec<_>>(),
-            frames,
-            &settings.sampling,
-            &noise.collect::<Vec<_>>(),
-            &mut |stage, done, all| on_step(stage, batch * all + done, count * all),
-        )?);
-    }
+        let (requests, noise): (Vec<_>, Vec<_>) = all.unzip();
+        let batches = requests.chunks(settings.batch_size);
+        let count = batches.len();
+        let mut samples = Vec::with_capacity(requests.len());
+        for (batch, (requests, noise)) in batches.zip(noise.chunks(settings.batch_size)).enumerate()
+        {
+            samples.extend(generator.sample_keyed(
+                trajectory,
+                requests,
+                frames,
+                &settings.sampling,
+                noise,
+                &mut |stage, done, all| on_step(stage, batch * all + done, count * all),
+            )?);
+        }
+        Ok::<_, Error>(samples)
+    };
+    let samples = draw(&clips, 1, on_step)?;
+    let varied = &clips[..settings.variety_clips.min(clips.len())];
+    let variety = match varied.is_empty() {
+        true => None,
+        false => {
+            let repeats = settings.variety_repeats;
+            let goals: Vec<&Goal> = varied.iter().map(|(_, goal)| *goal).collect();
+            let samples = draw(varied, repeats, on_step)?;
+            Some(VarietyReport::compute(
+                &samples, &goals, repeats, evaluator, seed,
+            )?)
+        }
+    };
     let real = clips.iter().map(|(clip, goal)| {
         let features = clip.features.slice(0..goal.frames).to_absolute();
         GeneratedClip::of(features)
@@ -187,6 +218,7 @@ fn replicate(
             ..real.report(generator, &goals, &real)
         },
         text_motion,
+        variety,
     })
 }
 

@@ -4,9 +4,11 @@ mod goals;
 mod replications;
 mod run;
 mod task;
+mod variety;
 
 pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, evaluate_goals};
 pub use replications::Replicated;
 pub(super) use run::prepare;
 pub use task::{GoalTask, KeyframePlacement};
+pub use variety::VarietyReport;

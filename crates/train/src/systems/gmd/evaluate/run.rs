@@ -7,7 +7,7 @@ use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
-use super::{GoalSettings, GoalTask, Replicated, evaluate_goals};
+use super::{GoalSettings, GoalTask, Replicated, VarietyReport, evaluate_goals};
 use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::config::SystemTables;
 use crate::error::Error;
@@ -66,7 +66,8 @@ pub fn prepare<'a>(
         ));
     }
     let frames = drawn_frames(&subject.config, data.target_frames);
-    let together = asked.batch_size.min(held_out.len());
+    let repeated = asked.variety_clips.min(held_out.len()) * asked.variety_repeats;
+    let together = asked.batch_size.min(held_out.len().max(repeated));
     let networks = footprint(&subject.config, frames)?;
     let needed = networks.of_sampling(together, true, subject.on_host);
     let hint = "draw for fewer goals together: `evaluation.batch_size`";
@@ -102,6 +103,8 @@ pub fn prepare<'a>(
         seed: request.seed,
         batch_size: asked.batch_size,
         replications: asked.replications,
+        variety_clips: asked.variety_clips,
+        variety_repeats: asked.variety_repeats,
     };
     // The two are compared: neither replaces the other's report.
     let report = match trajectory {
@@ -124,24 +127,58 @@ pub fn prepare<'a>(
             remarks.push(format!("{}: {}", evaluation.run, reports.drawn.mean));
             remarks.push(format!("held out: {}", reports.real.mean));
         }
+        // Real motion has one clip of each condition.
+        let none = evaluation.variety.as_ref().map(|variety| Replicated {
+            mean: VarietyReport {
+                trajectory_diversity: None,
+                multimodality: None,
+                ..variety.mean
+            },
+            interval: None,
+        });
         Ok(Evaluated {
             run: evaluation.run.clone(),
             report,
             json: to_value(&evaluation).expect("plain data"),
-            drawn: column(Some(evaluation.step), &evaluation.drawn),
-            real: column(None, &evaluation.real),
+            drawn: column(
+                Some(evaluation.step),
+                &evaluation.drawn,
+                evaluation.variety.as_ref(),
+            ),
+            real: column(None, &evaluation.real, none.as_ref()),
             remarks,
         })
     }))
 }
 
-fn column(step: Option<u64>, report: &Replicated<GoalReport>) -> Column {
-    let intervals = match &report.interval {
-        Some(interval) => interval.rows().map(|(_, value, _)| value),
-        None => [None; 11],
-    };
-    let numbers = report.mean.rows().into_iter().zip(intervals);
-    let numbers = numbers.map(|((name, value, unit), interval)| Number {
+fn column(
+    step: Option<u64>,
+    report: &Replicated<GoalReport>,
+    variety: Option<&Replicated<VarietyReport>>,
+) -> Column {
+    let interval = report.interval.as_ref();
+    let goals = group("goals", &report.mean.rows(), interval.map(GoalReport::rows));
+    let variety = variety.map(|report| {
+        let interval = report.interval.as_ref();
+        group(
+            "variety",
+            &report.mean.rows(),
+            interval.map(VarietyReport::rows),
+        )
+    });
+    Column {
+        facts: vec![("step", step)],
+        groups: [goals].into_iter().chain(variety).collect(),
+    }
+}
+
+/// A metric: its name, its value and its unit.
+type Row = (&'static str, Option<f64>, &'static str);
+
+fn group<const N: usize>(key: &'static str, means: &[Row; N], interval: Option<[Row; N]>) -> Group {
+    let intervals = interval.map_or([None; N], |rows| rows.map(|(_, value, _)| value));
+    let numbers = means.iter().zip(intervals);
+    let numbers = numbers.map(|(&(name, value, unit), interval)| Number {
         name: name.to_string(),
         value,
         line: Some((
@@ -152,12 +189,9 @@ fn column(step: Option<u64>, report: &Replicated<GoalReport>) -> Column {
             }),
         )),
     });
-    Column {
-        facts: vec![("step", step)],
-        groups: vec![Group {
-            key: "goals",
-            title: "",
-            numbers: numbers.collect(),
-        }],
+    Group {
+        key,
+        title: "",
+        numbers: numbers.collect(),
     }
 }
