@@ -43,6 +43,7 @@ fn described(record: &Value) -> (Vec<String>, String) {
         ("source", "--source"),
         ("audio_features", "--cond"),
         ("trajectory", "--trajectory-run"),
+        ("text", "--text"),
         ("text_embedding", "--text-embedding"),
     ] {
         if let Some(value) = text(&condition[key]) {

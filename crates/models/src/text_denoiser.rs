@@ -3,11 +3,13 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
+use crate::layers::Embedding;
 use crate::transformer::{Encoder, EncoderConfig};
 use crate::{Initializer, Stages};
 
@@ -71,11 +73,15 @@ enum Network {
 }
 
 /// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`,
-/// those of the backbone, and `projection.matrix` if it works in a projected space.
+/// those of the backbone, `embed_captions.weight` if it learns an embedding of each caption, and
+/// `projection.matrix` if it works in a projected space.
 ///
-/// The condition is the text's pooled feature `[batch, 512, 1]`; zeros stand for no text.
+/// The condition is the text's pooled feature `[batch, 512, 1]`, or with
+/// [captions](Self::with_captions) `[batch, captions, 1]`, 1 in the place of the caption and 0
+/// elsewhere. Zeros stand for no text.
 #[derive(Module, Debug)]
 pub struct TextDenoiser {
+    embed_captions: Option<Embedding>,
     flat_conditioner: Conditioner,
     flat_network: Network,
     projection: Option<Projection>,
@@ -106,10 +112,23 @@ impl TextDenoiser {
             }
         };
         Ok(Self {
+            embed_captions: None,
             flat_conditioner: Conditioner::new(width, init),
             flat_network: network,
             projection: None,
         })
+    }
+
+    /// The same network, conditioned on one of so many captions, of which it learns an embedding
+    /// each: `[captions, 512]`, of variance 1 at first.
+    #[must_use]
+    pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
+        let init = init.at("embed_captions");
+        let table = Embedding::new(captions, TEXT_CHANNELS, &init).with_unit_variance(&init);
+        Self {
+            embed_captions: Some(table),
+            ..self
+        }
     }
 
     /// The same network, working in the space of `matrix`, `[channels, channels]` row by row, on
@@ -136,7 +155,7 @@ impl TextDenoiser {
     /// # Shapes
     /// - x_t, output: `[batch, channels, time]`, in the network's own space; a UNet takes at most
     ///   its padded length
-    /// - text: `[batch, 512, 1]`
+    /// - text: `[batch, 512, 1]`, or `[batch, captions, 1]`
     ///
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
@@ -156,6 +175,10 @@ impl TextDenoiser {
         text: Tensor<3>,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
+        let text = match &self.embed_captions {
+            Some(table) => table.mixed(text.squeeze_dim(2)).unsqueeze_dim(2),
+            None => text,
+        };
         let cond = self.flat_conditioner.forward(time, text);
         match &self.flat_network {
             Network::Unet(network) => network.forward(x_t, cond, stages),

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kinegrad_cli::checkpoint;
-use kinegrad_data::humanml::{Clip, ClipSamples};
+use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, ClipSamples};
 use kinegrad_data::{Batch, DataConfig, DataKind, Item, ItemSet, Loader};
 use kinegrad_data::{Phrase, PhraseSamples};
 use kinegrad_motion::{CHANNELS, Representation, Statistics};
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::State;
-use kinegrad_train::config::Config;
+use kinegrad_train::config::{Config, SystemTables as _};
 use kinegrad_train::systems::{BUILT_IN, gmd};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -31,7 +31,15 @@ pub struct Dataset {
 /// The items of a side.
 enum Items {
     Phrases(ItemSet<Phrase>),
-    Clips(Box<kinegrad_data::Dataset<Clip>>, ItemSet<Clip>),
+    Clips(Box<Clips>),
+}
+
+/// The clips of a side, with the dataset that they are of.
+struct Clips {
+    dataset: kinegrad_data::Dataset<Clip>,
+    items: ItemSet<Clip>,
+    /// What captions are to the model, where they are labels.
+    labels: Option<CaptionLabels>,
 }
 
 #[pymethods]
@@ -53,7 +61,7 @@ impl Dataset {
     fn __len__(&self) -> usize {
         match &self.items {
             Items::Phrases(items) => items.len(),
-            Items::Clips(_, items) => items.len(),
+            Items::Clips(clips) => clips.items.len(),
         }
     }
 
@@ -61,7 +69,7 @@ impl Dataset {
     fn ids(&self) -> Vec<String> {
         match &self.items {
             Items::Phrases(items) => items.ids().map(String::from).collect(),
-            Items::Clips(_, items) => items.ids().map(String::from).collect(),
+            Items::Clips(clips) => clips.items.ids().map(String::from).collect(),
         }
     }
 
@@ -80,7 +88,7 @@ impl Dataset {
     fn fps(&self) -> f64 {
         match &self.items {
             Items::Phrases(_) => kinegrad_motion::FPS,
-            Items::Clips(dataset, _) => dataset.representation.fps(),
+            Items::Clips(clips) => clips.dataset.representation.fps(),
         }
     }
 
@@ -111,7 +119,8 @@ impl Dataset {
                 )?;
                 item.set_item("audio", audio)?;
             }
-            Items::Clips(dataset, items) => {
+            Items::Clips(clips) => {
+                let Clips { dataset, items, .. } = &**clips;
                 let clip = call(py, || Ok(items.get(position)?))?;
                 let rows = clip.rows(&dataset.representation);
                 let shape = [clip.frames(), dataset.representation.channels()];
@@ -202,11 +211,16 @@ impl Dataset {
                     true => dataset.train.clone(),
                     false => dataset.validation.clone(),
                 };
+                let labels = labels_of(&config, &dataset)?;
                 Ok(Self {
                     config,
                     statistics,
                     warnings: dataset.warnings.clone(),
-                    items: Items::Clips(Box::new(dataset), items),
+                    items: Items::Clips(Box::new(Clips {
+                        dataset,
+                        items,
+                        labels,
+                    })),
                 })
             }
         }
@@ -220,12 +234,17 @@ impl Dataset {
                 let samples = PhraseSamples::new(items.clone(), statistics, data, seed);
                 Loader::new(samples, data, seed, first)
             }
-            Items::Clips(dataset, items) => {
+            Items::Clips(clips) => {
+                let Clips {
+                    dataset,
+                    items,
+                    labels,
+                } = &**clips;
                 let representation = dataset.representation.clone();
                 // Without a recipe of clips, all of the channels.
                 let channels = gmd::channels_of(&self.config);
                 let channels = channels.unwrap_or_else(|_| representation.channels());
-                let samples = ClipSamples::new(
+                let mut samples = ClipSamples::new(
                     items.clone(),
                     representation,
                     statistics,
@@ -233,10 +252,35 @@ impl Dataset {
                     data,
                     seed,
                 );
+                if let Some(labels) = labels {
+                    samples = samples.with_labels(labels.clone());
+                }
                 Loader::new(samples, data, seed, first)
             }
         }
     }
+}
+
+/// What captions are to a model of `config`, where they are labels: those that the config states,
+/// else those of the training clips.
+fn labels_of(
+    config: &Config,
+    dataset: &kinegrad_data::Dataset<Clip>,
+) -> Result<Option<CaptionLabels>, Error> {
+    if config.data.humanml3d.text != CaptionText::Labels {
+        return Ok(None);
+    }
+    let stated = gmd::GmdConfig::of(config).map(|own| own.text.captions);
+    let captions = match stated.unwrap_or_default() {
+        none if none.is_empty() => {
+            let found = dataset
+                .train
+                .captions_with_progress(&*until_interrupted())?;
+            found.into_keys().collect()
+        }
+        stated => stated,
+    };
+    Ok(Some(CaptionLabels::new(captions)))
 }
 
 /// What normalises the batches: the statistics of the run, if there is one, else of the dataset.

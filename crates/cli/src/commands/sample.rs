@@ -72,6 +72,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             beats: arguments.beats.known(),
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
+            text: arguments.text,
             text_embedding: arguments.text_embedding,
             given,
             style: arguments.style.as_deref().map(Style::parse).transpose()?,

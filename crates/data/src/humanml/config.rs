@@ -32,10 +32,13 @@ pub struct Humanml3dConfig {
     pub max_frames: usize,
     /// Sample lengths are multiples of this.
     pub unit_frames: usize,
+    /// What a model is told of a caption.
+    pub text: CaptionText,
     /// File within the dataset with the embeddings of the captions; empty, or absent, where the
-    /// model is not conditioned on text.
+    /// model is not conditioned on text. Not read with `text = "labels"`.
     pub text_embeddings: String,
-    /// Whether a clip without captions is a bad one; by default, where there are embeddings.
+    /// Whether a clip without captions is a bad one; by default, where there are embeddings or
+    /// captions are labels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub captions: Option<CaptionRule>,
 }
@@ -51,6 +54,7 @@ impl Default for Humanml3dConfig {
             min_frames: 40,
             max_frames: 200,
             unit_frames: 4,
+            text: CaptionText::Embeddings,
             text_embeddings: "text_embeddings.safetensors".to_owned(),
             captions: None,
         }
@@ -91,6 +95,18 @@ impl fmt::Display for SkeletonName {
     }
 }
 
+/// What a model is told of a caption.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptionText {
+    /// Its embedding by a text encoder, from the file `text_embeddings`: any sentence can be asked
+    /// for.
+    Embeddings,
+    /// Which of the distinct captions it is. The model learns an embedding of each, for datasets
+    /// with few captions; no other sentence can be asked for.
+    Labels,
+}
+
 /// What becomes of a clip without captions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -108,6 +124,11 @@ impl Humanml3dConfig {
             skeleton: self.skeleton.skeleton(),
             root: self.root,
         }
+    }
+
+    /// Whether captions come with embeddings.
+    pub(super) fn reads_embeddings(&self) -> bool {
+        self.text == CaptionText::Embeddings && !self.text_embeddings.is_empty()
     }
 }
 

@@ -13,10 +13,10 @@ use crate::loader::Samples;
 use crate::{Batch, Crop, DataConfig, Error};
 
 use super::clip::NO_EMBEDDING;
-use super::{Caption, Clip, ClipSet};
+use super::{Caption, CaptionLabels, Clip, ClipSet};
 
-/// Samples of clips, conditioned on the embedding of a caption: as long as whole units of
-/// `data.humanml3d.unit_frames` allow.
+/// Samples of clips, conditioned on a caption, by its embedding or [as a label](Self::with_labels):
+/// as long as whole units of `data.humanml3d.unit_frames` allow.
 #[derive(Clone, Debug)]
 pub struct ClipSamples {
     clips: ClipSet,
@@ -26,6 +26,7 @@ pub struct ClipSamples {
     target_frames: usize,
     unit_frames: usize,
     crop: Crop,
+    labels: Option<CaptionLabels>,
     seed: u64,
     words: Option<Arc<WordVectors>>,
 }
@@ -59,6 +60,7 @@ impl ClipSamples {
             target_frames: config.target_frames,
             unit_frames: config.humanml3d.unit_frames,
             crop: config.crop,
+            labels: None,
             seed,
             words: None,
         }
@@ -72,6 +74,22 @@ impl ClipSamples {
             words: Some(words),
             ..self
         }
+    }
+
+    /// The same, conditioned on which of `labels` the caption is; one that is not among them is no
+    /// caption.
+    #[must_use]
+    pub fn with_labels(self, labels: CaptionLabels) -> Self {
+        Self {
+            labels: Some(labels),
+            ..self
+        }
+    }
+
+    /// Channels of the condition on a caption.
+    fn text_channels(&self) -> usize {
+        let labels = self.labels.as_ref();
+        labels.map_or(TEXT_CHANNELS, |labels| labels.captions().len())
     }
 }
 
@@ -89,7 +107,7 @@ impl Samples for ClipSamples {
             frames: self.target_frames,
             conditions: match &self.words {
                 Some(words) => vec![(WORDS, words.width() + 1, MAX_WORDS + 2), (CAPTIONS, 1, 1)],
-                None => vec![(TEXT, TEXT_CHANNELS, 1)],
+                None => vec![(TEXT, self.text_channels(), 1)],
             },
         }
     }
@@ -131,20 +149,29 @@ impl Samples for ClipSamples {
             };
         let features = clip.features.slice(first..first + length);
         let features = features.with_root(self.representation.root);
-        let words;
+        let values;
         let same = [captions_number(clip)];
-        let text = match &self.words {
-            Some(vectors) => {
+        let text = match (&self.words, &self.labels) {
+            (Some(vectors), _) => {
                 let tokens = caption.map(Caption::words).unwrap_or_default();
                 let sentence = vectors.sentence(&tokens);
-                words = by_channel(&sentence, vectors.width());
+                values = by_channel(&sentence, vectors.width());
                 ConditionRows {
-                    values: &words,
+                    values: &values,
                     frames: sentence.len(),
                     range: 0..sentence.len(),
                 }
             }
-            None => ConditionRows {
+            (None, Some(labels)) => {
+                let row = caption.and_then(|caption| labels.row(&caption.text));
+                values = labels.values(row);
+                ConditionRows {
+                    values: &values,
+                    frames: 1,
+                    range: 0..1,
+                }
+            }
+            (None, None) => ConditionRows {
                 values: caption
                     .and_then(|caption| caption.embedding.as_deref())
                     .unwrap_or(&NO_EMBEDDING),

@@ -12,7 +12,7 @@ use super::clip::ClipFiles;
 use super::embeddings::Embeddings;
 use super::lists::read_lists;
 use super::synthetic::Walks;
-use super::{CaptionRule, Clip, statistics, synthetic_id};
+use super::{CaptionRule, CaptionText, Clip, statistics, synthetic_id};
 
 impl Listable for Clip {
     fn survey(config: &DataConfig) -> Result<Survey<Self>, Error> {
@@ -30,7 +30,7 @@ impl Listable for Clip {
 
 /// Walks, which the rule of the config divides.
 fn made_up(config: &DataConfig) -> Result<Survey<Clip>, Error> {
-    let conditional = !config.humanml3d.text_embeddings.is_empty();
+    let conditional = config.humanml3d.reads_embeddings();
     let split = Split::new(&config.validation)?;
     let mut listed = Listed::made_up(config.synthetic.phrases, synthetic_id);
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
@@ -55,7 +55,10 @@ fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
     listed.truncate(config.num_phrases.unwrap_or(usize::MAX));
     let representation = humanml3d.representation();
     let given = statistics::given(&files, &representation)?;
-    let embeddings = read_embeddings(&files, &humanml3d.text_embeddings, &mut warnings)?;
+    let embeddings = match humanml3d.reads_embeddings() {
+        true => read_embeddings(&files, &humanml3d.text_embeddings, &mut warnings)?,
+        false => None,
+    };
     let (given, fingerprint) = match given {
         Some((statistics, [mean, std])) => (Some(statistics), format!("{mean}{std}")),
         None => (None, String::new()),
@@ -69,7 +72,7 @@ fn files(config: &DataConfig) -> Result<Survey<Clip>, Error> {
             skeleton: representation.skeleton.clone(),
             captions_required: match humanml3d.captions {
                 Some(rule) => rule == CaptionRule::Required,
-                None => embeddings.is_some(),
+                None => embeddings.is_some() || humanml3d.text == CaptionText::Labels,
             },
             embeddings,
             min_frames: humanml3d.min_frames,
@@ -86,9 +89,6 @@ fn read_embeddings(
     path: &str,
     warnings: &mut Vec<String>,
 ) -> Result<Option<Embeddings>, Error> {
-    if path.is_empty() {
-        return Ok(None);
-    }
     let name = files.store.name_of(path);
     match files.find(path, MAX_TENSOR_BYTES)? {
         Some((bytes, digest)) => Ok(Some(Embeddings::parse(&bytes, &name, digest)?)),

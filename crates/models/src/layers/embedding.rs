@@ -18,6 +18,25 @@ impl Embedding {
         }
     }
 
+    /// The same with new rows, whose numbers have variance 1.
+    #[must_use]
+    pub fn with_unit_variance(self, init: &Initializer) -> Self {
+        let [things, features] = self.weight.lazy_shape().dims();
+        Self {
+            weight: init.bounded("weight", [things, features], 3f64.sqrt()),
+        }
+    }
+
+    /// The sum of all rows, each times its share: the row of a thing where that has 1 and all others
+    /// 0, and zeros where all have 0.
+    ///
+    /// # Shapes
+    /// - shares: `[rows, things]`
+    /// - output: `[rows, features]`
+    pub fn mixed(&self, shares: Tensor<2>) -> Tensor<2> {
+        shares.matmul(self.weight.val())
+    }
+
     /// # Shapes
     /// - indices: `[rows]`
     /// - output: `[rows, features]`

@@ -213,7 +213,8 @@ fn explain(place: Place<'_>, path: &str, message: &str) -> ConfigError {
     }
 }
 
-fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
+/// The one of `allowed` that is most like `found`, if one is like it.
+pub(crate) fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
     let similar = |name: &&'a str| (strsim::jaro_winkler(found, name), *name);
     let near = allowed.iter().map(similar).filter(|near| near.0 > 0.75);
     near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)

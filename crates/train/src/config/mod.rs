@@ -19,8 +19,8 @@ mod tables;
 pub use difference::{Difference, difference};
 pub use document::{Place, to_toml};
 pub(crate) use document::{
-    apply, from_table, lay_over, line_of, must_be_finite, must_be_tables, not_among, place,
-    start_of,
+    apply, from_table, lay_over, line_of, must_be_finite, must_be_tables, nearest, not_among,
+    place, start_of,
 };
 pub use error::ConfigError;
 pub use model::{ModelTable, NetworkKind};

@@ -148,6 +148,9 @@ pub struct Condition {
     /// Checkpoint of the trajectory model that generated the ground path.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<PathBuf>,
+    /// Text.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub text: Option<String>,
     /// Text embedding, `FILE#KEY`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_embedding: Option<String>,

@@ -43,6 +43,8 @@ pub struct Conditions {
     pub goals: Vec<PathBuf>,
     /// Checkpoint of the trajectory model that generates the ground path in a first stage.
     pub trajectory: Option<PathBuf>,
+    /// Text, in words.
+    pub text: Option<String>,
     /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
     /// Frames of a phrase that the sample has as they are.
@@ -80,7 +82,7 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 10] {
+    fn given(&self) -> [(&'static str, bool); 11] {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
@@ -89,6 +91,7 @@ impl Conditions {
             ("--audio", self.song.is_some()),
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
+            ("--text", self.text.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
             (
                 "--continue-from",
@@ -105,11 +108,11 @@ impl Conditions {
     fn validate(&self) -> Result<(), Error> {
         let given = self.given();
         let is_given = |name: &str| given.iter().any(|(known, given)| *known == name && *given);
-        for (one, other) in CONTRADICTORY {
+        for (kind, one, other) in CONTRADICTORY {
             if is_given(one) && is_given(other) {
                 return Err(Error::usage(
                     format!("`{one}` with `{other}`"),
-                    "a motion has one audio condition: leave out one of the two",
+                    format!("a motion has one {kind} condition: leave out one of the two"),
                 ));
             }
         }
@@ -162,13 +165,14 @@ impl Conditions {
     }
 }
 
-/// Conditions that exclude each other.
-const CONTRADICTORY: [(&str, &str); 5] = [
-    ("--cond", "--phrase"),
-    ("--cond", "--source"),
-    ("--audio", "--cond"),
-    ("--audio", "--phrase"),
-    ("--audio", "--source"),
+/// Conditions that exclude each other, with what they are conditions on.
+const CONTRADICTORY: [(&str, &str, &str); 6] = [
+    ("audio", "--cond", "--phrase"),
+    ("audio", "--cond", "--source"),
+    ("audio", "--audio", "--cond"),
+    ("audio", "--audio", "--phrase"),
+    ("audio", "--audio", "--source"),
+    ("text", "--text", "--text-embedding"),
 ];
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
+use super::text::GmdTextConfig;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
 
@@ -26,6 +27,8 @@ pub struct GmdConfig {
     pub init: GmdInitConfig,
     /// The denoiser.
     pub model: ModelTable<Backbone>,
+    /// What the model knows of captions.
+    pub text: GmdTextConfig,
     /// The emphasis projection of a motion model.
     pub emphasis: EmphasisConfig,
     /// The diffusion process.
@@ -204,6 +207,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         let allowed = "nothing for models of clips, which have no style";
         require(false, key, value, allowed).hint("leave the key out")?;
     }
+    own.text.validate(data)?;
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;

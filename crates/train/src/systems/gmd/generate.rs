@@ -19,7 +19,7 @@ use kinegrad_diffusion::{
 use kinegrad_kernels::batch_invariant;
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::Goal;
-use kinegrad_motion::humanml::{Features, Root, TEXT_CHANNELS};
+use kinegrad_motion::humanml::{Features, Root};
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range, in_words, must_be_finite, must_be_tables, require};
 use toml::Table;
@@ -29,6 +29,7 @@ use super::networks::{TrainedClips, channels_of};
 use super::recipe_name::RecipeName;
 use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
+use super::text::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;
@@ -48,8 +49,8 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 pub struct ClipRequest {
     /// Position control of the root.
     pub goal: Option<Goal>,
-    /// Pooled text feature, 512 values; unconditional if `None`.
-    pub text: Option<Vec<f32>>,
+    /// The text; unconditional if `None`.
+    pub text: Option<ClipText>,
 }
 
 /// One clip.
@@ -112,6 +113,7 @@ pub struct ClipGenerator {
     tracked: TextDenoiser,
     diffusion: GaussianDiffusion,
     space: FeatureSpace,
+    text: TextInput,
     state: State,
     channels: usize,
     /// Maximum number of frames of the network.
@@ -142,6 +144,7 @@ impl ClipGenerator {
                 projection.as_ref(),
                 device,
             ),
+            text: TextInput::of(&state.config)?,
             state,
             channels,
             longest: own.model.network.longest(),
@@ -187,8 +190,8 @@ impl ClipGenerator {
     /// 4.9). So the first frames of a clip do not depend on `frames`.
     ///
     /// # Errors
-    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, or one
-    /// of the models cannot follow goals.
+    /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
+    /// models cannot follow goals, or does not know a text.
     pub fn sample_keyed(
         &self,
         trajectory: Option<&Self>,
@@ -198,7 +201,7 @@ impl ClipGenerator {
         keys: &[NoiseKey],
         on_step: &mut OnStep<'_>,
     ) -> Result<Vec<GeneratedClip>, Error> {
-        let texts: Vec<Option<&[f32]>> = requests.iter().map(|r| r.text.as_deref()).collect();
+        let texts: Vec<Option<&ClipText>> = requests.iter().map(|r| r.text.as_ref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
         let goals = goals.unwrap_or_default();
         let own = drawn_frames(self.config(), frames);
@@ -269,7 +272,7 @@ impl ClipGenerator {
     /// Motion in the network's space, steered to an aim if there is one.
     fn draw(
         &self,
-        texts: &[Option<&[f32]>],
+        texts: &[Option<&ClipText>],
         aim: Option<Aim<'_>>,
         frames: usize,
         sampling: &SamplingConfig,
@@ -289,16 +292,21 @@ impl ClipGenerator {
             .collect();
         let data = TensorData::new(values, [batch, channels, frames]);
         let start = Tensor::from_data(data, &self.device);
-        let text = texts.iter().flat_map(|text| match text {
-            Some(text) => text.to_vec(),
-            None => vec![0.0; TEXT_CHANNELS],
-        });
-        let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, TEXT_CHANNELS, 1]);
+        let told = |text: &Option<&ClipText>| match text {
+            Some(text) => self.text.values(text),
+            None => Ok(None),
+        };
+        let texts: Vec<Option<Vec<f32>>> = texts.iter().map(told).collect::<Result<_, _>>()?;
+        let is_told = texts.iter().any(Option::is_some);
+        let values = self.text.channels();
+        let text = texts.into_iter();
+        let text = text.flat_map(|text| text.unwrap_or_else(|| vec![0.0; values]));
+        let data = TensorData::new(text.collect::<Vec<f32>>(), [batch, values, 1]);
         let cond = Tensor::from_data(data, &self.device);
         let steering = &sampling.steering;
         let sampler = SamplerConfig {
             // Without any text both passes of the guidance are the same one.
-            guidance_scale: match texts.iter().any(Option::is_some) {
+            guidance_scale: match is_told {
                 true => sampling.sampler.guidance_scale,
                 false => 0.0,
             },

@@ -6,11 +6,11 @@ use burn::tensor::Device;
 use kinegrad_models::{Initializer, TextDenoiser, parameters};
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
-use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
+use super::text::TextInput;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
@@ -43,7 +43,11 @@ pub fn text_denoiser(
 ) -> Result<TextDenoiser, Error> {
     let backbone = GmdConfig::of(config)?.model.network;
     let init = Initializer::new(config.run.seed, device);
-    Ok(TextDenoiser::new(&backbone, channels, &init)?)
+    let denoiser = TextDenoiser::new(&backbone, channels, &init)?;
+    Ok(match TextInput::of(config)?.labels() {
+        Some(labels) => denoiser.with_captions(labels.captions().len(), &init),
+        None => denoiser,
+    })
 }
 
 /// Number of parameters of the denoiser of a config.
@@ -78,7 +82,7 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
         parameters: parameter_count(config)? as u64,
         activations: network.activations(frames),
         passes: 1,
-        item: (channels_of(config)? * frames + TEXT_CHANNELS) as u64,
+        item: (channels_of(config)? * frames + TextInput::of(config)?.channels()) as u64,
         shared: 0,
     })
 }
@@ -175,6 +179,10 @@ pub(super) fn started(
         let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
         return Err(start.refused(&reason));
     }
+    if given.text != found.text {
+        let reason = "it was trained with another `data.humanml3d.text`";
+        return Err(start.refused(&reason));
+    }
     let fresh = text_denoiser(config, channels_of(config)?, device)?;
     let fresh = match &trained.projection {
         Some(projection) => fresh.in_space_of(projection.matrix().to_vec(), device),
@@ -185,4 +193,4 @@ pub(super) fn started(
 }
 
 /// Tables that follow from what a run starts from.
-pub(super) const INHERITED: [&str; 3] = ["model", "diffusion", "emphasis"];
+pub(super) const INHERITED: [&str; 4] = ["model", "text", "diffusion", "emphasis"];

@@ -15,12 +15,14 @@ use super::generate::{
 };
 use super::networks::footprint;
 use super::recipe_name::RecipeName;
+use super::text::{ClipText, TextInput};
 use crate::checkpoint::State;
+use crate::config::Config;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record, Remark, Request,
-    SamplerRecord, Subject,
+    BatchRecord, Condition, Conditions, Contents, Drawn, GoalRecord, Names, Receiver, Record,
+    Remark, Request, SamplerRecord, Subject,
 };
 use crate::system::System as _;
 
@@ -50,7 +52,8 @@ pub(super) fn sample(
     conditions.refuse(
         &["--cond", "--audio", "--continue-from", "--keep", "--style"],
         "a run on clips of joint features",
-        "its condition is a text: `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's caption",
+        "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
+         caption",
     )?;
     if request.post_processing.is_some() {
         return Err(Error::usage(
@@ -89,8 +92,7 @@ pub(super) fn sample(
         receiver.note("no condition given: drawing without a text and without a goal");
     }
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    let text = conditions.text_embedding.as_deref().map(read_embedding);
-    let text = text.transpose()?;
+    let text = text_of(conditions, &subject.config)?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
         Some(frames) => frames,
         None => request.frames.unwrap_or(subject.config.data.target_frames),
@@ -112,7 +114,7 @@ pub(super) fn sample(
         RecipeName::Motion => &[MOTION, FEATURES, BVH, PATH],
     };
     receiver.announced(&names, extensions)?;
-    let requests = requests(request.count, &goals, text.as_deref());
+    let requests = requests(request.count, &goals, text.as_ref());
     let load =
         |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
     let trajectory = match &conditions.trajectory {
@@ -146,6 +148,7 @@ pub(super) fn sample(
                 goal_content: clip.goal.clone(),
                 goal_sha256: goal.map(|goal| goal.sha256.clone()),
                 trajectory: conditions.trajectory.clone(),
+                text: conditions.text.clone(),
                 text_embedding: conditions.text_embedding.clone(),
                 ..Condition::default()
             },
@@ -158,6 +161,26 @@ pub(super) fn sample(
         receiver.drawn(drawn(name, sample, &skeleton, record))?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
+}
+
+/// The text that is asked for, if any, which the model of a config is to know.
+fn text_of(conditions: &Conditions, config: &Config) -> Result<Option<ClipText>, Error> {
+    let embedding = conditions.text_embedding.as_deref().map(read_embedding);
+    let text = ClipText {
+        caption: conditions.text.clone(),
+        embedding: embedding.transpose()?,
+    };
+    if text == ClipText::default() {
+        return Ok(None);
+    }
+    let input = TextInput::of(config)?;
+    if input.values(&text)?.is_none() {
+        return Err(Error::usage(
+            "`--text` with a run that is told embeddings of texts",
+            "pass an embedding of it, `--text-embedding FILE#KEY`: docs/gmd.md",
+        ));
+    }
+    Ok(Some(text))
 }
 
 /// Rejects clips that take more memory than is free as one batch.
@@ -196,10 +219,10 @@ pub(super) fn must_draw_paths(checkpoint: &Path) -> Result<(), Error> {
 }
 
 /// `count` clips for each goal, or for none.
-fn requests(count: usize, goals: &[Goal], text: Option<&[f32]>) -> Vec<ClipRequest> {
+fn requests(count: usize, goals: &[Goal], text: Option<&ClipText>) -> Vec<ClipRequest> {
     let request = |goal: Option<&Goal>| ClipRequest {
         goal: goal.cloned(),
-        text: text.map(<[f32]>::to_vec),
+        text: text.cloned(),
     };
     match goals.is_empty() {
         true => vec![request(None); count],

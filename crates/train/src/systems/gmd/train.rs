@@ -9,6 +9,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use super::GmdConfig;
 use super::networks::{channels_of, model_in_space, started, statistics_in};
 use super::recipes::clip_recipe;
+use super::text::{TextInput, with_captions};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
@@ -17,14 +18,16 @@ use crate::start::Start;
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
-    let config = setup.config.clone();
-    let own = GmdConfig::of(&config)?;
-    let setup = setup.with_gradients(own.model.activation_checkpointing);
-    let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*observer.reading())?;
+    let own = GmdConfig::of(&setup.config)?;
+    let mut setup = setup.with_gradients(own.model.activation_checkpointing);
+    let data = &setup.config.data;
+    let dataset = Dataset::<Clip>::open_with_progress(data, &*observer.reading())?;
     for warning in &dataset.warnings {
         observer.warning(warning);
     }
     setup.same_dataset(dataset.digest)?;
+    let config = with_captions(setup.config.clone(), &dataset, observer)?;
+    setup.config = config.clone();
     let start = match &setup.checkpoint {
         Some(_) => None,
         None => Start::named("init.diffusion", &own.init.diffusion)?,
@@ -40,11 +43,16 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         None => model_in_space(&config, &setup.device)?,
     };
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
+    let text = TextInput::of(&config)?;
     let (representation, shared) = (dataset.representation.clone(), Arc::new(statistics.clone()));
     let samples = move |clips, config: &Config| {
         let (data, seed) = (&config.data, config.run.seed);
         let (representation, statistics) = (representation.clone(), shared.clone());
-        ClipSamples::new(clips, representation, statistics, channels, data, seed)
+        let samples = ClipSamples::new(clips, representation, statistics, channels, data, seed);
+        match text.labels() {
+            Some(labels) => samples.with_labels(labels.clone()),
+            None => samples,
+        }
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
     let recipe = clip_recipe(diffusion, channels, &own.loss, held_out)

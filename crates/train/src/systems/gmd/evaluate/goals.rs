@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::goal::Goal;
-use kinegrad_motion::humanml::{Features, Joints, TEXT_CHANNELS};
+use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
 use serde::Serialize;
@@ -17,7 +17,7 @@ use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
+use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipText, GeneratedClip};
 use crate::systems::text_motion::{TextMotion, TextMotionReports};
 
 /// Pairs of samples whose distance the diversity is the mean of.
@@ -162,7 +162,7 @@ fn replicate(
         let all = clips.iter().flat_map(|(clip, goal)| {
             let request = ClipRequest {
                 goal: asks.then(|| Goal::clone(goal)),
-                text: embedding(clip),
+                text: ClipText::of(clip),
             };
             repeat_n(request, repeats).zip(keys(item_seed(seed, &clip.id), repeats))
         });
@@ -231,13 +231,6 @@ fn between_halves(features: &[Vec<f64>]) -> Option<f64> {
     let [even, odd] = [half(0), half(1)];
     let moments = FeatureMoments::compute(&even).zip(FeatureMoments::compute(&odd));
     moments.map(|(even, odd)| frechet_distance(&even, &odd))
-}
-
-/// The embedding of a clip's first caption.
-pub fn embedding(clip: &Clip) -> Option<Vec<f32>> {
-    let embedding = clip.captions.first()?.embedding.as_deref()?;
-    debug_assert_eq!(embedding.len(), TEXT_CHANNELS);
-    Some(embedding.to_vec())
 }
 
 /// Clips in the form that metrics take, generated and real ones alike: cut to their goals' lengths.

@@ -6,7 +6,6 @@ mod run;
 mod task;
 mod variety;
 
-pub(super) use goals::embedding;
 pub use goals::{GoalEvaluation, GoalSettings, evaluate_goals};
 pub use replications::Replicated;
 pub(super) use run::prepare;

@@ -9,7 +9,7 @@ use kinegrad_data::{DataConfig, DataKind, Dataset};
 use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
 use crate::error::Error;
 use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subject, item_seed};
-use crate::systems::gmd::evaluate::embedding;
+use crate::systems::gmd::ClipText;
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
 
@@ -45,10 +45,10 @@ pub(super) fn for_items(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--goal", "--trajectory-run", "--text-embedding"],
+        &["--goal", "--trajectory-run", "--text", "--text-embedding"],
         "`--phrase` and a run on clips of joint features",
         "`--phrase` alone stands for the clip's first caption; beside a goal, name the caption with \
-         `--text-embedding FILE#KEY`",
+         `--text` or `--text-embedding FILE#KEY`",
     )?;
     let Some(pattern) = &conditions.item else {
         let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
@@ -125,7 +125,7 @@ impl Items<'_> {
         for clip in self.clips {
             let request = ClipRequest {
                 goal: None,
-                text: embedding(clip),
+                text: ClipText::of(clip),
             };
             requests.extend(repeat_n(request, self.count));
             noise.extend(keys(item_seed(seed, &clip.id), self.count));

@@ -1,0 +1,240 @@
+//! What a model of clips is told of a text: an embedding, or which of the captions it has learned.
+
+use std::collections::BTreeMap;
+
+use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, MAX_CAPTIONS};
+use kinegrad_data::{DataConfig, Dataset};
+use kinegrad_motion::humanml::TEXT_CHANNELS;
+use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::GmdConfig;
+use crate::config::{Config, SystemTables, nearest};
+use crate::error::Error;
+use crate::observer::Observer;
+
+/// Most captions that an error lists.
+const LISTED: usize = 40;
+
+/// The table `text`: what the model knows of captions.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GmdTextConfig {
+    /// The captions of `data.humanml3d.text = "labels"`, of which the model has an embedding each.
+    /// If empty, those of the training clips; the run's saved config and its checkpoints state them.
+    pub captions: Vec<String>,
+}
+
+impl GmdTextConfig {
+    /// # Errors
+    /// Names the key that cannot be followed.
+    pub(super) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
+        let key = "text.captions";
+        let count = self.captions.len();
+        require(
+            count == 0 || data.humanml3d.text == CaptionText::Labels,
+            key,
+            format!("{count} captions"),
+            "nothing with `data.humanml3d.text = \"embeddings\"`",
+        )
+        .hint(
+            "`data.humanml3d.text = \"labels\"` learns an embedding of each caption; so does what \
+             starts from such a run (`init.diffusion`)",
+        )?;
+        in_range(key, count, 0..=MAX_CAPTIONS)?;
+        let mut sorted: Vec<&str> = self.captions.iter().map(String::as_str).collect();
+        sorted.sort_unstable();
+        let twice = sorted.windows(2).find(|pair| pair[0] == pair[1]);
+        require(
+            twice.is_none(),
+            key,
+            format!("\"{}\" twice", twice.map_or("", |pair| pair[0])),
+            "each caption once",
+        )?;
+        let odd = sorted
+            .iter()
+            .find(|text| text.trim() != **text || text.is_empty());
+        require(
+            odd.is_none(),
+            key,
+            format!("\"{}\"", odd.unwrap_or(&"")),
+            "captions without spaces around them",
+        )
+    }
+}
+
+/// What a clip is asked for in words. Each model takes what it understands.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClipText {
+    /// The sentence.
+    pub caption: Option<String>,
+    /// Its embedding, 512 values.
+    pub embedding: Option<Vec<f32>>,
+}
+
+impl ClipText {
+    /// The first caption of a clip; none of a clip without captions.
+    pub fn of(clip: &Clip) -> Option<Self> {
+        let caption = clip.captions.first()?;
+        Some(Self {
+            caption: Some(caption.text.clone()),
+            embedding: caption.embedding.as_deref().map(<[f32]>::to_vec),
+        })
+    }
+}
+
+/// How the model of a run is told a text.
+#[derive(Clone, Debug)]
+pub(super) enum TextInput {
+    /// By an embedding.
+    Embedding,
+    /// As one of the captions that it has learned.
+    Labels(CaptionLabels),
+}
+
+impl TextInput {
+    /// That of the model of a config; no caption is known before the training clips are.
+    ///
+    /// # Errors
+    /// If the config cannot be read.
+    pub fn of(config: &Config) -> Result<Self, Error> {
+        Ok(match config.data.humanml3d.text {
+            CaptionText::Embeddings => Self::Embedding,
+            CaptionText::Labels => {
+                let captions = GmdConfig::of(config)?.text.captions;
+                Self::Labels(CaptionLabels::new(captions))
+            }
+        })
+    }
+
+    /// Values of a text.
+    pub fn channels(&self) -> usize {
+        match self {
+            Self::Embedding => TEXT_CHANNELS,
+            Self::Labels(labels) => labels.captions().len(),
+        }
+    }
+
+    /// The known captions; none of a model that takes any sentence.
+    pub fn labels(&self) -> Option<&CaptionLabels> {
+        match self {
+            Self::Embedding => None,
+            Self::Labels(labels) => Some(labels),
+        }
+    }
+
+    /// What the model is told of `text`; none where it is told nothing of it.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a caption that the model does not know, with those it knows, and for an
+    /// embedding without its caption.
+    pub fn values(&self, text: &ClipText) -> Result<Option<Vec<f32>>, Error> {
+        let labels = match self {
+            Self::Embedding => return Ok(text.embedding.clone()),
+            Self::Labels(labels) => labels,
+        };
+        let Some(caption) = &text.caption else {
+            return Err(Error::usage(
+                "an embedding, for a run with `data.humanml3d.text = \"labels\"`",
+                format!(
+                    "name a caption with `--text CAPTION`: the run knows {}",
+                    listed(labels.captions())
+                ),
+            ));
+        };
+        match labels.row_of_typed(caption) {
+            Some(row) => Ok(Some(labels.values(Some(row)))),
+            None => Err(unknown(caption, labels.captions())),
+        }
+    }
+}
+
+/// The error of a caption that is not among those that a run knows.
+fn unknown(caption: &str, known: &[String]) -> Error {
+    let names: Vec<&str> = known.iter().map(String::as_str).collect();
+    let meant = nearest(caption, &names).map(|near| format!("did you mean `{near}`? "));
+    Error::usage(
+        format!("`{caption}` is no caption that the run knows"),
+        format!(
+            "{}it was trained with `data.humanml3d.text = \"labels\"` and knows {}",
+            meant.unwrap_or_default(),
+            listed(known)
+        ),
+    )
+}
+
+fn listed(captions: &[String]) -> String {
+    let quoted = captions.iter().take(LISTED).map(|text| format!("`{text}`"));
+    let mut text = quoted.collect::<Vec<_>>().join(", ");
+    if captions.len() > LISTED {
+        let more = captions.len() - LISTED;
+        text += &format!(" and {more} more: `text.captions` in the run's config.toml");
+    }
+    text
+}
+
+/// `config` with the captions of the training clips, if captions are labels and it states none.
+///
+/// # Errors
+/// If there are none or too many, or a clip has one that is not known.
+pub(super) fn with_captions(
+    config: Config,
+    dataset: &Dataset<Clip>,
+    observer: &mut dyn Observer,
+) -> Result<Config, Error> {
+    if config.data.humanml3d.text != CaptionText::Labels {
+        return Ok(config);
+    }
+    let found =
+        |set: &kinegrad_data::humanml::ClipSet| set.captions_with_progress(&*observer.reading());
+    let (train, held_out) = (found(&dataset.train)?, found(&dataset.validation)?);
+    let mut own = GmdConfig::of(&config)?;
+    if own.text.captions.is_empty() {
+        let count = train.len();
+        require(
+            (1..=MAX_CAPTIONS).contains(&count),
+            "data.humanml3d.text",
+            format!("\"labels\", and the training clips have {count} distinct captions"),
+            format!("\"labels\" for 1 to {MAX_CAPTIONS} distinct captions"),
+        )
+        .hint("\"embeddings\" is for captions of any number: docs/dataset.md")?;
+        own.text.captions = train.keys().cloned().collect();
+        observer.note(&format!(
+            "the model learns an embedding of each of {count} captions"
+        ));
+    }
+    let known = CaptionLabels::new(own.text.captions.clone());
+    must_know(
+        &train,
+        &known,
+        "the model starts with other captions: leave `init.diffusion` out, or \
+                               give the clip one of those",
+    )?;
+    must_know(
+        &held_out,
+        &known,
+        "no training clip has it, so no embedding of it can be learned: \
+                                  hold out clips whose captions are also those of clips in \
+                                  `data.humanml3d.train_list`",
+    )?;
+    Ok(Config {
+        system: own.to_table(),
+        ..config
+    })
+}
+
+/// Rejects captions, each with a clip that has it, that are not `known`.
+fn must_know(
+    captions: &BTreeMap<String, String>,
+    known: &CaptionLabels,
+    hint: &str,
+) -> Result<(), Error> {
+    match captions.iter().find(|(text, _)| known.row(text).is_none()) {
+        None => Ok(()),
+        Some((text, id)) => Err(Error::usage(
+            format!("clip `{id}` has the caption `{text}`, which the model does not know"),
+            hint,
+        )),
+    }
+}
