@@ -85,7 +85,10 @@ pub fn between(frames: usize, moment: f64) -> (usize, usize, f64) {
 
 /// The cubic spline through `values` at 0, 1, 2 and so on, at `moments` within them. Its second
 /// derivative is constant over the first and the last step.
-fn spline(values: &[f64], moments: &[f64]) -> Vec<f64> {
+///
+/// # Panics
+/// Panics if there are no values.
+pub fn spline(values: &[f64], moments: &[f64]) -> Vec<f64> {
     let curvature = curvature(values);
     let at = |&moment: &f64| {
         let (from, to, b) = between(values.len(), moment);

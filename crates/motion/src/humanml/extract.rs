@@ -107,8 +107,12 @@ impl Extraction {
             .collect();
         let mut values = Vec::with_capacity(skeleton.layout().channels());
         let turn = next_facing * facing.conjugate();
+        // Of the two quaternions of a turn the one by less than half a circle, also where the heading
+        // passes the direction opposite to the first frame's. The published script takes the other
+        // there, and so turns back for a frame.
+        let half_turn = turn.y.copysign(turn.y * turn.w);
         let [x, _, z] = next_facing.rotate(steps[0]);
-        values.extend([turn.y.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
+        values.extend([half_turn.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
         values.extend(in_facing_frame(frame, facing).skip(1).flatten());
         values.extend(rotations[1..].iter().flat_map(|q| to_columns(*q)));
         values.extend(steps.iter().flat_map(|step| facing.rotate(*step)));
@@ -174,4 +178,41 @@ pub fn canonicalize(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, Feat
     let places = joints.as_slice().iter();
     let moved = places.map(|place| turn.rotate(minus(*place, [x, floor, z])));
     Joints::new(moved.collect(), joints.joints())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_body_that_turns_round_and_round_keeps_its_heading() {
+        let skeleton = Skeleton::humanml3d();
+        let rest = &skeleton.description().rest_offsets;
+        // Two turns and a half to the left within nine seconds, along +x.
+        let (frames, rate) = (180, 0.09);
+        let mut places = Vec::new();
+        for t in 0..frames {
+            let turn = Quaternion::from_yaw(rate * f64::from(t));
+            let mut frame = vec![[0.02 * f64::from(t), 0.9, 0.0]; skeleton.joints()];
+            for [start, end] in skeleton.chains().flatten() {
+                let bone = turn.rotate(rest[end]);
+                frame[end] = [0, 1, 2].map(|axis| frame[start][axis] + bone[axis]);
+            }
+            places.extend(frame);
+        }
+        let joints = Joints::new(places, skeleton.joints()).unwrap();
+        let extraction = Extraction {
+            rescale: false,
+            ..Extraction::default()
+        };
+        let features = extraction.features_in_place(&skeleton, &joints).unwrap();
+        let back = features.joints();
+        let floor = |place: [f64; 3]| [place[0], place[2]];
+        for t in 0..back.frames() {
+            for (a, b) in back.frame(t).iter().zip(joints.frame(t)) {
+                let ([x, z], [u, v]) = (floor(*a), floor(*b));
+                assert!((x - u).hypot(z - v) < 1e-3, "frame {t}: {a:?} {b:?}");
+            }
+        }
+    }
 }
