@@ -11,15 +11,16 @@ use crate::files::Files;
 use crate::library::{Origin, Reading, Wanted};
 use crate::listing::Expected;
 use crate::magnitude::first_unusable;
-use crate::{Error, FileError, Item, ItemSet, StoreError, npy};
+use crate::{Error, FileError, Item, ItemSet, StoreError, atomic, npy};
 
 use super::config::SkeletonName;
 use super::embeddings::Embeddings;
 use super::{Caption, parse_captions, texts};
 
-/// The folder of all features and the folder of all captions.
-pub(super) const FEATURES: &str = "new_joint_vecs";
-pub(super) const TEXTS: &str = "texts";
+/// The folder of all features, in files `ID.npy`.
+pub const FEATURES: &str = "new_joint_vecs";
+/// The folder of all captions, in files `ID.txt`.
+pub const TEXTS: &str = "texts";
 
 /// Clips in the order of their ids. A clone is another handle to the same ones.
 pub type ClipSet = ItemSet<Clip>;
@@ -95,12 +96,12 @@ impl Item for Clip {
 }
 
 /// Where the features of clip `id` lie within its dataset.
-pub(super) fn features_path(id: &str) -> String {
+pub fn features_path(id: &str) -> String {
     format!("{FEATURES}/{id}.npy")
 }
 
 /// Where the captions of clip `id` lie within its dataset.
-pub(super) fn texts_path(id: &str) -> String {
+pub fn texts_path(id: &str) -> String {
     format!("{TEXTS}/{id}.txt")
 }
 
@@ -182,8 +183,13 @@ pub(super) fn check_width(
 /// # Errors
 /// [`Error::Io`].
 pub fn write_features(path: &Path, features: &Features) -> Result<(), Error> {
+    atomic::write(path, &features_bytes(features))
+}
+
+/// The bytes of the `.npy` file that holds `features`, `[frames, channels]`.
+pub fn features_bytes(features: &Features) -> Vec<u8> {
     let shape = [features.frames(), features.layout().channels()];
-    npy::write_values(path, &shape, features.as_slice())
+    npy::array_bytes(&shape, features.as_slice())
 }
 
 /// Clips of a dataset in the layout of HumanML3D.

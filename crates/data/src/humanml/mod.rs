@@ -23,6 +23,7 @@
 //! # Ok::<(), kinegrad_data::Error>(())
 //! ```
 
+mod caption_labels;
 mod clip;
 mod config;
 mod embeddings;
@@ -36,12 +37,17 @@ mod synthetic;
 mod texts;
 mod word_vectors;
 
-pub use clip::{Clip, ClipSet, parse_features, write_features};
+pub use caption_labels::{CaptionLabels, MAX_CAPTIONS};
+pub use clip::{
+    Clip, ClipSet, FEATURES, TEXTS, features_bytes, features_path, parse_features, texts_path,
+    write_features,
+};
 pub use config::{CaptionRule, CaptionText, Humanml3dConfig, SkeletonName};
 pub use embeddings::read_embedding;
 pub use find::find_clips;
-pub use labels::{CaptionLabels, MAX_CAPTIONS};
+pub use labels::{ClipLabels, LABELS, labels_bytes, read_labels};
 pub use samples::ClipSamples;
+pub use statistics::statistics_files;
 pub use synthetic::{synthetic_id, walk, write_walks};
 pub use texts::{Caption, parse_captions};
 pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -17,6 +17,20 @@ fn names(root: Root) -> [&'static str; 2] {
     }
 }
 
+/// The paths and bytes of both files that hold the mean and deviation of `statistics`, which are of
+/// clips with this `root`.
+pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, Vec<u8>); 2] {
+    let [mean, std] = names(root);
+    let bytes = |values: &[f64]| {
+        let values: Vec<f32> = values.iter().map(|value| *value as f32).collect();
+        npy::array_bytes(&[values.len()], &values)
+    };
+    [
+        (mean, bytes(&statistics.mean)),
+        (std, bytes(&statistics.std)),
+    ]
+}
+
 /// Reads the statistics of clips in this representation, if the dataset has them, with the
 /// checksums of both files.
 ///

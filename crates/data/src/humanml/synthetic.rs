@@ -263,7 +263,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             .map(|index| {
                 let clip = walk(index, frames, seed);
                 write_features(&staging.join(features_path(&clip.id)), &clip.features)?;
-                let lines: String = clip.captions.iter().map(line).collect();
+                let lines: String = clip.captions.iter().map(Caption::line).collect();
                 atomic::write(&staging.join(texts_path(&clip.id)), lines.as_bytes())?;
                 Ok((clip.id, clip.captions))
             })
@@ -285,13 +285,6 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
         let bytes = embeddings::serialize(rows);
         atomic::write(&staging.join(&text_embeddings), &bytes)
     })
-}
-
-/// The line of a caption in `texts/ID.txt`.
-fn line(caption: &Caption) -> String {
-    let tokens: Vec<String> = caption.tokens.iter().map(Token::to_string).collect();
-    let (from, to) = caption.seconds.unwrap_or_default();
-    format!("{}#{}#{from:?}#{to:?}\n", caption.text, tokens.join(" "))
 }
 
 #[cfg(test)]

@@ -51,6 +51,13 @@ impl Caption {
         let frame = |seconds: f64| ((seconds * fps) as usize).min(frames);
         frame(from)..frame(to).max(frame(from))
     }
+
+    /// Its line in `texts/ID.txt`, as [`parse_captions`] reads it.
+    pub fn line(&self) -> String {
+        let tokens: Vec<String> = self.tokens.iter().map(Token::to_string).collect();
+        let (from, to) = self.seconds.unwrap_or_default();
+        format!("{}#{}#{from:?}#{to:?}\n", self.text, tokens.join(" "))
+    }
 }
 
 /// Parses a file of captions; `file` names it in errors.

@@ -57,6 +57,42 @@ pub fn write(store: &Store, rows: Vec<ManifestRow>) -> Result<(), Error> {
     Ok(store.write(MANIFEST, bytes)?)
 }
 
+/// The cells of a column.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cells {
+    /// Text; none where nothing is known.
+    Texts(Vec<Option<String>>),
+    /// Whole numbers.
+    Integers(Vec<i64>),
+    /// Numbers.
+    Numbers(Vec<f64>),
+    /// Yes or no.
+    Flags(Vec<bool>),
+}
+
+impl Cells {
+    /// How many there are.
+    #[cfg(feature = "manifest")]
+    fn len(&self) -> usize {
+        match self {
+            Self::Texts(values) => values.len(),
+            Self::Integers(values) => values.len(),
+            Self::Numbers(values) => values.len(),
+            Self::Flags(values) => values.len(),
+        }
+    }
+}
+
+/// Writes a manifest of these columns by their names, all of one length, into `store`: that of a
+/// dataset which is not of phrases.
+///
+/// # Errors
+/// [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or the same name.
+pub fn write_columns(store: &Store, columns: Vec<(String, Cells)>) -> Result<(), Error> {
+    let bytes = attempt(&store.name_of(MANIFEST), || table::encode_columns(columns))?;
+    Ok(store.write(MANIFEST, bytes)?)
+}
+
 /// What comes of the manifest called `object`.
 fn attempt<T>(object: &str, made: impl FnOnce() -> Result<T, String>) -> Result<T, Error> {
     let object = object.to_owned();

@@ -18,7 +18,7 @@ pub(super) use polars::prelude::DataFrame;
 use super::columns::cast;
 pub(super) use super::columns::numbers;
 use super::row::{Flag, ManifestRow};
-use super::{filter, footer};
+use super::{Cells, filter, footer};
 use crate::layout::check_id;
 use crate::{AudioGroup, Digest, Side};
 
@@ -30,6 +30,25 @@ pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
     rows.sort_unstable_by(|a, b| a.id.cmp(&b.id));
     let mut bytes = Vec::new();
     table(&rows)
+        .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
+        .map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
+/// The Parquet file of these columns.
+pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, String> {
+    let height = columns.first().map_or(0, |(_, cells)| cells.len());
+    let columns = columns.into_iter().map(|(name, cells)| {
+        let name = name.into();
+        match cells {
+            Cells::Texts(values) => Column::new(name, values),
+            Cells::Integers(values) => Column::new(name, values),
+            Cells::Numbers(values) => Column::new(name, values),
+            Cells::Flags(values) => Column::new(name, values),
+        }
+    });
+    let mut bytes = Vec::new();
+    DataFrame::new(height, columns.collect())
         .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
         .map_err(|error| error.to_string())?;
     Ok(bytes)

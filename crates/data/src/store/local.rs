@@ -96,6 +96,28 @@ impl Folder {
         Ok(objects)
     }
 
+    /// The files directly below `folder`, hidden ones left out.
+    pub fn list_files(&self, folder: &str) -> Result<Vec<Object>, StoreError> {
+        let place = self.root.join(folder);
+        let unreadable = |reason| failed(&place, "list", &reason);
+        let mut objects = Vec::new();
+        for entry in fs::read_dir(&place).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            match fs::metadata(entry.path()) {
+                Ok(metadata) if metadata.is_file() && !name.starts_with('.') => {
+                    objects.push(Object {
+                        path: format!("{folder}/{name}"),
+                        bytes: metadata.len(),
+                        version: String::new(),
+                    });
+                }
+                _ => {}
+            }
+        }
+        Ok(objects)
+    }
+
     /// The full path, all links followed, if that still lies within the folder.
     fn inside(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;

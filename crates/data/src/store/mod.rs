@@ -202,6 +202,26 @@ impl Store {
         Ok(objects)
     }
 
+    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none where there is no such folder.
+    ///
+    /// # Errors
+    /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
+    pub fn list_files(&self, folder: &str, ending: &str) -> Result<Vec<Object>, StoreError> {
+        let listed = match &self.kind {
+            Kind::Local(root) => root.list_files(folder),
+            #[cfg(feature = "cloud")]
+            Kind::Remote(remote) => remote.list(folder, |path| directly_below(path, folder)),
+        };
+        let mut objects = match listed {
+            Err(StoreError::Missing { .. }) => Vec::new(),
+            listed => listed?,
+        };
+        let dotted = format!(".{ending}");
+        objects.retain(|object| object.path.ends_with(&dotted));
+        objects.sort_unstable_by(|a, b| a.path.cmp(&b.path));
+        Ok(objects)
+    }
+
     /// The version of each object directly below `folder`, by its path: what a cached copy of it
     /// is known by. None where nothing is cached, or nothing can be listed.
     ///
@@ -213,13 +233,7 @@ impl Store {
             Kind::Local(_) => Ok(HashMap::new()),
             #[cfg(feature = "cloud")]
             Kind::Remote(remote) => {
-                let inside = |path: &str| {
-                    let name = path
-                        .strip_prefix(folder)
-                        .and_then(|rest| rest.strip_prefix('/'));
-                    name.is_some_and(|name| !name.contains('/'))
-                };
-                let objects = match remote.list(folder, inside) {
+                let objects = match remote.list(folder, |path| directly_below(path, folder)) {
                     Err(StoreError::NoListing { .. }) => Vec::new(),
                     listed => listed?,
                 };
@@ -235,6 +249,14 @@ impl Store {
     pub fn counters(&self) -> &Arc<Counters> {
         &self.counters
     }
+}
+
+/// Whether `path` is `FOLDER/NAME`.
+#[cfg(feature = "cloud")]
+fn directly_below(path: &str, folder: &str) -> bool {
+    let rest = path.strip_prefix(folder);
+    let name = rest.and_then(|rest| rest.strip_prefix('/'));
+    name.is_some_and(|name| !name.contains('/') && !name.starts_with('.'))
 }
 
 /// The object's folder below `folder`, if `path` is `FOLDER/ANY/FILE`.
