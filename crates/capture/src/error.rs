@@ -55,7 +55,8 @@ pub enum Error {
     /// A plan, or a file it names, cannot be followed.
     #[error("{file}: {problem}")]
     #[diagnostic(help(
-        "`kinegrad init prepare` writes a plan to start from; docs/dataset.md describes plans"
+        "`kinegrad init prepare` (phrases) and `kinegrad init bodies` (clips) write plans to start \
+         from; docs/dataset.md describes them"
     ))]
     Plan {
         /// The plan, or the file.

@@ -35,6 +35,7 @@
 //! ```
 
 mod assemble;
+pub mod bodies;
 mod bvh;
 mod c3d;
 mod error;

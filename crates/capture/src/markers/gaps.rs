@@ -3,7 +3,7 @@
 use crate::track::{MarkerGaps, lerp, runs};
 
 /// Fills gaps of at most `max_gap_frames` frames between two known frames.
-pub(super) fn fill_gaps(
+pub(crate) fn fill_gaps(
     track: &mut [Option<[f64; 3]>],
     max_gap_frames: usize,
     marker: &str,

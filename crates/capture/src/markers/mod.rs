@@ -1,6 +1,6 @@
 //! The root of a marker set: pelvis markers and their orientation.
 
-mod gaps;
+pub(crate) mod gaps;
 mod root;
 #[cfg(test)]
 mod tests;

@@ -2,14 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use kinegrad_data::manifest::ManifestRow;
 use kinegrad_data::{Digest, Store};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::motion::bytes;
 use super::output::Output;
 use super::plan::Plan;
-use super::report::TakeReport;
 use super::resolve::Take;
 use crate::Error;
 
@@ -19,13 +18,13 @@ const MAX_BYTES: u64 = 64 << 20;
 /// Changes when phrases of the same plan would come out otherwise.
 const MAKER: &str = "kinegrad phrases 4";
 
-/// What was made of a take.
+/// What was made of a take: a row for each item, and what there is to say of it.
 #[derive(Clone, Debug, Deserialize, Serialize)]
-pub(super) struct Journal {
+pub(crate) struct Journal<Row, Report> {
     /// What it was made of, see [`key`].
     pub key: Digest,
-    pub rows: Vec<ManifestRow>,
-    pub report: TakeReport,
+    pub rows: Vec<Row>,
+    pub report: Report,
     /// Whether it was made before.
     #[serde(skip)]
     pub kept: bool,
@@ -57,22 +56,20 @@ fn path(name: &str) -> String {
     format!("prepare/takes/{name}.json")
 }
 
-impl Journal {
+impl<Row, Report> Journal<Row, Report> {
     /// The journal of a take of which nothing could be made. It is not kept: the next preparation
     /// tries again.
-    pub fn failed(take: &Take, problem: String) -> Self {
+    pub fn failed(report: Report) -> Self {
         Self {
             key: Digest::of(b""),
             rows: Vec::new(),
-            report: TakeReport {
-                name: take.name.clone(),
-                failure: Some(problem),
-                ..TakeReport::default()
-            },
+            report,
             kept: false,
         }
     }
+}
 
+impl<Row: DeserializeOwned, Report: DeserializeOwned> Journal<Row, Report> {
     /// What was made of the take `name`, if it was made of what `key` stands for.
     ///
     /// # Errors
@@ -86,13 +83,15 @@ impl Journal {
             ..journal
         }))
     }
+}
 
-    /// Keeps it.
+impl<Row: Serialize, Report: Serialize> Journal<Row, Report> {
+    /// Keeps it as that of the take `name`.
     ///
     /// # Errors
     /// As [`Output::write`].
-    pub fn write(&self, output: &Output) -> Result<(), Error> {
+    pub fn write(&self, name: &str, output: &Output) -> Result<(), Error> {
         let bytes = serde_json::to_vec_pretty(self).expect("plain data");
-        output.write(&path(&self.report.name), bytes)
+        output.write(&path(name), bytes)
     }
 }

@@ -7,13 +7,13 @@
 
 mod choreonet;
 mod grid;
-mod journal;
+pub(crate) mod journal;
 mod lay;
-mod motion;
-mod output;
+pub(crate) mod motion;
+pub(crate) mod output;
 mod plan;
 mod report;
-mod resolve;
+pub(crate) mod resolve;
 mod song;
 mod span;
 mod split;
@@ -21,26 +21,38 @@ mod take;
 mod units;
 
 use std::cell::OnceCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kinegrad_data::manifest::{self, Flag, ManifestRow};
-use kinegrad_data::{features_path, matches, motion_path};
+use kinegrad_data::{
+    AUDIO_FILE, MANIFEST, MOTION_FILE, Object, Store, StoreError, features_path, matches,
+    motion_path,
+};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 
 pub use grid::{Grid, GridReport};
 pub use plan::Plan;
+pub(crate) use plan::SplitPlan;
 pub use report::{Rejection, TakeReport};
 pub use units::Units;
 
 use crate::Error;
-use journal::Journal;
-use output::Output;
+use output::{Output, Parts};
 use resolve::Take;
 use song::Song;
+
+/// What was made of a take.
+type Journal = journal::Journal<ManifestRow, TakeReport>;
+
+/// The files of a dataset of phrases.
+const PHRASES: Parts = Parts {
+    list: phrase_files,
+    index: &[MANIFEST],
+};
 
 /// What became of a plan.
 #[derive(Clone, Debug, Serialize)]
@@ -102,7 +114,7 @@ pub fn prepare(
         return Err(kinegrad_data::Error::Feature { what, feature }.into());
     }
     let takes = takes(plan, plan_file)?;
-    let output = Output::open(plan)?;
+    let output = Output::open(plan, PHRASES)?;
     // Threads that wait for a network are not bound to the number of cores.
     let uploads = ThreadPoolBuilder::new().num_threads(plan.store.concurrency);
     let uploads = output.store.is_remote().then(|| uploads.build().ok());
@@ -136,7 +148,7 @@ pub fn prepare(
     let (mut rows, mut reports) = (Vec::new(), Vec::new());
     for journal in journals {
         if any && !journal.kept && journal.rows.is_empty() && journal.report.failure.is_none() {
-            journal.write(&output)?;
+            journal.write(&journal.report.name, &output)?;
         }
         rows.extend(journal.rows);
         reports.push(journal.report);
@@ -146,25 +158,62 @@ pub fn prepare(
         return Err(Error::plan(plan_file, problem));
     }
     let divided = plan.split.divide(&mut rows);
-    let stale = output.stale(&rows);
+    let files = |row: &ManifestRow| [motion_path(&row.id), features_path(&row.id)];
+    let stale = output.stale(&rows.iter().flat_map(files).collect());
+    let ids: BTreeSet<&str> = stale.iter().filter_map(|path| id(path)).collect();
     let frames: i64 = rows.iter().map(|row| row.frames).sum();
     let report = Report {
         output: output.store.uri(),
         phrases: rows.len(),
         hours: frames as f64 / kinegrad_motion::FPS / 3600.0,
         kept,
-        stale: if options.prune { 0 } else { stale.len() },
+        stale: if options.prune { 0 } else { ids.len() },
         idle_entries: idle_entries(plan, &rows),
         held_out_songs: divided.held_out,
         split_note: divided.note,
         takes: reports,
     };
-    output.finish(rows, &report)?;
+    output.finish(&report, |store| Ok(manifest::write(store, rows)?))?;
     // Not before the manifest has let go of them.
     if options.prune {
         output.prune(&stale)?;
     }
     Ok(Some(report))
+}
+
+/// The files of phrases in `store`.
+fn phrase_files(store: &Store) -> Result<Vec<Object>, StoreError> {
+    let mut files = Vec::new();
+    for (folder, file) in [MOTION_FILE, AUDIO_FILE] {
+        match store.list(folder, file) {
+            Ok(objects) => files.extend(objects),
+            Err(StoreError::Missing { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(files)
+}
+
+/// The id of the phrase that a file belongs to.
+fn id(path: &str) -> Option<&str> {
+    let (folder, _) = path.rsplit_once('/')?;
+    folder.rsplit_once('/').map(|(_, id)| id)
+}
+
+/// Whether both files of a phrase are there as they were written.
+fn is_whole(row: &ManifestRow, output: &Output) -> bool {
+    let (motion, audio) = (motion_path(&row.id), features_path(&row.id));
+    output.holds(&motion, row.motion_bytes, row.motion_sha256)
+        && output.holds(&audio, row.audio_bytes, row.audio_sha256)
+}
+
+/// The report of a take of which nothing could be made.
+fn failure(take: &Take, problem: String) -> TakeReport {
+    TakeReport {
+        name: take.name.clone(),
+        failure: Some(problem),
+        ..TakeReport::default()
+    }
 }
 
 /// Why the first takes gave nothing.
@@ -223,17 +272,17 @@ fn one(
 ) -> Result<Journal, Error> {
     let key = match journal::key(plan, take) {
         Ok(key) => key,
-        Err(problem) => return Ok(Journal::failed(take, problem)),
+        Err(problem) => return Ok(Journal::failed(failure(take, problem))),
     };
     if !options.again
         && let Some(journal) = Journal::read(&output.store, &take.name, key)?
-        && journal.rows.iter().all(|row| output.holds(row))
+        && journal.rows.iter().all(|row| is_whole(row, output))
     {
         return Ok(journal);
     }
     let ready = match take.ready(plan, song) {
         Ok(ready) => ready,
-        Err(problem) => return Ok(Journal::failed(take, problem)),
+        Err(problem) => return Ok(Journal::failed(failure(take, problem))),
     };
     // One phrase after the other, so that a long take need not fit into memory.
     let make = |index| {
@@ -268,7 +317,7 @@ fn one(
     };
     // If no take produced a phrase, nothing is left behind.
     if !journal.rows.is_empty() {
-        journal.write(output)?;
+        journal.write(&journal.report.name, output)?;
     }
     Ok(journal)
 }

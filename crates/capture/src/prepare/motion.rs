@@ -47,7 +47,7 @@ pub(super) fn read(path: &Path, take: &TakePlan) -> Result<Box<dyn RootSource>, 
 }
 
 /// The bytes of a file that may be as long as [`MAX_BYTES`].
-pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
+pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
     read_file(path, MAX_BYTES).map_err(|problem| format!("{}: {problem}", path.display()))
 }
 

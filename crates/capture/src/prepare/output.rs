@@ -6,21 +6,30 @@ use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
 use kinegrad_data::file::lock_file;
-use kinegrad_data::manifest::{self, ManifestRow};
-use kinegrad_data::{AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION};
-use kinegrad_data::{Digest, Store, StoreError, features_path, motion_path};
+use kinegrad_data::manifest;
+use kinegrad_data::{Digest, Object, PREPARATION, Store, StoreError};
+use serde::Serialize;
 
-use super::Report;
 use super::plan::Plan;
 use crate::Error;
 
 /// The file that one preparation at a time holds locked, in a folder of this machine.
 const LOCK: &str = "prepare/lock";
 
+/// What a dataset of one kind consists of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parts {
+    /// Lists the files of its items.
+    pub list: fn(&Store) -> Result<Vec<Object>, StoreError>,
+    /// The files that say what belongs to it. They are written last.
+    pub index: &'static [&'static str],
+}
+
 /// A dataset on its way.
-pub(super) struct Output {
+pub(crate) struct Output {
     pub store: Store,
-    /// The files of phrases that were there before, with their lengths.
+    parts: Parts,
+    /// The files of items that were there before, with their lengths.
     present: HashMap<String, u64>,
     /// What stands in place of the report until there is one, and tells this preparation from
     /// every other.
@@ -42,7 +51,7 @@ impl Output {
     /// # Errors
     /// [`Error::Data`] if it holds a dataset that no preparation wrote or cannot be used,
     /// [`Error::Busy`] if another one is writing.
-    pub fn open(plan: &Plan) -> Result<Self, Error> {
+    pub fn open(plan: &Plan, parts: Parts) -> Result<Self, Error> {
         let place = match plan.output.contains("://") {
             true => plan.output.clone(),
             false => plan.resolve(&plan.output).display().to_string(),
@@ -51,40 +60,34 @@ impl Output {
         if !store.is_writable() {
             return Err(StoreError::ReadOnly { uri: store.uri() }.into());
         }
-        refuse_foreign(&store)?;
+        let present = present(&store, parts)?;
+        refuse_foreign(&store, parts, &present)?;
         let mut begun = Begun::default();
         // Where there is nothing yet, nothing is left behind if nothing can be made.
         if store.place(LOCK)?.is_some_and(|lock| lock.exists()) {
             begun.lock = lock(&store)?;
         }
         Ok(Self {
-            present: present(&store)?,
+            present,
+            parts,
             mark: mark(),
             begun: Mutex::new(begun),
             store,
         })
     }
 
-    /// Whether both files of a phrase are there as they were written. Those of a bucket are known
-    /// by their lengths alone.
-    pub fn holds(&self, row: &ManifestRow) -> bool {
-        let (motion, audio) = (motion_path(&row.id), features_path(&row.id));
-        let files = [
-            (motion, row.motion_bytes, row.motion_sha256),
-            (audio, row.audio_bytes, row.audio_sha256),
-        ];
-        files.iter().all(|(path, bytes, digest)| {
-            let as_long = self.present.get(path).copied() == u64::try_from(*bytes).ok();
-            let same = || {
-                let read = self.store.read(path, bytes.unsigned_abs());
-                read.is_ok_and(|bytes| Digest::of(&bytes) == *digest)
-            };
-            as_long && (self.store.is_remote() || same())
-        })
+    /// Whether a file is there as it was written. One in a bucket is known by its length alone.
+    pub fn holds(&self, path: &str, bytes: i64, digest: Digest) -> bool {
+        let as_long = self.present.get(path).copied() == u64::try_from(bytes).ok();
+        let same = || {
+            let read = self.store.read(path, bytes.unsigned_abs());
+            read.is_ok_and(|bytes| Digest::of(&bytes) == digest)
+        };
+        as_long && (self.store.is_remote() || same())
     }
 
-    /// Writes a file of the dataset. Before the first, the manifest goes, which would no longer
-    /// tell the truth, and the preparation's mark is left.
+    /// Writes a file of the dataset. Before the first, the index goes, which would no longer tell
+    /// the truth, and the preparation's mark is left.
     ///
     /// # Errors
     /// [`Error::Busy`], [`Error::Data`].
@@ -96,42 +99,41 @@ impl Output {
                     begun.lock = lock(&self.store)?;
                 }
                 self.store.write(PREPARATION, self.mark.clone())?;
-                self.store.remove(MANIFEST)?;
+                for index in self.parts.index {
+                    self.store.remove(index)?;
+                }
                 begun.written = true;
             }
         }
         Ok(self.store.write(path, bytes)?)
     }
 
-    /// The ids of phrases that were there before and are not among `rows`.
-    pub fn stale(&self, rows: &[ManifestRow]) -> BTreeSet<String> {
-        let made: BTreeSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
-        let ids = self.present.keys().filter_map(|path| {
-            let (folder, _) = path.rsplit_once('/')?;
-            folder.rsplit_once('/').map(|(_, id)| id)
-        });
-        ids.filter(|id| !made.contains(id))
-            .map(str::to_owned)
-            .collect()
+    /// The files of items that were there before and are not among those `made`.
+    pub fn stale(&self, made: &BTreeSet<String>) -> BTreeSet<String> {
+        let stale = self.present.keys().filter(|path| !made.contains(*path));
+        stale.cloned().collect()
     }
 
-    /// Removes the files of phrases.
+    /// Removes files.
     ///
     /// # Errors
     /// [`Error::Data`].
-    pub fn prune(&self, ids: &BTreeSet<String>) -> Result<(), Error> {
-        for id in ids {
-            self.store.remove(&motion_path(id))?;
-            self.store.remove(&features_path(id))?;
+    pub fn prune(&self, paths: &BTreeSet<String>) -> Result<(), Error> {
+        for path in paths {
+            self.store.remove(path)?;
         }
         Ok(())
     }
 
-    /// Writes the manifest and the report, which end the preparation.
+    /// Writes the index, as `write_index` does, and the report, which end the preparation.
     ///
     /// # Errors
     /// [`Error::Busy`] if another preparation has begun meanwhile, [`Error::Data`].
-    pub fn finish(&self, rows: Vec<ManifestRow>, report: &Report) -> Result<(), Error> {
+    pub fn finish(
+        &self,
+        report: &impl Serialize,
+        write_index: impl FnOnce(&Store) -> Result<(), Error>,
+    ) -> Result<(), Error> {
         let mut begun = self.begun.lock().expect("no thread panics holding it");
         if begun.lock.is_none() {
             begun.lock = lock(&self.store)?;
@@ -143,7 +145,7 @@ impl Output {
                 return Err(busy(&self.store));
             }
         }
-        manifest::write(&self.store, rows)?;
+        write_index(&self.store)?;
         let text = serde_json::to_vec_pretty(report).expect("plain data");
         Ok(self.store.write(PREPARATION, text)?)
     }
@@ -181,21 +183,18 @@ fn lock(store: &Store) -> Result<Option<File>, Error> {
     }
 }
 
-/// The files of phrases, with their lengths.
-fn present(store: &Store) -> Result<HashMap<String, u64>, Error> {
-    let mut files = HashMap::new();
-    for (folder, file) in [MOTION_FILE, AUDIO_FILE] {
-        match store.list(folder, file) {
-            Ok(objects) => files.extend(objects.into_iter().map(|o| (o.path, o.bytes))),
-            Err(StoreError::Missing { .. }) => {}
-            Err(error) => return Err(error.into()),
-        }
-    }
-    Ok(files)
+/// The files of items, with their lengths.
+fn present(store: &Store, parts: Parts) -> Result<HashMap<String, u64>, Error> {
+    let files = (parts.list)(store)?.into_iter();
+    Ok(files.map(|file| (file.path, file.bytes)).collect())
 }
 
-/// Rejects to write among the phrases of somebody else.
-fn refuse_foreign(store: &Store) -> Result<(), Error> {
+/// Rejects to write among the items of somebody else.
+fn refuse_foreign(
+    store: &Store,
+    parts: Parts,
+    present: &HashMap<String, u64>,
+) -> Result<(), Error> {
     let there = |path| {
         store
             .find(path, manifest::MAX_BYTES)
@@ -204,9 +203,15 @@ fn refuse_foreign(store: &Store) -> Result<(), Error> {
     if there(PREPARATION)? {
         return Ok(());
     }
-    if there(MANIFEST)? || !present(store)?.is_empty() {
-        let path = store.uri().into();
-        return Err(kinegrad_data::Error::Exists { path }.into());
+    let mut foreign = !present.is_empty();
+    for index in parts.index {
+        foreign = foreign || there(index)?;
     }
-    Ok(())
+    match foreign {
+        false => Ok(()),
+        true => {
+            let path = store.uri().into();
+            Err(kinegrad_data::Error::Exists { path }.into())
+        }
+    }
 }

@@ -1,4 +1,5 @@
-//! Plans: which motion belongs to which music, and how phrases are cut.
+//! Plans: which motion belongs to which music, and how phrases are cut; or which captures become
+//! clips.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -15,12 +16,18 @@ use toml::Table;
 
 use super::grid::Grid;
 use super::units::Units;
+use crate::bodies::{CaptionsPlan, CapturePlan, ClipsPlan};
 use crate::{BeatGrid, Beats, Error, Joining, MarkerMap, UpAxis};
 
 /// Metres of the smallest unit that makes sense.
 const SMALLEST_UNIT: f64 = 1e-9;
 
-/// A plan, as its TOML file writes it. Paths are relative to that file.
+/// The keys of plans of phrases and of plans of clips.
+const OF_PHRASES: [&str; 4] = ["phrases", "joining", "take", "choreonet"];
+const OF_CLIPS: [&str; 3] = ["clips", "captions", "capture"];
+
+/// A plan, as its TOML file writes it: of phrases, with `[[take]]` or `[[choreonet]]`, or of clips,
+/// with `[[capture]]`. Paths are relative to that file.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
@@ -29,9 +36,15 @@ pub struct Plan {
     /// How phrases are cut.
     #[serde(default)]
     pub phrases: PhrasesPlan,
-    /// Which phrases are held out.
+    /// How clips are made of captures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clips: Option<ClipsPlan>,
+    /// What is held out.
     #[serde(default)]
     pub split: SplitPlan,
+    /// Captions of clips that are made of their labels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub captions: Option<CaptionsPlan>,
     /// How a bucket is spoken to.
     #[serde(default)]
     pub store: StoreConfig,
@@ -44,6 +57,9 @@ pub struct Plan {
     /// Choreographies of the ChoreoNet data.
     #[serde(default)]
     pub choreonet: Vec<ChoreonetPlan>,
+    /// Full-body captures, which become clips.
+    #[serde(default, rename = "capture")]
+    pub captures: Vec<CapturePlan>,
     /// The folder that paths are relative to.
     #[serde(skip)]
     pub folder: PathBuf,
@@ -72,16 +88,24 @@ impl Default for PhrasesPlan {
     }
 }
 
-/// Which phrases the manifest holds out.
+/// What is held out.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitPlan {
-    /// Ids, or patterns with `*` for any run of characters: `"C_5_*"` is a whole take. Without any,
-    /// whole songs are held out, see `fraction`.
+    /// Ids of phrases, or names of takes that become clips, or patterns with `*` for any run of
+    /// characters: `"C_5_*"` is a whole take. Without any, `fraction` decides.
     pub validation: Vec<String>,
-    /// Share of the songs that is held out where no phrase is named: those whose names have the
-    /// lowest hashes, at least one of several and never all. With 0, none is.
+    /// Share that is held out where nothing is named. Of phrases, of the songs: those whose names
+    /// have the lowest hashes, at least one of several and never all. Of clips, of the takes with the
+    /// same labels: the last by their numbers, rounded, never all. With 0, none is.
     pub fraction: f64,
+    /// Names of takes, or patterns, whose clips are held out for the end.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub test: Vec<String>,
+    /// Share of the takes with the same labels whose clips are held out for the end, where nothing
+    /// is named: the very last ones, after those of `fraction`; none unless stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub test_fraction: Option<f64>,
 }
 
 impl Default for SplitPlan {
@@ -89,6 +113,8 @@ impl Default for SplitPlan {
         Self {
             validation: Vec::new(),
             fraction: 0.1,
+            test: Vec::new(),
+            test_fraction: None,
         }
     }
 }
@@ -207,8 +233,35 @@ impl Plan {
             .and_then(|()| must_be_tables(&given, &read))
             .map_err(|unfit| Error::plan(path, unfit))?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        plan.check().map_err(|problem| Error::plan(path, problem))?;
+        one_kind(&given)
+            .and_then(|()| plan.check())
+            .map_err(|problem| Error::plan(path, problem))?;
         Ok(plan)
+    }
+
+    /// Whether it is a plan of clips, and not of phrases.
+    pub fn is_of_clips(&self) -> bool {
+        !self.captures.is_empty()
+    }
+
+    /// How clips are made.
+    pub(crate) fn clips(&self) -> ClipsPlan {
+        self.clips.clone().unwrap_or_default()
+    }
+
+    /// Captions that are made of labels.
+    pub(crate) fn captions(&self) -> CaptionsPlan {
+        self.captions.clone().unwrap_or_default()
+    }
+
+    fn check_clips(&self) -> Result<(), String> {
+        self.clips().check()?;
+        self.captions().check()?;
+        for capture in &self.captures {
+            let sound = capture.check();
+            sound.map_err(|problem| format!("capture `{}`: {problem}", capture.motion))?;
+        }
+        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {
@@ -229,10 +282,25 @@ impl Plan {
                 "split.fraction = {fraction}: from 0 to below 1 allowed"
             ));
         }
+        let test = self.split.test_fraction.unwrap_or_default();
+        if !(0.0..1.0).contains(&test) {
+            return Err(format!(
+                "split.test_fraction = {test}: from 0 to below 1 allowed"
+            ));
+        }
+        if self.is_of_clips() {
+            return self.check_clips();
+        }
+        if !self.split.test.is_empty() || self.split.test_fraction.is_some() {
+            return Err(
+                "split.test and split.test_fraction are for clips, and this plan has no [[capture]]"
+                    .to_owned(),
+            );
+        }
         let joining = self.joining.check();
         joining.map_err(|error| format!("joining: {}", error.with_hint()))?;
         if self.takes.is_empty() && self.choreonet.is_empty() {
-            return Err("no [[take]] and no [[choreonet]]: nothing to prepare".to_owned());
+            return Err("no [[take]], [[choreonet]] or [[capture]]: nothing to prepare".to_owned());
         }
         for (index, take) in self.takes.iter().enumerate() {
             let named = take.name.as_deref().or(take.motion.as_deref());
@@ -246,6 +314,18 @@ impl Plan {
     /// `path` from where the plan stands.
     pub fn resolve(&self, path: &str) -> PathBuf {
         self.folder.join(path)
+    }
+}
+
+/// Rejects a plan that has keys of phrases and of clips.
+fn one_kind(given: &Table) -> Result<(), String> {
+    let first = |keys: &[&'static str]| keys.iter().copied().find(|key| given.contains_key(*key));
+    match (first(&OF_PHRASES), first(&OF_CLIPS)) {
+        (Some(phrases), Some(clips)) => Err(format!(
+            "`{phrases}` is for phrases and `{clips}` for clips: a plan makes one of them, so write \
+             two plans"
+        )),
+        _ => Ok(()),
     }
 }
 

@@ -88,7 +88,7 @@ pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, St
 }
 
 /// The file that a pattern has found, as the plan would name it.
-fn named(pattern: &str, found: &Path) -> String {
+pub(crate) fn named(pattern: &str, found: &Path) -> String {
     let file = found.file_name().unwrap_or_default();
     let named = Path::new(pattern).with_file_name(file);
     named.to_string_lossy().into_owned()
@@ -102,7 +102,7 @@ const ANY: [&str; 0] = [];
 
 /// The files whose names match the last part of `path` and, where a pattern found them, have one
 /// of the `endings`; sorted, at least one. Hidden files do not match a pattern.
-fn matching(path: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, String> {
+pub(crate) fn matching(path: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, String> {
     let missing = || format!("there is no file {}", path.display());
     let pattern = path.file_name().unwrap_or_default().to_string_lossy();
     if !pattern.contains('*') {

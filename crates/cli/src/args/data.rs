@@ -13,20 +13,25 @@ pub enum DataCommand {
     /// Create a synthetic dataset: phrases with smooth motion that follows the beat of their audio
     /// features, or walks in the HumanML3D layout
     Synth(SynthArguments),
-    /// Create a phrase dataset from motion captures and songs, following a plan
+    /// Create a dataset from motion captures, following a plan: phrases with their songs, or clips of
+    /// full-body motion with captions
     Prepare(PrepareArguments),
     /// Summarise a dataset and list problems
     Inspect(InspectArguments),
 }
 
-/// Reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs, cuts them into phrases
-/// and writes these with a manifest to a folder or bucket; docs/dataset.md describes plans. An
-/// interrupted run continues where it stopped when it is run again. Exits with 1 if a take failed.
+/// A plan with [[take]] reads BVH, C3D, npy and npz captures and mp3, wav, flac and ogg songs and
+/// cuts them into phrases. A plan with [[capture]] reads full-body BVH captures, gives them one
+/// skeleton and cuts them into clips with captions, in the HumanML3D layout. Either is written with a
+/// manifest to a folder or bucket; docs/dataset.md describes plans. An interrupted run continues where
+/// it stopped when it is run again. Exits with 1 if a take failed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   kinegrad init prepare
-  kinegrad data prepare prepare.toml --out gs://bucket/dances")]
+  kinegrad data prepare prepare.toml --out gs://bucket/dances
+  kinegrad init bodies
+  kinegrad data prepare bodies.toml")]
 pub struct PrepareArguments {
     /// The plan
     #[arg(value_name = "PLAN.toml")]
@@ -37,7 +42,7 @@ pub struct PrepareArguments {
     /// Process every take again, even if it is up to date
     #[arg(long)]
     pub again: bool,
-    /// Remove phrases of takes that are no longer in the plan
+    /// Remove phrases or clips of takes that are no longer in the plan
     #[arg(long)]
     pub prune: bool,
     /// Print JSON

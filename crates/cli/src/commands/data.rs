@@ -90,7 +90,8 @@ fn no_dataset(source: &str) -> Error {
     let hint = "phrases are motion/ID/trajectory.npy and audio_features/ID/features.npz; clips of \
                 HumanML3D or KIT-ML are new_joint_vecs/ID.npy and texts/ID.txt with train.txt and \
                 val.txt; `kinegrad data synth --out DIR` makes phrases to try, with `--walks` clips, \
-                and `kinegrad data prepare` makes phrases of captures (BVH, C3D) with their songs";
+                and `kinegrad data prepare` makes phrases of captures (BVH, C3D) with their songs, and clips of \
+                full-body captures (BVH)";
     Error::usage(message, hint)
 }
 
@@ -128,9 +129,15 @@ fn select(arguments: &InspectArguments) -> Result<ExitCode, Error> {
 }
 
 fn print_selection(chosen: &Selection, all: usize) {
-    const COLUMNS: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
+    const PHRASES: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
+    const CLIPS: [&str; 6] = ["id", "frames", "map", "mirrored", "split", "caption"];
+    let clips = chosen.texts("caption").is_some();
+    let (names, items) = match clips {
+        true => (CLIPS, "clips"),
+        false => (PHRASES, "phrases"),
+    };
     let shown = |number: Option<f64>| number.map_or(String::new(), |n| format!("{n:.1}"));
-    let columns = COLUMNS.map(|name| match (name, chosen.numbers(name)) {
+    let columns = names.map(|name| match (name, chosen.numbers(name)) {
         ("tempo" | "beats", Some(numbers)) => numbers.into_iter().map(shown).collect(),
         _ => chosen.texts(name).unwrap_or_default(),
     });
@@ -138,31 +145,46 @@ fn print_selection(chosen: &Selection, all: usize) {
         let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
         columns.each_ref().map(cell)
     });
-    say!("{}", table(COLUMNS, rows));
-    let frames = chosen.numbers("frames").unwrap_or_default();
+    say!("{}", table(names, rows));
     // A sum of nothing is minus zero.
-    let frames = frames.into_iter().flatten().fold(0.0, |sum, f| sum + f);
+    let sum = |column: &str| {
+        let values = chosen.numbers(column).unwrap_or_default();
+        values
+            .into_iter()
+            .flatten()
+            .fold(0.0, |sum, value| sum + value)
+    };
+    let seconds = match clips {
+        true => sum("seconds"),
+        false => sum("frames") / kinegrad_motion::FPS,
+    };
     say!(
-        "{} of {} phrases, {:.2} minutes",
+        "{} of {} {items}, {:.2} minutes",
         grouped(chosen.len()),
         grouped(all),
-        frames / kinegrad_motion::FPS / 60.0
+        seconds / 60.0
     );
 }
 
 fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
+    let (items, place) = match chosen.texts("caption") {
+        Some(_) => ("clips", "place in the take"),
+        None => ("phrases", "place in the song"),
+    };
+    // Clips have no tempo and no beats.
     let histogram = |title: &str, label, column: &str| {
-        let values = chosen.numbers(column).unwrap_or_default();
+        let values = chosen.numbers(column)?;
         let values: Vec<f64> = values.into_iter().flatten().collect();
-        let title = format!("{title} of {} phrases", values.len());
-        Panel::histogram(title, label, &values, 24)
+        let title = format!("{title} of {} {items}", values.len());
+        Some(Panel::histogram(title, label, &values, 24))
     };
     let panels = [
         histogram("tempo", "beats per minute", "tempo"),
         histogram("length", "frames", "frames"),
         histogram("beats", "beats in a phrase", "beats"),
-        histogram("place in the song", "first frame", "first_frame"),
+        histogram(place, "first frame", "first_frame"),
     ];
+    let panels: Vec<Panel> = panels.into_iter().flatten().collect();
     draw(&panels, 2, (520, 250), out)
 }
 

@@ -44,6 +44,7 @@ const TEMPLATES: &[Template] = templates![
     "gmd_motion_tiny",
     "gmd_trajectory_tiny",
     "prepare",
+    "bodies",
     "goal",
 ];
 
@@ -66,7 +67,7 @@ impl Template {
     fn command(&self, file: &Path) -> String {
         let path = file.display();
         match self.name {
-            "prepare" => format!("kinegrad data prepare {path}"),
+            "prepare" | "bodies" => format!("kinegrad data prepare {path}"),
             "goal" => format!("kinegrad sample RUN --goal {path} --out walk"),
             _ if file == Path::new(DEFAULT_CONFIG) => "kinegrad train".to_owned(),
             _ => format!("kinegrad train {path}"),
@@ -182,7 +183,7 @@ mod tests {
             }
             assert!(written.lines().all(|line| line.len() <= 110), "{written}");
             assert!(template.purpose().len() > 20, "{}", template.purpose());
-            if !matches!(template.name, "prepare" | "goal") {
+            if !matches!(template.name, "prepare" | "bodies" | "goal") {
                 let read = BUILT_IN
                     .parse(&written, template.name, &[])
                     .expect("a config");

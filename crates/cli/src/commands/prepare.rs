@@ -1,14 +1,17 @@
 //! `kinegrad data prepare`
 
+use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use kinegrad_capture::bodies::{ClipsReport, prepare_clips};
 use kinegrad_capture::prepare::{
     Grid, Plan, PrepareObserver, PrepareOptions, Report, TakeReport, prepare,
 };
-use kinegrad_report::{grouped, rows as table};
+use kinegrad_report::{facts, grouped, rows as table};
 use kinegrad_train::Error;
+use serde::Serialize;
 
 use crate::args::PrepareArguments;
 use crate::output::unusable;
@@ -53,17 +56,34 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         again: arguments.again,
         prune: arguments.prune,
     };
-    let report = prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
-    let Some(report) = report else {
-        return Ok(ExitCode::from(130));
-    };
-    let failed = report.takes.iter().any(|take| take.failure.is_some());
-    if arguments.json {
-        say!("{}", serde_json::to_string(&report).expect("plain data"));
-    } else {
-        print(&report);
+    if plan.is_of_clips() {
+        let report = prepare_clips(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+        return Ok(ended(arguments.json, report, print_clips, |report| {
+            report.takes.iter().any(|take| take.failure.is_some())
+        }));
     }
-    Ok(ExitCode::from(u8::from(failed)))
+    let report = prepare(&plan, &arguments.plan, options, &progress).map_err(failed)?;
+    Ok(ended(arguments.json, report, print, |report| {
+        report.takes.iter().any(|take| take.failure.is_some())
+    }))
+}
+
+/// Shows the report of a preparation that has ended, and gives the exit code; there is none if it
+/// was stopped.
+fn ended<R: Serialize>(
+    json: bool,
+    report: Option<R>,
+    print: fn(&R),
+    failed: fn(&R) -> bool,
+) -> ExitCode {
+    let Some(report) = report else {
+        return ExitCode::from(130);
+    };
+    match json {
+        true => say!("{}", serde_json::to_string(&report).expect("plain data")),
+        false => print(&report),
+    }
+    ExitCode::from(u8::from(failed(&report)))
 }
 
 fn failed(error: kinegrad_capture::Error) -> Error {
@@ -138,6 +158,88 @@ fn print(report: &Report) {
         report.kept,
         report.takes.len()
     );
+}
+
+/// Takes that are listed by name for one reason; of more, their number.
+const LISTED: usize = 20;
+
+fn print_clips(report: &ClipsReport) {
+    let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
+    for take in report.takes.iter().filter(|take| take.clips > 0) {
+        *maps.entry(&take.map).or_default() += 1;
+    }
+    let maps = maps
+        .iter()
+        .map(|(map, takes)| format!("{map} {}", grouped(*takes)));
+    let parts = report.parts.iter();
+    let parts = parts.map(|(part, clips)| format!("{part} {}", grouped(*clips)));
+    let shown = [
+        ("dataset", report.output.clone()),
+        (
+            "clips",
+            format!(
+                "{} ({:.2} minutes)",
+                grouped(report.clips),
+                report.hours * 60.0
+            ),
+        ),
+        ("lists", parts.collect::<Vec<_>>().join(", ")),
+        ("joint maps (takes)", maps.collect::<Vec<_>>().join(", ")),
+        (
+            "takes up to date",
+            format!(
+                "{} of {}",
+                grouped(report.kept),
+                grouped(report.takes.len())
+            ),
+        ),
+    ];
+    say!("{}", facts(shown));
+    let failed = report.takes.iter().filter_map(|take| {
+        let failure = take.failure.as_ref()?;
+        Some(format!("{}: {failure}", take.name))
+    });
+    list("failed", failed.collect());
+    let skipped = report.takes.iter().flat_map(|take| {
+        let skipped = take.skipped.iter();
+        skipped.map(|rest| format!("{}: {}", take.name, rest.reason))
+    });
+    list("skipped", skipped.collect());
+    let notes = report.takes.iter().flat_map(|take| {
+        let notes = take.notes.iter();
+        notes.map(|note| format!("{}: {note}", take.name))
+    });
+    list("notes", notes.collect());
+    for entry in &report.idle_entries {
+        say!("split: no take matches `{entry}`");
+    }
+    if report.stale > 0 {
+        say!(
+            "{} clips of takes that the plan does not have lie there too; they do not belong to the \
+             dataset, and `--prune` removes them",
+            grouped(report.stale)
+        );
+    }
+    if !report.manifest {
+        say!("no manifest.parquet: this build writes none (`--features full` does)");
+    }
+}
+
+/// Prints lines below a heading, and how many more there are in the report.
+fn list(heading: &str, lines: Vec<String>) {
+    if lines.is_empty() {
+        return;
+    }
+    say!("\n{heading}: {}", grouped(lines.len()));
+    for line in lines.iter().take(LISTED) {
+        say!("  {line}");
+    }
+    if lines.len() > LISTED {
+        say!(
+            "  and {} more, in prepare/report.json",
+            lines.len() - LISTED
+        );
+    }
 }
 
 /// How stated and tracked beats agree, and which of them segments lie on.

@@ -1,0 +1,217 @@
+//! Captions of clips: sentences made of labels, and the same with left and right exchanged.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::plan::CaptionsPlan;
+
+/// What the number of a take is called among the labels of a file's name.
+pub(crate) const TAKE: &str = "take";
+
+/// What a clip is called by: the value of each label.
+pub type Labels = BTreeMap<String, String>;
+
+/// A text in parts: what stands there, and names in braces.
+#[derive(Debug, PartialEq)]
+pub(super) enum Part<'a> {
+    Text(&'a str),
+    Name(&'a str),
+}
+
+/// The parts of a text with names in braces.
+///
+/// # Errors
+/// What is wrong with its braces.
+pub(super) fn parts(text: &str) -> Result<Vec<Part<'_>>, String> {
+    let wrong = || format!("`{text}`: names in pairs of braces allowed, as in {{style}}");
+    let mut parts = Vec::new();
+    let mut rest = text;
+    while let Some(open) = rest.find(['{', '}']) {
+        let (before, after) = rest.split_at(open);
+        let inner = after.strip_prefix('{').ok_or_else(wrong)?;
+        let (name, after) = inner.split_once('}').ok_or_else(wrong)?;
+        if name.is_empty() || name.contains('{') {
+            return Err(wrong());
+        }
+        if !before.is_empty() {
+            parts.push(Part::Text(before));
+        }
+        parts.push(Part::Name(name));
+        rest = after;
+    }
+    if !rest.is_empty() {
+        parts.push(Part::Text(rest));
+    }
+    Ok(parts)
+}
+
+/// The names in braces of a text.
+///
+/// # Errors
+/// As [`parts`].
+pub(crate) fn placeholders(text: &str) -> Result<BTreeSet<String>, String> {
+    let names = parts(text)?.into_iter().filter_map(|part| match part {
+        Part::Name(name) => Some(name.to_owned()),
+        Part::Text(_) => None,
+    });
+    Ok(names.collect())
+}
+
+impl CaptionsPlan {
+    /// The captions of a clip with these labels: as many as there are templates, or phrases of one
+    /// of its labels; both take turns.
+    ///
+    /// # Errors
+    /// If a template has a label in it that the clip has not.
+    pub fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
+        let templates = self.templates.iter().map(|template| parts(template));
+        let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;
+        let phrases = |label: &str, value: &str| -> Vec<String> {
+            let words = self.words.get(label).and_then(|words| words.get(value));
+            match words {
+                Some(phrases) => phrases.all().to_vec(),
+                None => vec![value.replace(['-', '_'], " ")],
+            }
+        };
+        let mut most = templates.len();
+        for name in templates.iter().flatten() {
+            if let Part::Name(name) = name {
+                let value = labels
+                    .get(*name)
+                    .ok_or_else(|| format!("it has no label `{name}`, which a template names"))?;
+                most = most.max(phrases(name, value).len());
+            }
+        }
+        let mut captions: Vec<String> = Vec::new();
+        for turn in 0..if templates.is_empty() { 0 } else { most } {
+            let template = &templates[turn % templates.len()];
+            let text: String = template
+                .iter()
+                .map(|part| match part {
+                    Part::Text(text) => (*text).to_owned(),
+                    Part::Name(name) => {
+                        let phrases = phrases(name, &labels[*name]);
+                        phrases[turn % phrases.len()].clone()
+                    }
+                })
+                .collect();
+            // A label that is not said leaves a gap.
+            let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+            if !text.is_empty() && !captions.contains(&text) {
+                captions.push(text);
+            }
+        }
+        Ok(captions)
+    }
+}
+
+/// The text with the words left and right exchanged, however they are written: what is true of a
+/// mirrored clip.
+pub fn mirrored(text: &str) -> String {
+    let mut result = String::with_capacity(text.len());
+    let mut word = String::new();
+    let exchange = |word: &str| {
+        let exchanged = match word.to_lowercase().as_str() {
+            "left" => "right",
+            "right" => "left",
+            "lefts" => "rights",
+            "rights" => "lefts",
+            "leftward" => "rightward",
+            "rightward" => "leftward",
+            "leftwards" => "rightwards",
+            "rightwards" => "leftwards",
+            "clockwise" => "counterclockwise",
+            "counterclockwise" | "anticlockwise" => "clockwise",
+            _ => return word.to_owned(),
+        };
+        let mut letters = word.chars();
+        match (letters.next(), letters.next()) {
+            (Some(first), Some(second)) if second.is_uppercase() && first.is_uppercase() => {
+                exchanged.to_uppercase()
+            }
+            (Some(first), _) if first.is_uppercase() => {
+                exchanged[..1].to_uppercase() + &exchanged[1..]
+            }
+            _ => exchanged.to_owned(),
+        }
+    };
+    for letter in text.chars() {
+        if letter.is_alphabetic() {
+            word.push(letter);
+        } else {
+            result += &exchange(&word);
+            word.clear();
+            result.push(letter);
+        }
+    }
+    result + &exchange(&word)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(text: &str) -> CaptionsPlan {
+        let plan: CaptionsPlan = toml::from_str(text).unwrap();
+        plan.check().unwrap();
+        plan
+    }
+
+    fn labels(given: &[(&str, &str)]) -> Labels {
+        let named = given
+            .iter()
+            .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
+        named.collect()
+    }
+
+    #[test]
+    fn templates_and_phrases_take_turns() {
+        let plan = plan(
+            "templates = [\"a person {content} {style}\", \"someone {content}\"]\n\
+             words.content.run = [\"runs\", \"jogs\", \"hurries\"]\n\
+             words.style = { normal = \"\" }",
+        );
+        let happy = labels(&[("content", "run"), ("style", "not-sad")]);
+        assert_eq!(
+            plan.of(&happy).unwrap(),
+            [
+                "a person runs not sad",
+                "someone jogs",
+                "a person hurries not sad"
+            ]
+        );
+        let normal = labels(&[("content", "walk-back"), ("style", "normal")]);
+        let expected = ["a person walk back", "someone walk back"];
+        assert_eq!(plan.of(&normal).unwrap(), expected);
+        let message = plan.of(&labels(&[("content", "run")])).unwrap_err();
+        assert!(message.contains("no label `style`"), "{message}");
+        assert_eq!(CaptionsPlan::default().of(&happy).unwrap(), [""; 0]);
+    }
+
+    #[test]
+    fn left_and_right_are_exchanged_as_whole_words() {
+        for (text, expected) in [
+            ("turns left, then right", "turns right, then left"),
+            ("walk-turn-left", "walk-turn-right"),
+            ("Left LEFT lefty leftover", "Right RIGHT lefty leftover"),
+            ("steps rightwards_left", "steps leftwards_right"),
+            ("turns clockwise", "turns counterclockwise"),
+            ("all right", "all left"),
+            ("", ""),
+        ] {
+            assert_eq!(mirrored(text), expected);
+            assert_eq!(mirrored(expected), text);
+        }
+        assert_eq!(mirrored("anticlockwise"), "clockwise");
+    }
+
+    #[test]
+    fn braces_come_in_pairs() {
+        assert_eq!(
+            parts("a {b}c").unwrap(),
+            [Part::Text("a "), Part::Name("b"), Part::Text("c")]
+        );
+        for broken in ["a {b", "b}", "{}", "{a{b}}", "}{"] {
+            assert!(parts(broken).is_err(), "{broken}");
+        }
+    }
+}

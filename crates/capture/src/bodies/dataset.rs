@@ -1,0 +1,221 @@
+//! The files of a dataset of clips.
+
+use std::collections::BTreeMap;
+
+use kinegrad_data::humanml::{
+    Caption, ClipLabels, FEATURES, LABELS, TEXTS, features_bytes, features_path, labels_bytes,
+    parse_features, statistics_files, texts_path,
+};
+use kinegrad_data::manifest::{self, Cells};
+use kinegrad_data::{Digest, Error as DataError, MANIFEST, Object, Store, StoreError};
+use kinegrad_motion::JointFeatures;
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_motion::metrics::text_motion::Token;
+use kinegrad_motion::representation::Measured;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::captions::Labels;
+use super::split::Part;
+use crate::Error;
+use crate::prepare::output::{Output, Parts};
+
+/// Clips whose statistics are measured at a time.
+const CHUNK: usize = 256;
+
+/// The files of a dataset of clips.
+pub(super) const CLIPS: Parts = Parts {
+    list: clip_files,
+    index: &["train.txt", "val.txt", "test.txt", MANIFEST, LABELS],
+};
+
+fn clip_files(store: &Store) -> Result<Vec<Object>, StoreError> {
+    let mut files = store.list_files(FEATURES, "npy")?;
+    files.extend(store.list_files(TEXTS, "txt")?);
+    Ok(files)
+}
+
+/// A clip as it was written.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub(super) struct ClipRow {
+    pub id: String,
+    pub take: String,
+    /// The motion file, as the plan names it.
+    pub file: String,
+    pub map: String,
+    pub labels: Labels,
+    pub captions: Vec<String>,
+    /// Its first frame within the take.
+    pub first_frame: usize,
+    pub frames: usize,
+    pub fps: f64,
+    pub mirrored: bool,
+    pub features_bytes: i64,
+    pub features_sha256: Digest,
+    pub texts_bytes: i64,
+    pub texts_sha256: Digest,
+}
+
+impl ClipRow {
+    /// The paths of its files.
+    pub fn paths(&self) -> [String; 2] {
+        [features_path(&self.id), texts_path(&self.id)]
+    }
+
+    /// Whether its files are there as they were written.
+    pub fn is_whole(&self, output: &Output) -> bool {
+        let [features, texts] = self.paths();
+        output.holds(&features, self.features_bytes, self.features_sha256)
+            && output.holds(&texts, self.texts_bytes, self.texts_sha256)
+    }
+
+    /// Writes the files of a clip with these features, and notes their lengths and checksums.
+    pub fn write(mut self, features: &Features, output: &Output) -> Result<Self, Error> {
+        let lines = self.captions.iter().map(|text| {
+            let caption = Caption {
+                text: text.clone(),
+                tokens: Token::parse_all(text),
+                seconds: None,
+                embedding: None,
+            };
+            caption.line()
+        });
+        let texts = lines.collect::<String>().into_bytes();
+        let features = features_bytes(features);
+        (self.features_bytes, self.features_sha256) =
+            (features.len() as i64, Digest::of(&features));
+        (self.texts_bytes, self.texts_sha256) = (texts.len() as i64, Digest::of(&texts));
+        let [features_path, texts_path] = self.paths();
+        output.write(&features_path, features)?;
+        output.write(&texts_path, texts)?;
+        Ok(self)
+    }
+}
+
+/// Writes what says which clips belong to the dataset: statistics, labels, the manifest, then the
+/// lists, that of the training clips last: without it nothing reads the dataset.
+pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(), Error> {
+    for root in [Root::Relative, Root::Absolute] {
+        for (path, bytes) in statistics(store, rows, root)? {
+            store.write(path, bytes)?;
+        }
+    }
+    let labels = rows
+        .iter()
+        .map(|(row, _)| (row.id.clone(), row.labels.clone()));
+    let labels: ClipLabels = labels.collect();
+    store.write(LABELS, labels_bytes(&labels))?;
+    if manifest::SUPPORTED {
+        manifest::write_columns(store, columns(rows))?;
+    } else {
+        store.remove(MANIFEST)?;
+    }
+    for part in Part::ALL.into_iter().rev() {
+        let ids = rows.iter().filter(|(_, of)| *of == part);
+        let list: String = ids.map(|(row, _)| format!("{}\n", row.id)).collect();
+        // The reader wants a list of held-out clips, though it may be empty.
+        match list.is_empty() && part == Part::Test {
+            true => store.remove(part.list())?,
+            false => store.write(part.list(), list.into_bytes())?,
+        }
+    }
+    Ok(())
+}
+
+/// Mean and deviation of the training clips, as files.
+fn statistics(
+    store: &Store,
+    rows: &[(ClipRow, Part)],
+    root: Root,
+) -> Result<[(&'static str, Vec<u8>); 2], Error> {
+    let skeleton = Skeleton::humanml3d();
+    let representation = JointFeatures { skeleton, root };
+    let train: Vec<&ClipRow> = rows
+        .iter()
+        .filter(|(_, part)| *part == Part::Train)
+        .map(|(row, _)| row)
+        .collect();
+    let mut all: Option<Measured> = None;
+    for chunk in train.chunks(CHUNK) {
+        let measured: Vec<Measured> = chunk
+            .par_iter()
+            .map(|row| {
+                let path = features_path(&row.id);
+                let bytes = store.read(&path, row.features_bytes.unsigned_abs())?;
+                let features =
+                    parse_features(&bytes, &store.name_of(&path), &representation.skeleton)
+                        .map_err(DataError::from)?;
+                let features = features.with_root(root);
+                Ok(Measured::of(&representation, features.as_slice()))
+            })
+            .collect::<Result<_, Error>>()?;
+        for measured in measured {
+            match &mut all {
+                Some(all) => all.merge(measured),
+                None => all = Some(measured),
+            }
+        }
+    }
+    let statistics = all.expect("a training clip").statistics(&representation);
+    Ok(statistics_files(root, &statistics))
+}
+
+/// The columns of the manifest.
+fn columns(rows: &[(ClipRow, Part)]) -> Vec<(String, Cells)> {
+    let texts = |value: &dyn Fn(&ClipRow) -> Option<String>| {
+        Cells::Texts(rows.iter().map(|(row, _)| value(row)).collect())
+    };
+    let integers = |value: &dyn Fn(&ClipRow) -> i64| {
+        Cells::Integers(rows.iter().map(|(row, _)| value(row)).collect())
+    };
+    let numbers = |value: &dyn Fn(&ClipRow) -> f64| {
+        Cells::Numbers(rows.iter().map(|(row, _)| value(row)).collect())
+    };
+    let mut columns = vec![
+        ("id".to_owned(), texts(&|row| Some(row.id.clone()))),
+        ("take".to_owned(), texts(&|row| Some(row.take.clone()))),
+        ("file".to_owned(), texts(&|row| Some(row.file.clone()))),
+        ("map".to_owned(), texts(&|row| Some(row.map.clone()))),
+    ];
+    let mut names = BTreeMap::new();
+    for (row, _) in rows {
+        names.extend(row.labels.keys().map(|name| (name.clone(), ())));
+    }
+    for name in names.into_keys() {
+        let cells = texts(&|row| row.labels.get(&name).cloned());
+        columns.push((name, cells));
+    }
+    let split = rows.iter().map(|(_, part)| Some(part.to_string()));
+    let mirrored = rows.iter().map(|(row, _)| row.mirrored);
+    columns.extend([
+        (
+            "first_frame".to_owned(),
+            integers(&|row| row.first_frame as i64),
+        ),
+        ("frames".to_owned(), integers(&|row| row.frames as i64)),
+        (
+            "seconds".to_owned(),
+            numbers(&|row| row.frames as f64 / row.fps),
+        ),
+        ("fps".to_owned(), numbers(&|row| row.fps)),
+        ("mirrored".to_owned(), Cells::Flags(mirrored.collect())),
+        ("split".to_owned(), Cells::Texts(split.collect())),
+        (
+            "caption".to_owned(),
+            texts(&|row| row.captions.first().cloned()),
+        ),
+        (
+            "captions".to_owned(),
+            integers(&|row| row.captions.len() as i64),
+        ),
+        (
+            "features_bytes".to_owned(),
+            integers(&|row| row.features_bytes),
+        ),
+        (
+            "features_sha256".to_owned(),
+            texts(&|row| Some(row.features_sha256.to_string())),
+        ),
+    ]);
+    columns
+}

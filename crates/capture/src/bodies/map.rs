@@ -1,0 +1,242 @@
+//! Joint maps: which joints of a capture are the joints of the skeleton that clips have.
+
+use std::collections::BTreeMap;
+
+use kinegrad_motion::humanml::Skeleton;
+use kinegrad_settings::in_words;
+use serde::{Deserialize, Serialize};
+
+use crate::{Bvh, RootPose};
+
+/// The built-in maps by their names.
+const BUILT_IN: [(&str, &str); 5] = [
+    ("bandai", include_str!("maps/bandai.toml")),
+    ("cmu", include_str!("maps/cmu.toml")),
+    ("humanml3d", include_str!("maps/humanml3d.toml")),
+    ("mixamo", include_str!("maps/mixamo.toml")),
+    ("xsens", include_str!("maps/xsens.toml")),
+];
+
+/// Missing joints that a message names.
+const SHOWN: usize = 8;
+
+/// Where each joint of a skeleton is found in a capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointMap {
+    name: String,
+    /// The joints of the skeleton with their sources, in the skeleton's order.
+    joints: Vec<(String, Source)>,
+}
+
+/// Where a joint of the skeleton is found.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(try_from = "toml::Value")]
+enum Source {
+    /// At a joint of the capture.
+    Joint(String),
+    /// On the line from one joint to another, at this part of the way: what the capture lacks.
+    Between { from: String, to: String, at: f64 },
+}
+
+impl TryFrom<toml::Value> for Source {
+    type Error = String;
+
+    fn try_from(value: toml::Value) -> Result<Self, String> {
+        let allowed = "the name of a joint, or { from = \"JOINT\", to = \"JOINT\", at = PART }";
+        let (mut from, mut to, mut at) = (None, None, None);
+        let table = match value {
+            toml::Value::String(joint) => return Ok(Self::Joint(joint)),
+            toml::Value::Table(table) => table,
+            other => return Err(format!("found {}, allowed: {allowed}", other.type_str())),
+        };
+        for (key, value) in table {
+            match (key.as_str(), value) {
+                ("from", toml::Value::String(joint)) => from = Some(joint),
+                ("to", toml::Value::String(joint)) => to = Some(joint),
+                ("at", toml::Value::Float(part)) if part.is_finite() => at = Some(part),
+                ("at", toml::Value::Integer(part)) => at = Some(part as f64),
+                (key, value) => return Err(format!("found {key} = {value}, allowed: {allowed}")),
+            }
+        }
+        match (from, to, at) {
+            (Some(from), Some(to), Some(at)) => Ok(Self::Between { from, to, at }),
+            _ => Err(format!(
+                "found a table without one of its keys, allowed: {allowed}"
+            )),
+        }
+    }
+}
+
+impl Source {
+    /// The joints of the capture that it needs.
+    fn needs(&self) -> Vec<&str> {
+        match self {
+            Self::Joint(joint) => vec![joint],
+            Self::Between { from, to, .. } => vec![from, to],
+        }
+    }
+}
+
+/// A map as its file writes it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MapFile {
+    joints: BTreeMap<String, Source>,
+}
+
+/// A map whose joints were found in a capture.
+#[derive(Clone, Debug)]
+pub struct FoundJoints {
+    /// For each joint of the skeleton two joints of the capture, and the part of the way from the
+    /// first to the second.
+    places: Vec<(usize, usize, f64)>,
+}
+
+impl FoundJoints {
+    /// The skeleton's joints, `[J]`, where the capture has its joints at `world`.
+    pub fn of(&self, world: &[RootPose]) -> impl Iterator<Item = [f64; 3]> {
+        self.places.iter().map(|&(from, to, at)| {
+            let (from, to) = (world[from].position, world[to].position);
+            [0, 1, 2].map(|axis| from[axis] + at * (to[axis] - from[axis]))
+        })
+    }
+}
+
+impl JointMap {
+    /// The map called `name`, of the TOML text of its file.
+    ///
+    /// # Errors
+    /// What is wrong with it, with what is allowed.
+    pub fn parse(name: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
+        let file: MapFile =
+            toml::from_str(text).map_err(|error| in_words(error.message()).to_string())?;
+        let names = &skeleton.description().joint_names;
+        let mut sources = file.joints;
+        let joints = names.iter().map(|joint| {
+            let source = sources.remove(joint);
+            source.map(|source| (joint.clone(), source)).ok_or_else(|| {
+                format!(
+                    "joints.{joint} is missing; a joint that the captures lack lies between \
+                         two others: {joint} = {{ from = \"JOINT\", to = \"JOINT\", at = 0.5 }}"
+                )
+            })
+        });
+        let joints = joints.collect::<Result<_, _>>()?;
+        if let Some((odd, _)) = sources.pop_first() {
+            return Err(format!(
+                "joints.{odd}: no joint of {}; allowed: {}",
+                skeleton.description().name,
+                names.join(", ")
+            ));
+        }
+        let name = name.to_owned();
+        Ok(Self { name, joints })
+    }
+
+    /// The built-in map of this name; in an error, those that there are.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn built_in(name: &str) -> Result<Self, String> {
+        let mut maps = Self::all_built_in().into_iter();
+        maps.find(|map| map.name == name).ok_or_else(|| {
+            let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+            format!(
+                "there is no joint map `{name}`, allowed: {}, or a file ending in .toml",
+                names.join(", ")
+            )
+        })
+    }
+
+    fn all_built_in() -> Vec<Self> {
+        let skeleton = Skeleton::humanml3d();
+        let maps = BUILT_IN.iter();
+        maps.map(|(name, text)| Self::parse(name, text, &skeleton).expect("the maps are sound"))
+            .collect()
+    }
+
+    /// The built-in map whose joints a capture has: of several the one that names most of them.
+    ///
+    /// # Errors
+    /// In words, which joints the capture lacks of the map that fits best.
+    pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
+        let named = |map: &Self| {
+            let mut joints: Vec<&str> = map.needs().collect();
+            joints.sort_unstable();
+            joints.dedup();
+            joints.len()
+        };
+        let mut maps = Self::all_built_in();
+        maps.sort_by_key(|map| (map.missing(bvh).len(), std::cmp::Reverse(named(map))));
+        let best = maps.swap_remove(0);
+        match best.missing(bvh).is_empty() {
+            true => Ok(best),
+            false => Err(format!(
+                "no built-in joint map fits: {} (name joints of your own with `map = \
+                 \"FILE.toml\"`)",
+                best.lacking(bvh)
+            )),
+        }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// All that it says, as text that changes with it.
+    pub fn fingerprint(&self) -> String {
+        format!("{:?}", self.joints)
+    }
+
+    fn needs(&self) -> impl Iterator<Item = &str> {
+        self.joints.iter().flat_map(|(_, source)| source.needs())
+    }
+
+    /// The joints of the skeleton that cannot be found in a capture, each with the first name that
+    /// it lacks.
+    fn missing<'a>(&'a self, bvh: &Bvh) -> Vec<(&'a str, &'a str)> {
+        let joints = self.joints.iter();
+        let lacking = joints.filter_map(|(joint, source)| {
+            let mut needs = source.needs().into_iter();
+            let absent = needs.find(|name| bvh.joint(name).is_none())?;
+            Some((joint.as_str(), absent))
+        });
+        lacking.collect()
+    }
+
+    /// What a capture lacks, in words.
+    fn lacking(&self, bvh: &Bvh) -> String {
+        let missing = self.missing(bvh);
+        let shown = missing.iter().take(SHOWN);
+        let mut names: Vec<String> = shown
+            .map(|(joint, name)| format!("{name} ({joint})"))
+            .collect();
+        if missing.len() > SHOWN {
+            names.push(format!("{} more", missing.len() - SHOWN));
+        }
+        format!(
+            "it lacks {} of the {} joints of `{}`: {}",
+            missing.len(),
+            self.joints.len(),
+            self.name,
+            names.join(", ")
+        )
+    }
+
+    /// Finds its joints in a capture.
+    ///
+    /// # Errors
+    /// In words, which joints the capture lacks.
+    pub fn find(&self, bvh: &Bvh) -> Result<FoundJoints, String> {
+        let place = |source: &Source| match source {
+            Source::Joint(joint) => bvh.joint(joint).map(|joint| (joint, joint, 0.0)),
+            Source::Between { from, to, at } => Some((bvh.joint(from)?, bvh.joint(to)?, *at)),
+        };
+        let places = self.joints.iter().map(|(_, source)| place(source));
+        match places.collect() {
+            Some(places) => Ok(FoundJoints { places }),
+            None => Err(self.lacking(bvh)),
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! One take: from its file to clips.
+
+use std::path::PathBuf;
+
+use kinegrad_data::Digest;
+use kinegrad_motion::humanml::{Joints, Skeleton};
+
+use super::body::Body;
+use super::captions::mirrored;
+use super::clip::Grounded;
+use super::cut::cut;
+use super::dataset::ClipRow;
+use super::labels::{CaptionTable, Labelled};
+use super::map::JointMap;
+use super::plan::CapturePlan;
+use super::report::ClipTakeReport;
+use crate::prepare::motion::bytes;
+use crate::prepare::output::Output;
+use crate::prepare::{Plan, Rejection};
+use crate::{Bvh, C3d, Error};
+
+/// Changes when clips of the same plan would come out otherwise.
+const MAKER: &str = "kinegrad clips 1";
+
+/// What stands for the map of a capture of markers.
+const MARKERS: &str = "markers";
+
+/// A take with its file known.
+#[derive(Clone, Debug)]
+pub(super) struct Take {
+    pub name: String,
+    /// Its part of the plan, with the file that a pattern in it has found.
+    pub capture: CapturePlan,
+    pub motion: PathBuf,
+    /// None where the plan leaves it to be found.
+    pub map: Option<JointMap>,
+}
+
+/// What a take's clips follow from.
+pub(super) struct Known {
+    pub labelled: Labelled,
+    pub captions: Vec<String>,
+    bytes: Vec<u8>,
+    /// Its checksum.
+    pub key: Digest,
+}
+
+impl Take {
+    /// Reads the file and what the clips are called.
+    ///
+    /// # Errors
+    /// In words, what is missing.
+    pub fn known(&self, plan: &Plan, table: Option<&CaptionTable>) -> Result<Known, String> {
+        let stem = self
+            .motion
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy();
+        let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
+        let labelled = self
+            .capture
+            .labels
+            .of(&stem, plan, table)
+            .map_err(in_file)?;
+        let mut captions = labelled.captions.clone();
+        for caption in plan.captions().of(&labelled.labels).map_err(in_file)? {
+            if !captions.contains(&caption) {
+                captions.push(caption);
+            }
+        }
+        let bytes = bytes(&self.motion)?;
+        let map = self.map.as_ref().map(|map| (map.name(), map.fingerprint()));
+        let wanted = (&self.name, &self.capture, plan.clips(), map);
+        let called = (&labelled.labels, labelled.take, &captions);
+        let text = serde_json::to_string(&(wanted, called)).expect("plain data");
+        let key = Digest::of_parts([MAKER.as_bytes(), text.as_bytes(), &bytes]);
+        Ok(Known {
+            labelled,
+            captions,
+            bytes,
+            key,
+        })
+    }
+
+    /// Writes the clips of the take.
+    ///
+    /// # Errors
+    /// [`Error::Busy`], [`Error::Data`]. A take that cannot be used is no error: its report says
+    /// why.
+    pub fn make(
+        &self,
+        plan: &Plan,
+        known: &Known,
+        output: &Output,
+    ) -> Result<(Vec<ClipRow>, ClipTakeReport), Error> {
+        let skeleton = Skeleton::humanml3d();
+        let mut report = ClipTakeReport {
+            name: self.name.clone(),
+            labels: known.labelled.labels.clone(),
+            number: known.labelled.take,
+            ..ClipTakeReport::default()
+        };
+        let clips = plan.clips();
+        let in_file = |problem: String| format!("{}: {problem}", self.motion.display());
+        let ready = self.body(known, &skeleton).and_then(|(map, body)| {
+            let fps = match clips.resample {
+                true => skeleton.description().fps,
+                false => body.rate,
+            };
+            let joints = self.within(&body, fps)?;
+            let grounded = Grounded::new(&skeleton, &joints, clips.retarget);
+            Ok((map, body, fps, grounded.map_err(|e| e.to_string())?))
+        });
+        let (map, body, fps, grounded) = match ready {
+            Ok(ready) => ready,
+            Err(problem) => {
+                report.failure = Some(in_file(problem));
+                return Ok((Vec::new(), report));
+            }
+        };
+        let frames = grounded.frames();
+        report.seconds = frames as f64 / fps;
+        report.map.clone_from(&map);
+        (report.metres_per_unit, report.up) = (body.metres_per_unit, body.up);
+        report.notes = body.notes;
+        let (ranges, rest) = cut(frames, clips.min_frames, clips.max_frames);
+        if let Some(rest) = rest {
+            let reason = format!(
+                "{} frames ({:.2} s) left over; a clip has at least {}",
+                rest.len(),
+                rest.len() as f64 / fps,
+                clips.min_frames
+            );
+            report.skipped.push(Rejection {
+                first_frame: rest.start,
+                frames: rest.len(),
+                reason,
+            });
+        }
+        let mut rows = Vec::new();
+        for range in ranges {
+            let row = ClipRow {
+                id: format!("{}_{:05}", self.name, range.start),
+                take: self.name.clone(),
+                file: self.capture.motion.clone(),
+                map: map.clone(),
+                labels: known.labelled.labels.clone(),
+                captions: known.captions.clone(),
+                first_frame: range.start,
+                frames: range.len(),
+                fps,
+                mirrored: false,
+                features_bytes: 0,
+                features_sha256: known.key,
+                texts_bytes: 0,
+                texts_sha256: known.key,
+            };
+            let features = grounded.clip(&skeleton, range)?;
+            if clips.mirror {
+                let labels = row.labels.iter();
+                let image = ClipRow {
+                    id: format!("M{}", row.id),
+                    labels: labels.map(|(k, v)| (k.clone(), mirrored(v))).collect(),
+                    captions: row.captions.iter().map(|text| mirrored(text)).collect(),
+                    mirrored: true,
+                    ..row.clone()
+                };
+                rows.push(image.write(&features.mirror(&skeleton)?, output)?);
+            }
+            rows.push(row.write(&features, output)?);
+        }
+        report.clips = rows.len();
+        Ok((rows, report))
+    }
+
+    /// The body in the file, and the name of the map that its joints were found by.
+    fn body(&self, known: &Known, skeleton: &Skeleton) -> Result<(String, Body), String> {
+        let file = self.motion.display().to_string();
+        let CapturePlan { units, up, fps, .. } = self.capture;
+        let ending = self.motion.extension().unwrap_or_default();
+        if ending.eq_ignore_ascii_case("c3d") {
+            let c3d = C3d::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
+            let body = Body::of_markers(&c3d, skeleton, fps.unwrap_or(c3d.rate), up)?;
+            return Ok((MARKERS.to_owned(), body));
+        }
+        let bvh = Bvh::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
+        let map = match &self.map {
+            Some(map) => map.clone(),
+            None => JointMap::fitting(&bvh)?,
+        };
+        let rate = fps.unwrap_or(1.0 / bvh.frame_time());
+        let body = Body::of_bvh(&bvh, &map, skeleton, rate, units, up)?;
+        Ok((map.name().to_owned(), body))
+    }
+
+    /// The joints at `fps` frames per second, from the moment where the plan begins to where it
+    /// ends.
+    fn within(&self, body: &Body, fps: f64) -> Result<Joints, String> {
+        let joints = body.at_rate(fps);
+        let start = (self.capture.motion_start_seconds * fps).round() as usize;
+        let end = self
+            .capture
+            .motion_end_seconds
+            .map(|end| (end * fps).round() as usize + 1);
+        let end = end.unwrap_or(usize::MAX).min(joints.frames());
+        if start + 1 >= end {
+            return Err(format!(
+                "{} frames of it from second {}: at least 2 are needed",
+                end.saturating_sub(start),
+                self.capture.motion_start_seconds
+            ));
+        }
+        let count = joints.joints();
+        let part = joints.as_slice()[start * count..end * count].to_vec();
+        Joints::new(part, count).map_err(|e| e.to_string())
+    }
+}
