@@ -64,7 +64,8 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
 
     // A model of the same clips, measured by it.
     sandbox.write("c.toml", SMALLEST_WALKS);
-    let same = "--set data.synthetic.phrases=80 --set data.validation.fraction=0.5";
+    let same = "--set data.synthetic.phrases=80 --set data.validation.fraction=0.5 \
+                --set data.target_frames=40 --set model.padded_frames=44";
     sandbox
         .run(&format!("train c.toml --set train.max_steps=2 {same}"))
         .succeeded();
