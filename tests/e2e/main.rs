@@ -4,6 +4,7 @@
 mod aligned;
 mod bad_input;
 mod beats;
+mod bodies;
 mod captions;
 mod checking;
 mod checkpoints;

@@ -20,7 +20,7 @@ use crate::prepare::{Plan, Rejection};
 use crate::{Bvh, C3d, Error};
 
 /// Changes when clips of the same plan would come out otherwise.
-const MAKER: &str = "kinegrad clips 1";
+const MAKER: &str = "kinegrad clips 2";
 
 /// What stands for the map of a capture of markers.
 const MARKERS: &str = "markers";
@@ -137,8 +137,19 @@ impl Take {
                 reason,
             });
         }
+        // Before the first is written: a take gives all of its clips or none.
+        let made = ranges
+            .iter()
+            .map(|range| grounded.clip(&skeleton, range.clone()));
+        let features = match made.collect::<Result<Vec<_>, _>>() {
+            Ok(features) => features,
+            Err(problem) => {
+                report.failure = Some(in_file(problem.to_string()));
+                return Ok((Vec::new(), report));
+            }
+        };
         let mut rows = Vec::new();
-        for range in ranges {
+        for (range, features) in ranges.into_iter().zip(features) {
             let row = ClipRow {
                 id: format!("{}_{:05}", self.name, range.start),
                 take: self.name.clone(),
@@ -155,7 +166,6 @@ impl Take {
                 texts_bytes: 0,
                 texts_sha256: known.key,
             };
-            let features = grounded.clip(&skeleton, range)?;
             if clips.mirror {
                 let labels = row.labels.iter();
                 let image = ClipRow {

@@ -70,19 +70,6 @@ pub enum Cells {
     Flags(Vec<bool>),
 }
 
-impl Cells {
-    /// How many there are.
-    #[cfg(feature = "manifest")]
-    fn len(&self) -> usize {
-        match self {
-            Self::Texts(values) => values.len(),
-            Self::Integers(values) => values.len(),
-            Self::Numbers(values) => values.len(),
-            Self::Flags(values) => values.len(),
-        }
-    }
-}
-
 /// Writes a manifest of these columns by their names, all of one length, into `store`: that of a
 /// dataset which is not of phrases.
 ///

@@ -37,7 +37,6 @@ pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
 
 /// The Parquet file of these columns.
 pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, String> {
-    let height = columns.first().map_or(0, |(_, cells)| cells.len());
     let columns = columns.into_iter().map(|(name, cells)| {
         let name = name.into();
         match cells {
@@ -48,7 +47,7 @@ pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, S
         }
     });
     let mut bytes = Vec::new();
-    DataFrame::new(height, columns.collect())
+    DataFrame::new_infer_height(columns.collect())
         .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
         .map_err(|error| error.to_string())?;
     Ok(bytes)

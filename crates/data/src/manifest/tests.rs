@@ -143,3 +143,37 @@ proptest! {
         let _ = parse(bytes, "damaged");
     }
 }
+
+#[test]
+fn columns_of_any_kind_are_written_and_selected() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().display().to_string();
+    let store = Store::open(&source, &StoreConfig::default()).unwrap();
+    let texts =
+        |values: [Option<&str>; 3]| Cells::Texts(values.map(|v| v.map(str::to_owned)).into());
+    let columns = vec![
+        ("id".to_owned(), texts([Some("a"), Some("b"), Some("c")])),
+        (
+            "style".to_owned(),
+            texts([Some("happy"), None, Some("sad")]),
+        ),
+        ("frames".to_owned(), Cells::Integers(vec![40, 196, 80])),
+        ("seconds".to_owned(), Cells::Numbers(vec![2.0, 9.8, 4.0])),
+        ("mirrored".to_owned(), Cells::Flags(vec![false, true, true])),
+    ];
+    write_columns(&store, columns.clone()).unwrap();
+    let all = Selection::read(&store).unwrap().unwrap();
+    assert_eq!(all.len(), 3);
+    assert_eq!(all.texts("style").unwrap(), ["happy", "", "sad"]);
+    assert_eq!(
+        all.numbers("seconds").unwrap(),
+        [Some(2.0), Some(9.8), Some(4.0)]
+    );
+    let chosen = all.filter("mirrored = true and frames < 100").unwrap();
+    assert_eq!(chosen.texts("id").unwrap(), ["c"]);
+    let mut uneven = columns.clone();
+    uneven.push(("odd".to_owned(), Cells::Integers(vec![1])));
+    assert!(write_columns(&store, uneven).is_err());
+    let twice = vec![columns[2].clone(), columns[2].clone()];
+    assert!(write_columns(&store, twice).is_err());
+}

@@ -142,6 +142,19 @@ pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<
 /// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
 pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureError> {
     let rotations = inverse_kinematics(skeleton, joints, Heading::Raw)?;
+    let ratio = leg_ratio(skeleton, joints)?;
+    let root = |t: usize| joints.frame(t)[0].map(|value| value * ratio);
+    let roots: Vec<[f64; 3]> = (0..joints.frames()).map(root).collect();
+    forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
+}
+
+/// How much longer the legs of the skeleton's reference pose are than those of a clip's first frame.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`;
+/// [`FeatureError::NoLegs`] if the legs have no length in the first frame.
+pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureError> {
+    joints.must_be_of(skeleton)?;
     let legs = |offsets: &[[f64; 3]]| {
         let largest = |joint: usize| offsets[joint].iter().fold(0.0f64, |a, b| a.max(b.abs()));
         skeleton
@@ -151,15 +164,11 @@ pub fn rescale(skeleton: &Skeleton, joints: &Joints) -> Result<Joints, FeatureEr
             .iter()
             .sum::<f64>()
     };
-    let offsets = skeleton.offsets();
     let source = legs(&skeleton.offsets_of_frame(joints.frame(0)));
     if source == 0.0 {
         return Err(FeatureError::NoLegs);
     }
-    let ratio = legs(&offsets) / source;
-    let root = |t: usize| joints.frame(t)[0].map(|value| value * ratio);
-    let roots: Vec<[f64; 3]> = (0..joints.frames()).map(root).collect();
-    forward_kinematics(skeleton, &offsets, &roots, &rotations)
+    Ok(legs(&skeleton.offsets()) / source)
 }
 
 /// The clip put where features begin: its lowest joint on the floor y = 0, its first frame's root
