@@ -52,9 +52,13 @@ fn two_stages_lead_to_a_goal_in_four_files() {
     let note = "note: walk.bvh: joints are up to ";
     assert!(said.stderr.contains(note), "{}", said.stderr);
 
+    let said = sandbox.run(&format!("{sample} --out locked --lock-feet"));
+    let said = said.succeeded().stderr;
+    assert!(said.contains("note: locked.bvh: feet stand in"), "{said}");
     sandbox.run(&format!("{sample} --out again")).succeeded();
     let bytes = |name: &str| fs::read(sandbox.path(name)).expect("a file");
     assert!(bytes("walk.npy") == bytes("again.npy"));
+    assert!(bytes("walk.npy") == bytes("locked.npy"));
     sandbox
         .run(&format!("{sample} --seed 1 --out other"))
         .succeeded();
@@ -65,6 +69,9 @@ fn two_stages_lead_to_a_goal_in_four_files() {
 fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths() {
     let sandbox = trained();
     let sample = "sample runs/gmd_trajectory --goal goal.toml --goal goal.toml --count 2";
+    sandbox
+        .run(&format!("{sample} --out path --lock-feet"))
+        .failed(2, &["`--lock-feet`", "no bodies"]);
     sandbox.run(&format!("{sample} --out path")).succeeded();
     for index in 0..4 {
         assert_eq!(

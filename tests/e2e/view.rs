@@ -2,7 +2,11 @@
 
 use std::fs;
 
+use kinegrad_capture::Bvh;
 use kinegrad_data::write_values;
+use kinegrad_motion::humanml::walk::{Course, joints as walk};
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_motion::metrics::skating_ratio;
 use kinegrad_tests::sandbox::Sandbox;
 
 fn sandbox() -> Sandbox {
@@ -302,4 +306,52 @@ fn a_folder_of_no_dataset_is_told_what_datasets_are() {
     sandbox
         .run("data inspect none")
         .failed(2, &["there is no folder none"]);
+}
+
+#[test]
+fn feet_that_slide_are_held_in_a_bvh_file() {
+    let sandbox = sandbox();
+    let skeleton = Skeleton::humanml3d();
+    let course = Course {
+        speed: Box::new(|_| 1.1),
+        turning: Box::new(|t| 0.4 * (1.3 * t).sin()),
+    };
+    // It slides back, so that its strides are longer than its way: 2.7 cm a frame.
+    let places = walk(&course, &skeleton, 70);
+    let frames = places.chunks(skeleton.joints()).enumerate();
+    let slid = frames.flat_map(|(t, frame)| {
+        let by = 0.024 * t as f64;
+        frame
+            .iter()
+            .map(move |[x, y, z]| [x - 0.5 * by, *y, z - by])
+    });
+    let slid = Joints::new(slid.collect(), skeleton.joints()).expect("places");
+    let shape = [slid.frames(), slid.joints(), 3];
+    write_values(&sandbox.path("slid.npy"), &shape, &slid.to_f32()).expect("a file");
+    let skating = |options: &str| {
+        let said = sandbox
+            .run(&format!(
+                "view slid.npy --bvh slid.bvh --overwrite {options}"
+            ))
+            .succeeded();
+        let bytes = fs::read(sandbox.path("slid.bvh")).expect("a file");
+        let bvh = Bvh::parse(&bytes, "slid.bvh").expect("what was written");
+        let joints = bvh.joints_of(&skeleton, 100.0).expect("all joints");
+        let ratio = skating_ratio(&joints, 20.0, &[10, 11]).expect("steps");
+        (ratio, said.stderr)
+    };
+    let (before, said) = skating("");
+    assert!(!said.contains("feet stand"), "{said}");
+    let (after, said) = skating("--lock-feet");
+    assert!(said.contains("note: slid.bvh: feet stand in"), "{said}");
+    println!("skating {before} before, {after} after: {said}");
+    // A foot that has just left is low and quick, whether it slid or not.
+    assert!(before > 0.8 && after < 0.2, "{before} {after}");
+
+    sandbox
+        .run("view slid.bvh --bvh again.bvh --lock-feet")
+        .failed(2, &["slid.bvh", "`--lock-feet`", "a BVH file"]);
+    sandbox
+        .run("view slid.npy --lock-feet")
+        .failed(2, &["--bvh"]);
 }

@@ -190,6 +190,9 @@ pub struct SampleArguments {
     /// `none` [default: default]
     #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
     pub postprocess: Option<PostProcessProfile>,
+    /// Hold feet where they stand in the BVH file, as drawn ones slide; the arrays stay as drawn
+    #[arg(long)]
+    pub lock_feet: bool,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,

@@ -1,4 +1,4 @@
-//! How far the joints of a file are from those of the clip it was made of.
+//! The joints of a file that was made of a clip, and how far they are from the clip's.
 
 use kinegrad_motion::humanml::kinematics::minus;
 use kinegrad_motion::humanml::{Joints, Skeleton};
@@ -18,6 +18,20 @@ pub struct Deviation {
 }
 
 impl Bvh {
+    /// The joints of `skeleton` in the file, in metres, as [`Bvh::from_joints`] wrote them: bones
+    /// have one length each. None if one is missing or not finite.
+    pub fn joints_of(&self, skeleton: &Skeleton, units_per_metre: f64) -> Option<Joints> {
+        let names = skeleton.description().joint_names.iter();
+        let places: Option<Vec<usize>> = names.map(|name| self.joint(name)).collect();
+        let places = places?;
+        let frames = (0..self.frames()).flat_map(|t| {
+            let world = self.world(t);
+            let place = |&joint: &usize| world[joint].position.map(|v| v / units_per_metre);
+            places.iter().map(place).collect::<Vec<_>>()
+        });
+        Joints::new(frames.collect(), places.len()).ok()
+    }
+
     /// How far the joints are from those of the clip that [`Bvh::from_joints`] made the file of,
     /// at most: bones that change their length in the clip have one length here. None if a frame or
     /// a joint is missing.
@@ -27,26 +41,21 @@ impl Bvh {
         skeleton: &Skeleton,
         units_per_metre: f64,
     ) -> Option<Deviation> {
+        let found = self.joints_of(skeleton, units_per_metre)?;
         let names = &skeleton.description().joint_names;
-        let places: Option<Vec<usize>> = names.iter().map(|name| self.joint(name)).collect();
-        let places = places?;
         let mut worst: Option<Deviation> = None;
-        for frame in 0..clip.frames().min(self.frames()) {
-            let world = self.world(frame);
-            for (joint, &place) in places.iter().enumerate() {
-                let found = world[place].position.map(|value| value / units_per_metre);
-                let metres = length(minus(found, clip.frame(frame)[joint]));
-                if worst.as_ref().is_none_or(|worst| metres > worst.metres) {
-                    let joint = names[joint].clone();
-                    worst = Some(Deviation {
-                        metres,
-                        joint,
-                        frame,
-                    });
-                }
+        let places = found.as_slice().iter().zip(clip.as_slice()).enumerate();
+        for (index, (found, place)) in places {
+            let metres = length(minus(*found, *place));
+            if worst.as_ref().is_none_or(|worst| metres > worst.metres) {
+                worst = Some(Deviation {
+                    metres,
+                    joint: names[index % names.len()].clone(),
+                    frame: index / names.len(),
+                });
             }
         }
-        worst.filter(|_| clip.frames() == self.frames())
+        worst.filter(|_| clip.frames() == found.frames())
     }
 }
 

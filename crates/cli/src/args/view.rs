@@ -62,6 +62,9 @@ pub struct ViewArguments {
     /// Write the motion as BVH in centimetres with +y up; of one motion
     #[arg(long, value_name = "FILE.bvh")]
     pub bvh: Option<PathBuf>,
+    /// Hold feet where they stand in the BVH file
+    #[arg(long, requires = "bvh")]
+    pub lock_feet: bool,
     /// Write over files that are there
     #[arg(long)]
     pub overwrite: bool,

@@ -5,6 +5,7 @@ use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
 use kinegrad_capture::Bvh;
 use kinegrad_data::{write_values, write_whole};
+use kinegrad_motion::feet::{ContactRule, hold};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{Contents, Drawn, Names, Receiver, Record};
@@ -48,6 +49,8 @@ pub struct Files {
     keeps: bool,
     /// Whether it is said where a file is not exact.
     notes: bool,
+    /// Whether the feet of BVH files are held where they stand.
+    lock_feet: bool,
     kept: Vec<Written>,
     written: usize,
 }
@@ -99,6 +102,12 @@ impl Files {
         }
     }
 
+    /// The same with the feet of BVH files held where they stand, if `lock_feet`.
+    #[must_use]
+    pub fn locking_feet(self, lock_feet: bool) -> Self {
+        Self { lock_feet, ..self }
+    }
+
     /// Files in `folder` that are not printed.
     pub fn silent(folder: &Path) -> Self {
         Self {
@@ -108,6 +117,7 @@ impl Files {
             tell: |_| {},
             keeps: false,
             notes: false,
+            lock_feet: false,
             kept: Vec::new(),
             written: 0,
         }
@@ -143,7 +153,7 @@ impl Files {
         let mut write = || {
             for (extension, contents) in &drawn.files {
                 let path = self.path(&drawn.name, extension);
-                write_contents(&path, contents, self.notes)?;
+                self.write_contents(&path, contents)?;
                 files.push(path);
             }
             let path = self.path(&drawn.name, RECORD);
@@ -162,20 +172,24 @@ impl Files {
             }
         }
     }
-}
 
-fn write_contents(path: &Path, contents: &Contents, notes: bool) -> Result<(), Error> {
-    match contents {
-        Contents::Array { shape, values } => write_values(path, shape, values)?,
-        Contents::Figure { joints, skeleton } => {
-            let bvh = bvh(joints, skeleton)?;
-            write_whole(path, bvh.to_text().as_bytes())?;
-            if notes {
-                note_deviation(path, &bvh, joints, skeleton);
+    fn write_contents(&self, path: &Path, contents: &Contents) -> Result<(), Error> {
+        match contents {
+            Contents::Array { shape, values } => write_values(path, shape, values)?,
+            Contents::Figure { joints, skeleton } => {
+                let bvh = bvh(joints, skeleton)?;
+                if self.notes {
+                    note_deviation(path, &bvh, joints, skeleton);
+                }
+                let bvh = match self.lock_feet {
+                    true => with_locked_feet(path, &bvh, joints, skeleton)?,
+                    false => bvh,
+                };
+                write_whole(path, bvh.to_text().as_bytes())?;
             }
         }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Rejects a motion whose numbers are not finite; `stem` begins the names of its files.
@@ -229,6 +243,39 @@ pub fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skelet
     }
 }
 
+/// `bvh`, which was made of `joints` and will be at `path`, with feet that stay where they stand in
+/// them; says how far they slid.
+///
+/// # Errors
+/// If the joints are not those of the skeleton.
+pub fn with_locked_feet(
+    path: &Path,
+    bvh: &Bvh,
+    joints: &Joints,
+    skeleton: &Skeleton,
+) -> Result<Bvh, Error> {
+    // Bones of one length, which the clip's need not have: locked before, feet would slide again.
+    let rigid = bvh.joints_of(skeleton, CENTIMETRES);
+    let rigid = rigid.expect("a file that was made of these joints");
+    let held = hold(&rigid, joints, skeleton, &ContactRule::default())?;
+    let short = match held.missed > EXACT {
+        true => format!("; legs are up to {:.3} m too short to stay", held.missed),
+        false => String::new(),
+    };
+    tell!(
+        "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
+         m/s{short}",
+        path.display(),
+        100.0 * held.in_contact,
+        held.before,
+        held.after
+    );
+    self::bvh(&held.joints, skeleton)
+}
+
+/// Extension of BVH files.
+const BVH: &str = ".bvh";
+
 impl Receiver for Files {
     fn stepped(&mut self, stage: &'static str, done: usize, all: usize) {
         let bar = self.bar.get_or_insert_with(|| Denoising::of(""));
@@ -236,6 +283,12 @@ impl Receiver for Files {
     }
 
     fn announced(&mut self, names: &Names, extensions: &[&str]) -> Result<(), Error> {
+        if self.lock_feet && !extensions.contains(&BVH) {
+            return Err(Error::usage(
+                "`--lock-feet`, but this run draws no bodies: nothing was drawn",
+                "leave it out: it is for runs that write BVH files, of recipe gmd_motion",
+            ));
+        }
         if self.existing == Existing::Replaced {
             return Ok(());
         }

@@ -47,7 +47,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
         let hint = "give one; `kinegrad eval --listening` compares several";
         return Err(Error::usage(message, hint));
     }
-    let mut files = Files::new(&arguments.out, existing)?;
+    let mut files = Files::new(&arguments.out, existing)?.locking_feet(arguments.lock_feet);
     if arguments.json {
         files = files.keeping();
     }

@@ -63,7 +63,8 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
         refused.map_err(unusable)?;
     }
     let bvh = outputs.iter().find(|(kind, _)| *kind == Kind::Bvh);
-    let bvh = bvh.map(|(_, out)| scene::as_bvh(systems, &motions[0], &reading, out));
+    let bvh =
+        bvh.map(|(_, out)| scene::as_bvh(systems, &motions[0], &reading, out, arguments.lock_feet));
     let bvh = bvh.transpose()?.map(|bvh| bvh.to_text());
     outputs
         .iter()

@@ -66,15 +66,28 @@ pub fn figure(path: &Path, name: String, reading: &Reading) -> Result<Figure, Er
 }
 
 /// A motion as BVH in centimetres with +y up, which will be at `out`: what it cannot hold is said.
+/// With `lock_feet`, feet are held where they stand.
 ///
 /// # Errors
-/// If it cannot be read, or its skeleton is not known.
+/// If it cannot be read, or its skeleton is not known; or if feet are to be held that are not joints
+/// of a known skeleton.
 pub fn as_bvh(
     systems: Systems<'_>,
     path: &Path,
     reading: &Reading,
     out: &Path,
+    lock_feet: bool,
 ) -> Result<Bvh, Error> {
+    let no_legs = |what: &str| {
+        Error::usage(
+            format!("{}: `--lock-feet` with {what}", path.display()),
+            "leave it out: joint features and joint positions of 22 or 21 joints have legs that are \
+             known",
+        )
+    };
+    if lock_feet && is_bvh(path) {
+        return Err(no_legs("a BVH file"));
+    }
     if is_bvh(path) {
         let Capture { bvh, metres, up } = open(path, reading)?;
         return bvh.converted(CENTIMETRES * metres, up).map_err(unusable);
@@ -82,6 +95,9 @@ pub fn as_bvh(
     let array = read_array(path)?;
     let representation = systems.representation_of(path, &array.shape, &array.values)?;
     if representation.name() == Phrases.name() {
+        if lock_feet {
+            return Err(no_legs("a phrase, which has no body"));
+        }
         let phrase = Motion::new(array.values)?;
         return Bvh::from_phrase(&phrase, CENTIMETRES).map_err(unusable);
     }
@@ -92,7 +108,10 @@ pub fn as_bvh(
         (Some(joints), Some(skeleton)) => {
             let bvh = files::bvh(&joints, skeleton)?;
             files::note_deviation(out, &bvh, &joints, skeleton);
-            Ok(bvh)
+            match lock_feet {
+                true => files::with_locked_feet(out, &bvh, &joints, skeleton),
+                false => Ok(bvh),
+            }
         }
         (None, _) => Err(not_finite(path)),
         (_, None) => Err(Error::usage(

@@ -1,7 +1,7 @@
 //! Feet of a new motion that rest where those of its examples do.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::feet::{Leg, lock};
+use kinegrad_motion::feet::{Leg, lock, steadied};
 use kinegrad_motion::rotation::length;
 
 use super::{Example, Figure};
@@ -50,7 +50,7 @@ impl Figure {
             let flags = origins
                 .iter()
                 .map(|&(example, frame)| rests[example][index][frame]);
-            steadied(flags.collect())
+            steadied(flags.collect(), SHORTEST)
         });
         let contacts: Vec<Vec<bool>> = contacts.collect();
         let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
@@ -126,42 +126,5 @@ impl Figure {
             (0..world.len()).map(still).collect()
         };
         legs.iter().map(rests).collect()
-    }
-}
-
-/// Contacts without gaps and then without contacts of one or two frames.
-fn steadied(mut contacts: Vec<bool>) -> Vec<bool> {
-    for value in [false, true] {
-        let mut first = 0;
-        for t in 0..=contacts.len() {
-            if t < contacts.len() && contacts[t] == value {
-                continue;
-            }
-            // A gap at either end is none.
-            let inside = value || first > 0 && t < contacts.len();
-            if inside && t - first < SHORTEST {
-                contacts[first..t].fill(!value);
-            }
-            first = t + 1;
-        }
-    }
-    contacts
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn short_gaps_and_short_contacts_go() {
-        let read = |text: &str| text.chars().map(|c| c == '#').collect::<Vec<bool>>();
-        for (found, steady) in [
-            ("..####.###..", "..########.."),
-            (".##....####", ".......####"),
-            ("###...###", "###...###"),
-            (".##.##.", ".#####."),
-        ] {
-            assert_eq!(steadied(read(found)), read(steady), "{found}");
-        }
     }
 }

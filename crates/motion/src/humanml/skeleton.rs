@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{FeatureError, FeatureLayout, Feet, SkeletonDescription};
+use crate::feet::Leg;
 use crate::rotation::length;
 
 /// A skeleton whose description is sound. Made from a [`SkeletonDescription`], which is also its
@@ -81,6 +82,26 @@ impl Skeleton {
     pub fn contact_joints(&self) -> [usize; 4] {
         let Feet { left, right } = self.description.feet;
         [left[0], left[1], right[0], right[1]]
+    }
+
+    /// The left and the right leg, from the hips of the facing joints to the toes. One without a
+    /// knee and an ankle is left out.
+    pub fn legs(&self) -> Vec<Leg> {
+        let (hips, feet) = (&self.description.face_joints, &self.description.feet);
+        let sides = [(hips.left_hip, feet.left), (hips.right_hip, feet.right)];
+        let leg = |(hip, [_, sole]): (usize, [usize; 2])| {
+            let above = std::iter::successors(Some(sole), |&joint| self.parents[joint]);
+            let mut below: Vec<usize> = above.collect();
+            below.truncate(below.iter().position(|&joint| joint == hip)?);
+            let mut below = below.into_iter().rev();
+            Some(Leg {
+                hip,
+                knee: below.next()?,
+                ankle: below.next()?,
+                sole,
+            })
+        };
+        sides.into_iter().filter_map(leg).collect()
     }
 
     /// The joint at the place of each when left and right change sides, `[J]`.

@@ -3,14 +3,34 @@
 //! Motions that are averaged, learned or cut together let feet slide. While a foot is in contact,
 //! [`lock`] brings it to where it is on average during that contact; hip and knee follow, and
 //! everything that hangs on the foot goes along without turning. Before and after a contact the
-//! correction fades within a few frames.
+//! correction fades within a few frames, and beyond that nothing changes.
+//!
+//! Contacts may come from anywhere, such as an example that the motion was made of;
+//! [`ContactRule::contacts`] finds them by height and speed. [`hold`] does both for the joints of a
+//! [`Skeleton`](crate::humanml::Skeleton).
+
+mod body;
+mod contacts;
+
+#[cfg(test)]
+mod tests;
+
+pub use body::{Held, hold};
+pub use contacts::{ContactRule, runs, steadied};
+
+use std::ops::Range;
 
 use crate::Quaternion;
 use crate::humanml::kinematics::{between, minus, plus};
 use crate::rotation::length;
 
 /// A leg is stretched to this part of its bones' length at most, so that the knee keeps its side.
+/// One that was straighter may stay so.
 const STRETCH: f64 = 0.9999;
+
+/// A leg whose knee is nearer to the line from hip to ankle than this part of its thigh says too
+/// little about the side of its knee: that of the sole counts more the straighter it is.
+const STRAIGHT: f64 = 0.01;
 
 /// A leg, by the indices of its joints.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -58,6 +78,9 @@ pub struct Locked {
     pub positions: Vec<Vec<[f64; 3]>>,
     /// What turned, `[legs][frames]`.
     pub turns: Vec<Vec<Turns>>,
+    /// How far each sole is from where it should be, as no leg reaches further than it is long,
+    /// `[legs][frames]`.
+    pub missed: Vec<Vec<f64>>,
 }
 
 /// The motion `positions`, `[frames][joints]`, with every leg's sole held still wherever `contacts`,
@@ -76,19 +99,25 @@ pub fn lock(
     assert_eq!(legs.len(), contacts.len(), "contacts of each leg");
     let mut locked = positions.to_vec();
     let mut turns = Vec::with_capacity(legs.len());
+    let mut missed = Vec::with_capacity(legs.len());
     for (leg, contacts) in legs.iter().zip(contacts) {
         assert_eq!(contacts.len(), positions.len(), "a contact for each frame");
         let path: Vec<[f64; 3]> = positions.iter().map(|frame| frame[leg.sole]).collect();
         let corrections = corrections(&path, contacts, blend);
-        let bent = locked.iter_mut().zip(corrections);
-        turns.push(
-            bent.map(|(frame, by)| bend(frame, parents, leg, by))
-                .collect(),
-        );
+        let bent = locked.iter_mut().zip(path).zip(corrections);
+        let bent = bent.map(|((frame, place), by)| {
+            let turns = bend(frame, parents, leg, by);
+            let left = minus(plus(place, by), frame[leg.sole]);
+            (turns, length(left))
+        });
+        let (of_leg, left) = bent.unzip();
+        turns.push(of_leg);
+        missed.push(left);
     }
     Locked {
         positions: locked,
         turns,
+        missed,
     }
 }
 
@@ -106,15 +135,9 @@ pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
 /// What a path is moved by, `[frames]`: in a contact, to the mean place of that contact.
 fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 3]> {
     let frames = path.len();
-    let mut runs: Vec<(usize, usize)> = Vec::new();
-    for (t, _) in contacts.iter().enumerate().filter(|(_, contact)| **contact) {
-        match runs.last_mut() {
-            Some(run) if run.1 == t => run.1 = t + 1,
-            _ => runs.push((t, t + 1)),
-        }
-    }
+    let runs = runs(contacts);
     let mut by = vec![[0.0; 3]; frames];
-    for (index, &(first, end)) in runs.iter().enumerate() {
+    for (index, &Range { start: first, end }) in runs.iter().enumerate() {
         let sum = path[first..end]
             .iter()
             .fold([0.0; 3], |sum, &p| plus(sum, p));
@@ -123,8 +146,8 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
             by[t] = minus(still, path[t]);
         }
         // A fade ends before the next contact, which has a correction of its own.
-        let before = index.checked_sub(1).map_or(0, |index| runs[index].1);
-        let after = runs.get(index + 1).map_or(frames, |run| run.0);
+        let before = index.checked_sub(1).map_or(0, |index| runs[index].end);
+        let after = runs.get(index + 1).map_or(frames, |run| run.start);
         let (reach, edge) = (blend.min(first - before), minus(still, path[first]));
         for (back, by) in by[first - reach..first].iter_mut().rev().enumerate() {
             let weight = fade(back + 1, reach);
@@ -159,19 +182,29 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         return still;
     }
     let shortest = (thigh - shin).abs() + (1.0 - STRETCH) * thigh.min(shin);
-    let reached = distance.clamp(shortest, STRETCH * (thigh + shin));
+    let longest = (STRETCH * (thigh + shin)).max(length(minus(ankle, hip)));
+    let reached = distance.clamp(shortest.min(longest), longest);
     let along = wanted.map(|value| value / distance);
+    let across = |vector: [f64; 3]| {
+        let inner: f64 = (0..3).map(|axis| vector[axis] * along[axis]).sum();
+        minus(vector, along.map(|value| inner * value))
+    };
     // The whole leg towards its place, then the knee within the plane that it bends in.
     let aim = between(minus(ankle, hip), wanted);
     let thigh_aimed = aim.rotate(minus(knee, hip));
     let shin_aimed = aim.rotate(minus(ankle, knee));
     let x = (reached * reached + thigh * thigh - shin * shin) / (2.0 * reached);
     let y = (thigh * thigh - x * x).max(0.0).sqrt();
-    let inner: f64 = (0..3).map(|axis| thigh_aimed[axis] * along[axis]).sum();
-    let aside = minus(thigh_aimed, along.map(|value| inner * value));
+    let mut aside = across(thigh_aimed);
+    let (bent, limit) = (length(aside), STRAIGHT * thigh);
+    if bent < limit {
+        let toes = across(minus(frame[leg.sole], ankle));
+        let weight = (limit - bent) / length(toes).max(1e-9);
+        aside = plus(aside, toes.map(|value| weight * value));
+    }
     let bent = length(aside);
     if bent <= 1e-9 * thigh && y > 1e-6 * thigh {
-        // A straight leg says nothing about the side of its knee.
+        // Neither knee nor sole tells a side.
         return still;
     }
     let aside = aside.map(|value| value / bent.max(f64::MIN_POSITIVE));
@@ -201,118 +234,4 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         };
     }
     turns
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PARENTS: [Option<usize>; 6] = [None, Some(0), Some(1), Some(2), Some(3), Some(1)];
-    const LEG: Leg = Leg {
-        hip: 1,
-        knee: 2,
-        ankle: 3,
-        sole: 4,
-    };
-
-    /// A pelvis, a leg with a toe, and a pocket on the thigh, which slide along at a steady pace.
-    fn sliding_leg(frames: usize) -> Vec<Vec<[f64; 3]>> {
-        let at = |t: usize| {
-            let x = 0.01 * t as f64;
-            let leg = [
-                [0.0, 1.0, 0.0],
-                [0.1, 0.95, 0.0],
-                [0.1, 0.5, 0.1],
-                [0.1, 0.1, 0.0],
-            ];
-            let rest = [[0.1, 0.0, 0.15], [0.2, 0.7, 0.05]];
-            let all = leg.into_iter().chain(rest);
-            all.map(|[a, b, c]| [a + x, b, c]).collect()
-        };
-        (0..frames).map(at).collect()
-    }
-
-    #[test]
-    fn a_leg_is_found_above_its_ankle() {
-        assert_eq!(Leg::above(3, 4, &PARENTS), Some(LEG));
-        assert_eq!(Leg::above(3, 5, &PARENTS), None);
-        assert_eq!(Leg::above(1, 1, &PARENTS), None);
-    }
-
-    #[test]
-    fn feet_stay_in_contact_and_bones_keep_their_lengths() {
-        let motion = sliding_leg(40);
-        let contacts: Vec<bool> = (0..40).map(|t| (10..20).contains(&t)).collect();
-        let locked = lock(
-            &motion,
-            &PARENTS,
-            &[LEG],
-            std::slice::from_ref(&contacts),
-            5,
-        );
-        let sole = |frames: &[Vec<[f64; 3]>]| -> Vec<[f64; 3]> {
-            frames.iter().map(|frame| frame[4]).collect()
-        };
-        assert!((sliding(&sole(&motion), &contacts) - 0.01).abs() < 1e-12);
-        assert!(sliding(&sole(&locked.positions), &contacts) < 1e-9);
-        for (frame, old) in locked.positions.iter().zip(&motion) {
-            for joint in 1..6 {
-                let parent = PARENTS[joint].unwrap();
-                let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
-                assert!((bone(frame) - bone(old)).abs() < 1e-9);
-            }
-            assert_eq!(frame[..2], old[..2]);
-        }
-        // Nothing jumps, and nothing is left of it five frames away.
-        let path = sole(&locked.positions);
-        assert!(
-            path.windows(2)
-                .all(|pair| length(minus(pair[1], pair[0])) < 0.03)
-        );
-        assert_eq!(
-            (locked.positions[4][4], locked.positions[25][4]),
-            (motion[4][4], motion[25][4])
-        );
-    }
-
-    #[test]
-    fn turns_lead_to_the_same_places() {
-        let motion = sliding_leg(12);
-        let locked = lock(&motion, &PARENTS, &[LEG], &[vec![true; 12]], 3);
-        for ((frame, old), turns) in locked.positions.iter().zip(&motion).zip(&locked.turns[0]) {
-            let knee = plus(old[1], turns.hip.rotate(minus(old[2], old[1])));
-            let ankle = plus(knee, turns.knee.rotate(minus(old[3], old[2])));
-            let toe = plus(ankle, minus(old[4], old[3]));
-            for (found, place) in [(knee, frame[2]), (ankle, frame[3]), (toe, frame[4])] {
-                assert!(length(minus(found, place)) < 1e-9);
-            }
-        }
-    }
-
-    #[test]
-    fn contacts_close_to_each_other_are_held_each_in_its_place() {
-        let motion = sliding_leg(20);
-        let contacts: Vec<bool> = (0..20).map(|t| t != 9 && t != 10).collect();
-        let locked = lock(
-            &motion,
-            &PARENTS,
-            &[LEG],
-            std::slice::from_ref(&contacts),
-            6,
-        );
-        let path: Vec<_> = locked.positions.iter().map(|frame| frame[4]).collect();
-        assert!(sliding(&path, &contacts) < 1e-9);
-        assert!(path[11][0] - path[8][0] > 0.05);
-    }
-
-    #[test]
-    fn a_place_out_of_reach_is_approached() {
-        let mut motion = sliding_leg(2);
-        motion[1].iter_mut().for_each(|place| place[0] += 3.0);
-        let locked = lock(&motion, &PARENTS, &[LEG], &[vec![true; 2]], 3);
-        let finite = locked.positions.iter().flatten().flatten();
-        assert!(finite.copied().all(f64::is_finite));
-        let leg = minus(locked.positions[0][3], locked.positions[0][1]);
-        assert!(leg[0] > 0.7 && length(leg) < 0.9);
-    }
 }

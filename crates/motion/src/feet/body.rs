@@ -1,0 +1,214 @@
+//! The feet of a skeleton's joints.
+
+use super::{ContactRule, Leg, lock, sliding};
+use crate::humanml::{FeatureError, Joints, Skeleton};
+
+/// Within how many seconds a correction fades: five frames at 20 frames per second.
+const BLEND_SECONDS: f64 = 0.25;
+
+/// Joints whose feet are held.
+#[derive(Clone, Debug)]
+pub struct Held {
+    /// Where the joints are.
+    pub joints: Joints,
+    /// Part of the frames in which a foot is in contact, of all feet.
+    pub in_contact: f64,
+    /// Mean speed of feet in contact before, metres per second.
+    pub before: f64,
+    /// The same after.
+    pub after: f64,
+    /// How far a foot is from where it should stand, at most, as its leg does not reach so far,
+    /// metres.
+    pub missed: f64,
+}
+
+/// `joints` with feet that stay where they stand. `seen` are the joints in which `rule` finds
+/// contacts above the floor y = 0: `joints` themselves, or what they were made from.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
+pub fn hold(
+    joints: &Joints,
+    seen: &Joints,
+    skeleton: &Skeleton,
+    rule: &ContactRule,
+) -> Result<Held, FeatureError> {
+    joints.must_be_of(skeleton)?;
+    seen.must_be_of(skeleton)?;
+    FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
+    let fps = skeleton.description().fps;
+    let legs = skeleton.legs();
+    let stands = |leg: &Leg| rule.contacts(&seen.track(leg.sole), fps, 0.0);
+    let contacts: Vec<Vec<bool>> = legs.iter().map(stands).collect();
+    let frames: Vec<Vec<[f64; 3]>> = (0..joints.frames())
+        .map(|t| joints.frame(t).to_vec())
+        .collect();
+    let blend = (BLEND_SECONDS * fps).round() as usize;
+    let locked = lock(&frames, skeleton.parents(), &legs, &contacts, blend);
+    let joints_after = Joints::new(locked.positions.concat(), joints.joints())?;
+    let speed = |joints: &Joints| {
+        let of =
+            |(leg, contacts): (&Leg, &Vec<bool>)| sliding(&joints.track(leg.sole), contacts) * fps;
+        legs.iter().zip(&contacts).map(of).sum::<f64>() / legs.len().max(1) as f64
+    };
+    let flags = contacts.concat();
+    let standing = flags.iter().filter(|&&contact| contact).count();
+    let missed = locked.missed.concat().into_iter().fold(0.0, f64::max);
+    Ok(Held {
+        in_contact: standing as f64 / flags.len().max(1) as f64,
+        before: speed(joints),
+        after: speed(&joints_after),
+        missed,
+        joints: joints_after,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::humanml::kinematics::minus;
+    use crate::humanml::walk::{Course, joints as walk};
+    use crate::metrics::skating_ratio;
+    use crate::rotation::length;
+
+    /// A walk whose joints slide along by `slide` metres a second, to the left as well. Where it
+    /// slides back its strides are longer than its way, so that its legs reach every place.
+    fn sliding_walk(skeleton: &Skeleton, slide: f64) -> Joints {
+        let course = Course {
+            speed: Box::new(|_| 1.1),
+            turning: Box::new(|t| 0.4 * (1.3 * t).sin()),
+        };
+        let places = walk(&course, skeleton, 70);
+        let places = places.chunks(22).enumerate().flat_map(|(t, frame)| {
+            let by = slide * t as f64 / 20.0;
+            frame
+                .iter()
+                .map(move |[x, y, z]| [x + 0.5 * by, *y, z + by])
+        });
+        Joints::new(places.collect(), 22).unwrap()
+    }
+
+    #[test]
+    fn legs_are_those_of_the_published_skeletons() {
+        let leg = |hip, knee, ankle, sole| Leg {
+            hip,
+            knee,
+            ankle,
+            sole,
+        };
+        let legs = Skeleton::humanml3d().legs();
+        assert_eq!(legs, [leg(1, 4, 7, 10), leg(2, 5, 8, 11)]);
+        let legs = Skeleton::kit().legs();
+        assert_eq!(legs, [leg(16, 17, 18, 20), leg(11, 12, 13, 15)]);
+    }
+
+    #[test]
+    fn a_walk_that_slides_stands_still_in_contact() {
+        let skeleton = Skeleton::humanml3d();
+        let rule = ContactRule::default();
+        let slid = sliding_walk(&skeleton, -0.4);
+        let held = hold(&slid, &slid, &skeleton, &rule).unwrap();
+        assert!(
+            held.in_contact > 0.4 && held.in_contact < 0.8,
+            "{}",
+            held.in_contact
+        );
+        assert!(held.before > 0.3, "{}", held.before);
+        assert!(
+            held.after < 1e-6 && held.missed < 1e-9,
+            "{} {}",
+            held.after,
+            held.missed
+        );
+        // Every contact stays within a millimetre of one place.
+        let fps = skeleton.description().fps;
+        let mut places = 0;
+        for leg in skeleton.legs() {
+            let contacts = rule.contacts(&slid.track(leg.sole), fps, 0.0);
+            let path = held.joints.track(leg.sole);
+            for run in super::super::runs(&contacts) {
+                places += 1;
+                let first = path[run.start];
+                let moved = path[run.clone()].iter().map(|p| length(minus(*p, first)));
+                assert!(moved.fold(0.0, f64::max) < 1e-3);
+            }
+        }
+        assert!(places >= 4, "{places}");
+        // Bones keep their lengths, and what is above the legs its place.
+        for t in 0..slid.frames() {
+            let (old, new) = (slid.frame(t), held.joints.frame(t));
+            for (joint, parent) in skeleton.parents().iter().enumerate() {
+                let Some(parent) = *parent else { continue };
+                let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
+                assert!((bone(old) - bone(new)).abs() < 1e-5);
+            }
+            for joint in [0, 1, 2, 3, 9, 15, 21] {
+                assert_eq!(old[joint], new[joint]);
+            }
+        }
+        // No joint jumps: a frame moves a foot by the swing's own 15 cm and the fading correction.
+        let largest = |joints: &Joints| {
+            let pairs = (1..joints.frames()).flat_map(|t| {
+                let pairs = joints.frame(t).iter().zip(joints.frame(t - 1));
+                pairs
+                    .map(|(a, b)| length(minus(*a, *b)))
+                    .collect::<Vec<_>>()
+            });
+            pairs.fold(0.0, f64::max)
+        };
+        assert!(
+            largest(&held.joints) < largest(&slid) + 0.08,
+            "{} {}",
+            largest(&held.joints),
+            largest(&slid)
+        );
+        let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
+        let quick = sliding_walk(&skeleton, -0.48);
+        let quick_held = hold(&quick, &quick, &skeleton, &rule).unwrap();
+        // A foot that has just left is low and quick: what a walk that does not slide has as well.
+        let own = skates(&sliding_walk(&skeleton, 0.0));
+        let (before, after) = (skates(&quick), skates(&quick_held.joints));
+        assert!(before > 0.9 && after < own + 0.05, "{before} {after} {own}");
+    }
+
+    #[test]
+    fn legs_that_are_too_short_are_stretched_and_reported() {
+        // It slides on, beyond its strides.
+        let skeleton = Skeleton::humanml3d();
+        let slid = sliding_walk(&skeleton, 0.4);
+        let held = hold(&slid, &slid, &skeleton, &ContactRule::default()).unwrap();
+        assert!(held.missed > 0.02, "{}", held.missed);
+        assert!(held.after < 0.6 * held.before, "{}", held.after);
+        for leg in skeleton.legs() {
+            for t in 0..slid.frames() {
+                let bone = |joints: &Joints, [a, b]: [usize; 2]| {
+                    length(minus(joints.frame(t)[a], joints.frame(t)[b]))
+                };
+                for ends in [
+                    [leg.hip, leg.knee],
+                    [leg.knee, leg.ankle],
+                    [leg.ankle, leg.sole],
+                ] {
+                    assert!((bone(&slid, ends) - bone(&held.joints, ends)).abs() < 1e-5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_body_that_never_stands_is_left_as_it_is() {
+        let skeleton = Skeleton::humanml3d();
+        let walk = sliding_walk(&skeleton, -0.4);
+        let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
+        let flying = Joints::new(above.collect(), 22).unwrap();
+        let held = hold(&flying, &flying, &skeleton, &ContactRule::default()).unwrap();
+        assert_eq!(held.joints, flying);
+        assert_eq!((held.in_contact, held.before, held.missed), (0.0, 0.0, 0.0));
+        // Contacts of other joints count.
+        let held = hold(&flying, &walk, &skeleton, &ContactRule::default()).unwrap();
+        assert!(held.after < 1e-6 && held.joints != flying);
+        let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
+        assert!(hold(&walk, &short, &skeleton, &ContactRule::default()).is_err());
+        assert!(hold(&walk, &walk, &Skeleton::kit(), &ContactRule::default()).is_err());
+    }
+}

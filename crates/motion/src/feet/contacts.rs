@@ -1,0 +1,160 @@
+//! When a foot stands.
+
+use std::ops::Range;
+
+use crate::humanml::kinematics::minus;
+use crate::metrics::{SKATING_HEIGHT, SKATING_SPEED};
+use crate::rotation::length;
+
+/// When a foot is taken to stand on the floor, by where its sole is in each frame.
+///
+/// A contact needs a frame that is low and slow. It goes on to either side through frames that are
+/// not quite so, or a foot at the threshold would be set down and lifted from frame to frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactRule {
+    /// A contact has a frame in which the sole is lower than this above the floor, metres.
+    pub height: f64,
+    /// In that frame the sole is slower than this, metres per second.
+    pub speed: f64,
+    /// A contact goes on while height and speed are below so many times these.
+    pub lasting: f64,
+    /// Contacts that are shorter than this are none, and gaps that are shorter are closed, seconds.
+    pub shortest: f64,
+}
+
+impl Default for ContactRule {
+    /// The height at which foot skating is measured, and a speed above what counts as skating: the
+    /// feet that skate are to be found. For an eighth of a second.
+    fn default() -> Self {
+        Self {
+            height: SKATING_HEIGHT,
+            speed: 1.5 * SKATING_SPEED,
+            lasting: 1.5,
+            shortest: 0.125,
+        }
+    }
+}
+
+impl ContactRule {
+    /// Whether the foot stands, `[frames]`, whose sole is at `path`, `[frames, 3]`, metres with +y
+    /// up, at `fps` frames per second above a floor of that height. A sole is as fast as in the
+    /// slower of the two steps to its neighbours: the first and last frame of a contact stand.
+    pub fn contacts(&self, path: &[[f64; 3]], fps: f64, floor: f64) -> Vec<bool> {
+        let steps: Vec<f64> = path
+            .windows(2)
+            .map(|pair| length(minus(pair[1], pair[0])) * fps)
+            .collect();
+        let speed = |t: usize| {
+            let around = steps[t.saturating_sub(1)..(t + 1).min(steps.len())].iter();
+            around.copied().fold(f64::INFINITY, f64::min)
+        };
+        let within = |factor: f64| -> Vec<bool> {
+            let low = |t: usize| path[t][1] - floor < factor * self.height;
+            let stands = |t: usize| low(t) && speed(t) < factor * self.speed;
+            (0..path.len()).map(stands).collect()
+        };
+        let certain = within(1.0);
+        let mut contacts = within(self.lasting.max(1.0));
+        for run in runs(&contacts) {
+            if !certain[run.clone()].contains(&true) {
+                contacts[run].fill(false);
+            }
+        }
+        let shortest = (self.shortest * fps).ceil().max(1.0) as usize;
+        steadied(contacts, shortest)
+    }
+}
+
+/// The ranges of frames that are in contact, in order.
+pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for (t, _) in contacts.iter().enumerate().filter(|(_, contact)| **contact) {
+        match runs.last_mut() {
+            Some(run) if run.end == t => run.end = t + 1,
+            _ => runs.push(t..t + 1),
+        }
+    }
+    runs
+}
+
+/// Contacts without gaps and then without contacts of fewer than `shortest` frames.
+pub fn steadied(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
+    for value in [false, true] {
+        let mut first = 0;
+        for t in 0..=contacts.len() {
+            if t < contacts.len() && contacts[t] == value {
+                continue;
+            }
+            // A gap at either end is none.
+            let inside = value || first > 0 && t < contacts.len();
+            if inside && t - first < shortest {
+                contacts[first..t].fill(!value);
+            }
+            first = t + 1;
+        }
+    }
+    contacts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Vec<bool> {
+        text.chars().map(|c| c == '#').collect()
+    }
+
+    #[test]
+    fn short_gaps_and_short_contacts_go() {
+        for (found, steady) in [
+            ("..####.###..", "..########.."),
+            (".##....####", ".......####"),
+            ("###...###", "###...###"),
+            (".##.##.", ".#####."),
+        ] {
+            assert_eq!(steadied(read(found), 3), read(steady), "{found}");
+        }
+        assert_eq!(runs(&read(".##...#")), [1..3, 6..7]);
+        assert!(runs(&read("...")).is_empty());
+    }
+
+    /// A sole of these heights in centimetres that moves on by these centimetres after each frame.
+    fn path(heights: &[f64], steps: &[f64]) -> Vec<[f64; 3]> {
+        let mut x = 0.0;
+        let mut place = |(height, step): (&f64, &f64)| {
+            let here = [0.01 * x, 0.01 * height, 0.0];
+            x += step;
+            here
+        };
+        heights.iter().zip(steps).map(&mut place).collect()
+    }
+
+    #[test]
+    fn low_and_slow_soles_stand_until_they_leave() {
+        let rule = ContactRule::default();
+        let at = |heights: &[f64], steps: &[f64]| rule.contacts(&path(heights, steps), 20.0, 0.0);
+        // 3.75 cm a frame are 0.75 m/s. The first frame of a contact is one that a quick step ends in.
+        let steps = [9.0, 9.0, 1.0, 1.0, 1.0, 1.0, 3.0, 3.0, 9.0, 9.0];
+        assert_eq!(at(&[2.0; 10], &steps), read("..#######."));
+        // Quick, though no step of a swing, and once slow enough.
+        assert_eq!(at(&[2.0; 6], &[4.0; 6]), read("......"));
+        assert_eq!(
+            at(&[2.0; 6], &[4.0, 4.0, 3.0, 5.0, 6.0, 9.0]),
+            read("#####.")
+        );
+        // Not as low as a contact must once be, but as low as one may go on.
+        assert_eq!(at(&[6.0; 10], &steps), read(".........."));
+        let rising = [6.0, 6.0, 6.0, 4.9, 6.0, 6.0, 7.4, 8.0, 8.0, 8.0];
+        assert_eq!(at(&rising, &steps), read("..#####..."));
+        // Slow all the time, and then two frames only.
+        assert_eq!(at(&[2.0; 4], &[0.0; 4]), read("####"));
+        let short = [9.0, 0.0, 9.0, 9.0, 9.0];
+        assert_eq!(at(&[2.0; 5], &short), read("....."));
+        // Above another floor.
+        let raised = path(&[102.0; 4], &[0.0; 4]);
+        assert_eq!(rule.contacts(&raised, 20.0, 0.0), [false; 4]);
+        assert_eq!(rule.contacts(&raised, 20.0, 1.0), [true; 4]);
+        assert!(rule.contacts(&[], 20.0, 0.0).is_empty());
+        assert_eq!(rule.contacts(&raised[..1], 20.0, 1.0), [false]);
+    }
+}
