@@ -116,8 +116,8 @@ impl Samples for ClipSamples {
         self.clips.get(position)
     }
 
-    /// Validation takes the first caption and the leading crop. The relative features are cut and
-    /// then converted, so that every sample begins at the origin facing +z.
+    /// Validation takes the first caption and the leading crop. Every sample begins at the origin
+    /// facing +z, its rotations too, as if extraction had begun there.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let below = |bound, purpose| {
             number.map_or(0, |n| {
@@ -147,7 +147,9 @@ impl Samples for ClipSamples {
                 Crop::Random => below(passage.len() - length + 1, Purpose::Crop),
                 Crop::Leading => 0,
             };
-        let features = clip.features.slice(first..first + length);
+        let skeleton = &self.representation.skeleton;
+        let features = clip.features.crop(skeleton, first..first + length);
+        let features = features.expect("the reader takes features of this skeleton alone");
         let features = features.with_root(self.representation.root);
         let values;
         let same = [captions_number(clip)];
@@ -286,6 +288,7 @@ mod tests {
             config.humanml3d.root = root;
             let dataset = Dataset::<Clip>::open(&config).unwrap();
             let statistics = dataset.statistics().unwrap();
+            let skeleton = dataset.representation.skeleton.clone();
             let mut starts = BTreeSet::new();
             for batch in batches(&config, 263, 0, 6) {
                 for sample in 0..3 {
@@ -301,10 +304,18 @@ mod tests {
                         let first = &found[..3];
                         assert!(first.iter().all(|value| value.abs() < 1e-6), "{first:?}");
                     }
+                    let part = Features::new(found, skeleton.layout(), root).unwrap();
+                    let by_rotations = part.joints_from_rotations(&skeleton).unwrap();
+                    let pairs = by_rotations
+                        .to_f32()
+                        .into_iter()
+                        .zip(part.joints().to_f32());
+                    let apart = pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()));
+                    assert!(apart < 1e-3, "{root}: rotations lead {apart} m elsewhere");
                     let clip = dataset.find(&batch.ids[sample]).unwrap().unwrap();
                     let normalized = |start: usize| {
-                        let part = clip.features.slice(start..start + valid);
-                        statistics.normalize(part.with_root(root).as_slice())
+                        let part = clip.features.crop(&skeleton, start..start + valid);
+                        statistics.normalize(part.unwrap().with_root(root).as_slice())
                     };
                     let start = (0..=90 - valid).find(|&start| normalized(start) == values);
                     starts.insert(start.expect("a window of the clip"));
@@ -343,10 +354,11 @@ mod tests {
         ]) {
             caption.seconds = seconds;
         }
-        let features: Vec<_> = [(0, 40), (20, 60), (40, 80)]
-            .map(|(from, to)| clip.features.slice(from..to).to_absolute())
-            .to_vec();
         let representation = samples(&config, 263).representation;
+        let features: Vec<_> = [(0, 40), (20, 60), (40, 80)]
+            .map(|(from, to)| clip.features.crop(&representation.skeleton, from..to))
+            .map(|features| features.unwrap().to_absolute())
+            .to_vec();
         let rows = features.iter().map(Features::as_slice);
         let statistics = Arc::new(statistics_of(&representation, rows).unwrap());
         let clips = ClipSet::from(vec![Arc::new(clip.clone())]);

@@ -79,8 +79,9 @@ impl Features {
         &self.values[t * channels..(t + 1) * channels]
     }
 
-    /// The frames of `range`. With relative root the part begins at x = z = 0 facing +z, with
-    /// absolute root it stays where it is.
+    /// The rows of `range` as they are: with absolute root the part stays where it is. With relative
+    /// root it begins at x = z = 0 facing +z, but its rotations are those of where it was:
+    /// [`crop`](Self::crop) turns them too.
     ///
     /// # Panics
     /// Panics if `range` is empty or reaches beyond the last frame.

@@ -38,6 +38,7 @@
 pub const TEXT_CHANNELS: usize = 512;
 
 mod builtin;
+mod crop;
 mod description;
 mod error;
 pub mod extract;

@@ -1,0 +1,158 @@
+//! Parts of a clip as clips of their own.
+//!
+//! Positions, velocities and contacts are in the body's facing frame and stay what they are. The
+//! rotations do not: each is the shortest from a raw direction to that of a bone in the world, seen
+//! from the facing frame, so that the first of every chain holds the heading twice (see
+//! [`kinematics`](super::kinematics)). In a world that is turned they are others.
+
+use std::ops::Range;
+
+use super::kinematics::{between, from_columns, minus, to_columns};
+use super::{FeatureError, Features, Root, Skeleton};
+use crate::Quaternion;
+
+impl Features {
+    /// The frames of `range` as if extraction had begun with the first of them: turned and moved so
+    /// that it is at x = z = 0 and faces +z, the rotations with the rest. Of frames that begin so
+    /// nothing changes.
+    ///
+    /// # Errors
+    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
+    ///
+    /// # Panics
+    /// Panics if `range` is empty or reaches beyond the last frame.
+    pub fn crop(&self, skeleton: &Skeleton, range: Range<usize>) -> Result<Self, FeatureError> {
+        skeleton.accept_layout(self.layout())?;
+        let part = self.slice(range.clone());
+        let facing = &self.root_quaternions()[range.clone()];
+        let start = facing[0];
+        let mut values = part.as_slice().to_vec();
+        let layout = self.layout();
+        let rows = values.chunks_exact_mut(layout.channels());
+        if self.root() == Root::Absolute {
+            let channels = part.root_channels();
+            let [first_angle, first_x, first_z, _] = channels[0];
+            for (row, [angle, x, z, _]) in rows.zip(channels) {
+                let [x, _, z] = start.rotate(minus([x, 0.0, z], [first_x, 0.0, first_z]));
+                (row[0], row[1], row[2]) = ((angle - first_angle) as f32, x as f32, z as f32);
+            }
+        }
+        // A start that faces +z changes no rotation, not even by rounding.
+        if start != Quaternion::IDENTITY {
+            let rows = values.chunks_exact_mut(layout.channels());
+            for (row, &facing) in rows.zip(facing) {
+                turn_rotations(skeleton, &mut row[layout.rotations()], facing, start);
+            }
+        }
+        Self::new(values, layout, self.root())
+    }
+}
+
+/// The rotations of one frame, six columns for each joint but the root, of a body with root
+/// quaternion `facing`, in the world turned by `start`.
+fn turn_rotations(skeleton: &Skeleton, columns: &mut [f32], facing: Quaternion, start: Quaternion) {
+    let raw = &skeleton.description().raw_directions;
+    let (columns, _) = columns.as_chunks_mut::<6>();
+    let turned_facing = facing * start.conjugate();
+    for chain in skeleton.chains() {
+        // The bones above in the old world and in the new one.
+        let (mut above, mut turned_above) = (facing, turned_facing);
+        for [_, end] in chain {
+            let columns = &mut columns[end - 1];
+            above = above * from_columns(columns.map(f64::from));
+            let bone = between(raw[end], start.rotate(above.rotate(raw[end])));
+            *columns = to_columns(turned_above.conjugate() * bone).map(|value| value as f32);
+            turned_above = bone;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::walk::{Course, joints as walk};
+    use super::super::{Extraction, Heading, Joints};
+    use super::*;
+
+    fn largest(a: &[f32], b: &[f32]) -> f32 {
+        assert_eq!(a.len(), b.len());
+        let pairs = a.iter().zip(b);
+        pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()))
+    }
+
+    /// A walk that turns, turned and moved to begin with.
+    fn turning(skeleton: &Skeleton) -> Joints {
+        let course = Course {
+            speed: Box::new(|t| 0.9 + 0.2 * t.sin()),
+            turning: Box::new(|t| 0.8 + 0.5 * (1.7 * t).cos()),
+        };
+        let turn = Quaternion::from_yaw(-1.9);
+        let places = walk(&course, skeleton, 61).into_iter().map(|place| {
+            let [x, y, z] = turn.rotate(place);
+            [x - 2.0, y, z + 0.7]
+        });
+        Joints::new(places.collect(), skeleton.joints()).unwrap()
+    }
+
+    /// The floor of a part is that of the whole, and the heading of a frame its own: extraction
+    /// would else see more of the whole than of a part.
+    fn extracted(skeleton: &Skeleton, joints: &Joints) -> Features {
+        let extraction = Extraction {
+            rescale: false,
+            heading: Heading::Raw,
+            ..Extraction::default()
+        };
+        extraction.features(skeleton, joints).unwrap()
+    }
+
+    #[test]
+    fn a_part_is_what_its_joints_would_have_become() {
+        let skeleton = Skeleton::humanml3d();
+        let joints = turning(&skeleton);
+        let whole = extracted(&skeleton, &joints);
+        let floor = |joints: &[[f64; 3]]| {
+            let heights = joints.iter().map(|place| place[1]);
+            heights.fold(f64::INFINITY, f64::min)
+        };
+        for range in [0..60, 13..41, 30..60, 59..60] {
+            let places = &joints.as_slice()[range.start * 22..(range.end + 1) * 22];
+            let part = Joints::new(places.to_vec(), 22).unwrap();
+            let expected = extracted(&skeleton, &part);
+            assert!((floor(places) - floor(joints.as_slice())).abs() < 1e-9);
+            for root in [Root::Relative, Root::Absolute] {
+                let expected = expected.with_root(root);
+                let whole = whole.with_root(root);
+                let found = whole.crop(&skeleton, range.clone()).unwrap();
+                let apart = largest(found.as_slice(), expected.as_slice());
+                assert!(apart < 1e-4, "{range:?} {root}: {apart}");
+                // By its rotations the part has the joints that it has by its positions.
+                let places = found.joints_from_rotations(&skeleton).unwrap().to_f32();
+                let apart = largest(&places, &found.joints().to_f32());
+                assert!(apart < 1e-4, "{range:?} {root}: {apart}");
+                // What is cut alone does not.
+                let cut = whole.slice(range.clone());
+                if range.start > 0 {
+                    let rotations = |features: &Features| features.frame(0)[67..193].to_vec();
+                    assert!(largest(&rotations(&cut), &rotations(&found)) > 0.1);
+                } else {
+                    assert_eq!(found, cut);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_absolute_clip_is_turned_and_moved_to_its_start() {
+        let skeleton = Skeleton::humanml3d();
+        let whole = extracted(&skeleton, &turning(&skeleton));
+        let absolute = whole.to_absolute();
+        let found = absolute.crop(&skeleton, 20..33).unwrap();
+        assert_eq!(found.frame(0)[..3], [0.0; 3]);
+        let relative = whole.crop(&skeleton, 20..33).unwrap().to_absolute();
+        assert!(largest(found.as_slice(), relative.as_slice()) < 1e-5);
+        // A part of a part is one of the whole.
+        let twice = absolute.crop(&skeleton, 7..40).unwrap();
+        let twice = twice.crop(&skeleton, 13..26).unwrap();
+        assert!(largest(found.as_slice(), twice.as_slice()) < 1e-5);
+        assert!(whole.crop(&Skeleton::kit(), 20..33).is_err());
+    }
+}
