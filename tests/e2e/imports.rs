@@ -36,6 +36,22 @@ fn published_weights_become_a_run() {
     sandbox
         .run(&format!("{import} --out runs/gmd"))
         .failed(2, &["runs/gmd"]);
+    sandbox
+        .run(&format!(
+            "{import} --out runs/other --set sampling.steering.guidance.norm=mse \
+             --set sampling.steering.guidance.frame_limit=12 \
+             --set sampling.steering.schedule.points_until=30"
+        ))
+        .succeeded();
+    let shown = sandbox.run("config show runs/other").succeeded().stdout;
+    for line in ["norm = \"mse\"", "frame_limit = 12", "points_until = 30"] {
+        assert!(shown.contains(line), "{line}: {shown}");
+    }
+    sandbox
+        .run(&format!(
+            "{import} --out runs/third --set sampling.steering.scal=1"
+        ))
+        .failed(2, &["sampling.steering.scale"]);
     sandbox.write("goal.toml", GOAL);
     sandbox
         .run("sample runs/gmd --goal goal.toml --steps 3 --out path")
@@ -79,6 +95,19 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     file.and_then(|file| file.set_len(21 << 30))
         .expect("longer");
     import("claim.pt", "gmd_trajectory", statistics).failed(2, &["at most 2147483648 are read"]);
+    // Deviations of places that vary as little as steps do.
+    let mut relative = [1.0; 263];
+    relative[1..3].fill(0.02);
+    relative[193..259].fill(0.02);
+    write_values(&sandbox.path("s.npy"), &[263], &relative).expect("a file");
+    import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(
+        2,
+        &[
+            "s.npy",
+            "relative root",
+            "Mean_abs_3d.npy and Std_abs_3d.npy",
+        ],
+    );
     write_values(&sandbox.path("s.npy"), &[12], &[1.0; 12]).expect("a file");
     import("checkpoint_tiny.pt", "gmd_trajectory", statistics).failed(2, &["12", "263"]);
     write_values(&sandbox.path("s.npy"), &[263], &[1.0; 263]).expect("a file");

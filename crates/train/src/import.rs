@@ -21,6 +21,8 @@ pub struct ImportRequest {
     pub padded_frames: usize,
     /// Take the weights of the last step and not their moving average.
     pub last: bool,
+    /// Settings of the new run, `KEY=VALUE`, in place of the recipe's defaults.
+    pub overrides: Vec<String>,
     /// Folder of the new run.
     pub out: PathBuf,
 }

@@ -8,6 +8,7 @@ use half::{bf16, f16};
 use kinegrad_data::file::{MAX_TENSOR_BYTES, regular};
 use kinegrad_data::read_array;
 use kinegrad_models::parameters::{self, ParameterInfo};
+use kinegrad_motion::humanml::FeatureLayout;
 use pytorch_reader::{DType, PytorchReader, Tensor};
 
 use crate::error::Error;
@@ -128,8 +129,28 @@ pub fn array(
     }
 }
 
+/// Mean and deviation of features from two `.npy` files, in metres where they are of published
+/// features in millimetres.
+///
+/// # Errors
+/// [`Error::Array`] for files of other shapes than each other's.
+pub fn mean_and_deviation(mean_path: &Path, std_path: &Path) -> Result<[Vec<f64>; 2], Error> {
+    let (mut mean, mut std) = (vector(mean_path)?, vector(std_path)?);
+    if mean.len() != std.len() {
+        return Err(Error::Array {
+            path: std_path.to_path_buf(),
+            found: format!("{} numbers", std.len()),
+            allowed: format!("{}, as many as {} has", mean.len(), mean_path.display()),
+        });
+    }
+    if let Ok(layout) = FeatureLayout::of_channels(mean.len()) {
+        layout.statistics_in_metres(&mut mean, &mut std);
+    }
+    Ok([mean, std])
+}
+
 /// The numbers of a one-dimensional `.npy` file.
-pub fn vector(path: &Path) -> Result<Vec<f64>, Error> {
+fn vector(path: &Path) -> Result<Vec<f64>, Error> {
     let values = array(path, "one axis", |shape| shape.len() == 1)?;
     Ok(values.into_iter().map(f64::from).collect())
 }

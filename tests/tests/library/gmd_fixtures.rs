@@ -109,6 +109,7 @@ fn imported(name: &str, padded_frames: usize, last: bool, device: &Device) -> Te
     });
     let run = Gmd
         .import(&ImportRequest {
+            overrides: Vec::new(),
             weights: workspace().join("data_fixtures/gmd").join(name),
             architecture: "gmd_trajectory".into(),
             mean: Some(mean),

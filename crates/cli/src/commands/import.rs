@@ -29,6 +29,7 @@ pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode,
         projection: arguments.projection,
         padded_frames: arguments.padded_frames,
         last: arguments.last,
+        overrides: arguments.overrides,
         out: arguments.out,
     })?;
     for warning in &imported.warnings {

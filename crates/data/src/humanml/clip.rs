@@ -106,7 +106,7 @@ pub fn texts_path(id: &str) -> String {
 }
 
 /// Parses the bytes of a `.npy` file of features with relative root, `[frames, channels]` of
-/// `skeleton`; `file` names it in errors.
+/// `skeleton`, in metres or, as those of KIT-ML, in millimetres; `file` names it in errors.
 ///
 /// # Errors
 /// [`FileError`] for what is no such array, for another number of channels than the skeleton's and
@@ -129,7 +129,8 @@ pub fn parse_features(
             array.values[place],
         ));
     }
-    Features::new(array.values, layout, Root::Relative).map_err(|error| {
+    let rows = layout.in_metres(array.values);
+    Features::new(rows, layout, Root::Relative).map_err(|error| {
         FileError::unexpected(
             file,
             error.to_string(),

@@ -48,16 +48,18 @@ pub(super) fn given(
         Some(_) => (std_file, mean_file),
         None => (mean_file, std_file),
     };
-    let ((mean, mean_digest), (std, std_digest)) = match (mean, read(files, std_file, skeleton)?) {
-        (None, None) => return Ok(None),
-        (Some(mean), Some(std)) => (mean, std),
-        _ => {
-            let hint = "without both of them the statistics are taken from the training clips";
-            let missing = files.store.name_of(missing);
-            let beside = format!("it beside {there}");
-            return Err(FileError::unexpected(missing, "no such file", beside, hint).into());
-        }
-    };
+    let ((mut mean, mean_digest), (mut std, std_digest)) =
+        match (mean, read(files, std_file, skeleton)?) {
+            (None, None) => return Ok(None),
+            (Some(mean), Some(std)) => (mean, std),
+            _ => {
+                let hint = "without both of them the statistics are taken from the training clips";
+                let missing = files.store.name_of(missing);
+                let beside = format!("it beside {there}");
+                return Err(FileError::unexpected(missing, "no such file", beside, hint).into());
+            }
+        };
+    skeleton.layout().statistics_in_metres(&mut mean, &mut std);
     let statistics = Statistics::new(mean, std, Some(*root)).map_err(|error| {
         FileError::unexpected(
             format!("{} and {std_file}", files.store.name_of(mean_file)),

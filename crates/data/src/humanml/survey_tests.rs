@@ -348,6 +348,55 @@ fn kit_clips_have_251_channels_and_their_own_rate() {
 }
 
 #[test]
+fn kit_clips_in_millimetres_are_read_in_metres() {
+    let skeleton = SkeletonName::Kit.skeleton();
+    let layout = skeleton.layout();
+    let [_, ground, height, positions, _, displacements, _] = layout.groups();
+    let lengths = [ground, height, positions, displacements];
+    let read = |unit: f32| {
+        let folder = tempfile::tempdir().unwrap();
+        let channels = layout.channels();
+        let scale = |channel: usize| match lengths.iter().any(|group| group.contains(&channel)) {
+            true => unit,
+            false => 1.0,
+        };
+        let values = |at: &dyn Fn(usize) -> f32, rows: usize| -> Vec<f32> {
+            let row = (0..channels).map(|channel| scale(channel) * at(channel));
+            row.collect::<Vec<_>>().repeat(rows)
+        };
+        // The root is 0.93 m above the floor.
+        let clip = values(&|channel| 0.9 + 0.01 * channel as f32, 60);
+        let joint_files = folder.path().join("new_joint_vecs");
+        fs::create_dir_all(&joint_files).unwrap();
+        crate::write_values(&joint_files.join("00001.npy"), &[60, channels], &clip).unwrap();
+        for (name, value) in [("Mean_abs_3d.npy", 0.8), ("Std_abs_3d.npy", 0.5)] {
+            let values = values(&|_| value, 1);
+            crate::write_values(&folder.path().join(name), &[channels], &values).unwrap();
+        }
+        fs::create_dir_all(folder.path().join("texts")).unwrap();
+        fs::write(folder.path().join("texts/00001.txt"), "a#b#0.0#0.0\n").unwrap();
+        fs::write(folder.path().join("train.txt"), "00001\n").unwrap();
+        let mut config = DataConfig {
+            kind: DataKind::Humanml3d,
+            source: Some(folder.path().display().to_string()),
+            ..DataConfig::default()
+        };
+        config.humanml3d.validation_list.clear();
+        config.humanml3d.skeleton = SkeletonName::Kit;
+        let dataset = Dataset::<Clip>::open(&config).unwrap();
+        let features = dataset.train.get(0).unwrap().features.clone();
+        (features, dataset.statistics().unwrap())
+    };
+    let ((metres, statistics), (millimetres, converted)) = (read(1.0), read(1000.0));
+    assert!((millimetres.frame(7)[3] - 0.93).abs() < 1e-6);
+    for (found, expected) in millimetres.as_slice().iter().zip(metres.as_slice()) {
+        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+    }
+    let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(close(&converted.mean, &statistics.mean) && close(&converted.std, &statistics.std));
+}
+
+#[test]
 fn datasets_of_phrases_and_of_clips_are_told_apart() {
     let (_folder, config) = dataset(3);
     let found = Dataset::<crate::Phrase>::open(&config)

@@ -111,7 +111,9 @@ impl Skeleton {
     /// The 21 joints of KIT at 12.5 frames per second: 251 channels.
     ///
     /// The reference pose is this framework's own, in metres; the dataset's files are in
-    /// millimetres. Where a clip was not rescaled, its features carry the unit of its joints.
+    /// millimetres and converted when they are read ([`FeatureLayout::in_metres`]).
+    ///
+    /// [`FeatureLayout::in_metres`]: super::FeatureLayout::in_metres
     pub fn kit() -> Self {
         built_in(
             &KIT,

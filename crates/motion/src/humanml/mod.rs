@@ -1,7 +1,7 @@
 //! Joint positions and joint features as in HumanML3D: 263 channels for 22 joints, or `12 J - 1`
 //! for J joints.
 //!
-//! Metres, +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
+//! Metres (published features in millimetres are converted when they are read), +y up, frames of the skeleton's own rate, velocities per frame. Root quaternions turn
 //! the world to the facing frame and enter the features by half their angle ([`Root`]). Features
 //! are stored in single precision; everything is computed in double precision. Source: C. Guo et
 //! al., "Generating Diverse and Natural 3D Human Motions from Text" (2022), and GMD, appendix B,
@@ -50,6 +50,7 @@ mod next_pose;
 mod root;
 mod skeleton;
 pub mod stream;
+pub(crate) mod units;
 mod validate;
 pub mod walk;
 

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::{Curves, Representation};
+use crate::humanml::units::{HIGHEST_ROOT, MILLIMETRE};
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
 use crate::kinematics::{differences, jerk_of};
 use crate::rotation::length;
@@ -30,7 +31,8 @@ impl JointFeatures {
     }
 
     fn features(&self, rows: &[f32]) -> Option<Features> {
-        Features::new(rows.to_vec(), self.layout(), self.root).ok()
+        let rows = self.layout().in_metres(rows.to_vec());
+        Features::new(rows, self.layout(), self.root).ok()
     }
 
     /// How far the root's way, read with `root`, is from what the features say of joint 0's
@@ -160,7 +162,8 @@ impl Representation for JointFeatures {
     }
 }
 
-/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up.
+/// Positions of a skeleton's joints, `[frames, J, 3]`, metres with +y up. Those of published clips in
+/// millimetres, whose roots are more than 10 units above the floor, are converted.
 #[derive(Clone, Debug)]
 pub struct JointPositions {
     /// Whose joints they are.
@@ -194,7 +197,15 @@ impl Representation for JointPositions {
     }
 
     fn joints(&self, rows: &[f32]) -> Option<Joints> {
-        Joints::from_f32(rows, self.skeleton.joints()).ok()
+        let joints = Joints::from_f32(rows, self.skeleton.joints()).ok()?;
+        let frames = joints.frames();
+        let root = joints.track(0).iter().map(|place| place[1]).sum::<f64>() / frames as f64;
+        if root <= HIGHEST_ROOT {
+            return Some(joints);
+        }
+        let places = joints.as_slice().iter();
+        let places = places.map(|place| place.map(|value| MILLIMETRE * value));
+        Joints::new(places.collect(), joints.joints()).ok()
     }
 
     fn skeleton(&self) -> Option<&Skeleton> {
@@ -333,6 +344,22 @@ mod tests {
             let (a, b) = (merged.moments(), whole.moments());
             assert!((a.mean[channel] - b.mean[channel]).abs() < 1e-12);
             assert!((a.std[channel] - b.std[channel]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn positions_in_millimetres_are_read_in_metres() {
+        let skeleton = Skeleton::kit();
+        let representation = JointPositions {
+            skeleton: skeleton.clone(),
+        };
+        let joints = crate::humanml::moving(&skeleton, 4);
+        let metres = representation.joints(&joints.to_f32()).unwrap();
+        let large: Vec<f32> = joints.to_f32().iter().map(|value| 1e3 * value).collect();
+        let found = representation.joints(&large).unwrap();
+        let pairs = found.as_slice().iter().zip(metres.as_slice());
+        for (a, b) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
+            assert!((a - b).abs() < 1e-5, "{a} {b}");
         }
     }
 

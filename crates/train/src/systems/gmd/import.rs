@@ -9,7 +9,7 @@ use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::{Backbone, NetworkConfig, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
-use kinegrad_motion::humanml::Root;
+use kinegrad_motion::humanml::{FeatureLayout, Root};
 use pytorch_reader::Tensor;
 
 use super::networks::{channels_of, text_denoiser};
@@ -19,7 +19,7 @@ use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::import::{ImportRequest, Imported};
-use crate::published::{self, array, part_of, read_tensors, vector};
+use crate::published::{self, array, mean_and_deviation, part_of, read_tensors};
 use crate::system::Systems;
 
 /// Names of the published programs that are no weights of the network: the text encoder and the
@@ -165,6 +165,26 @@ impl Sizes {
     }
 }
 
+/// The root's place varies at least so many times as much as its displacement to the next frame:
+/// tens of times in clips that walk, as often in the published statistics, where both may be divided
+/// by a factor (5) that weights the root.
+const PLACES_TO_STEPS: f64 = 3.0;
+
+/// Part of the root's height that its displacement to the next frame varies by at most; in metres a
+/// deviation of 9 cm a frame, nearly 2 m/s.
+const LARGEST_STEP: f64 = 0.1;
+
+/// Whether mean and deviation are those of features with relative root, whose channels 1 and 2 are
+/// displacements to the next frame, as those of joint 0 are: statistics of both readings of a dataset
+/// are the same but for the first three channels. Of statistics that are of no body, such as all ones,
+/// it is not told.
+fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
+    let displacement = layout.velocities().start;
+    let ground = std[1].max(std[2]);
+    let step = std[displacement].max(std[displacement + 2]);
+    ground < PLACES_TO_STEPS * step && ground < LARGEST_STEP * mean[3].abs()
+}
+
 /// The config that describes the weights, and the statistics of their data.
 fn settings(
     request: &ImportRequest,
@@ -174,13 +194,25 @@ fn settings(
 ) -> Result<(Config, Statistics), Error> {
     let recipe = &request.architecture;
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
-    let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &[])?;
-    let (mean, std) = (vector(mean_path)?, vector(std_path)?);
+    let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
+    let [mean, std] = mean_and_deviation(mean_path, std_path)?;
     let skeleton = SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
         path: mean_path.to_path_buf(),
         found: format!("{} numbers", mean.len()),
         allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;
+    if is_relative(&mean, &std, skeleton.skeleton().layout()) {
+        return Err(Error::Array {
+            path: std_path.to_path_buf(),
+            found: "deviations of features with relative root: the root's x and z (channels 1 and \
+                    2) vary no more than its displacement to the next frame does"
+                .into(),
+            allowed: "those of features with absolute root, as published models of Guided Motion \
+                      Diffusion were trained on: Mean_abs_3d.npy and Std_abs_3d.npy, not Mean.npy \
+                      and Std.npy"
+                .into(),
+        });
+    }
     config.data.humanml3d.skeleton = skeleton;
     let channels = channels_of(&config)?;
     if channels != sizes.channels {
@@ -225,4 +257,47 @@ fn settings(
     let statistics = Statistics::new(mean, std, Some(Root::Absolute))?;
     config.system = own.to_table();
     Ok((config, statistics))
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::humanml::Clip;
+    use kinegrad_data::{DataConfig, DataKind, Dataset};
+
+    use super::*;
+
+    /// Statistics of walks whose root is read so.
+    fn walks(root: Root) -> Statistics {
+        let mut config = DataConfig {
+            kind: DataKind::SyntheticWalks,
+            ..DataConfig::default()
+        };
+        config.synthetic.phrases = 9;
+        config.synthetic.frames = 60;
+        config.humanml3d.root = root;
+        Dataset::<Clip>::open(&config)
+            .unwrap()
+            .statistics()
+            .unwrap()
+    }
+
+    #[test]
+    fn statistics_of_relative_roots_are_told_from_those_of_absolute_ones() {
+        let layout = FeatureLayout::of_channels(263).unwrap();
+        let [relative, absolute] = [Root::Relative, Root::Absolute].map(walks);
+        assert_eq!(relative.mean[3..], absolute.mean[3..]);
+        // Both may be divided by the published weight of the root.
+        for factor in [1.0, 5.0] {
+            let told = |statistics: &Statistics| {
+                let mut std = statistics.std.clone();
+                std[..4].iter_mut().for_each(|value| *value /= factor);
+                is_relative(&statistics.mean, &std, layout)
+            };
+            assert!(told(&relative), "{factor}: {:?}", &relative.std[..4]);
+            assert!(!told(&absolute), "{factor}: {:?}", &absolute.std[..4]);
+        }
+        // Of no body.
+        assert!(!is_relative(&[0.0; 263], &[1.0; 263], layout));
+        assert!(!is_relative(&[1.0; 263], &[1.0; 263], layout));
+    }
 }

@@ -19,7 +19,7 @@ use super::{RECIPE, TextMotionTables};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::SystemTables;
 use crate::error::Error;
-use crate::published::{load, read_tensors, vector};
+use crate::published::{load, mean_and_deviation, read_tensors};
 use crate::systems::gmd::EvaluatorFiles;
 
 /// A shorter clip is followed by frames of zeros, after normalisation, up to this many.
@@ -59,7 +59,7 @@ impl TextMotion {
         let config = TextMotionConfig::of_weights(|name| Some(tensors.get(name)?.shape()));
         let encoders = config.init(&Initializer::new(0, device));
         let encoders = load(&files.weights, encoders, &tensors)?;
-        let (mean, std) = (vector(&files.mean)?, vector(&files.std)?);
+        let [mean, std] = mean_and_deviation(&files.mean, &files.std)?;
         let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
         let words = read_word_vectors(&files.word_vectors)?;
         Self::new(encoders, statistics, words, device)
