@@ -32,6 +32,7 @@ pub mod memory;
 mod mode;
 mod normalization;
 pub mod optimizer;
+mod product;
 mod recurrence;
 
 pub use attention::{cross_attention, self_attention};
@@ -42,6 +43,7 @@ pub use lengths::Lengths;
 pub use linear_map::{LinearMap, SharedMap, linear_map};
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
+pub use product::float32_product;
 pub use recurrence::{Direction, gru};
 
 #[cfg(test)]

@@ -11,6 +11,6 @@ mod res_block;
 mod unet;
 
 pub use conditioner::{Conditioner, interleaved_sinusoidal};
-pub use projection::{Projection, times};
+pub use projection::Projection;
 pub use res_block::GmdResBlock;
 pub use unet::{GmdUnet, GmdUnetConfig};

@@ -26,10 +26,12 @@ impl Projection {
         }
     }
 
+    /// `x P` of every frame.
+    ///
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        times(x, self.matrix.val())
+        self.matrix.val().transpose().unsqueeze::<3>().matmul(x)
     }
 
     /// The matrix on the host, row by row.
@@ -40,13 +42,4 @@ impl Projection {
         let values = self.matrix.val().inner().try_into_vec_as::<f32>();
         values.expect("parameters are float32")
     }
-}
-
-/// `x P` of every frame `x`.
-///
-/// # Shapes
-/// - x, output: `[batch, channels, time]`
-/// - matrix: `[channels, channels]`
-pub fn times(x: Tensor<3>, matrix: Tensor<2>) -> Tensor<3> {
-    matrix.transpose().unsqueeze::<3>().matmul(x)
 }

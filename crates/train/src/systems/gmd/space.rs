@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Objective, Space};
-use kinegrad_models::gmd::times;
+use kinegrad_kernels::float32_product;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
 
@@ -12,7 +12,9 @@ use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
 pub struct FeatureSpace {
     mean: Tensor<3>,
     std: Tensor<3>,
-    /// The matrix and its inverse.
+    /// The matrix and its inverse, transposed. The published kind is undone by an inverse that makes
+    /// errors a thousand times larger, those of its own product as those of a projection before it:
+    /// both are multiplied in float32 also where a device would round.
     projection: Option<[Tensor<2>; 2]>,
     /// Ground x and z of a frame in metres from the network's channels: `[1, 2, channels]`.
     ground: Tensor<3>,
@@ -52,7 +54,7 @@ impl FeatureSpace {
         };
         let square = |values: &[f32]| -> Tensor<2> {
             let data = TensorData::new(values.to_vec(), [channels, channels]);
-            Tensor::from_data(data, device)
+            Tensor::<2>::from_data(data, device).transpose()
         };
         Self {
             ground: tensor(&ground, [1, 2, channels]),
@@ -69,14 +71,15 @@ impl FeatureSpace {
     /// - x: `[batch, channels, time]`
     /// - output: `[batch, 2, time]`, x and z
     pub fn ground(&self, x: Tensor<3>) -> Tensor<3> {
-        self.ground.clone().matmul(x) + self.ground_mean.clone()
+        let ground = self.ground.clone().squeeze_dim::<2>(0);
+        float32_product(ground, x) + self.ground_mean.clone()
     }
 }
 
 impl Space for FeatureSpace {
     fn to_motion(&self, x: Tensor<3>) -> Tensor<3> {
         let normalized = match &self.projection {
-            Some([_, inverse]) => times(x, inverse.clone()),
+            Some([_, inverse]) => float32_product(inverse.clone(), x),
             None => x,
         };
         normalized * self.std.clone() + self.mean.clone()
@@ -85,7 +88,7 @@ impl Space for FeatureSpace {
     fn to_network(&self, motion: Tensor<3>) -> Tensor<3> {
         let normalized = (motion - self.mean.clone()) / self.std.clone();
         match &self.projection {
-            Some([matrix, _]) => times(normalized, matrix.clone()),
+            Some([matrix, _]) => float32_product(matrix.clone(), normalized),
             None => normalized,
         }
     }
@@ -117,5 +120,59 @@ impl Objective for GroundObjective<'_> {
         let data = TensorData::new(gradient, [batch, time, 2]);
         let gradient = Tensor::<3>::from_data(data, &device).swap_dims(1, 2);
         self.space.ground.clone().swap_dims(1, 2).matmul(gradient)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_kernels::Mode;
+    use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    #[test]
+    fn projected_motion_returns_with_the_digits_that_tf32_loses() {
+        // As published: Gaussian, with a condition number in the thousands.
+        let (channels, frames) = (263, 30);
+        let config = EmphasisConfig {
+            kind: EmphasisKind::Gaussian,
+            ..EmphasisConfig::default()
+        };
+        let projection = config.projection(channels).unwrap();
+        let projection = projection.expect("a kind that projects");
+        assert!(projection.condition_number() > 1000.0);
+        let ones = vec![1.0; channels];
+        let device = Device::flex();
+        let space = FeatureSpace::new(&vec![0.0; channels], &ones, Some(&projection), &device);
+        let motion = Key::new(5, Purpose::Synthetic).normals(channels * frames);
+        let largest = |found: &[f32]| {
+            let pairs = found.iter().zip(&motion);
+            pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()))
+        };
+        for mode in [Mode::Fused, Mode::Composed] {
+            let found = mode.scope(|| {
+                let data = TensorData::new(motion.clone(), [1, channels, frames]);
+                space.to_motion(space.to_network(Tensor::from_data(data, &device)))
+            });
+            let error = largest(&found.try_into_vec_as::<f32>().unwrap());
+            assert!(error < 1e-3, "{mode:?}: {error}");
+        }
+        // With both products rounded as matrix units do, whole deviations are lost.
+        let tf32 = |value: f32| f32::from_bits((value.to_bits() + 0x1000) & !0x1fff);
+        let times = |rows: &[f32], matrix: &[f32]| -> Vec<f32> {
+            let mut out = vec![0.0; rows.len()];
+            for (out, row) in out.chunks_mut(channels).zip(rows.chunks(channels)) {
+                for (&value, weights) in row.iter().zip(matrix.chunks(channels)) {
+                    let pairs = out.iter_mut().zip(weights);
+                    pairs.for_each(|(out, &weight)| *out += tf32(value) * tf32(weight));
+                }
+            }
+            out
+        };
+        // Frames are rows here; the numbers are as good in any order.
+        let there = times(&motion, projection.matrix());
+        let error = largest(&times(&there, projection.inverse()));
+        assert!(error > 0.05, "{error}");
     }
 }
