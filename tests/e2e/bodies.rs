@@ -21,7 +21,7 @@ fn with_captures() -> Sandbox {
     fs::create_dir(sandbox.path("captures")).expect("a folder");
     for (take, frames) in [(1, 61), (2, 71), (3, 250), (4, 61), (5, 66), (6, 30)] {
         let name = format!("captures/walk_slow_{take:03}.bvh");
-        sandbox.write(&name, &walking(frames, 0.8 + 0.05 * f64::from(take)));
+        sandbox.write(&name, walking(frames, 0.8 + 0.05 * f64::from(take)));
     }
     sandbox
 }
@@ -104,11 +104,11 @@ fn bodies_that_are_none_are_named_and_plans_make_one_kind() {
         &["no take gave a clip", "left_knee (left_knee)", "hint:"],
     );
     assert!(!sandbox.path("other").exists());
-    sandbox.write("mixed.toml", &format!("{PLAN}[phrases]\nframes = 60\n"));
+    sandbox.write("mixed.toml", format!("{PLAN}[phrases]\nframes = 60\n"));
     sandbox
         .run("data prepare mixed.toml")
         .failed(2, &["`phrases` is for phrases", "two plans"]);
-    sandbox.write("plan.toml", &PLAN.replace("motion =", "motions ="));
+    sandbox.write("plan.toml", PLAN.replace("motion =", "motions ="));
     sandbox
         .run("data prepare plan.toml")
         .failed(2, &["`motions`", "motion"]);

@@ -251,9 +251,9 @@ fn takes(plan: &Plan) -> Result<Vec<Take>, String> {
 
 /// The joint map that a plan names.
 fn read_map(plan: &Plan, map: &str) -> Result<JointMap, String> {
-    if !Path::new(map)
+    if Path::new(map)
         .extension()
-        .is_some_and(|ending| ending == "toml")
+        .is_none_or(|ending| ending != "toml")
     {
         return JointMap::built_in(map);
     }

@@ -204,10 +204,9 @@ fn joints_that_are_lacking_lie_between_others() {
     let body = body_of(&capture, &map).unwrap();
     for t in 0..3 {
         let frame = body.joints.frame(t);
-        for axis in 0..3 {
-            let between = 0.75 * frame[3][axis] + 0.25 * frame[9][axis];
-            assert!((frame[6][axis] - between).abs() < 1e-9);
-        }
+        let between = [0, 1, 2].map(|axis| 0.75 * frame[3][axis] + 0.25 * frame[9][axis]);
+        let apart = [0, 1, 2].map(|axis| frame[6][axis] - between[axis]);
+        assert!(length(apart) < 1e-9, "{apart:?}");
     }
     for (broken, part) in [
         (
