@@ -35,5 +35,6 @@ mod stages;
 mod style;
 mod targets;
 mod text_motion;
+mod texts;
 mod train;
 mod view;

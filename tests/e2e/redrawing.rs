@@ -44,6 +44,7 @@ fn described(record: &Value) -> (Vec<String>, String) {
         ("audio_features", "--cond"),
         ("trajectory", "--trajectory-run"),
         ("text", "--text"),
+        ("clip", "--clip"),
         ("text_embedding", "--text-embedding"),
     ] {
         if let Some(value) = text(&condition[key]) {

@@ -6,6 +6,7 @@ mod matching;
 mod reading;
 mod reports;
 mod talk;
+mod text;
 mod train;
 mod view;
 
@@ -32,6 +33,7 @@ pub use matching::MatchArguments;
 pub use reading::ReadingArguments;
 pub use reports::{PlotArguments, ReportArguments, RunsArguments};
 pub use talk::TalkArguments;
+pub use text::{EmbedArguments, TextCommand};
 pub use train::TrainArguments;
 pub use view::ViewArguments;
 
@@ -83,6 +85,9 @@ pub enum Command {
     /// Extract audio features from songs
     #[command(subcommand)]
     Audio(AudioCommand),
+    /// Embed texts with CLIP
+    #[command(subcommand)]
+    Text(TextCommand),
     /// Inspect configs
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -163,10 +168,13 @@ pub struct SampleArguments {
     /// Run of recipe `gmd_trajectory` that generates the ground path in a first stage
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
-    /// Text to use as the condition; for runs with `data.humanml3d.text = "labels"` one of the
-    /// captions that they were trained on
+    /// Text to use as the condition, embedded with `--clip`; for runs with
+    /// `data.humanml3d.text = "labels"` one of the captions that they were trained on
     #[arg(long, value_name = "SENTENCE", conflicts_with = "text_embedding")]
     pub text: Option<String>,
+    /// Folder with CLIP ViT-B/32, which embeds the text
+    #[arg(long, value_name = "DIR", requires = "text")]
+    pub clip: Option<PathBuf>,
     /// Text embedding to use as the condition: 512 values in tensor KEY of a safetensors file, or
     /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]

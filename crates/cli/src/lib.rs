@@ -39,7 +39,7 @@ use std::process::ExitCode;
 use kinegrad_train::Error;
 use kinegrad_train::systems::Systems;
 
-use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand};
+use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand, TextCommand};
 
 /// Parses and runs a command line with the given systems, and returns the exit code.
 pub fn run(
@@ -81,6 +81,7 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Data(DataCommand::Prepare(arguments)) => commands::prepare::run(arguments),
         Command::Data(DataCommand::Inspect(arguments)) => commands::data::inspect(arguments),
         Command::Audio(AudioCommand::Features(arguments)) => commands::audio::features(arguments),
+        Command::Text(TextCommand::Embed(arguments)) => commands::text::embed(arguments),
         Command::Config(ConfigCommand::Show(arguments)) => {
             commands::config::show(systems, arguments)
         }

@@ -5,10 +5,11 @@
 //! parameter in the module tree *is* its state-dict name; [`parameters`] reads and writes them by
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
-//! text-conditioned denoiser with either of them. [`flow`] contains the networks that continue a
+//! text-conditioned denoiser with either of them; [`clip`] is the encoder of the texts. [`flow`] contains the networks that continue a
 //! motion frame by frame. [`text_motion`] contains the encoders of the text-motion evaluator.
 
 pub mod attention;
+pub mod clip;
 pub mod config;
 pub mod decoder;
 pub mod dropout;

@@ -69,6 +69,18 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// A text encoder that cannot be used.
+    #[error("{}: {reason}", path.display())]
+    #[diagnostic(help(
+        "`--clip` takes a local folder with CLIP ViT-B/32 as the model hub has it: config.json, \
+         model.safetensors, vocab.json and merges.txt (docs/dataset.md)"
+    ))]
+    TextEncoder {
+        /// The folder, or the file in it.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// Weights of another program that do not fit.
     #[error(
         "{} does not fit: {} differences\n  {}",
@@ -78,7 +90,7 @@ pub enum Error {
     )]
     #[diagnostic(help(
         "the weights belong to another network: check `--arch`; `evaluation.evaluator.weights` \
-         is the published `finest.tar` of the same dataset"
+         is the published `finest.tar` of the same dataset, `--clip` a folder with CLIP ViT-B/32"
     ))]
     ForeignWeights {
         /// The file.

@@ -50,6 +50,7 @@ pub mod start;
 pub mod system;
 pub mod systems;
 pub mod telemetry;
+pub mod text_encoder;
 mod trainer;
 
 pub use config::Config;

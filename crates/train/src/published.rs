@@ -67,15 +67,30 @@ pub fn load<M: Module>(
         shape: tensor.shape().to_vec(),
     };
     let found: Vec<_> = tensors.iter().map(info).collect();
+    let values = |name: &str| values_of(&tensors[name]);
+    load_values(path, module, &found, values)
+}
+
+/// Replaces every parameter of `module` by the one of its name that was `found` in the file at
+/// `path`, whose numbers `values` reads.
+///
+/// # Errors
+/// As [`load`].
+pub(crate) fn load_values<M: Module>(
+    path: &Path,
+    module: M,
+    found: &[ParameterInfo],
+    values: impl Fn(&str) -> Result<Vec<f32>, String>,
+) -> Result<M, Error> {
     let infos = parameters::infos(&module);
-    let mut differences = parameters::differences(&infos, &found);
+    let mut differences = parameters::differences(&infos, found);
     let mut weights = Vec::with_capacity(infos.len());
     for ParameterInfo { name, shape } in infos {
         // Those of other shapes are among the differences, and may have any size.
-        let fitting = tensors
-            .get(&name)
-            .filter(|tensor| *tensor.shape() == *shape);
-        match fitting.map(values_of) {
+        let fits = found
+            .iter()
+            .any(|info| info.name == name && info.shape == shape);
+        match fits.then(|| values(&name)) {
             Some(Ok(values)) if values.iter().all(|value| value.is_finite()) => {
                 weights.push(values);
             }
@@ -94,17 +109,22 @@ pub fn load<M: Module>(
 }
 
 /// A tensor in single precision.
-fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+pub(crate) fn values_of(tensor: &Tensor) -> Result<Vec<f32>, String> {
+    let bytes = tensor.read().map_err(|error| error.to_string())?;
+    singles(&bytes, tensor.dtype())
+}
+
+/// Numbers of a type in single precision.
+pub(crate) fn singles(bytes: &[u8], dtype: DType) -> Result<Vec<f32>, String> {
     fn numbers<T: bytemuck::Pod>(bytes: &[u8], single: impl Fn(T) -> f32) -> Vec<f32> {
         let numbers: Vec<T> = bytemuck::pod_collect_to_vec(bytes);
         numbers.into_iter().map(single).collect()
     }
-    let bytes = tensor.read().map_err(|error| error.to_string())?;
-    match tensor.dtype() {
-        DType::F32 => Ok(bytemuck::pod_collect_to_vec(&bytes)),
-        DType::F64 => Ok(numbers(&bytes, |value: f64| value as f32)),
-        DType::F16 => Ok(numbers(&bytes, |bits| f16::from_bits(bits).to_f32())),
-        DType::BF16 => Ok(numbers(&bytes, |bits| bf16::from_bits(bits).to_f32())),
+    match dtype {
+        DType::F32 => Ok(bytemuck::pod_collect_to_vec(bytes)),
+        DType::F64 => Ok(numbers(bytes, |value: f64| value as f32)),
+        DType::F16 => Ok(numbers(bytes, |bits| f16::from_bits(bits).to_f32())),
+        DType::BF16 => Ok(numbers(bytes, |bits| bf16::from_bits(bits).to_f32())),
         other => Err(format!("{other:?} found, a floating-point type needed")),
     }
 }

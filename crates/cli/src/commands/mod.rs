@@ -19,6 +19,7 @@ pub mod report;
 pub mod runs;
 pub mod sample;
 pub mod shell;
+pub mod text;
 pub mod train;
 pub mod view;
 

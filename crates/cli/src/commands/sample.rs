@@ -73,6 +73,7 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             goals: arguments.goal,
             trajectory: trajectory.transpose()?,
             text: arguments.text,
+            clip: arguments.clip,
             text_embedding: arguments.text_embedding,
             given,
             style: arguments.style.as_deref().map(Style::parse).transpose()?,

@@ -1,6 +1,7 @@
 //! The embeddings of the captions: one safetensors file, `[captions, 512]` for each clip.
 
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use half::f16;
@@ -10,9 +11,9 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::file::{MAX_TENSOR_BYTES, read_file};
 use crate::magnitude::{allowed, first_unusable};
-use crate::{Digest, FileError};
+use crate::{Digest, Error, FileError, atomic};
 
-const HINT: &str = "docs/dataset.md shows how to make the file; data.humanml3d.text_embeddings = \
+const HINT: &str = "`kinegrad text embed` makes the file (docs/dataset.md); data.humanml3d.text_embeddings = \
                     \"\" does without";
 
 /// The embeddings of all captions of a dataset, in memory.
@@ -138,6 +139,17 @@ pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
         }
         _ => return None,
     })
+}
+
+/// Writes a file of embeddings, whole or not at all: `[texts, 512]` float32 under each name.
+///
+/// # Errors
+/// [`Error::Io`].
+///
+/// # Panics
+/// Panics if a name comes up twice, or a row has another number of values.
+pub fn write_embeddings(path: &Path, texts: Vec<(&str, Vec<&[f32]>)>) -> Result<(), Error> {
+    atomic::write(path, &serialize(texts.into_iter()))
 }
 
 /// The bytes of a file of embeddings: `[captions, 512]` float32 for each clip.

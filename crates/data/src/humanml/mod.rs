@@ -43,11 +43,11 @@ pub use clip::{
     write_features,
 };
 pub use config::{CaptionRule, CaptionText, Humanml3dConfig, SkeletonName};
-pub use embeddings::read_embedding;
+pub use embeddings::{read_embedding, write_embeddings};
 pub use find::find_clips;
 pub use labels::{ClipLabels, LABELS, labels_bytes, read_labels};
 pub use samples::ClipSamples;
 pub use statistics::statistics_files;
 pub use synthetic::{synthetic_id, walk, write_walks};
-pub use texts::{Caption, parse_captions};
+pub use texts::{Caption, parse_captions, read_captions};
 pub use word_vectors::{parse_word_vectors, read_word_vectors};

@@ -1,12 +1,17 @@
 //! The captions of a clip: `texts/ID.txt`, one a line.
 
 use std::borrow::Cow;
+use std::fs;
 use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use kinegrad_motion::metrics::text_motion::{PartOfSpeech, Token};
 
 use crate::FileError;
+use crate::file::read_file;
+
+use super::clip::TEXTS;
 
 /// The longest file of captions.
 pub(super) const MAX_BYTES: u64 = 1 << 20;
@@ -96,6 +101,37 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
             })
         })
         .collect()
+}
+
+/// The captions of every clip of the dataset in a local `folder`, `texts/ID.txt`, by id.
+///
+/// # Errors
+/// [`FileError`] for a folder without texts, and as [`parse_captions`].
+pub fn read_captions(folder: &Path) -> Result<Vec<(String, Vec<Caption>)>, FileError> {
+    let texts = folder.join(TEXTS);
+    let listed = fs::read_dir(&texts).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let listed = listed.map_err(FileError::read(&texts))?;
+    let mut paths: Vec<PathBuf> = listed.into_iter().map(|entry| entry.path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "txt"));
+    paths.sort();
+    let read = |path: PathBuf| {
+        let bytes = read_file(&path, MAX_BYTES).map_err(FileError::read(&path))?;
+        let captions = parse_captions(&bytes, &path.display().to_string())?;
+        let id = path.file_stem().unwrap_or_default();
+        Ok((id.to_string_lossy().into_owned(), captions))
+    };
+    let clips = paths.into_iter().map(read);
+    let mut clips: Vec<(String, Vec<Caption>)> = clips.collect::<Result<_, FileError>>()?;
+    clips.retain(|(_, captions)| !captions.is_empty());
+    match clips.is_empty() {
+        false => Ok(clips),
+        true => Err(FileError::unexpected(
+            texts.display().to_string(),
+            "no caption",
+            "texts/ID.txt with a caption a line",
+            "docs/dataset.md describes the layout of HumanML3D",
+        )),
+    }
 }
 
 /// A caption, or what was found and what is expected instead.

@@ -166,6 +166,7 @@ class Run:
         audio_features: PathArgument | None = None,
         goal: PathArgument | Sequence[PathArgument] | None = None,
         text: str | None = None,
+        clip: PathArgument | None = None,
         text_embedding: str | None = None,
         trajectory_run: PathArgument | Run | None = None,
         held_out: int | None = None,
@@ -195,8 +196,9 @@ class Run:
             start: Position in the song, in seconds, at which the motion starts.
             audio_features: `features.npz` to use as the condition.
             goal: Goal file or files for position control of a clip.
-            text: Text to use as the condition; for runs with `data.humanml3d.text = "labels"` one of
+            text: Text to use as the condition, embedded with `clip`; for runs with `data.humanml3d.text = "labels"` one of
                 the captions that they were trained on.
+            clip: Folder with CLIP ViT-B/32, which embeds the text.
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
             held_out: One sample for each of the first so many held-out items.
@@ -247,6 +249,7 @@ class Run:
             "goal": goals,
             "trajectory_run": _run_path(trajectory_run),
             "text": text,
+            "clip": clip,
             "text_embedding": text_embedding,
             "held_out": held_out,
             "count": count,

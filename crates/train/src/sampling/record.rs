@@ -151,6 +151,9 @@ pub struct Condition {
     /// Text.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text: Option<String>,
+    /// Folder of the text encoder that embedded it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clip: Option<PathBuf>,
     /// Text embedding, `FILE#KEY`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_embedding: Option<String>,

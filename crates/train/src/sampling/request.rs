@@ -45,6 +45,8 @@ pub struct Conditions {
     pub trajectory: Option<PathBuf>,
     /// Text, in words.
     pub text: Option<String>,
+    /// Folder of the text encoder that embeds the text.
+    pub clip: Option<PathBuf>,
     /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
     /// Frames of a phrase that the sample has as they are.
@@ -82,7 +84,7 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 11] {
+    fn given(&self) -> [(&'static str, bool); 12] {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
@@ -92,6 +94,7 @@ impl Conditions {
             ("--goal", !self.goals.is_empty()),
             ("--trajectory-run", self.trajectory.is_some()),
             ("--text", self.text.is_some()),
+            ("--clip", self.clip.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
             (
                 "--continue-from",
@@ -140,6 +143,12 @@ impl Conditions {
             return Err(Error::usage(
                 format!("`{option}` without `--audio`"),
                 "it is about the beats of a song: pass `--audio SONG` too",
+            ));
+        }
+        if self.clip.is_some() && self.text.is_none() {
+            return Err(Error::usage(
+                "`--clip` without `--text`",
+                "it embeds a text: pass `--text SENTENCE` too",
             ));
         }
         self.beats.validate()?;

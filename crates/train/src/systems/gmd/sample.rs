@@ -2,6 +2,7 @@
 
 mod items;
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use kinegrad_data::humanml::read_embedding;
@@ -17,7 +18,6 @@ use super::networks::footprint;
 use super::recipe_name::RecipeName;
 use super::text::{ClipText, TextInput};
 use crate::checkpoint::State;
-use crate::config::Config;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
@@ -25,6 +25,7 @@ use crate::sampling::{
     Remark, Request, SamplerRecord, Subject,
 };
 use crate::system::System as _;
+use crate::text_encoder::TextEncoder;
 
 /// Extension of joint positions, or of a path alone.
 const MOTION: &str = ".npy";
@@ -92,7 +93,7 @@ pub(super) fn sample(
         receiver.note("no condition given: drawing without a text and without a goal");
     }
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    let text = text_of(conditions, &subject.config)?;
+    let text = text_of(conditions, subject)?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
         Some(frames) => frames,
         None => request.frames.unwrap_or(subject.config.data.target_frames),
@@ -149,6 +150,7 @@ pub(super) fn sample(
                 goal_sha256: goal.map(|goal| goal.sha256.clone()),
                 trajectory: conditions.trajectory.clone(),
                 text: conditions.text.clone(),
+                clip: conditions.clip.clone(),
                 text_embedding: conditions.text_embedding.clone(),
                 ..Condition::default()
             },
@@ -163,22 +165,45 @@ pub(super) fn sample(
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
 }
 
-/// The text that is asked for, if any, which the model of a config is to know.
-fn text_of(conditions: &Conditions, config: &Config) -> Result<Option<ClipText>, Error> {
+/// The text that is asked for, if any, in the form that the models take.
+fn text_of(conditions: &Conditions, subject: &Subject) -> Result<Option<ClipText>, Error> {
     let embedding = conditions.text_embedding.as_deref().map(read_embedding);
-    let text = ClipText {
+    let mut text = ClipText {
         caption: conditions.text.clone(),
         embedding: embedding.transpose()?,
     };
     if text == ClipText::default() {
         return Ok(None);
     }
-    let input = TextInput::of(config)?;
-    if input.values(&text)?.is_none() {
-        return Err(Error::usage(
-            "`--text` with a run that is told embeddings of texts",
-            "pass an embedding of it, `--text-embedding FILE#KEY`: docs/gmd.md",
-        ));
+    let mut inputs = vec![TextInput::of(&subject.config)?];
+    if let Some(checkpoint) = &conditions.trajectory {
+        inputs.push(TextInput::of(&State::read(checkpoint)?.config)?);
+    }
+    for input in &inputs {
+        // Refuses what a model does not know, before anything is read.
+        input.values(&text)?;
+    }
+    let embeds = inputs.iter().any(|input| input.labels().is_none());
+    match (&text.caption, &conditions.clip) {
+        (Some(caption), Some(folder)) if embeds => {
+            let encoder = TextEncoder::read(folder, &subject.device)?;
+            let mut embedded = encoder.embed(&[caption], &mut |_| ControlFlow::Continue(()))?;
+            text.embedding = embedded.pop();
+        }
+        (Some(_), None) if embeds => {
+            return Err(Error::usage(
+                "`--text` without `--clip`, and the run is told embeddings of texts",
+                "name a folder with CLIP ViT-B/32, `--clip DIR`, or pass an embedding of the text, \
+                 `--text-embedding FILE#KEY`: docs/gmd.md",
+            ));
+        }
+        (_, Some(_)) => {
+            return Err(Error::usage(
+                "`--clip` with a run with `data.humanml3d.text = \"labels\"`",
+                "it needs no embedding of the text: leave `--clip` out",
+            ));
+        }
+        _ => {}
     }
     Ok(Some(text))
 }

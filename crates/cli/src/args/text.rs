@@ -1,0 +1,48 @@
+//! Arguments of the commands on texts.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+#[derive(Debug, Subcommand)]
+pub enum TextCommand {
+    /// Compute the embeddings of sentences, or of the captions of a dataset
+    Embed(EmbedArguments),
+}
+
+/// Embeds texts with CLIP's text encoder, read from a local folder as the model hub has it:
+/// `config.json`, `model.safetensors`, `vocab.json` and `merges.txt` of `openai/clip-vit-base-patch32`.
+/// Of a text the first 20 tokens count.
+///
+/// Sentences become rows of the tensor `text`, which `kinegrad sample --text-embedding FILE#text:N`
+/// takes, N from 0. The captions of a dataset in the HumanML3D layout become one tensor per clip;
+/// trainings read them from `text_embeddings.safetensors` in its folder.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  kinegrad text embed --clip clip-vit-base-patch32 --dataset HumanML3D \\
+    --out HumanML3D/text_embeddings.safetensors
+  kinegrad text embed --clip clip-vit-base-patch32 \"a person walks in a circle\" --out text.safetensors")]
+pub struct EmbedArguments {
+    /// Sentences
+    #[arg(value_name = "SENTENCE", required_unless_present_any = ["dataset", "file"])]
+    pub sentences: Vec<String>,
+    /// Folder of a dataset whose captions, `texts/ID.txt`, are embedded
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["sentences", "file"])]
+    pub dataset: Option<PathBuf>,
+    /// File with a sentence per line; empty lines are passed over
+    #[arg(long, value_name = "FILE.txt", conflicts_with = "sentences")]
+    pub file: Option<PathBuf>,
+    /// Folder with CLIP ViT-B/32
+    #[arg(long, value_name = "DIR")]
+    pub clip: PathBuf,
+    /// File to write
+    #[arg(long, value_name = "FILE.safetensors")]
+    pub out: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Device to run on
+    #[arg(long, default_value = "auto")]
+    pub device: String,
+}

@@ -1,0 +1,261 @@
+//! A published text encoder, read from a local folder: what embeds the texts that models of clips
+//! are conditioned on.
+
+mod tokenizer;
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use kinegrad_data::file::{MAX_TENSOR_BYTES, read_file, read_text};
+use kinegrad_models::Initializer;
+use kinegrad_models::clip::{ClipText, ClipTextConfig};
+use kinegrad_models::parameters::ParameterInfo;
+use kinegrad_motion::humanml::TEXT_CHANNELS;
+use pytorch_reader::DType;
+use safetensors::{Dtype, SafeTensors};
+use serde_json::Value;
+
+use crate::error::Error;
+use crate::published::{load_values, read_tensors, singles, values_of};
+use tokenizer::Tokenizer;
+
+/// Word tokens of a text that are kept, those of start and end not counted, as in the published
+/// trainings on HumanML3D and KIT-ML (docs/sources.md, section 4.3).
+pub const MAX_WORD_TOKENS: usize = 20;
+
+/// Texts that are embedded together.
+const GROUP: usize = 64;
+
+/// CLIP's text encoder, ready to use.
+pub struct TextEncoder {
+    network: ClipText,
+    tokenizer: Tokenizer,
+    device: Device,
+}
+
+impl TextEncoder {
+    /// Reads the encoder in `folder` onto `device`, which is to have no gradients. The folder is
+    /// as the model hub has it: `config.json`, `model.safetensors` (or `pytorch_model.bin`), and
+    /// `vocab.json` with `merges.txt`, or `tokenizer.json`.
+    ///
+    /// # Errors
+    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for a folder that is not there, lacks a
+    /// file, or holds another network.
+    pub fn read(folder: &Path, device: &Device) -> Result<Self, Error> {
+        if !folder.is_dir() {
+            let reason = match folder.exists() {
+                true => "it is a file, a folder is needed",
+                false => "there is no such folder",
+            };
+            return Err(refused(folder, reason));
+        }
+        let path = folder.join("config.json");
+        let mut config = config_of(&path)?;
+        let tokenizer = Tokenizer::read(folder, config.vocab_size)?;
+        let weights = Weights::read(folder)?;
+        if let Some(width) = weights.width() {
+            config.projection_dim = width;
+        }
+        if config.projection_dim != TEXT_CHANNELS {
+            let found = config.projection_dim;
+            let reason = format!(
+                "its embeddings have {found} values, {TEXT_CHANNELS} are needed: those of ViT-B/32"
+            );
+            return Err(refused(folder, reason));
+        }
+        let least = MAX_WORD_TOKENS + 2;
+        if config.max_position_embeddings < least {
+            let found = config.max_position_embeddings;
+            let reason = format!("texts of at most {found} tokens found, {least} needed");
+            return Err(refused(&path, reason));
+        }
+        let network = config.init(&Initializer::new(0, device));
+        let network = network.map_err(|error| refused(&path, error))?;
+        Ok(Self {
+            network: weights.load(network)?,
+            tokenizer,
+            device: device.clone(),
+        })
+    }
+
+    /// The tokens of a text: start, at most [`MAX_WORD_TOKENS`] of its own, end.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a text that is too long to be a sentence.
+    pub fn tokens(&self, text: &str) -> Result<Vec<u16>, Error> {
+        self.tokenizer.tokens(text, MAX_WORD_TOKENS)
+    }
+
+    /// The embeddings of `texts`, 512 values each, as the network gives them, in their order.
+    /// `progress` is told how many are done.
+    ///
+    /// # Errors
+    /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` says so.
+    pub fn embed(
+        &self,
+        texts: &[&str],
+        progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
+    ) -> Result<Vec<Vec<f32>>, Error> {
+        let tokens = texts.iter().map(|text| self.tokens(text));
+        let tokens: Vec<Vec<u16>> = tokens.collect::<Result<_, _>>()?;
+        // Texts of one length together: nothing is computed for padding.
+        let mut order: Vec<usize> = (0..texts.len()).collect();
+        order.sort_by_key(|&index| tokens[index].len());
+        let mut embeddings = vec![Vec::new(); texts.len()];
+        for (number, group) in order.chunks(GROUP).enumerate() {
+            let together: Vec<&[u16]> = group.iter().map(|&index| &tokens[index][..]).collect();
+            let output = self.network.forward(&together, &self.device);
+            let values = output.try_into_vec_as::<f32>();
+            let values = values.expect("embeddings are float32");
+            for (&index, row) in group.iter().zip(values.chunks(TEXT_CHANNELS)) {
+                embeddings[index] = row.to_vec();
+            }
+            if progress(number * GROUP + group.len()).is_break() {
+                return Err(Error::Interrupted);
+            }
+        }
+        Ok(embeddings)
+    }
+}
+
+fn refused(path: &Path, reason: impl std::fmt::Display) -> Error {
+    Error::TextEncoder {
+        path: path.to_path_buf(),
+        reason: reason.to_string(),
+    }
+}
+
+/// The sizes that a `config.json` states, of a text encoder alone or of one beside a vision encoder.
+fn config_of(path: &Path) -> Result<ClipTextConfig, Error> {
+    let all = json_of(path)?;
+    let text = all.get("text_config").unwrap_or(&all);
+    let kind = text.get("model_type").and_then(Value::as_str);
+    if let Some(kind) = kind.filter(|kind| !kind.starts_with("clip")) {
+        return Err(refused(
+            path,
+            format!("a model of type `{kind}` found, CLIP needed"),
+        ));
+    }
+    let mut config: ClipTextConfig = serde_json::from_value(text.clone())
+        .map_err(|error| refused(path, format!("the text encoder's settings: {error}")))?;
+    // The one at the top counts, where there is one.
+    if let Some(width) = all.get("projection_dim").and_then(Value::as_u64) {
+        config.projection_dim = usize::try_from(width).unwrap_or(usize::MAX);
+    }
+    config.validate().map_err(|error| refused(path, error))?;
+    Ok(config)
+}
+
+/// A JSON file.
+fn json_of(path: &Path) -> Result<Value, Error> {
+    let text = read_text(path).map_err(|error| refused(path, error))?;
+    serde_json::from_str(&text).map_err(|error| refused(path, format!("no JSON: {error}")))
+}
+
+/// The tensors of the text encoder.
+enum Weights {
+    Safe {
+        path: PathBuf,
+        bytes: Vec<u8>,
+    },
+    Pickled {
+        path: PathBuf,
+        tensors: BTreeMap<String, pytorch_reader::Tensor>,
+    },
+}
+
+/// The projection of a text, whose first axis is the embedding's width.
+const PROJECTION: &str = "text_projection.weight";
+
+/// Whether a tensor is a weight of the text encoder: not of the vision encoder, and no table of
+/// numbers from 0 on.
+fn is_weight(name: &str) -> bool {
+    name == PROJECTION || (name.starts_with("text_model.") && !name.ends_with(".position_ids"))
+}
+
+impl Weights {
+    fn read(folder: &Path) -> Result<Self, Error> {
+        let (safe, pickled) = ("model.safetensors", "pytorch_model.bin");
+        let path = folder.join(safe);
+        if path.exists() {
+            let bytes = read_file(&path, MAX_TENSOR_BYTES);
+            let bytes = bytes.map_err(|error| refused(&path, error))?;
+            if let Err(error) = SafeTensors::deserialize(&bytes) {
+                return Err(refused(&path, format!("no safetensors file ({error})")));
+            }
+            return Ok(Self::Safe { path, bytes });
+        }
+        let path = folder.join(pickled);
+        if !path.exists() {
+            return Err(refused(folder, format!("it has no {safe}")));
+        }
+        let mut tensors = read_tensors(&path)?;
+        tensors.retain(|name, _| is_weight(name));
+        Ok(Self::Pickled { path, tensors })
+    }
+
+    /// Names and shapes.
+    fn infos(&self) -> Vec<ParameterInfo> {
+        let info = |name: &str, shape: &[usize]| ParameterInfo {
+            name: name.to_owned(),
+            shape: shape.to_vec(),
+        };
+        match self {
+            Self::Safe { bytes, .. } => {
+                let tensors = checked(bytes);
+                let all = tensors.iter().filter(|(name, _)| is_weight(name));
+                all.map(|(name, tensor)| info(name, tensor.shape()))
+                    .collect()
+            }
+            Self::Pickled { tensors, .. } => {
+                let all = tensors.iter();
+                all.map(|(name, tensor)| info(name, tensor.shape()))
+                    .collect()
+            }
+        }
+    }
+
+    /// Values of an embedding.
+    fn width(&self) -> Option<usize> {
+        let infos = self.infos();
+        let projection = infos.iter().find(|info| info.name == PROJECTION)?;
+        projection.shape.first().copied()
+    }
+
+    /// The network with these weights.
+    fn load(&self, network: ClipText) -> Result<ClipText, Error> {
+        let found = self.infos();
+        match self {
+            Self::Safe { path, bytes } => {
+                let tensors = checked(bytes);
+                load_values(path, network, &found, |name| {
+                    let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
+                    singles(tensor.data(), dtype_of(tensor.dtype())?)
+                })
+            }
+            Self::Pickled { path, tensors } => {
+                load_values(path, network, &found, |name| values_of(&tensors[name]))
+            }
+        }
+    }
+}
+
+/// The tensors of bytes that were read before.
+fn checked(bytes: &[u8]) -> SafeTensors<'_> {
+    SafeTensors::deserialize(bytes).expect("checked when it was read")
+}
+
+fn dtype_of(dtype: Dtype) -> Result<DType, String> {
+    Ok(match dtype {
+        Dtype::F64 => DType::F64,
+        Dtype::F32 => DType::F32,
+        Dtype::F16 => DType::F16,
+        Dtype::BF16 => DType::BF16,
+        other => return Err(format!("{other:?} found, a floating-point type needed")),
+    })
+}
+
+#[cfg(test)]
+mod tests;
