@@ -36,6 +36,7 @@ FRAMES = 21
 TRANSFORMER = TransformerConfig(
     motion_channels=12, latent_dim=16, heads=2, feed_forward=32, layers=2
 )
+PUBLISHED = TransformerConfig(latent_dim=16, heads=4, feed_forward=20, layers=2)
 TRANSFORMER_FRAMES = 10
 TRANSFORMER_GRADIENTS = [
     "embed_text.bias",
@@ -175,6 +176,22 @@ def transformer(folder: Path) -> None:
     write(folder / "mdm_transformer_tiny.safetensors", tensors, TRANSFORMER)
 
 
+def transformer_checkpoint(folder: Path) -> None:
+    """A checkpoint of the transformer for HumanML3D's features, in half precision, and what it
+    answers."""
+    generator = torch.Generator().manual_seed(5)
+    model = TransformerDenoiser(PUBLISHED)
+    randomize(model, generator)
+    halves = {name: values.half() for name, values in model.state_dict().items()}
+    model.load_state_dict(halves)
+    given = inputs(PUBLISHED.motion_channels, TRANSFORMER_FRAMES, generator)
+    model.double()
+    expected = {"out.y": answer(model, given), "out.y_uncond": answer(model, without_text(given))}
+    save(state_dict(halves, generator, table_rows=20), folder / "checkpoint_mdm.pt")
+    # The network has no padding: any length will do.
+    write(folder / "checkpoint_mdm.safetensors", given | expected, PUBLISHED, padded_frames=1)
+
+
 def evaluator(folder: Path) -> None:
     """The text-motion evaluator: weights, clips, captions, their embeddings, and the metrics of
     other embeddings."""
@@ -229,6 +246,7 @@ def main() -> None:
     checkpoint(folder, "checkpoint_bare", PLAIN, seed=2, bare=True)
     expanded(folder)
     transformer(folder)
+    transformer_checkpoint(folder)
     evaluator(folder)
 
 

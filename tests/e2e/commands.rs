@@ -23,6 +23,8 @@ fn help() {
         "data prepare",
         "audio",
         "audio features",
+        "text",
+        "text embed",
         "data inspect",
         "config",
         "config show",

@@ -16,6 +16,7 @@ fn published() -> Sandbox {
         "checkpoint_tiny.pt",
         "checkpoint_bare.pt",
         "checkpoint_expanded.pt",
+        "checkpoint_mdm.pt",
     ] {
         let bytes = fs::read(workspace().join("data_fixtures/gmd").join(name)).expect("a fixture");
         sandbox.write(name, bytes);
@@ -69,6 +70,35 @@ fn published_weights_become_a_run() {
         .expect("what comes first");
     sandbox.write("c.toml", without_model);
     sandbox.run(tune).succeeded();
+}
+
+#[test]
+fn published_weights_of_the_transformer_become_a_run() {
+    let sandbox = published();
+    let import = "import checkpoint_mdm.pt --arch mdm --mean m.npy --std s.npy --out runs/mdm";
+    sandbox
+        .run(&format!("{import} --projection m.npy"))
+        .failed(2, &["`--projection` with `--arch mdm`"]);
+    let said = sandbox.run(import).succeeded();
+    // Three of the text encoder, and the table twice.
+    assert!(
+        said.stdout.contains("5 tensors of other parts ignored"),
+        "{}",
+        said.stdout
+    );
+    assert!(!said.stderr.contains("--projection"), "{}", said.stderr);
+    sandbox
+        .run("sample runs/mdm --frames 24 --steps 3 --out walk")
+        .succeeded();
+    assert_eq!(shape(&sandbox.path("walk.npy")), [24, 22, 3]);
+    // The root is relative: positions cannot be asked for.
+    sandbox.write("goal.toml", GOAL);
+    sandbox
+        .run("sample runs/mdm --goal goal.toml --steps 3 --out way")
+        .failed(2, &["data.humanml3d.root"]);
+    sandbox
+        .run("import checkpoint_tiny.pt --arch mdm --mean m.npy --std s.npy --out runs/other")
+        .failed(2, &["input_process.poseEmbedding.weight"]);
 }
 
 #[test]

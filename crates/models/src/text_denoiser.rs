@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
 use crate::layers::Embedding;
 use crate::transformer::{Encoder, EncoderConfig};
-use crate::{Initializer, Stages};
+use crate::{DropoutKey, Initializer, Stages};
 
 /// The backbone and its sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -160,7 +160,21 @@ impl TextDenoiser {
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
     pub fn forward(&self, x_t: Tensor<3>, time: &[Time], text: Tensor<3>) -> Tensor<3> {
-        self.forward_stages(x_t, time, text, &mut ())
+        self.run(x_t, time, text, None, &mut ())
+    }
+
+    /// [`forward`](Self::forward) in training: with the dropout of a transformer. A UNet has none.
+    ///
+    /// # Panics
+    /// As [`forward`](Self::forward).
+    pub fn forward_training(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        text: Tensor<3>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
+        self.run(x_t, time, text, dropout, &mut ())
     }
 
     /// [`forward`](Self::forward), and what each stage of a UNet gives: `unet_in_padded` and
@@ -175,6 +189,17 @@ impl TextDenoiser {
         text: Tensor<3>,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
+        self.run(x_t, time, text, None, stages)
+    }
+
+    fn run(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        text: Tensor<3>,
+        dropout: DropoutKey,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
         let text = match &self.embed_captions {
             Some(table) => table.mixed(text.squeeze_dim(2)).unsqueeze_dim(2),
             None => text,
@@ -182,7 +207,7 @@ impl TextDenoiser {
         let cond = self.flat_conditioner.forward(time, text);
         match &self.flat_network {
             Network::Unet(network) => network.forward(x_t, cond, stages),
-            Network::Transformer(encoder) => encoder.forward(x_t, cond),
+            Network::Transformer(encoder) => encoder.forward(x_t, cond, dropout),
         }
     }
 }

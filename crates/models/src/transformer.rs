@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{EncoderLayer, EncoderLayerConfig, Linear, NormOrder};
-use crate::{Initializer, NamedSizes, NetworkConfig};
+use crate::{Dropout, DropoutKey, Initializer, NamedSizes, NetworkConfig};
 
 /// The sizes of an [`Encoder`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,6 +31,8 @@ pub struct EncoderConfig {
     pub num_heads: usize,
     /// Width inside each layer's two linear maps.
     pub ff_size: usize,
+    /// Dropout in training, of the tokens and within each layer.
+    pub dropout: f64,
 }
 
 impl Default for EncoderConfig {
@@ -53,6 +55,7 @@ impl EncoderConfig {
             num_layers: 8,
             num_heads: 4,
             ff_size: 1024,
+            dropout: 0.1,
         }
     }
 
@@ -86,7 +89,10 @@ impl EncoderConfig {
         .hint("the published model has 4")?;
         in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
             .hint("the published model has 8")?;
-        in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH).hint("the published model has 1024")
+        in_range("model.ff_size", self.ff_size, 1..=MAX_WIDTH)
+            .hint("the published model has 1024")?;
+        in_range("model.dropout", self.dropout, 0.0..1.0)
+            .hint("0.1 in the published training; 0 for none")
     }
 
     /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
@@ -108,6 +114,7 @@ impl EncoderConfig {
             num_heads: self.num_heads,
             ff_size: self.ff_size,
             norm: NormOrder::Post,
+            dropout: self.dropout,
         };
         let layers = init.at("seqTransEncoder").at("layers");
         let pose = init.at("input_process").at("poseEmbedding");
@@ -115,9 +122,11 @@ impl EncoderConfig {
         Ok(Encoder {
             input_process_at_poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
             seqTransEncoder_at_layers: (0..self.num_layers)
-                .map(|index| sizes.init(&layers.at(&index.to_string())))
+                .map(|index| sizes.init(index + 1, &layers.at(&index.to_string())))
                 .collect(),
             output_process_at_poseFinal: Linear::new(self.latent_dim, in_channels, &last),
+            // The numbers of the layers' own follow.
+            dropout: Dropout::new(self.dropout, 0),
         })
     }
 }
@@ -129,22 +138,24 @@ pub struct Encoder {
     input_process_at_poseEmbedding: Linear,
     seqTransEncoder_at_layers: Vec<EncoderLayer>,
     output_process_at_poseFinal: Linear,
+    dropout: Dropout,
 }
 
 impl Encoder {
     /// # Shapes
     /// - x, output: `[batch, in_channels, time]`
     /// - cond: `[batch, latent_dim]`, which becomes the first token
-    pub fn forward(&self, x: Tensor<3>, cond: Tensor<2>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, cond: Tensor<2>, dropout: DropoutKey) -> Tensor<3> {
         let time = x.dims()[2];
         let frames = self.input_process_at_poseEmbedding.forward_frames(x);
         let tokens = Tensor::cat(vec![cond.unsqueeze_dim(2), frames], 2);
         let width = tokens.dims()[1];
         let places: Vec<f64> = (0..=time).map(|place| place as f64).collect();
         let positions = interleaved_sinusoidal(&places, width, &tokens.device());
-        let mut h = tokens + positions.transpose().unsqueeze::<3>();
+        let h = tokens + positions.transpose().unsqueeze::<3>();
+        let mut h = self.dropout.forward(h, dropout);
         for layer in &self.seqTransEncoder_at_layers {
-            h = layer.forward(h);
+            h = layer.forward(h, dropout);
         }
         let output = self.output_process_at_poseFinal.forward_frames(h);
         output.narrow(2, 1, time)
@@ -165,6 +176,7 @@ mod tests {
             num_layers: 2,
             num_heads: 2,
             ff_size: 12,
+            dropout: 0.1,
         };
         let network = config.init(3, &init).expect("a network");
         let values: Vec<f32> = (0..15).map(|i| (i as f32 * 0.7).sin()).collect();
@@ -172,7 +184,7 @@ mod tests {
         let answer = |cond: f32| {
             let cond = Tensor::full([1, 8], cond, &Device::flex())
                 * interleaved_sinusoidal(&[3.0], 8, &Device::flex());
-            network.forward(x.clone(), cond)
+            network.forward(x.clone(), cond, None)
         };
         let difference = (answer(0.0) - answer(2.0)).abs();
         let least: f32 = difference.max_dim(1).min().into_scalar();

@@ -57,6 +57,7 @@ fn the_transformer_is_that_of_pytorch() {
         num_layers: layers.count(),
         num_heads: heads as usize,
         ff_size: inner,
+        dropout: 0.0,
     };
     let channels = golden.get("in.x").shape[1];
     let (backbone, init) = (
@@ -100,7 +101,13 @@ fn the_transformer_is_that_of_pytorch() {
 }
 
 /// The network of a published file, imported and read back.
-fn imported(name: &str, padded_frames: usize, last: bool, device: &Device) -> TextDenoiser {
+fn imported(
+    name: &str,
+    architecture: &str,
+    padded_frames: usize,
+    last: bool,
+    device: &Device,
+) -> TextDenoiser {
     let folder = tempfile::tempdir().expect("a folder");
     let [mean, std] = ["m.npy", "s.npy"].map(|name| {
         let path = folder.path().join(name);
@@ -111,7 +118,7 @@ fn imported(name: &str, padded_frames: usize, last: bool, device: &Device) -> Te
         .import(&ImportRequest {
             overrides: Vec::new(),
             weights: workspace().join("data_fixtures/gmd").join(name),
-            architecture: "gmd_trajectory".into(),
+            architecture: architecture.into(),
             mean: Some(mean),
             std: Some(std),
             projection: None,
@@ -134,12 +141,18 @@ fn imported_checkpoints_answer_as_in_pytorch() {
         ("checkpoint_tiny", true, true, "out.y_model"),
         ("checkpoint_bare", false, true, "out.y"),
         ("checkpoint_bare", false, false, "out.y_uncond"),
+        ("checkpoint_mdm", false, true, "out.y"),
+        ("checkpoint_mdm", false, false, "out.y_uncond"),
     ] {
         let golden = fixture(&format!("{file}.safetensors"));
         let config: serde_json::Value =
             serde_json::from_str(golden.metadata("config")).expect("the sizes");
         let padded = config["padded_frames"].as_u64().expect("a length") as usize;
-        let network = imported(&format!("{file}.pt"), padded, last, &tracked);
+        let architecture = match file {
+            "checkpoint_mdm" => "mdm",
+            _ => "gmd_trajectory",
+        };
+        let network = imported(&format!("{file}.pt"), architecture, padded, last, &tracked);
         let y = answer(&network, &golden, &device, told);
         golden
             .get(name)

@@ -66,6 +66,7 @@ impl FlowPredictor {
             num_heads: config.num_heads,
             ff_size: config.ff_size,
             norm: config.norm,
+            dropout: 0.0,
         };
         let final_norm =
             (config.norm == NormOrder::Pre).then(|| LayerNorm::new(width, &transformer.at("norm")));
@@ -76,7 +77,7 @@ impl FlowPredictor {
             chain_emb: embedding(hierarchy.num_chains(), "chain_emb"),
             depth_emb: embedding(hierarchy.num_depths(), "depth_emb"),
             transformer_at_layers: (0..config.num_layers)
-                .map(|index| sizes.init(&layers.at(&index.to_string())))
+                .map(|index| sizes.init(index, &layers.at(&index.to_string())))
                 .collect(),
             transformer_at_norm: final_norm,
             head_at_0: Linear::new(width, width, &head.at("0")),
@@ -118,7 +119,7 @@ impl FlowPredictor {
         let mut h = self.in_proj.forward_frames(inputs) + place;
         stages.stage(format_args!("tokens"), || h.clone());
         for layer in &self.transformer_at_layers {
-            h = layer.forward(h);
+            h = layer.forward(h, None);
         }
         if let Some(norm) = &self.transformer_at_norm {
             h = norm.forward_tokens(h);

@@ -1,11 +1,12 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
+use burn::tensor::activation::softmax;
 use kinegrad_kernels::{Convolution, gelu, self_attention};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{LayerNorm, Linear};
-use crate::Initializer;
+use crate::{Dropout, DropoutKey, Initializer};
 
 /// Where a layer of a transformer normalises.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -30,12 +31,20 @@ pub struct EncoderLayerConfig {
     pub ff_size: usize,
     /// Where it normalises.
     pub norm: NormOrder,
+    /// Dropout in training: of the attention's weights, of what attention and linear maps add, and
+    /// between the two linear maps, as in PyTorch.
+    pub dropout: f64,
 }
 
+/// Dropouts in a layer.
+const DROPOUTS: usize = 4;
+
 impl EncoderLayerConfig {
-    /// A layer whose parameters are drawn when they are first used.
-    pub fn init(&self, init: &Initializer) -> EncoderLayer {
+    /// A layer whose parameters are drawn when they are first used; `index` tells its dropout from
+    /// that of the network's other layers.
+    pub fn init(&self, index: usize, init: &Initializer) -> EncoderLayer {
         let width = self.width;
+        let dropout = |number| Dropout::new(self.dropout, index * DROPOUTS + number);
         let attention = init.at("self_attn");
         EncoderLayer {
             self_attn: SelfAttention {
@@ -49,12 +58,16 @@ impl EncoderLayerConfig {
                 in_proj_bias: attention.constant([3 * width], 0.0),
                 out_proj: Linear::new(width, width, &attention.at("out_proj")),
                 num_heads: self.num_heads,
+                dropout: dropout(0),
             },
             linear1: Linear::new(width, self.ff_size, &init.at("linear1")),
             linear2: Linear::new(self.ff_size, width, &init.at("linear2")),
             norm1: LayerNorm::new(width, &init.at("norm1")),
             norm2: LayerNorm::new(width, &init.at("norm2")),
             norm: self.norm,
+            attended: dropout(1),
+            between: dropout(2),
+            mapped: dropout(3),
         }
     }
 }
@@ -66,18 +79,48 @@ struct SelfAttention {
     in_proj_bias: Param<Tensor<1>>,
     out_proj: Linear,
     num_heads: usize,
+    dropout: Dropout,
 }
 
 impl SelfAttention {
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
             .bias(self.in_proj_bias.val())
             .forward(x);
-        let attended = self_attention(projected, self.num_heads, None);
+        let [batch, _, tokens] = projected.dims();
+        let shape = [batch, self.num_heads, tokens, tokens];
+        let mask = self.dropout.mask(shape, &projected.device(), dropout);
+        let attended = match mask {
+            Some(mask) => masked_attention(projected, self.num_heads, mask),
+            None => self_attention(projected, self.num_heads, None),
+        };
         self.out_proj.forward_frames(attended)
     }
+}
+
+/// [`self_attention`] whose weights are multiplied by a mask.
+///
+/// # Shapes
+/// - queries_keys_values: `[batch, 3 width, tokens]`
+/// - mask: `[batch, heads, tokens, tokens]`: of a query for each key
+/// - output: `[batch, width, tokens]`
+fn masked_attention(
+    queries_keys_values: Tensor<3>,
+    num_heads: usize,
+    mask: Tensor<4>,
+) -> Tensor<3> {
+    let [batch, all, tokens] = queries_keys_values.dims();
+    let head = all / 3 / num_heads;
+    let heads = queries_keys_values.reshape([batch, 3 * num_heads, head, tokens]);
+    let [queries, keys, values] =
+        [0, 1, 2].map(|part| heads.clone().narrow(1, part * num_heads, num_heads));
+    let scores = queries.swap_dims(2, 3).matmul(keys) / (head as f64).sqrt();
+    let weights = softmax(scores, 3) * mask;
+    values
+        .matmul(weights.swap_dims(2, 3))
+        .reshape([batch, all / 3, tokens])
 }
 
 /// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps
@@ -97,27 +140,77 @@ pub struct EncoderLayer {
     norm2: LayerNorm,
     #[module(skip)]
     norm: NormOrder,
+    attended: Dropout,
+    between: Dropout,
+    mapped: Dropout,
 }
 
 impl EncoderLayer {
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
-    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let attention = |x| {
+            let attended = self.self_attn.forward(x, dropout);
+            self.attended.forward(attended, dropout)
+        };
         match self.norm {
             NormOrder::Post => {
-                let h = self.self_attn.forward(x.clone()) + x;
-                let h = self.norm1.forward_tokens(h);
-                self.norm2.forward_tokens(self.inner(h.clone()) + h)
+                let h = self.norm1.forward_tokens(attention(x.clone()) + x);
+                self.norm2
+                    .forward_tokens(self.inner(h.clone(), dropout) + h)
             }
             NormOrder::Pre => {
-                let h = self.self_attn.forward(self.norm1.forward_tokens(x.clone())) + x;
-                self.inner(self.norm2.forward_tokens(h.clone())) + h
+                let h = attention(self.norm1.forward_tokens(x.clone())) + x;
+                self.inner(self.norm2.forward_tokens(h.clone()), dropout) + h
             }
         }
     }
 
-    fn inner(&self, x: Tensor<3>) -> Tensor<3> {
-        self.linear2
-            .forward_frames(gelu(self.linear1.forward_frames(x)))
+    fn inner(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let h = gelu(self.linear1.forward_frames(x));
+        let h = self
+            .linear2
+            .forward_frames(self.between.forward(h, dropout));
+        self.mapped.forward(h, dropout)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, TensorData};
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    fn answer(norm: NormOrder, dropout: f64, key: DropoutKey) -> Vec<f32> {
+        let init = Initializer::new(5, &Device::flex());
+        let sizes = EncoderLayerConfig {
+            width: 12,
+            num_heads: 3,
+            ff_size: 20,
+            norm,
+            dropout,
+        };
+        let values: Vec<f32> = (0..2 * 12 * 5).map(|i| (i as f32 * 0.7).sin()).collect();
+        let x = Tensor::from_data(TensorData::new(values, [2, 12, 5]), &Device::flex());
+        let y = sizes.init(1, &init).forward(x, key);
+        y.try_into_vec_as::<f32>().expect("float32")
+    }
+
+    #[test]
+    fn dropout_changes_what_a_key_says_and_nothing_else() {
+        let key = |seed| Some(Key::new(seed, Purpose::Dropout));
+        for norm in [NormOrder::Post, NormOrder::Pre] {
+            let whole = answer(norm, 0.3, None);
+            assert_eq!(answer(norm, 0.0, key(1)), whole);
+            // So rare that nothing is dropped: the attention of the masks is the same.
+            let rare = answer(norm, 1e-12, key(1));
+            let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+            assert!(near(&rare, &whole));
+            let dropped = answer(norm, 0.3, key(1));
+            assert!(!near(&dropped, &whole));
+            assert_eq!(answer(norm, 0.3, key(1)), dropped);
+            assert!(!near(&answer(norm, 0.3, key(2)), &dropped));
+        }
     }
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_models::gmd::GmdUnetConfig;
+use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_models::{Backbone, NetworkConfig, parameters};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::emphasis::{EmphasisKind, EmphasisProjection};
@@ -30,6 +31,49 @@ fn is_known_stranger(name: &str) -> bool {
         || name == "embed_timestep.sequence_pos_encoder.pe"
 }
 
+/// What the weights are of.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Architecture {
+    /// A UNet of Guided Motion Diffusion.
+    Unet(RecipeName),
+    /// The transformer of the Human Motion Diffusion Model, trained on features with a relative
+    /// root.
+    Mdm,
+}
+
+/// The name of [`Architecture::Mdm`].
+const MDM: &str = "mdm";
+
+/// Names of the architectures that [`import`] knows.
+pub(super) const ARCHITECTURES: [&str; 3] = [
+    RecipeName::Motion.name(),
+    RecipeName::Trajectory.name(),
+    MDM,
+];
+
+impl Architecture {
+    fn named(name: &str) -> Self {
+        match RecipeName::named(name) {
+            Some(recipe) => Self::Unet(recipe),
+            None => Self::Mdm,
+        }
+    }
+
+    fn recipe(self) -> RecipeName {
+        match self {
+            Self::Unet(recipe) => recipe,
+            Self::Mdm => RecipeName::Motion,
+        }
+    }
+
+    fn root(self) -> Root {
+        match self {
+            Self::Unet(_) => Root::Absolute,
+            Self::Mdm => Root::Relative,
+        }
+    }
+}
+
 /// Reads published weights and writes them as the only checkpoint of a run, from which samples are
 /// drawn and trainings start; it has no optimiser to resume with.
 ///
@@ -40,25 +84,24 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
         let message = "the statistics of the weights' training data are missing";
         let hint = "give `--mean M.npy --std S.npy`, those that the model was trained with: for an \
-                    absolute root Mean_abs_3d.npy and Std_abs_3d.npy";
+                    absolute root Mean_abs_3d.npy and Std_abs_3d.npy, for `--arch mdm` Mean.npy and \
+                    Std.npy";
         return Err(Error::usage(message, hint));
     };
+    let architecture = Architecture::named(&request.architecture);
     let mut warnings = Vec::new();
-    match (
-        request.architecture == RecipeName::Motion.name(),
-        &request.projection,
-    ) {
-        (true, None) => warnings.push(
+    match (architecture, &request.projection) {
+        (Architecture::Unet(RecipeName::Motion), None) => warnings.push(
             "no `--projection`: published motion models work in a projected space and do not work \
              without their projection matrix"
                 .to_string(),
         ),
-        (false, Some(_)) => {
+        (Architecture::Unet(RecipeName::Motion), Some(_)) | (_, None) => {}
+        (_, Some(_)) => {
             let message = format!("`--projection` with `--arch {}`", request.architecture);
-            let hint = "trajectory models use no projection";
+            let hint = "only the motion models of `--arch gmd_motion` use a projection";
             return Err(Error::usage(message, hint));
         }
-        _ => {}
     }
     must_be_free(&request.out)?;
     let (part, tensors) = read_weights(&request.weights, request.last)?;
@@ -68,8 +111,11 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
         .filter(|(name, _)| !is_known_stranger(name))
         .collect();
     let skipped = all - tensors.len();
-    let sizes = Sizes::infer(&request.weights, &tensors)?;
-    let (config, statistics) = settings(request, mean, std, &sizes)?;
+    let sizes = match architecture {
+        Architecture::Unet(_) => Sizes::of_unet(&request.weights, &tensors, request.padded_frames)?,
+        Architecture::Mdm => Sizes::of_mdm(&request.weights, &tensors)?,
+    };
+    let (config, statistics) = settings(request, architecture, mean, std, &sizes)?;
     let device = Device::flex();
     let model = text_denoiser(&config, sizes.channels, &device)?;
     let mut model = published::load(&request.weights, model, &tensors)?;
@@ -127,23 +173,33 @@ fn read_weights(
 /// What the shapes of the weights say of the network.
 struct Sizes {
     channels: usize,
-    width: usize,
-    levels: Vec<usize>,
-    adagn: bool,
+    /// The network, and the name of the size that its keys start from.
+    network: Backbone,
+    size: &'static str,
+}
+
+/// The size of a tensor along an axis, if it is there.
+fn size(tensors: &BTreeMap<String, Tensor>, name: &str, axis: usize) -> Option<usize> {
+    let shape = tensors.get(name).map(Tensor::shape);
+    shape.and_then(|shape| shape.get(axis).copied())
+}
+
+/// The error of weights without a tensor that tells the sizes of their network.
+fn lacking(path: &Path, name: &str, what: &str) -> Error {
+    Error::Foreign {
+        path: path.to_path_buf(),
+        reason: format!("it has no `{name}`: these are not the weights of {what}"),
+    }
 }
 
 impl Sizes {
-    fn infer(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
-        let size = |name: &str, axis: usize| {
-            let shape = tensors.get(name).map(Tensor::shape);
-            shape.and_then(|shape| shape.get(axis).copied())
-        };
-        let lacking = |name: &str| Error::Foreign {
-            path: path.to_path_buf(),
-            reason: format!(
-                "it has no `{name}`: these are not the weights of a UNet of Guided Motion Diffusion"
-            ),
-        };
+    fn of_unet(
+        path: &Path,
+        tensors: &BTreeMap<String, Tensor>,
+        padded_frames: usize,
+    ) -> Result<Self, Error> {
+        let size = |name: &str, axis| size(tensors, name, axis);
+        let lacking = |name| lacking(path, name, "a UNet of Guided Motion Diffusion");
         let adagn_name = "unet.downs.0.0.blocks.0.block1.0.weight";
         let plain_name = "unet.downs.0.0.blocks.0.block.0.weight";
         let (output, inner) = ("unet.final_conv.1.weight", "unet.time_mlp.2.weight");
@@ -152,16 +208,51 @@ impl Sizes {
             let half = if adagn { "block1" } else { "block" };
             size(&format!("unet.downs.{level}.0.blocks.0.{half}.0.weight"), 0)
         });
-        let sizes = Self {
-            channels: size(output, 0).ok_or_else(|| lacking(output))?,
-            width: size(inner, 0).ok_or_else(|| lacking(inner))?,
-            levels: levels.collect(),
-            adagn,
-        };
-        match sizes.levels.is_empty() || sizes.width == 0 {
-            true => Err(lacking(plain_name)),
-            false => Ok(sizes),
+        let levels: Vec<usize> = levels.collect();
+        let channels = size(output, 0).ok_or_else(|| lacking(output))?;
+        let width = size(inner, 0).ok_or_else(|| lacking(inner))?;
+        if levels.is_empty() || width == 0 {
+            return Err(lacking(plain_name));
         }
+        let mults = levels.iter().map(|&level| level as f64 / width as f64);
+        let network = GmdUnetConfig {
+            latent_dim: width,
+            dim_mults: mults.collect(),
+            adagn,
+            padded_frames,
+            ..GmdUnetConfig::default()
+        };
+        let known = GmdUnetConfig::SIZES.iter().find(|(_, of_size)| {
+            let of_size = of_size();
+            (of_size.latent_dim, &of_size.dim_mults) == (width, &network.dim_mults)
+        });
+        Ok(Self {
+            channels,
+            size: known.unwrap_or(&GmdUnetConfig::SIZES[0]).0,
+            network: Backbone::GmdUnet(network),
+        })
+    }
+
+    /// The number of heads is that of the published model: no shape tells it.
+    fn of_mdm(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
+        let lacking = |name| lacking(path, name, "the Human Motion Diffusion Model's encoder");
+        let size = |name, axis| size(tensors, name, axis).ok_or_else(|| lacking(name));
+        let layers = (0..).take_while(|layer| {
+            let name = format!("seqTransEncoder.layers.{layer}.linear1.weight");
+            tensors.contains_key(&name)
+        });
+        let network = EncoderConfig {
+            latent_dim: size("input_process.poseEmbedding.weight", 0)?,
+            num_layers: layers.count(),
+            ff_size: size("seqTransEncoder.layers.0.linear1.weight", 0)?,
+            ..EncoderConfig::mdm()
+        };
+        network.validate()?;
+        Ok(Self {
+            channels: size("output_process.poseFinal.weight", 0)?,
+            size: EncoderConfig::SIZES[0].0,
+            network: Backbone::MdmTransformer(network),
+        })
     }
 }
 
@@ -188,11 +279,12 @@ fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
 /// The config that describes the weights, and the statistics of their data.
 fn settings(
     request: &ImportRequest,
+    architecture: Architecture,
     mean_path: &Path,
     std_path: &Path,
     sizes: &Sizes,
 ) -> Result<(Config, Statistics), Error> {
-    let recipe = &request.architecture;
+    let recipe = architecture.recipe().name();
     let text = format!("[train]\nrecipe = \"{recipe}\"\n");
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;
@@ -214,13 +306,14 @@ fn settings(
         });
     }
     config.data.humanml3d.skeleton = skeleton;
+    config.data.humanml3d.root = architecture.root();
     let channels = channels_of(&config)?;
     if channels != sizes.channels {
         return Err(Error::Foreign {
             path: request.weights.clone(),
             reason: format!(
-                "it is a network of {} channels, `{recipe}` with these statistics has {channels}",
-                sizes.channels
+                "it is a network of {} channels, `{}` with these statistics has {channels}",
+                sizes.channels, request.architecture
             ),
         });
     }
@@ -231,30 +324,15 @@ fn settings(
         .to_string_lossy()
         .into_owned();
     let mut own = GmdConfig::of(&config)?;
-    let Backbone::GmdUnet(unet) = &mut own.model.network else {
-        unreachable!("the recipe's own kind of network");
-    };
-    let mults: Vec<f64> = sizes
-        .levels
-        .iter()
-        .map(|&channels| channels as f64 / sizes.width as f64)
-        .collect();
-    if (unet.latent_dim, &unet.dim_mults) != (sizes.width, &mults) {
-        own.model.size = GmdUnetConfig::SIZES[0].0.into();
+    own.model.size = sizes.size.into();
+    own.model.network = sizes.network.clone();
+    if let Some(most) = sizes.network.longest() {
+        config.data.target_frames = config.data.target_frames.min(most);
     }
-    *unet = GmdUnetConfig {
-        latent_dim: sizes.width,
-        dim_mults: mults,
-        adagn: sizes.adagn,
-        padded_frames: request.padded_frames,
-        ..unet.clone()
-    };
-    let most = config.data.target_frames.min(request.padded_frames);
-    config.data.target_frames = most;
     if request.projection.is_none() {
         own.emphasis.kind = EmphasisKind::None;
     }
-    let statistics = Statistics::new(mean, std, Some(Root::Absolute))?;
+    let statistics = Statistics::new(mean, std, Some(architecture.root()))?;
     config.system = own.to_table();
     Ok((config, statistics))
 }

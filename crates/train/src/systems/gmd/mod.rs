@@ -45,7 +45,7 @@ use crate::sampling::{Receiver, Remark, Request, Subject};
 use crate::start::{Start, tables_of};
 use crate::system::System;
 use networks::INHERITED;
-use recipe_name::{RECIPES, RecipeName};
+use recipe_name::RECIPES;
 
 /// The system.
 pub struct Gmd;
@@ -115,7 +115,7 @@ impl System for Gmd {
     }
 
     fn architectures(&self) -> &'static [&'static str] {
-        const { &[RecipeName::Motion.name(), RecipeName::Trajectory.name()] }
+        &import::ARCHITECTURES
     }
 
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {

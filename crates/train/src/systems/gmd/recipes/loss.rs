@@ -35,7 +35,9 @@ pub fn clip_loss(
         diffusion,
         inputs,
         draws,
-        |x_t, time, cond, _| model.forward(x_t, time, cond.get(TEXT).clone()),
+        |x_t, time, cond, dropout| {
+            model.forward_training(x_t, time, cond.get(TEXT).clone(), dropout)
+        },
         |model_output, target, mask| {
             let loss_type = diffusion.config.loss_type;
             weighted_masked_loss(
