@@ -59,7 +59,6 @@ impl FeatureLayout {
 #[cfg(test)]
 mod tests {
     use super::super::{Extraction, Features, Joints, Root, Skeleton, moving};
-    use super::*;
 
     #[test]
     fn features_of_millimetres_become_those_of_metres() {

@@ -293,7 +293,8 @@ fn settings(
         found: format!("{} numbers", mean.len()),
         allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;
-    if is_relative(&mean, &std, skeleton.skeleton().layout()) {
+    let layout = skeleton.skeleton().layout();
+    if architecture.root() == Root::Absolute && is_relative(&mean, &std, layout) {
         return Err(Error::Array {
             path: std_path.to_path_buf(),
             found: "deviations of features with relative root: the root's x and z (channels 1 and \
