@@ -10,7 +10,6 @@ use kinegrad_data::manifest::{self, Cells};
 use kinegrad_data::{Digest, Error as DataError, MANIFEST, Object, Store, StoreError};
 use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
-use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_motion::representation::Measured;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -72,12 +71,14 @@ impl ClipRow {
     /// Writes the files of a clip with these features, and notes their lengths and checksums.
     pub fn write(mut self, features: &Features, output: &Output) -> Result<Self, Error> {
         let lines = self.captions.iter().map(|text| {
-            let caption = Caption {
+            let mut caption = Caption {
                 text: text.clone(),
-                tokens: Token::parse_all(text),
+                tokens: Vec::new(),
                 seconds: None,
                 embedding: None,
             };
+            // As a dictionary has them: without capitals and punctuation.
+            caption.tokens = caption.words().into_owned();
             caption.line()
         });
         let texts = lines.collect::<String>().into_bytes();

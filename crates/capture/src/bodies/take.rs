@@ -211,9 +211,9 @@ impl Take {
         let end = self
             .capture
             .motion_end_seconds
-            .map(|end| (end * fps).round() as usize + 1);
+            .map(|end| ((end * fps).round() as usize).saturating_add(1));
         let end = end.unwrap_or(usize::MAX).min(joints.frames());
-        if start + 1 >= end {
+        if start.saturating_add(1) >= end {
             return Err(format!(
                 "{} frames of it from second {}: at least 2 are needed",
                 end.saturating_sub(start),

@@ -140,12 +140,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "a metric of phrases",
         format!("\"loss\" for recipe `{RECIPE}`"),
     )?;
-    let draws = config.sampling.count_at_end + config.sampling.preview_every_steps as usize;
-    require(
-        draws == 0,
-        "sampling.count_at_end",
-        "samples",
-        format!("0 for recipe `{RECIPE}`, which generates nothing"),
-    )?;
+    let sampling = &config.sampling;
+    for (key, count) in [
+        ("sampling.count_at_end", sampling.count_at_end as u64),
+        ("sampling.preview_every_steps", sampling.preview_every_steps),
+    ] {
+        let allowed = format!("0 for recipe `{RECIPE}`, which generates nothing");
+        require(count == 0, key, count, allowed)?;
+    }
     Ok(())
 }

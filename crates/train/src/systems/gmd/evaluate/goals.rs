@@ -102,7 +102,7 @@ pub fn evaluate_goals(
     let count = settings.replications;
     let mut replications = Vec::with_capacity(count);
     for number in 0..count {
-        let seed = settings.seed + number as u64;
+        let seed = settings.seed.wrapping_add(number as u64);
         replications.push(replicate(
             generator,
             trajectory,

@@ -56,7 +56,15 @@ pub fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let wanted = asked.goals;
-    let held_out = dataset.validation.first(wanted)?;
+    // Evenly from all of them: neighbours are of one kind, or all mirrored.
+    let (there, taken) = (
+        dataset.validation.len(),
+        wanted.min(dataset.validation.len()),
+    );
+    let places = (0..taken).map(|index| index * there / taken);
+    let held_out = places
+        .map(|place| dataset.validation.get(place))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut remarks = Vec::new();
     if held_out.len() < wanted {
         remarks.push(format!(
