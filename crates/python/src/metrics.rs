@@ -44,7 +44,7 @@ fn of_feet(
     py: Python<'_>,
     positions: &PyReadonlyArrayDyn<'_, f64>,
     feet: Option<Vec<usize>>,
-    measure: impl Fn(&Joints, &[usize]) -> Option<f64> + Send,
+    measure: impl Fn(&Joints, &[usize]) -> Option<f64> + Send + Sync,
 ) -> PyResult<Option<f64>> {
     let (shape, values) = shape_and_values(positions);
     call(py, || {
