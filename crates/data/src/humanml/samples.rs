@@ -152,7 +152,7 @@ impl Samples for ClipSamples {
         let features = features.expect("the reader takes features of this skeleton alone");
         let features = features.with_root(self.representation.root);
         let values;
-        let same = [captions_number(clip)];
+        let same = [self.words.as_ref().map_or(0.0, |_| captions_number(clip))];
         let text = match (&self.words, &self.labels) {
             (Some(vectors), _) => {
                 let tokens = caption.map(Caption::words).unwrap_or_default();
@@ -187,7 +187,10 @@ impl Samples for ClipSamples {
             range: 0..1,
         };
         let conditions = [text, captions];
-        let conditions = &conditions[..self.shape().conditions.len()];
+        let conditions = match self.words {
+            Some(_) => &conditions[..],
+            None => &conditions[..1],
+        };
         batch.push(&clip.id, features.as_slice(), &self.statistics, conditions);
     }
 }
