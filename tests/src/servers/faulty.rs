@@ -143,13 +143,30 @@ fn serve(stream: TcpStream, upstream: &Upstream, plan: &Mutex<Plan>, stop: &Atom
     let Some((head, body)) = read_request(&stream) else {
         return;
     };
-    {
-        let mut plan = plan.lock().expect("the plan");
-        plan.under_way += 1;
-        plan.most_under_way = plan.most_under_way.max(plan.under_way);
+    let under_way = UnderWay::begin(plan);
+    answer(stream, &head, &body, upstream, under_way, stop);
+}
+
+/// A request that is being answered. It is dropped before the answer is written: who has read the
+/// answer may ask again at once.
+struct UnderWay<'a>(&'a Mutex<Plan>);
+
+impl<'a> UnderWay<'a> {
+    fn begin(plan: &'a Mutex<Plan>) -> Self {
+        let mut counted = plan.lock().expect("the plan");
+        counted.under_way += 1;
+        counted.most_under_way = counted.most_under_way.max(counted.under_way);
+        drop(counted);
+        Self(plan)
     }
-    answer(stream, &head, &body, upstream, plan, stop);
-    plan.lock().expect("the plan").under_way -= 1;
+}
+
+impl Drop for UnderWay<'_> {
+    fn drop(&mut self) {
+        if let Ok(mut plan) = self.0.lock() {
+            plan.under_way -= 1;
+        }
+    }
 }
 
 fn answer(
@@ -157,12 +174,12 @@ fn answer(
     head: &str,
     body: &[u8],
     upstream: &Upstream,
-    plan: &Mutex<Plan>,
+    under_way: UnderWay,
     stop: &AtomicBool,
 ) {
     let path = head.split(' ').nth(1).unwrap_or_default().to_owned();
     let fault = {
-        let mut plan = plan.lock().expect("the plan");
+        let mut plan = under_way.0.lock().expect("the plan");
         plan.requests.push(path.clone());
         let due = plan
             .faults
@@ -180,10 +197,12 @@ fn answer(
             let answer = format!(
                 "HTTP/1.1 {status} Fault\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
             );
+            drop(under_way);
             let _ = stream.write_all(answer.as_bytes());
             return;
         }
         Some(Fault::Reset) => {
+            drop(under_way);
             reset(stream);
             return;
         }
@@ -203,6 +222,7 @@ fn answer(
         Some(Fault::Truncate) => answer.truncate(half),
         Some(Fault::Corrupt) if half < answer.len() => answer[half] ^= 0x10,
         Some(Fault::Stall) => {
+            drop(under_way);
             let _ = stream.write_all(&answer[..half]);
             for _ in 0..600 {
                 if stop.load(Ordering::SeqCst) {
@@ -214,6 +234,7 @@ fn answer(
         }
         _ => {}
     }
+    drop(under_way);
     let _ = stream.write_all(&answer);
 }
 

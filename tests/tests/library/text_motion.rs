@@ -68,8 +68,14 @@ impl Fixture {
 
     fn evaluator(&self) -> TextMotion {
         let encoders = encoders(self.weights()).expect("weights fit");
-        TextMotion::new(encoders, self.statistics(), self.vectors(), &Device::flex())
-            .expect("parts of one evaluator")
+        TextMotion::new(
+            encoders,
+            self.statistics(),
+            self.vectors(),
+            196,
+            &Device::flex(),
+        )
+        .expect("parts of one evaluator")
     }
 
     fn clips(&self) -> Vec<Features> {
@@ -208,7 +214,7 @@ fn parts_that_do_not_belong_together_are_refused() {
     let fixture = Fixture::open();
     let evaluator = |statistics, words| {
         let encoders = encoders(fixture.weights()).expect("weights fit");
-        TextMotion::new(encoders, statistics, words, &Device::flex())
+        TextMotion::new(encoders, statistics, words, 196, &Device::flex())
     };
     let refused = |statistics, words| match evaluator(statistics, words) {
         Err(error) => error.to_string(),

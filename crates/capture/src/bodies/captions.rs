@@ -61,7 +61,8 @@ impl CaptionsPlan {
     /// of its labels; both take turns.
     ///
     /// # Errors
-    /// If a template has a label in it that the clip has not.
+    /// If a template has a label in it that the clip has not, or a label's value has a `#` in it,
+    /// which ends captions in their files.
     pub fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
         let templates = self.templates.iter().map(|template| parts(template));
         let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;
@@ -96,6 +97,12 @@ impl CaptionsPlan {
                 .collect();
             // A label that is not said leaves a gap.
             let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+            if text.contains('#') {
+                return Err(format!(
+                    "its caption would be `{text}`: no # allowed, which ends captions in their \
+                     files; give the label's value a phrase in captions.words"
+                ));
+            }
             if !text.is_empty() && !captions.contains(&text) {
                 captions.push(text);
             }

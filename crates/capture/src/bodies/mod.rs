@@ -119,12 +119,14 @@ fn finish(
             name: &journal.report.name,
             labels: &journal.report.labels,
             number: journal.report.number,
+            // A take that gave clips has rows, each with the file.
+            file: &journal.rows[0].file,
         })
         .collect();
     let parts = plan.split.parts(&takes);
     let part_of: HashMap<String, Part> = takes
         .iter()
-        .zip(parts)
+        .zip(parts.lists)
         .map(|(take, part)| (take.name.to_owned(), part))
         .collect();
     if !part_of.values().any(|part| *part == Part::Train) {
@@ -159,6 +161,7 @@ fn finish(
         kept,
         stale: if options.prune { 0 } else { stale_ids.len() },
         idle_entries,
+        split_notes: parts.notes,
         manifest: manifest::SUPPORTED,
         takes: reports,
     };

@@ -25,6 +25,8 @@ pub struct ClipsReport {
     pub stale: usize,
     /// Entries of `split.validation` and `split.test` that match no take.
     pub idle_entries: Vec<String>,
+    /// What a user should know of how the takes were divided.
+    pub split_notes: Vec<String>,
     /// Whether the dataset has a manifest.
     pub manifest: bool,
     /// Each take, by name.

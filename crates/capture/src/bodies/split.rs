@@ -51,48 +51,116 @@ pub struct SplitTake<'a> {
     pub labels: &'a Labels,
     /// Its number within the group.
     pub number: Option<u64>,
+    /// The motion file: takes that are windows of one file are held out together.
+    pub file: &'a str,
+}
+
+/// The lists of a plan's takes.
+#[derive(Clone, Debug, Eq, PartialEq)]
+pub(crate) struct Parts {
+    /// That of each take, in their order.
+    pub lists: Vec<Part>,
+    /// What a user should know of how they came about.
+    pub notes: Vec<String>,
 }
 
 impl SplitPlan {
-    /// The list that each of the `takes` is on. What patterns name is held out. Without any, the
-    /// last takes of each group with the same labels are, in the order of their numbers: at the very
-    /// end those of `test_fraction`, before them those of `fraction`. Neighbours may be of one actor,
-    /// so ranges are held out. A group keeps at least one take to train on.
-    pub(crate) fn parts(&self, takes: &[SplitTake<'_>]) -> Vec<Part> {
-        if !self.validation.is_empty() || !self.test.is_empty() {
-            let part = |take: &SplitTake<'_>| match () {
-                () if any_matches(&self.test, take.name) => Part::Test,
-                () if any_matches(&self.validation, take.name) => Part::Val,
-                () => Part::Train,
-            };
-            return takes.iter().map(part).collect();
-        }
+    /// The list that each of the `takes` is on. What patterns name is held out. A list for which
+    /// there are no patterns gets the last takes of each group with the same labels, in the order of
+    /// their numbers: at the very end those of `test_fraction`, before them those of `fraction`.
+    /// Neighbours may be of one actor, so ranges are held out. A group keeps at least one take to
+    /// train on, and windows of one file are on one list.
+    pub(crate) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
+        let mut lists: Vec<Part> = takes.iter().map(|take| self.named(take.name)).collect();
+        let fraction = |patterns: &[String], fraction: f64| match patterns.is_empty() {
+            true => fraction,
+            false => 0.0,
+        };
+        let test = fraction(&self.test, self.test_fraction.unwrap_or_default());
+        let val = fraction(&self.validation, self.fraction);
         let mut groups: BTreeMap<&Labels, Vec<usize>> = BTreeMap::new();
         for (place, take) in takes.iter().enumerate() {
-            groups.entry(take.labels).or_default().push(place);
+            if lists[place] == Part::Train {
+                groups.entry(take.labels).or_default().push(place);
+            }
         }
-        let mut parts = vec![Part::Train; takes.len()];
-        for mut group in groups.into_values() {
+        let of_file = files(takes);
+        let (mut count, mut whole) = (0, 0);
+        for group in groups.into_values() {
+            // A file's windows are taken as one, where the last of them is.
+            let mut group: Vec<usize> = group
+                .into_iter()
+                .filter(|&place| of_file[takes[place].file].last() == Some(&place))
+                .collect();
+            if group.is_empty() {
+                continue;
+            }
             group.sort_by_key(|&place| (takes[place].number, takes[place].name));
             let share = |fraction: f64| (fraction * group.len() as f64).round() as usize;
             let spare = group.len() - 1;
-            let test = share(self.test_fraction.unwrap_or_default()).min(spare);
-            let val = share(self.fraction).min(spare - test);
+            let test = share(test).min(spare);
+            let val = share(val).min(spare - test);
+            count += 1;
+            whole += usize::from(test + val == 0);
             for (back, &place) in group.iter().rev().enumerate() {
-                parts[place] = match back {
+                let part = match back {
                     _ if back < test => Part::Test,
                     _ if back < test + val => Part::Val,
-                    _ => Part::Train,
+                    _ => continue,
                 };
+                for &window in &of_file[takes[place].file] {
+                    if lists[window] == Part::Train {
+                        lists[window] = part;
+                    }
+                }
             }
         }
-        parts
+        let mut notes = Vec::new();
+        if test + val > 0.0 && whole > 0 {
+            notes.push(format!(
+                "{whole} of {count} groups of takes with the same labels are too small for a share \
+                 to be held out; split.validation and split.test name takes"
+            ));
+        }
+        for (part, share) in [(Part::Val, val), (Part::Test, test)] {
+            if share > 0.0 && !lists.contains(&part) {
+                notes.push(format!("no take is held out for {}", part.list()));
+            }
+        }
+        for windows in of_file.values() {
+            let Some(other) = windows.iter().find(|&&w| lists[w] != lists[windows[0]]) else {
+                continue;
+            };
+            notes.push(format!(
+                "takes `{}` and `{}` are of one file and on different lists: {} and {}",
+                takes[windows[0]].name, takes[*other].name, lists[windows[0]], lists[*other]
+            ));
+        }
+        Parts { lists, notes }
+    }
+
+    /// The list that patterns put the take of this name on.
+    fn named(&self, name: &str) -> Part {
+        match () {
+            () if any_matches(&self.test, name) => Part::Test,
+            () if any_matches(&self.validation, name) => Part::Val,
+            () => Part::Train,
+        }
     }
 
     /// Whether a pattern holds the take of this name out.
     pub(crate) fn names(&self, name: &str) -> bool {
-        any_matches(&self.validation, name) || any_matches(&self.test, name)
+        self.named(name) != Part::Train
     }
+}
+
+/// The takes of each file, by their places.
+fn files<'a>(takes: &[SplitTake<'a>]) -> BTreeMap<&'a str, Vec<usize>> {
+    let mut files: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (place, take) in takes.iter().enumerate() {
+        files.entry(take.file).or_default().push(place);
+    }
+    files
 }
 
 fn any_matches(patterns: &[String], name: &str) -> bool {
@@ -107,13 +175,14 @@ mod tests {
         Labels::from([("style".to_owned(), style.to_owned())])
     }
 
-    fn parts(plan: &SplitPlan, takes: &[(String, Labels, Option<u64>)]) -> Vec<Part> {
+    fn parts(plan: &SplitPlan, takes: &[(String, Labels, Option<u64>)]) -> Parts {
         let takes: Vec<SplitTake<'_>> = takes
             .iter()
             .map(|(name, labels, number)| SplitTake {
                 name,
                 labels,
                 number: *number,
+                file: name.split('@').next().expect("a part"),
             })
             .collect();
         plan.parts(&takes)
@@ -136,7 +205,8 @@ mod tests {
             ..SplitPlan::default()
         };
         let found = parts(&plan, &takes);
-        for ((name, _, number), part) in takes.iter().zip(found) {
+        assert!(found.notes[0].starts_with("1 of 3 groups"), "{found:?}");
+        for ((name, _, number), part) in takes.iter().zip(found.lists) {
             let expected = match (name.as_bytes()[0], number) {
                 (b'a', Some(10)) => Part::Test,
                 (b'a', Some(8 | 9)) | (b'b', Some(3)) if name.as_bytes()[1] == b'_' => Part::Val,
@@ -150,7 +220,7 @@ mod tests {
             ..SplitPlan::default()
         };
         let found = parts(&greedy, &takes);
-        assert_eq!(found.iter().filter(|p| **p == Part::Train).count(), 3);
+        assert_eq!(found.lists.iter().filter(|p| **p == Part::Train).count(), 3);
     }
 
     #[test]
@@ -162,6 +232,69 @@ mod tests {
             test: vec!["run*".to_owned()],
             ..SplitPlan::default()
         };
-        assert_eq!(parts(&plan, &takes), [Part::Val, Part::Train, Part::Test]);
+        let found = parts(&plan, &takes);
+        assert_eq!(found.lists, [Part::Val, Part::Train, Part::Test]);
+        assert_eq!(found.notes, [""; 0]);
+    }
+
+    #[test]
+    fn a_list_without_patterns_gets_its_share_of_what_the_other_leaves() {
+        let takes: Vec<_> = (0..12)
+            .map(|number| (format!("walk_{number}"), labels("happy"), Some(number)))
+            .collect();
+        let plan = SplitPlan {
+            test: vec!["walk_0".to_owned(), "walk_11".to_owned()],
+            fraction: 0.2,
+            ..SplitPlan::default()
+        };
+        let found = parts(&plan, &takes).lists;
+        let places =
+            |part| -> Vec<usize> { (0..12).filter(|&place| found[place] == part).collect() };
+        assert_eq!(places(Part::Test), [0, 11]);
+        assert_eq!(places(Part::Val), [9, 10]);
+    }
+
+    #[test]
+    fn windows_of_one_file_are_on_one_list() {
+        // Two windows of each file, the second of another label.
+        let mut takes = Vec::new();
+        for number in 1..=5 {
+            takes.push((format!("f{number}@a"), labels("happy"), Some(number)));
+            takes.push((format!("f{number}@b"), labels("sad"), Some(number)));
+        }
+        let plan = SplitPlan {
+            fraction: 0.2,
+            ..SplitPlan::default()
+        };
+        let found = parts(&plan, &takes).lists;
+        for (place, part) in found.iter().enumerate() {
+            let expected = match place {
+                8 | 9 => Part::Val,
+                _ => Part::Train,
+            };
+            assert_eq!(*part, expected, "{place}");
+        }
+        let torn = SplitPlan {
+            validation: vec!["f1@a".to_owned()],
+            ..SplitPlan::default()
+        };
+        let notes = parts(&torn, &takes).notes;
+        assert!(
+            notes.iter().any(|note| note.contains("of one file")),
+            "{notes:?}"
+        );
+    }
+
+    #[test]
+    fn nothing_held_out_is_said() {
+        let takes = [
+            ("a".to_owned(), labels("happy"), None),
+            ("b".to_owned(), labels("sad"), None),
+        ];
+        let notes = parts(&SplitPlan::default(), &takes).notes;
+        assert_eq!(
+            notes.last().expect("a note"),
+            "no take is held out for val.txt"
+        );
     }
 }

@@ -97,13 +97,14 @@ pub struct SplitPlan {
     pub validation: Vec<String>,
     /// Share that is held out where nothing is named. Of phrases, of the songs: those whose names
     /// have the lowest hashes, at least one of several and never all. Of clips, of the takes with the
-    /// same labels: the last by their numbers, rounded, never all. With 0, none is.
+    /// same labels: the last by their numbers, rounded, never all, and windows of one file together.
+    /// With 0, none is.
     pub fraction: f64,
     /// Names of takes, or patterns, whose clips are held out for the end.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub test: Vec<String>,
-    /// Share of the takes with the same labels whose clips are held out for the end, where nothing
-    /// is named: the very last ones, after those of `fraction`; none unless stated.
+    /// Share of the takes with the same labels whose clips are held out for the end, where `test`
+    /// names none: the very last ones, after those of `fraction`; none unless stated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub test_fraction: Option<f64>,
 }

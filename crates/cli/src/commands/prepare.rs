@@ -210,6 +210,9 @@ fn print_clips(report: &ClipsReport) {
         notes.map(|note| format!("{}: {note}", take.name))
     });
     list("notes", notes.collect());
+    for note in &report.split_notes {
+        say!("split: {note}");
+    }
     for entry in &report.idle_entries {
         say!("split: no take matches `{entry}`");
     }

@@ -38,6 +38,16 @@ pub struct Clip {
 }
 
 impl Clip {
+    /// The caption that stands for the clip: the first that is of all of it, otherwise the first of
+    /// a passage; none of a clip without captions.
+    pub fn caption(&self) -> Option<&Caption> {
+        let whole = self
+            .captions
+            .iter()
+            .find(|caption| caption.seconds.is_none());
+        whole.or(self.captions.first())
+    }
+
     /// Drops the captions of passages of fewer than `min_frames` frames; how many those were.
     pub(super) fn drop_short_captions(&mut self, fps: f64, min_frames: usize) -> usize {
         let (before, frames) = (self.captions.len(), self.features.frames());

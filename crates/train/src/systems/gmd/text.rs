@@ -1,6 +1,7 @@
 //! What a model of clips is told of a text: an embedding, or which of the captions it has learned.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, MAX_CAPTIONS};
 use kinegrad_data::{DataConfig, Dataset};
@@ -74,9 +75,9 @@ pub struct ClipText {
 }
 
 impl ClipText {
-    /// The first caption of a clip; none of a clip without captions.
+    /// The caption that stands for a clip ([`Clip::caption`]).
     pub fn of(clip: &Clip) -> Option<Self> {
-        let caption = clip.captions.first()?;
+        let caption = clip.caption()?;
         Some(Self {
             caption: Some(caption.text.clone()),
             embedding: caption.embedding.as_deref().map(<[f32]>::to_vec),
@@ -148,6 +149,25 @@ impl TextInput {
             None => Err(unknown(caption, labels.captions())),
         }
     }
+}
+
+/// Rejects clips whose captions the model of `config` does not know.
+///
+/// # Errors
+/// [`Error::Usage`] with the first such clip and what the model knows.
+pub(super) fn must_know_texts(config: &Config, clips: &[Arc<Clip>]) -> Result<(), Error> {
+    let input = TextInput::of(config)?;
+    for clip in clips {
+        if let Some(text) = ClipText::of(clip) {
+            input.values(&text).map_err(|error| match error {
+                Error::Usage { message, hint } => {
+                    Error::usage(format!("clip `{}`: {message}", clip.id), hint)
+                }
+                other => other,
+            })?;
+        }
+    }
+    Ok(())
 }
 
 /// The error of a caption that is not among those that a run knows.

@@ -22,8 +22,8 @@ use crate::error::Error;
 use crate::published::{load, mean_and_deviation, read_tensors};
 use crate::systems::gmd::EvaluatorFiles;
 
-/// A shorter clip is followed by frames of zeros, after normalisation, up to this many.
-const PADDED_FRAMES: usize = 196;
+/// Frames that the published evaluator is trained with.
+const PUBLISHED_FRAMES: usize = 196;
 
 /// Clips or captions that are encoded together.
 const GROUP: usize = 32;
@@ -33,6 +33,9 @@ pub struct TextMotion {
     encoders: TextMotionEncoders,
     statistics: Statistics,
     words: WordVectors,
+    /// A shorter clip is followed by frames of zeros, after normalisation, up to this many: those
+    /// of training.
+    padded_frames: usize,
     device: Device,
 }
 
@@ -62,7 +65,7 @@ impl TextMotion {
         let [mean, std] = mean_and_deviation(&files.mean, &files.std)?;
         let statistics = Statistics::new(mean, std, Some(Root::Relative))?;
         let words = read_word_vectors(&files.word_vectors)?;
-        Self::new(encoders, statistics, words, device)
+        Self::new(encoders, statistics, words, PUBLISHED_FRAMES, device)
     }
 
     /// The evaluator that the checkpoint in `path` of a run of recipe `text_motion` holds.
@@ -83,11 +86,13 @@ impl TextMotion {
         let encoders = parameters::load(fresh, read_weights(path, &state, weights)?)?;
         let representation = state.config.data.humanml3d.representation();
         let statistics = state.statistics_of(&representation)?.clone();
-        Self::new(encoders, statistics, words, device)
+        let padded_frames = state.config.data.target_frames;
+        Self::new(encoders, statistics, words, padded_frames, device)
     }
 
     /// The evaluator of these parts, the encoders on `device`. `statistics` are the mean and
-    /// deviation that they were trained with, for features with relative root.
+    /// deviation that they were trained with, for features with relative root, and
+    /// `padded_frames` the frames.
     ///
     /// # Errors
     /// [`Error::Usage`] where the parts do not fit each other; [`Error::Features`] for
@@ -96,6 +101,7 @@ impl TextMotion {
         encoders: TextMotionEncoders,
         statistics: Statistics,
         words: WordVectors,
+        padded_frames: usize,
         device: &Device,
     ) -> Result<Self, Error> {
         if let Some(found @ Root::Absolute) = statistics.root {
@@ -126,8 +132,22 @@ impl TextMotion {
             encoders,
             statistics,
             words,
+            padded_frames,
             device: device.clone(),
         })
+    }
+
+    /// Rejects features that it was not trained on.
+    ///
+    /// # Errors
+    /// [`Error::Features`] for features of another skeleton than the statistics'.
+    pub fn must_take(&self, layout: FeatureLayout) -> Result<(), Error> {
+        let (expected, found) = (self.statistics.channels(), layout.channels());
+        Ok(FeatureError::unless_equal(
+            "channels of a frame",
+            expected,
+            found,
+        )?)
     }
 
     /// The embedding of each clip, `[clips, width]`, with the root in either reading.
@@ -148,12 +168,11 @@ impl TextMotion {
                     "leave out such clips; the published evaluation uses 40 frames or more",
                 ));
             }
-            let (expected, found) = (self.statistics.channels(), features.layout().channels());
-            FeatureError::unless_equal("channels of a frame", expected, found)?;
+            self.must_take(features.layout())?;
             normalized.push(self.statistics.normalize(features.to_relative().as_slice()));
         }
         let lengths: Vec<usize> = clips.iter().map(|clip| clip.frames()).collect();
-        let padded = |frames: usize| frames.max(PADDED_FRAMES);
+        let padded = |frames: usize| frames.max(self.padded_frames);
         let channels = self.encoders.config().channels;
         Ok(in_groups(&lengths, padded, |group, lengths, padded| {
             let mut frames = vec![0.0; group.len() * channels * padded];
@@ -199,7 +218,7 @@ impl TextMotion {
     }
 
     /// Evaluates generated clips, one for each of the `real` ones of the same lengths, with the
-    /// first captions of `clips`. `seed` draws the pools that captions are ranked in, and the pairs
+    /// captions that stand for `clips`. `seed` draws the pools that captions are ranked in, and the pairs
     /// for diversity.
     ///
     /// # Errors
@@ -213,7 +232,7 @@ impl TextMotion {
     ) -> Result<TextMotionReports, Error> {
         // In the order of their ids, neighbours would be of one kind.
         let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
-        let words = |&clip: &usize| match clips[clip].captions.first() {
+        let words = |&clip: &usize| match clips[clip].caption() {
             Some(caption) => caption.words(),
             None => Cow::Borrowed(&[][..]),
         };

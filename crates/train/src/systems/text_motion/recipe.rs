@@ -7,7 +7,8 @@
 //!
 //! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
 //! (Guo et al. 2022, section 5) takes one other motion for each caption; here all pairs of the
-//! batch are taken, and a caption belongs to all clips that have the captions of its own clip. The
+//! batch are taken, and a caption belongs to all clips that have the captions of its own clip, or
+//! that are told the same sentence. The
 //! movement encoder is trained with the others, not before them.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
@@ -121,11 +122,16 @@ impl Captions {
     }
 }
 
-/// Of each pair whether its clips have the same captions.
+/// Of each pair whether its clips have the same captions, or the same sentence of those they have.
 fn together(batch: &Batch) -> Vec<bool> {
     let captions = &condition(batch, CAPTIONS).values;
-    let of = |first| captions.iter().map(move |second| first == second);
-    captions.iter().flat_map(of).collect()
+    let words = condition(batch, WORDS);
+    let sentences: Vec<&[f32]> = words.values.chunks(words.channels * words.frames).collect();
+    let count = captions.len();
+    let pairs = (0..count).flat_map(|first| (0..count).map(move |second| (first, second)));
+    let belong =
+        |(a, b): (usize, usize)| captions[a] == captions[b] || sentences[a] == sentences[b];
+    pairs.map(belong).collect()
 }
 
 fn condition<'a>(batch: &'a Batch, name: &str) -> &'a Condition {
@@ -188,5 +194,31 @@ mod tests {
             .sum();
         let apart = apart.into_scalar::<f32>();
         assert!((apart - (2.0 + from_1) / 4.0).abs() < 1e-4, "{apart}");
+    }
+
+    #[test]
+    fn equal_sentences_belong_to_both_clips() {
+        let condition = |name, channels, values: &[f32]| Condition {
+            name,
+            values: values.to_vec(),
+            channels,
+            frames: 1,
+        };
+        // Clips 0 and 1 have other captions and are told one sentence, clip 2 has those of clip 0
+        // and is told another of them.
+        let batch = Batch {
+            x_start: vec![0.0; 3],
+            conditions: vec![
+                condition(CAPTIONS, 1, &[7.0, 8.0, 7.0]),
+                condition(WORDS, 2, &[0.5, 1.0, 0.5, 1.0, 0.25, 1.0]),
+            ],
+            mask: vec![1.0; 3],
+            ids: ["a", "b", "c"].map(str::to_owned).to_vec(),
+            batch_size: 3,
+            channels: 1,
+            frames: 1,
+        };
+        let expected = [true, true, true, true, true, false, true, false, true];
+        assert_eq!(together(&batch), expected);
     }
 }

@@ -17,6 +17,7 @@ use crate::sampling::Subject;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
+use crate::systems::gmd::text::must_know_texts;
 use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
 use crate::systems::text_motion::TextMotion;
 
@@ -73,6 +74,7 @@ pub fn prepare<'a>(
             subject.checkpoint.display()
         ));
     }
+    must_know_texts(&subject.config, &held_out)?;
     let frames = drawn_frames(&subject.config, data.target_frames);
     let repeated = asked.variety_clips.min(held_out.len()) * asked.variety_repeats;
     let together = asked.batch_size.min(held_out.len().max(repeated));
@@ -100,6 +102,9 @@ pub fn prepare<'a>(
             files.map(read).transpose()?
         }
     };
+    if let Some(evaluator) = &evaluator {
+        evaluator.must_take(held_out[0].features.layout())?;
+    }
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,

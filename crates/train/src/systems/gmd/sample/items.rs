@@ -12,6 +12,7 @@ use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subje
 use crate::systems::gmd::ClipText;
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
+use crate::systems::gmd::text::must_know_texts;
 
 /// Generates one clip for each of the first `count` held-out clips, or training clips if none are
 /// held out, conditioned on its first caption.
@@ -120,6 +121,7 @@ impl Items<'_> {
         receiver: &mut dyn Receiver,
         name: &dyn Fn(&Clip, usize) -> String,
     ) -> Result<Option<Remark>, Error> {
+        must_know_texts(&subject.config, self.clips)?;
         let mut requests = Vec::new();
         let mut noise = Vec::new();
         for clip in self.clips {
