@@ -137,6 +137,17 @@ impl<T: Item> ItemSet<T> {
         positions.map(|position| self.get(position)).collect()
     }
 
+    /// `count` of them, evenly from all, or all where there are fewer: neighbours are of one kind, or
+    /// all mirrored.
+    ///
+    /// # Errors
+    /// As [`get`](Self::get).
+    pub fn evenly(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
+        let taken = count.min(self.len());
+        let positions = (0..taken).map(|index| index * self.len() / taken);
+        positions.map(|position| self.get(position)).collect()
+    }
+
     /// All of them at once, to be held in memory.
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! A captured body: the joints of the skeleton at the capture's own rate, in metres and y-up.
 
+use std::ops::Range;
+
 use kinegrad_motion::humanml::kinematics::{Across, forward, minus, plus};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::rotation::length;
@@ -53,17 +55,19 @@ impl Body {
         Self::of_places(places.collect(), skeleton, rate, units, up)
     }
 
-    /// The body of a capture of markers, whose joint centres are estimated ([`Centres`]).
+    /// The body of a capture of markers, whose joint centres are estimated ([`Centres`]); all
+    /// markers are needed in the frames that are `used`.
     ///
     /// # Errors
     /// In words, what the capture lacks or why it is no body.
     pub fn of_markers(
         take: &C3d,
+        used: Range<usize>,
         skeleton: &Skeleton,
         rate: f64,
         up: Option<UpAxis>,
     ) -> Result<Self, String> {
-        let centres = Centres::of(take)?;
+        let centres = Centres::of(take, used)?;
         let spread = centres.spread(skeleton);
         let mean = spread.iter().map(|(_, metres)| metres).sum::<f64>() / spread.len() as f64;
         let worst = spread.iter().max_by(|(_, a), (_, b)| a.total_cmp(b));

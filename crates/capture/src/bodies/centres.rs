@@ -8,6 +8,8 @@
 //! without the body's own measures they may be off by 1 to 3 cm. [`Centres::spread`] is what can be
 //! measured of it: how much bones change their lengths.
 
+use std::ops::Range;
+
 use kinegrad_motion::humanml::Skeleton;
 use nalgebra::Vector3;
 
@@ -67,11 +69,12 @@ pub(super) struct Centres {
 }
 
 impl Centres {
-    /// The joint centres of each frame.
+    /// The joint centres of each frame. Outside of the frames that are `used`, a marker that is not
+    /// seen stays where it is seen next.
     ///
     /// # Errors
     /// In words, which markers the file lacks, and where they were not seen.
-    pub fn of(take: &C3d) -> Result<Self, String> {
+    pub fn of(take: &C3d, used: Range<usize>) -> Result<Self, String> {
         let mut tracks = Vec::with_capacity(MARKERS.len());
         let (mut lacking, mut notes) = (Vec::new(), Vec::new());
         let most = (LONGEST_GAP_SECONDS * take.rate).round() as usize;
@@ -93,11 +96,17 @@ impl Centres {
                     gaps.filled_frames
                 ));
             }
-            if let Some(frame) = track.iter().position(Option::is_none) {
+            if let Some(frame) = used.clone().find(|&t| track[t].is_none()) {
                 return Err(format!(
                     "marker {label} was not seen in frame {frame} (counted from 0) and around it: \
                      leave these frames out, or fill them before"
                 ));
+            }
+            for t in (0..used.start).rev() {
+                track[t] = track[t].or(track[t + 1]);
+            }
+            for t in used.end..track.len() {
+                track[t] = track[t].or(track[t - 1]);
             }
             let metres = |place: [f64; 3]| Place::from(place) * take.metres_per_unit;
             tracks.push(track.into_iter().flatten().map(metres).collect::<Vec<_>>());
@@ -320,7 +329,8 @@ mod tests {
 
     fn body(example: &Example) -> Result<Body, String> {
         let take = C3d::parse(&example.bytes(), "take.c3d").unwrap();
-        Body::of_markers(&take, &Skeleton::humanml3d(), take.rate, None)
+        let used = 0..take.frames();
+        Body::of_markers(&take, used, &Skeleton::humanml3d(), take.rate, None)
     }
 
     #[test]
@@ -374,5 +384,15 @@ mod tests {
             message.contains("who:LKNE was not seen in frame 5"),
             "{message}"
         );
+        // Frames that are not used may lack it, at either end.
+        let skeleton = Skeleton::humanml3d();
+        for used in [30..60, 0..5] {
+            let take = C3d::parse(&gap.bytes(), "take.c3d").unwrap();
+            let part = Body::of_markers(&take, used.clone(), &skeleton, take.rate, None).unwrap();
+            let all = body(&whole).unwrap();
+            for t in used {
+                assert_eq!(part.joints.frame(t), all.joints.frame(t));
+            }
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! One take: from its file to clips.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use kinegrad_data::Digest;
@@ -190,7 +191,9 @@ impl Take {
         let ending = self.motion.extension().unwrap_or_default();
         if ending.eq_ignore_ascii_case("c3d") {
             let c3d = C3d::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
-            let body = Body::of_markers(&c3d, skeleton, fps.unwrap_or(c3d.rate), up)?;
+            let rate = fps.unwrap_or(c3d.rate);
+            let used = self.frames_used(rate, c3d.frames());
+            let body = Body::of_markers(&c3d, used, skeleton, rate, up)?;
             return Ok((MARKERS.to_owned(), body));
         }
         let bvh = Bvh::parse(&known.bytes, &file).map_err(|e| e.with_hint())?;
@@ -201,6 +204,18 @@ impl Take {
         let rate = fps.unwrap_or(1.0 / bvh.frame_time());
         let body = Body::of_bvh(&bvh, &map, skeleton, rate, units, up)?;
         Ok((map.name().to_owned(), body))
+    }
+
+    /// Which of the file's frames, at `rate` a second, are at the moments of the plan or between
+    /// them.
+    fn frames_used(&self, rate: f64, frames: usize) -> Range<usize> {
+        let start = (self.capture.motion_start_seconds * rate).floor() as usize;
+        let end = self.capture.motion_end_seconds;
+        let end = end.map_or(frames, |end| {
+            ((end * rate).ceil() as usize).saturating_add(1)
+        });
+        let end = end.min(frames);
+        start.min(end.saturating_sub(1))..end
     }
 
     /// The joints at `fps` frames per second, from the moment where the plan begins to where it

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::{Error, FileError, Store};
+use crate::{DataConfig, DataKind, Error, FileError, Store};
 
 /// The file of labels, which only prepared datasets have.
 pub const LABELS: &str = "labels.json";
@@ -36,6 +36,17 @@ pub fn read_labels(store: &Store) -> Result<Option<ClipLabels>, Error> {
         )
     })?;
     Ok(Some(labels))
+}
+
+/// The labels of the dataset of `config`; `None` if it has none.
+///
+/// # Errors
+/// As [`read_labels`], and if the dataset's place cannot be opened.
+pub fn labels_of(config: &DataConfig) -> Result<Option<ClipLabels>, Error> {
+    match (config.kind, &config.source) {
+        (DataKind::Humanml3d, Some(source)) => read_labels(&Store::open(source, &config.store)?),
+        _ => Ok(None),
+    }
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ pub use clip::{
 pub use config::{CaptionRule, CaptionText, Humanml3dConfig, SkeletonName};
 pub use embeddings::{read_embedding, write_embeddings};
 pub use find::find_clips;
-pub use labels::{ClipLabels, LABELS, labels_bytes, read_labels};
+pub use labels::{ClipLabels, LABELS, labels_bytes, labels_of, read_labels};
 pub use samples::ClipSamples;
 pub use statistics::statistics_files;
 pub use synthetic::{synthetic_id, walk, write_walks};

@@ -1,5 +1,6 @@
 //! The metrics over embeddings of motions and captions.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -88,6 +89,53 @@ pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64>
     mean(texts.iter().zip(motions).map(own_is_nearest))
 }
 
+/// Share of the motions whose nearest caption, of all different ones, is that of a motion with the
+/// same label: `labels` are the values of one label, such as the action, of the motions at the same
+/// places. Motions without one are not counted. Embeddings as those of [`r_precision`]. `None` for
+/// fewer than two values, or where an embedding is not finite.
+///
+/// # Panics
+/// Panics if there are not as many captions and labels as motions, or the embeddings differ in
+/// length.
+pub fn label_accuracy(
+    texts: &[Vec<f64>],
+    motions: &[Vec<f64>],
+    labels: &[Option<&str>],
+) -> Option<f64> {
+    assert_eq!(texts.len(), motions.len(), "a caption for each motion");
+    assert_eq!(
+        labels.len(),
+        motions.len(),
+        "a label, or none, for each motion"
+    );
+    // Of each caption, the values of the motions that have it.
+    let mut different: Vec<(&Vec<f64>, BTreeSet<&str>)> = Vec::new();
+    for (text, label) in texts.iter().zip(labels) {
+        let Some(label) = label else { continue };
+        match different.iter_mut().find(|(known, _)| *known == text) {
+            Some((_, values)) => _ = values.insert(label),
+            None => different.push((text, BTreeSet::from([*label]))),
+        }
+    }
+    let values: BTreeSet<&str> = labels.iter().copied().flatten().collect();
+    if values.len() < 2 {
+        return None;
+    }
+    let labelled = motions.iter().zip(labels);
+    let labelled = labelled.filter_map(|(motion, label)| Some((motion, (*label)?)));
+    mean(labelled.map(|(motion, label)| {
+        let distances = different.iter().map(|(text, _)| distance(text, motion));
+        let distances: Vec<f64> = distances.collect();
+        let all_finite = distances.iter().all(|distance| distance.is_finite());
+        let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
+        let right = different
+            .iter()
+            .zip(&distances)
+            .any(|((_, values), distance)| *distance <= nearest && values.contains(label));
+        all_finite.then(|| f64::from(u8::from(right)))
+    }))
+}
+
 /// How motions match their captions and how they compare with real ones, by their embeddings.
 ///
 /// A metric that cannot be computed, for want of motions or because a value is not finite, is
@@ -109,6 +157,9 @@ pub struct TextMotionReport {
     /// [`caption_accuracy`].
     #[serde(default)]
     pub caption_accuracy: Option<f64>,
+    /// [`label_accuracy`] of each label, by its name; of clips without labels, none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub label_accuracy: BTreeMap<String, Option<f64>>,
     /// [`multimodal_distance`].
     pub multimodal_distance: Option<f64>,
     /// [`frechet_distance`] from real motion, known as FID.
@@ -134,23 +185,53 @@ impl TextMotionReport {
             r_precision_top2: r_precision.map(|top| top[1]),
             r_precision_top3: r_precision.map(|top| top[2]),
             caption_accuracy: caption_accuracy(texts, motions),
+            label_accuracy: BTreeMap::new(),
             multimodal_distance: multimodal_distance(texts, motions),
             frechet_distance: moments.map(|(motions, real)| frechet_distance(&motions, &real)),
             diversity: feature_diversity(motions, DIVERSITY_PAIRS, seed),
         }
     }
 
+    /// With the [`label_accuracy`] of each of the `labels` of the motions, at the same places as the
+    /// embeddings that the report was computed of.
+    ///
+    /// # Panics
+    /// As [`label_accuracy`].
+    #[must_use]
+    pub fn with_labels(
+        mut self,
+        texts: &[Vec<f64>],
+        motions: &[Vec<f64>],
+        labels: &[Option<&BTreeMap<String, String>>],
+    ) -> Self {
+        let names: BTreeSet<&String> = labels.iter().flatten().flat_map(|of| of.keys()).collect();
+        for name in names {
+            let values = labels.iter().map(|of| (*of)?.get(name).map(String::as_str));
+            let values: Vec<Option<&str>> = values.collect();
+            let accuracy = label_accuracy(texts, motions, &values);
+            self.label_accuracy.insert(name.clone(), accuracy);
+        }
+        self
+    }
+
     /// The metrics in the order in which they print, each with its name.
-    pub fn rows(&self) -> [(&'static str, Option<f64>); 7] {
-        [
-            ("R-precision, top 1", self.r_precision_top1),
-            ("R-precision, top 2", self.r_precision_top2),
-            ("R-precision, top 3", self.r_precision_top3),
-            ("caption accuracy", self.caption_accuracy),
-            ("multimodal distance", self.multimodal_distance),
-            ("FID", self.frechet_distance),
-            ("diversity", self.diversity),
-        ]
+    pub fn rows(&self) -> Vec<(String, Option<f64>)> {
+        let named = |(name, value): (&str, Option<f64>)| (name.to_owned(), value);
+        let of_label =
+            |(label, value): (&String, &Option<f64>)| (format!("{label} accuracy"), *value);
+        let mut rows = vec![
+            named(("R-precision, top 1", self.r_precision_top1)),
+            named(("R-precision, top 2", self.r_precision_top2)),
+            named(("R-precision, top 3", self.r_precision_top3)),
+            named(("caption accuracy", self.caption_accuracy)),
+        ];
+        rows.extend(self.label_accuracy.iter().map(of_label));
+        rows.extend([
+            named(("multimodal distance", self.multimodal_distance)),
+            named(("FID", self.frechet_distance)),
+            named(("diversity", self.diversity)),
+        ]);
+        rows
     }
 }
 
@@ -242,6 +323,45 @@ mod tests {
         assert_eq!(caption_accuracy(&other, &motions), Some(0.0));
         assert_eq!(caption_accuracy(&at([1.0; 4]), &at(numbers(4))), None);
         assert_eq!(caption_accuracy(&[], &[]), None);
+    }
+
+    #[test]
+    fn a_label_is_right_where_the_nearest_caption_has_it() {
+        let labels = [
+            ("walk", "sad"),
+            ("walk", "happy"),
+            ("run", "sad"),
+            ("run", "happy"),
+        ];
+        let texts = at([0.0, 1.0, 10.0, 11.0]);
+        // The first two are taken for each other, the last for a sad run.
+        let motions = at([0.9, 0.1, 10.0, 10.2]);
+        let of = |which: fn((&'static str, &'static str)) -> &'static str| {
+            label_accuracy(&texts, &motions, &labels.map(|label| Some(which(label))))
+        };
+        assert_eq!(of(|label| label.0), Some(1.0));
+        assert_eq!(of(|label| label.1), Some(0.25));
+        // One without a label is not counted; a caption of two values is right for both.
+        let some = [Some("sad"), Some("happy"), None, Some("happy")];
+        assert_eq!(label_accuracy(&texts, &motions, &some), Some(1.0 / 3.0));
+        let one = at([0.0, 0.0, 10.0, 11.0]);
+        let some = [Some("sad"), Some("happy"), Some("sad"), Some("happy")];
+        assert_eq!(label_accuracy(&one, &motions, &some), Some(0.75));
+        assert_eq!(label_accuracy(&texts, &motions, &[Some("sad"); 4]), None);
+
+        let labelled = labels.map(|(content, style)| {
+            let named = |(a, b): (&str, &str)| (a.to_owned(), b.to_owned());
+            BTreeMap::from([("content", content), ("style", style)].map(named))
+        });
+        let labelled: Vec<_> = labelled.iter().map(Some).collect();
+        let report = TextMotionReport::compute(&texts, &motions, &motions, 0);
+        let report = report.with_labels(&texts, &motions, &labelled);
+        let found: Vec<_> = report.label_accuracy.into_iter().collect();
+        let expected = [
+            ("content".to_owned(), Some(1.0)),
+            ("style".to_owned(), Some(0.25)),
+        ];
+        assert_eq!(found, expected);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::humanml::Clip;
+use kinegrad_data::humanml::{Clip, labels_of};
 use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use serde_json::json;
@@ -40,9 +40,11 @@ pub(super) fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let held_out = dataset.validation.load()?;
+    let labels = labels_of(&data)?.unwrap_or_default();
     let (seed, frames) = (request.seed, data.target_frames);
     Ok(Box::new(move |_| {
         let evaluator = TextMotion::of_run(&subject.checkpoint, subject.weights, &subject.device)?;
+        let evaluator = evaluator.with_labels(labels);
         let clips: Vec<&Clip> = held_out.iter().map(Arc::as_ref).collect();
         let cut = clips.iter().map(|clip| {
             let length = clip.features.frames().min(frames);
@@ -64,9 +66,9 @@ pub(super) fn prepare<'a>(
 
 fn column(report: &TextMotionReport) -> Column {
     let numbers = report.rows().into_iter().map(|(name, value)| Number {
-        name: name.to_string(),
+        name: name.clone(),
         value,
-        line: Some((name.to_string(), value.map(|value| format!("{value:.4}")))),
+        line: Some((name, value.map(|value| format!("{value:.4}")))),
     });
     Column {
         facts: vec![

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use kinegrad_data::humanml::{Clip, read_word_vectors};
+use kinegrad_data::humanml::{Clip, ClipLabels, read_word_vectors};
 use kinegrad_models::text_motion::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::Statistics;
@@ -36,6 +36,8 @@ pub struct TextMotion {
     /// A shorter clip is followed by frames of zeros, after normalisation, up to this many: those
     /// of training.
     padded_frames: usize,
+    /// What clips are labelled with.
+    labels: ClipLabels,
     device: Device,
 }
 
@@ -133,8 +135,15 @@ impl TextMotion {
             statistics,
             words,
             padded_frames,
+            labels: ClipLabels::new(),
             device: device.clone(),
         })
+    }
+
+    /// The evaluator that also says how often each of the `labels` is right.
+    #[must_use]
+    pub fn with_labels(self, labels: ClipLabels) -> Self {
+        Self { labels, ..self }
     }
 
     /// Rejects features that it was not trained on.
@@ -244,9 +253,15 @@ impl TextMotion {
             self.motion_embeddings(&clips)
         };
         let (truths, drawn) = (in_order(real)?, in_order(drawn)?);
+        let labels = order.iter().map(|&clip| self.labels.get(&clips[clip].id));
+        let labels: Vec<_> = labels.collect();
+        let report = |motions: &[Vec<f64>]| {
+            let report = TextMotionReport::compute(&texts, motions, &truths, seed);
+            report.with_labels(&texts, motions, &labels)
+        };
         Ok(TextMotionReports {
-            drawn: TextMotionReport::compute(&texts, &drawn, &truths, seed),
-            real: TextMotionReport::compute(&texts, &truths, &truths, seed),
+            drawn: report(&drawn),
+            real: report(&truths),
         })
     }
 }

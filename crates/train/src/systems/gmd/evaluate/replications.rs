@@ -28,23 +28,32 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
         });
         let tables: Vec<Map<String, Value>> = tables.collect();
         let combined = |of: &dyn Fn(&[f64]) -> f64| -> T {
-            let combine = |(key, first): (&String, &Value)| {
-                let values = tables.iter().map(|table| table.get(key)?.as_f64());
-                let value = match values.collect::<Option<Vec<f64>>>() {
-                    _ if first.is_u64() => first.clone(),
-                    Some(values) => of(&values).into(),
-                    None => Value::Null,
-                };
-                (key.clone(), value)
-            };
-            let table: Map<String, Value> = tables[0].iter().map(combine).collect();
-            from_value(Value::Object(table)).expect("a report of the same kind")
+            let tables: Vec<&Map<String, Value>> = tables.iter().collect();
+            from_value(combine(&tables, of)).expect("a report of the same kind")
         };
         Self {
             mean: combined(&mean),
             interval: (reports.len() > 1).then(|| combined(&replication_interval)),
         }
     }
+}
+
+/// A table with the numbers of `tables` combined, and those of the tables in them.
+fn combine(tables: &[&Map<String, Value>], of: &dyn Fn(&[f64]) -> f64) -> Value {
+    let combined = tables[0].iter().map(|(key, first)| {
+        let all = tables.iter().map(|table| table.get(key));
+        let all: Vec<&Value> = all.map(|value| value.unwrap_or(&Value::Null)).collect();
+        let numbers: Option<Vec<f64>> = all.iter().map(|value| value.as_f64()).collect();
+        let inner: Option<Vec<&Map<_, _>>> = all.iter().map(|value| value.as_object()).collect();
+        let value = match (numbers, inner) {
+            _ if first.is_u64() => first.clone(),
+            (Some(numbers), _) => of(&numbers).into(),
+            (None, Some(inner)) => combine(&inner, of),
+            (None, None) => Value::Null,
+        };
+        (key.clone(), value)
+    });
+    Value::Object(combined.collect())
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -54,6 +63,7 @@ fn mean(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use kinegrad_motion::metrics::GoalReport;
+    use kinegrad_motion::metrics::text_motion::TextMotionReport;
 
     use super::*;
 
@@ -76,6 +86,12 @@ mod tests {
         let expected = 1.96 * (2.0f64 / 3.0).sqrt() / 3.0f64.sqrt();
         assert!((interval.average_error.unwrap() - expected).abs() < 1e-12);
         assert_eq!((interval.samples, interval.jerk), (7, None));
+        let labelled = |accuracy| TextMotionReport {
+            label_accuracy: [("style".to_owned(), Some(accuracy))].into(),
+            ..TextMotionReport::default()
+        };
+        let all = Replicated::of(&[labelled(0.5), labelled(0.75)]);
+        assert_eq!(all.mean, labelled(0.625));
         let one = Replicated::of(&reports[..1]);
         assert_eq!((one.mean, one.interval), (reports[0].clone(), None));
     }

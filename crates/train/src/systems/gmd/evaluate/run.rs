@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kinegrad_data::humanml::Clip;
+use kinegrad_data::humanml::{Clip, labels_of};
 use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
@@ -57,15 +57,7 @@ pub fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let wanted = asked.goals;
-    // Evenly from all of them: neighbours are of one kind, or all mirrored.
-    let (there, taken) = (
-        dataset.validation.len(),
-        wanted.min(dataset.validation.len()),
-    );
-    let places = (0..taken).map(|index| index * there / taken);
-    let held_out = places
-        .map(|place| dataset.validation.get(place))
-        .collect::<Result<Vec<_>, _>>()?;
+    let held_out = dataset.validation.evenly(wanted)?;
     let mut remarks = Vec::new();
     if held_out.len() < wanted {
         remarks.push(format!(
@@ -102,9 +94,13 @@ pub fn prepare<'a>(
             files.map(read).transpose()?
         }
     };
-    if let Some(evaluator) = &evaluator {
-        evaluator.must_take(held_out[0].features.layout())?;
-    }
+    let evaluator = match evaluator {
+        Some(evaluator) => {
+            evaluator.must_take(held_out[0].features.layout())?;
+            Some(evaluator.with_labels(labels_of(&data)?.unwrap_or_default()))
+        }
+        None => None,
+    };
     let settings = GoalSettings {
         task: GoalTask {
             keyframes: asked.keyframes,

@@ -14,8 +14,8 @@ use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
 use crate::systems::gmd::text::must_know_texts;
 
-/// Generates one clip for each of the first `count` held-out clips, or training clips if none are
-/// held out, conditioned on its first caption.
+/// Generates one clip for each of `count` held-out clips, or training clips if none are held out,
+/// conditioned on its caption.
 pub(super) fn for_held_out(
     subject: &Subject,
     count: usize,
@@ -24,7 +24,7 @@ pub(super) fn for_held_out(
 ) -> Result<Option<Remark>, Error> {
     let config = &subject.config;
     let dataset = Dataset::<Clip>::open_with_progress(&config.data, &*receiver.reading())?;
-    let chosen = dataset.held_out().first(count)?;
+    let chosen = dataset.held_out().evenly(count)?;
     let hint = "all are drawn as one batch: draw fewer at the end of training \
                 (`sampling.count_at_end`), or train on shorter clips (`data.target_frames`)";
     let items = Items {
