@@ -61,6 +61,7 @@ fn golden_ddim_sampling(golden: Golden) {
             eta: 0.0,
             guidance_scale: parts[2].trim_start_matches("cfg").parse().expect("a scale"),
             style_guidance_scale: None,
+            guidance_until: 0,
             timestep_spacing: TimestepSpacing::Document,
             final_alpha: FinalAlpha::First,
             recompute_epsilon: false,

@@ -88,7 +88,8 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
 ) -> Result<Tensor<3>, Error> {
     clip.validate(x_T.dims()[1])?;
     let mut predict = |x: Tensor<3>, time: &[Time]| {
-        let model_output = guided(denoiser, x.clone(), time, cond, config.guidance());
+        let scales = config.guidance(time[0].timestep());
+        let model_output = guided(denoiser, x.clone(), time, cond, scales);
         Prediction::new(diffusion, model_output, x, &timesteps_of(time), clip)
     };
     draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)

@@ -103,8 +103,8 @@ pub fn steered_sample<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     clip.validate(x_T.dims()[1])?;
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let steering = steering(time[0].timestep());
-        let scale = config.guidance_scale;
-        steered_prediction(diffusion, networks, x, time, cond, scale, clip, steering)
+        let scales = config.guidance(time[0].timestep());
+        steered_prediction(diffusion, networks, x, time, cond, scales, clip, steering)
     };
     draw(diffusion, &mut predict, x_T, config, keys.into(), on_step)
 }

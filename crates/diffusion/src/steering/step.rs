@@ -5,7 +5,9 @@ use burn::tensor::Tensor;
 use super::steered::Steered;
 use super::{Guidance, Networks, Steering};
 use crate::sampler::timesteps_of;
-use crate::{ClipRange, Denoiser, Error, GaussianDiffusion, Prediction, Time, guided};
+use crate::{
+    ClipRange, Denoiser, Error, GaussianDiffusion, GuidanceScales, Prediction, Time, guided,
+};
 
 /// What the networks say of `x_t`, and what steers the step of DDPM from there: under guidance the
 /// gradient `g = s d(-L(x_0)) / d x_t`, through clip and network.
@@ -26,13 +28,13 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     x_t: Tensor<3>,
     time: &[Time],
     cond: &Tensor<3>,
-    guidance_scale: f64,
+    scales: GuidanceScales,
     clip: &ClipRange,
     steering: Steering<'s>,
 ) -> Result<Prediction<'s>, Error> {
     let timesteps = timesteps_of(time);
     let predict = |network: &D, x_t: Tensor<3>, cond: &Tensor<3>| {
-        let output = guided(network, x_t.clone(), time, cond, guidance_scale);
+        let output = guided(network, x_t.clone(), time, cond, scales);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)
     };
     let Some(Guidance { objective, scale }) = steering.guidance else {

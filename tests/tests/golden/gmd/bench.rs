@@ -130,7 +130,7 @@ impl<'a> Bench<'a> {
             x_t.clone(),
             &Time::of(&now),
             &x_t,
-            1.0,
+            1.0.into(),
             &self.clip,
             steering.clone(),
         )

@@ -54,7 +54,7 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let free = Steering::default();
         let clip = ClipRange::None;
-        steered_prediction(&diffusion, &networks, x, time, &text, 1.0, &clip, free)
+        steered_prediction(&diffusion, &networks, x, time, &text, 1.0.into(), &clip, free)
     };
     let go_on = &mut |_, _, _: &_| ControlFlow::Continue(());
     ddpm(
@@ -196,7 +196,7 @@ fn golden_gmd2_only_the_first_frames_guide(golden: Golden) {
             start.clone(),
             &Time::of(&[500; 2]),
             &text,
-            1.0,
+            1.0.into(),
             &ClipRange::None,
             steering,
         )

@@ -217,7 +217,7 @@ fn draw(
             x,
             time,
             &text,
-            guidance_scale,
+            guidance_scale.into(),
             clip,
             steering,
         )?;

@@ -169,7 +169,7 @@ impl Generator {
                 // Each window as if it were drawn alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {
                     let time = &time[batch.clone()];
-                    let scales = config.guidance();
+                    let scales = config.guidance(time[0].timestep());
                     let output = guided(&self.unet, x.clone(), time, &cond, scales);
                     let timesteps = &timesteps[batch.clone()];
                     Prediction::new(&self.diffusion, output, x, timesteps, &clip)
