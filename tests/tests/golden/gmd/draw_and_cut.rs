@@ -54,7 +54,16 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
     let mut predict = |x: Tensor<3>, time: &[Time]| {
         let free = Steering::default();
         let clip = ClipRange::None;
-        steered_prediction(&diffusion, &networks, x, time, &text, 1.0.into(), &clip, free)
+        steered_prediction(
+            &diffusion,
+            &networks,
+            x,
+            time,
+            &text,
+            1.0.into(),
+            &clip,
+            free,
+        )
     };
     let go_on = &mut |_, _, _: &_| ControlFlow::Continue(());
     ddpm(

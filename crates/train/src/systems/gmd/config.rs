@@ -59,6 +59,12 @@ pub struct GmdLossConfig {
     /// the frames: what shakes between them weighs more. For `prediction_type = "sample"`; 0 in the
     /// paper. Small models shake without it.
     pub velocity: f64,
+    /// Weight of the squared error of the joints' velocities in the world, metres per second, mean
+    /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
+    pub joint_velocity: f64,
+    /// Weight of the squared speed of feet that stand in the training clip (Human Motion Diffusion
+    /// Model, equation 5), mean over the four. As `joint_velocity`; feet slide less.
+    pub foot_contact: f64,
 }
 
 impl Default for GmdLossConfig {
@@ -66,6 +72,8 @@ impl Default for GmdLossConfig {
         Self {
             trajectory_scale: 1.0,
             velocity: 0.0,
+            joint_velocity: 0.0,
+            foot_contact: 0.0,
         }
     }
 }
@@ -218,6 +226,20 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         own.loss.velocity,
         "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
     )?;
+    for (key, weight) in [
+        ("loss.joint_velocity", own.loss.joint_velocity),
+        ("loss.foot_contact", own.loss.foot_contact),
+    ] {
+        in_range(key, weight, 0.0..)?;
+        let sample = own.diffusion.prediction_type == PredictionType::Sample;
+        require(
+            weight == 0.0 || (name == RecipeName::Motion && sample),
+            key,
+            weight,
+            "0 unless the recipe is `gmd_motion` and `diffusion.prediction_type = \"sample\"`",
+        )
+        .hint("noise has no joints, and neither have the root's four channels")?;
+    }
     let projects = own.emphasis.kind != EmphasisKind::None;
     require(
         !(name == RecipeName::Trajectory && projects),

@@ -5,16 +5,44 @@ use std::sync::Arc;
 use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, ClipSamples};
 use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::TextDenoiser;
+use kinegrad_motion::Statistics;
+use kinegrad_motion::emphasis::EmphasisProjection;
 
 use super::GmdConfig;
 use super::networks::{channels_of, model_in_space, started, statistics_in};
-use super::recipes::clip_recipe;
+use super::recipes::{JointMotion, clip_recipe};
 use super::text::{TextInput, with_captions};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
 use crate::start::Start;
+
+/// The loss of the joints that `own` asks for, in the space of `model`.
+fn joint_motion(
+    own: &GmdConfig,
+    config: &Config,
+    model: &TextDenoiser,
+    statistics: &Statistics,
+) -> Result<Option<JointMotion>, Error> {
+    let channels = statistics.channels();
+    let projection = model.projection().map(|projection| {
+        let matrix = projection.to_host();
+        EmphasisProjection::from_matrix(
+            &matrix,
+            channels,
+            own.emphasis.scale,
+            &own.emphasis.channels,
+        )
+    });
+    let projection = projection.transpose()?;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let projection = projection.as_ref();
+    Ok(JointMotion::new(
+        &own.loss, &skeleton, statistics, projection,
+    ))
+}
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
@@ -42,6 +70,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         Some(start) => started(&start, &config, &setup.device)?,
         None => model_in_space(&config, &setup.device)?,
     };
+    let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let text = TextInput::of(&config)?;
     let (representation, shared) = (dataset.representation.clone(), Arc::new(statistics.clone()));
@@ -55,7 +84,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         }
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
-    let recipe = clip_recipe(diffusion, channels, &own.loss, held_out)
+    let recipe = clip_recipe(diffusion, channels, &own.loss, joint_motion, held_out)
         .measuring_first(!own.init.diffusion.as_os_str().is_empty());
     setup.train(material, recipe, model, observer)
 }

@@ -8,6 +8,8 @@
 //! L = clip_loss(x)                  sample prediction unless `diffusion.prediction_type` is set
 //! ```
 //!
+//! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]).
+//!
 //! Without a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead
 //! (appendix C.1; the height among them, as in the published program).
 //!
@@ -20,6 +22,7 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::TextDenoiser;
 use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 
+use super::JointMotion;
 use super::loss::clip_loss;
 use crate::denoising::{DenoisingRecipe, HeldOut, Inputs};
 use crate::systems::gmd::GmdLossConfig;
@@ -30,6 +33,7 @@ pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
     loss: &GmdLossConfig,
+    joint_motion: Option<JointMotion>,
     held_out: HeldOut,
 ) -> DenoisingRecipe<TextDenoiser> {
     let mut channel_weights = vec![1.0; channels];
@@ -44,7 +48,8 @@ pub fn clip_recipe(
                 None => inputs.x_start,
             };
             let inputs = Inputs { x_start, ..inputs };
-            clip_loss(
+            let (target, mask) = (inputs.x_start.clone(), inputs.mask.clone());
+            let mut loss = clip_loss(
                 diffusion,
                 model,
                 inputs,
@@ -52,7 +57,16 @@ pub fn clip_recipe(
                 &channel_weights,
                 velocity,
                 weighted,
-            )
+            );
+            if let Some(joint_motion) = &joint_motion {
+                let output = loss.probes.iter().find(|(name, _)| *name == "model_output");
+                let (_, prediction) = output.expect("what the network said").clone();
+                for (name, term) in joint_motion.terms(prediction, target, mask) {
+                    loss.total = loss.total + term.clone();
+                    loss.terms.push((name, term));
+                }
+            }
+            loss
         },
     )
     .averaging_samples()
