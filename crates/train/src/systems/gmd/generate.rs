@@ -4,6 +4,8 @@
 //! path for the goal; the motion model generates motion along that path, with imputation and
 //! guidance in every frame. Rotation and height are not constrained.
 
+mod once;
+
 use std::fmt::Display;
 use std::iter::repeat;
 use std::ops::ControlFlow;
