@@ -98,7 +98,6 @@ impl Case {
             gradient_decay: 1.0,
             guidance_scale: 1.0,
             style_guidance_scale: None,
-            guidance_until: 0,
         };
         let sampler = Rollouts::new(self.diffusion.clone(), &config, statistics);
         let sampler = sampler.expect("nothing is clipped");

@@ -351,7 +351,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
                 trajectory_scale,
                 ..GmdLossConfig::default()
             };
-            let recipe = clip_recipe(diffusion, channels, &loss, held_out);
+            let recipe = clip_recipe(diffusion, channels, &loss, None, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.draws()?);
             let loss = move |recipe: &DenoisingRecipe<TextDenoiser>, model: &TextDenoiser| {
                 recipe.loss_of(model, batch.clone(), draws.clone())
