@@ -208,9 +208,7 @@ mod tests {
                 ..EmphasisConfig::default()
             };
             let projection = config.projection(channels).unwrap().expect("a projection");
-            let projected = projection.project(&statistics.normalize(&values));
-            let data = TensorData::new(projected, [1, FRAMES, channels]);
-            let network = Tensor::<3>::from_data(data, &Device::flex()).swap_dims(1, 2);
+            let network = network(&values, &statistics, &projection);
             Self {
                 features,
                 network,
@@ -232,6 +230,22 @@ mod tests {
         }
     }
 
+    /// Frames in the space of a network, `[1, channels, frames]`.
+    fn network(
+        frames: &[f32],
+        statistics: &Statistics,
+        projection: &EmphasisProjection,
+    ) -> Tensor<3> {
+        let channels = statistics.channels();
+        let normalized = frames.iter().enumerate().map(|(index, &value)| {
+            let channel = index % channels;
+            ((f64::from(value) - statistics.mean[channel]) / statistics.std[channel]) as f32
+        });
+        let projected = projection.project(&normalized.collect::<Vec<f32>>());
+        let data = TensorData::new(projected, [1, frames.len() / channels, channels]);
+        Tensor::<3>::from_data(data, &Device::flex()).swap_dims(1, 2)
+    }
+
     fn value(term: &Tensor<1>) -> f64 {
         f64::from(term.clone().into_scalar::<f32>())
     }
@@ -239,18 +253,13 @@ mod tests {
     #[test]
     fn terms_are_those_of_the_joints_in_the_world() {
         let (found, target) = (Example::new(1), Example::new(2));
-        // The same space for both.
-        let target = {
-            let normalized = target.features.as_slice();
-            let network = found
-                .projection
-                .project(&found.statistics.normalize(normalized));
-            let data = TensorData::new(network, [1, FRAMES, normalized.len() / FRAMES]);
-            Example {
-                network: Tensor::<3>::from_data(data, &Device::flex()).swap_dims(1, 2),
-                ..target
-            }
-        };
+        // In the same space.
+        let network = network(
+            target.features.as_slice(),
+            &found.statistics,
+            &found.projection,
+        );
+        let target = Example { network, ..target };
         let loss = found.loss(&weighing(0.5, 3.0)).expect("weights");
         let real = 9;
         let mask: Vec<f32> = (0..FRAMES).map(|t| f32::from(u8::from(t < real))).collect();
@@ -279,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn the_target_itself_costs_what_its_standing_feet_slide() {
+    fn the_target_itself_moves_as_it_does() {
         let example = Example::new(3);
         let mask = Tensor::ones([1, FRAMES], &Device::flex());
         let loss = example.loss(&weighing(1.0, 0.0)).expect("a weight");
