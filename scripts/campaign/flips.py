@@ -39,7 +39,7 @@ class Flips(RunAttack):
         case.label = f"{recipe.name} {path.name} {kind}"
         case.history.append(f"# {name}: {kind}")
 
-        sampled = case.run("sample", "runs/small", "--steps", 1, "--out", "sample", "--overwrite")
+        sampled = case.run(*recipe.use("runs/small"))
         resumed = case.run(*self.training(case, recipe), limits=TRAINING)
         of_checkpoint = path.parent.name.startswith("step-")
         if resumed.code == SUCCESS:

@@ -282,7 +282,7 @@ class Formats:
         for other in checkpoints(staged / "runs/small")[:-1]:
             shutil.rmtree(other)
         train = ["train", f"shared/recipes/{recipe.name}/config.toml", "--resume"]
-        sample = ["sample", "runs/small", *ONE_STEP]
+        sample = recipe.use("runs/small", "out")
         plot = ["plot", "runs/small", "--out", "out.svg"]
         for name, damage, commands in [
             ("metrics.jsonl", mutated_text, [plot, train]),
@@ -297,8 +297,8 @@ class Formats:
                 continue
             content = path.read_bytes()
             yield Format(name, f"runs/small/{name}", [content], damage, commands, staged)
-        alone = ["sample", str(last), *ONE_STEP]
-        trained = ["sample", str(last), "--no-ema", *ONE_STEP]
+        alone = recipe.use(last, "out")
+        trained = [*alone, "--no-ema"]
         text = (staged / last / "state.json").read_text()
         state = text[:text.rfind(SEAL)].encode()
         yield Format(

@@ -49,7 +49,7 @@ class Kills(RunAttack):
                 self.compare(case, recipe, ended)
                 return
             if case.random.random() < 0.08 and checkpoints(case.folder / "runs/small"):
-                case.run("sample", "runs/small", "--steps", 1, "--out", "sample", "--overwrite", allowed=(0,))
+                case.run(*recipe.use("runs/small"), allowed=(0,))
         self.complete(case, recipe)
 
     def kill(self, case: Case, recipe: Recipe, process: Process, aimed: bool) -> None:

@@ -49,6 +49,14 @@ class Recipe:
     seconds: float
     """That it took."""
     shown: dict[str, object]
+    generates: bool
+    """Whether its runs can be sampled; others can only be evaluated."""
+
+    def use(self, run: object, out: str = "sample") -> list[str]:
+        """The shortest command that uses the weights of a run; samples are called `out`."""
+        if self.generates:
+            return ["sample", str(run), "--steps", "1", "--out", out, "--overwrite"]
+        return ["eval", str(run)]
 
 
 def recipes_of(program: Program, configs: Path, shared: Path) -> tuple[list[Recipe], list[str]]:
@@ -104,7 +112,9 @@ def small_recipe(
                 if trained := trains(program, folder, config):
                     reference, seconds = trained
                     shown = parsed(shortest.read_text())
-                    return Recipe(name, config, shortest, reference, seconds, shown)
+                    # Refused by recipes that generate nothing.
+                    count = parsed(config.read_text()).get("sampling", {}).get("count_at_end", 0)
+                    return Recipe(name, config, shortest, reference, seconds, shown, count > 0)
     return None
 
 

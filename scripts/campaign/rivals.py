@@ -53,7 +53,7 @@ class Rivals(RunAttack):
     def command(self, recipe: Recipe, what: str) -> list[str]:
         """One of a pair."""
         if what == "sample":
-            return ["sample", "runs/small", "--steps", "1", "--out", "sample", "--overwrite"]
+            return recipe.use("runs/small")
         if what == "plot":
             return ["plot", "runs/small", "--out", "losses.svg"]
         resume = ["--resume"] if what == "resume" else []

@@ -98,9 +98,11 @@ class Sweep(Attack):
         if ended.code in (FAILED, INVALID) and "error:" not in ended.stderr:
             case.wrong("no reason", "train", ended.stderr[:300], "a reason on stderr", ended)
         if ended.code == SUCCESS:
-            self.after(case, key, train, limits)
+            self.after(case, recipe, key, train, limits)
 
-    def after(self, case: Case, key: str, train: list[str], limits: Limits) -> None:
+    def after(
+        self, case: Case, recipe: Recipe, key: str, train: list[str], limits: Limits
+    ) -> None:
         """What a run that ended well must allow."""
         runs = [path for path in (case.folder / "runs").glob("*") if path.is_dir()]
         if not runs:
@@ -110,10 +112,12 @@ class Sweep(Attack):
         resumed = case.run(*train, "--resume", limits=limits)
         self.must(case, key, "resume", resumed)
         run = runs[0].relative_to(case.folder)
-        sample = ["sample", run, "--steps", 1, "--out", "sample", "--overwrite"]
-        sampled = case.run(*sample, limits=limits)
-        self.must(case, key, "sample", sampled)
-        case.must_be_finite(sampled, "sample*.npy")
+        used = case.run(*recipe.use(run), limits=limits)
+        if not recipe.generates:
+            self.must(case, key, "evaluation", used)
+            return
+        self.must(case, key, "sample", used)
+        case.must_be_finite(used, "sample*.npy")
 
     def must(self, case: Case, key: str, what: str, ended: Ended) -> None:
         """Records what ended with another exit code than 0."""

@@ -140,7 +140,7 @@ fn read_too(arguments: &MatchArguments, written: &Path) -> Option<&'static str> 
     }
     // What cannot be read is said when it is needed.
     let path = arguments.keyframes.as_ref()?;
-    let text = std::fs::read_to_string(path).ok()?;
+    let text = kinegrad_data::file::read_text(path).ok()?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).ok()?;
     let mut sources = keyframes
         .iter()
@@ -157,7 +157,7 @@ fn read(systems: Systems<'_>, path: &Path) -> Result<Example, Error> {
 
 fn read_text(path: &Path) -> Result<String, Error> {
     let file = path.display();
-    std::fs::read_to_string(path).map_err(|error| {
+    kinegrad_data::file::read_text(path).map_err(|error| {
         let message = format!("{file} cannot be read: {error}");
         Error::usage(message, "give a TOML file; docs/matching.md describes it")
     })

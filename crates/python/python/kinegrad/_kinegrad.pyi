@@ -23,6 +23,7 @@ __all__ = [
     "diversity",
     "evaluate",
     "foot_skating",
+    "foot_sliding",
     "frechet_distance",
     "jerk",
     "kinematic_beats",
@@ -64,6 +65,9 @@ def read_bvh(
 ) -> tuple[NDArray[np.float64], list[str], list[int], float]: ...
 def write_bvh(path: _Path, positions: NDArray[np.float64], units_per_metre: float) -> None: ...
 def foot_skating(
+    positions: NDArray[np.float64], fps: float, feet: list[int] | None
+) -> float | None: ...
+def foot_sliding(
     positions: NDArray[np.float64], fps: float, feet: list[int] | None
 ) -> float | None: ...
 def jerk(positions: NDArray[np.float64], fps: float) -> float | None: ...
