@@ -9,6 +9,7 @@ use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::transformer::EncoderConfig;
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
+use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -63,7 +64,7 @@ pub struct GmdLossConfig {
     /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
     pub joint_velocity: f64,
     /// Weight of the squared speed of feet that stand in the training clip (Human Motion Diffusion
-    /// Model, equation 5), mean over the four. As `joint_velocity`; feet slide less.
+    /// Model, equation 5), mean over the four. As `joint_velocity`.
     pub foot_contact: f64,
 }
 
@@ -239,6 +240,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
             "0 unless the recipe is `gmd_motion` and `diffusion.prediction_type = \"sample\"`",
         )
         .hint("noise has no joints, and neither have the root's four channels")?;
+        require(
+            weight == 0.0 || data.humanml3d.root == Root::Absolute,
+            key,
+            weight,
+            "0 unless `data.humanml3d.root = \"absolute\"`",
+        )
+        .hint("a relative root says where joints are only by the sum of all frames before")?;
     }
     let projects = own.emphasis.kind != EmphasisKind::None;
     require(
