@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use kinegrad_data::humanml::write_walks;
-use kinegrad_tests::sandbox::{SMALLEST_WALKS, Sandbox};
+use kinegrad_tests::sandbox::{Sandbox, smallest_walks_on_disk};
 use serde_json::{Value, json};
 
 /// What the clips of the dataset are said to show, in turns.
@@ -24,15 +24,8 @@ fn dataset() -> Sandbox {
     for id in ids(&walks, "val.txt") {
         say(&walks, &id, CAPTIONS[1]);
     }
-    sandbox.write("c.toml", on_disk());
+    sandbox.write("c.toml", smallest_walks_on_disk());
     sandbox
-}
-
-fn on_disk() -> String {
-    SMALLEST_WALKS.replace(
-        "kind = \"synthetic_walks\"",
-        "kind = \"humanml3d\"\nsource = \"walks\"",
-    )
 }
 
 fn ids(walks: &Path, list: &str) -> Vec<String> {

@@ -7,7 +7,7 @@ use kinegrad_capture::Bvh;
 use kinegrad_data::humanml::write_walks;
 use kinegrad_data::{read_array, write_values};
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, smallest_walks_on_disk};
 use serde_json::Value;
 
 pub const GOAL: &str = "frames = 16\n[[keyframe]]\nframe = 8\nx = 0.1\nz = 0.4\n\
@@ -337,13 +337,7 @@ fn goals_are_taken_from_the_list_that_is_named() {
 fn dataset() -> Sandbox {
     let sandbox = sandbox();
     write_walks(&sandbox.path("walks"), 8, 48, 3).expect("walks");
-    sandbox.write(
-        "c.toml",
-        SMALLEST_WALKS.replace(
-            "kind = \"synthetic_walks\"",
-            "kind = \"humanml3d\"\nsource = \"walks\"",
-        ),
-    );
+    sandbox.write("c.toml", smallest_walks_on_disk());
     sandbox
 }
 

@@ -5,7 +5,7 @@ use std::fs;
 
 use kinegrad_data::Digest;
 use kinegrad_data::humanml::write_walks;
-use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox, contents};
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox, contents, smallest_walks_on_disk};
 use serde_json::Value;
 
 /// Two goals of unlike lengths and numbers of keyframes.
@@ -148,9 +148,7 @@ fn phrases_are_drawn_again_from_their_records() {
 fn clips_are_drawn_again_from_their_records() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     write_walks(&sandbox.path("walks"), 60, 48, 3).expect("walks");
-    let on_disk = "kind = \"humanml3d\"\nsource = \"walks\"";
-    let config = SMALLEST_WALKS.replace("kind = \"synthetic_walks\"", on_disk);
-    sandbox.write("c.toml", config);
+    sandbox.write("c.toml", smallest_walks_on_disk());
     for (goal, file) in GOALS.iter().zip(["a.toml", "b.toml"]) {
         sandbox.write(file, goal);
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use kinegrad_data::humanml::write_walks;
 use kinegrad_tests::golden::workspace;
-use kinegrad_tests::sandbox::{Finished, SMALLEST_WALKS, Sandbox, finish};
+use kinegrad_tests::sandbox::{Finished, Sandbox, finish, smallest_walks_on_disk};
 use serde_json::Value;
 
 /// The text encoder of the fixtures: random weights, 694 tokens.
@@ -96,13 +96,7 @@ fn a_dataset_is_embedded_trained_on_and_asked_in_words() {
     assert_eq!(sizes(&found), sizes(&given));
     assert!(found.len() == 8 && found[0].2[..2048] != found[0].2[2048..4096]);
 
-    sandbox.write(
-        "c.toml",
-        SMALLEST_WALKS.replace(
-            "kind = \"synthetic_walks\"",
-            "kind = \"humanml3d\"\nsource = \"walks\"",
-        ),
-    );
+    sandbox.write("c.toml", smallest_walks_on_disk());
     sandbox
         .run("train c.toml --set train.max_steps=20")
         .succeeded();

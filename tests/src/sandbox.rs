@@ -96,6 +96,14 @@ draws = 2
 num_inference_steps = 6
 "#;
 
+/// [`SMALLEST_WALKS`] for clips in the folder `walks`.
+pub fn smallest_walks_on_disk() -> String {
+    SMALLEST_WALKS.replace(
+        "kind = \"synthetic_walks\"",
+        "kind = \"humanml3d\"\nsource = \"walks\"",
+    )
+}
+
 impl Sandbox {
     /// An empty folder for the binary at `binary`.
     pub fn new(binary: &str) -> Self {
