@@ -148,6 +148,20 @@ fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
     }
     let record = fs::read_to_string(sandbox.path("walk.json")).expect("a record");
     assert!(record.contains("second_stage_guidance"), "{record}");
+    // The first stage has as many steps as it is given, and the second its own.
+    let (twice, follows) = drawn("around", &format!("{steering}.first_stage_steps=8"));
+    assert_ne!(twice, path);
+    assert_ne!(follows, both);
+    let same = format!("{steering}.first_stage_steps=16");
+    assert_eq!(drawn("around", &same), (path, both));
+    let record = fs::read_to_string(sandbox.path("walk.json")).expect("a record");
+    assert!(record.contains("\"first_stage_steps\": 16"), "{record}");
+    let refused = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal around.toml \
+                   --out no --set sampling.steering.first_stage_steps=1001";
+    sandbox.run(refused).failed(
+        2,
+        &["`sampling.steering.first_stage_steps` is 1001", "1 to 1000"],
+    );
 }
 
 #[test]

@@ -44,7 +44,11 @@ fn report(run: &Path, timesteps: &[usize]) -> Result<(), Error> {
     let checkpoint = resolve_checkpoint(run, |_| {})?;
     let generator = ClipGenerator::load(&checkpoint, Weights::Ema, &Device::flex())?;
     let data = &generator.config().data;
-    let clips = Dataset::<Clip>::open(data)?.held_out().evenly(CLIPS)?;
+    let clips = Dataset::<Clip>::open(data)?.validation.evenly(CLIPS)?;
+    if clips.is_empty() {
+        let hint = "set `data.validation` or `data.humanml3d.validation_list` in the run's config";
+        return Err(Error::usage("the run holds no clip out", hint));
+    }
     let real = clips.iter().map(|clip| {
         let length = clip.features.frames().min(data.target_frames);
         clip.features.slice(0..length).to_absolute().joints()

@@ -77,7 +77,7 @@ pub struct SamplerConfig {
     /// `guidance_scale`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style_guidance_scale: Option<f64>,
-    /// Timestep below which there is no classifier-free guidance. It multiplies what the network gets
+    /// Timestep below which no guidance scale is more than 1. Guidance multiplies what the network gets
     /// wrong, and what it gets wrong at low noise is how a motion shakes; what a motion is has been
     /// decided by then (Kynkäänniemi et al. 2024, <https://arxiv.org/abs/2404.07724>). 0 guides at
     /// all timesteps.
@@ -145,10 +145,13 @@ impl SamplerConfig {
 
     /// The guidance scales of the conditions at a timestep.
     pub fn guidance(&self, timestep: usize) -> GuidanceScales {
-        match timestep < self.guidance_until {
-            true => GuidanceScales::from(1.0),
-            false => GuidanceScales::new(self.guidance_scale, self.style_guidance_scale),
-        }
+        // A scale up to 1 multiplies nothing, and 0 stays the unconditional prediction.
+        let most = match timestep < self.guidance_until {
+            true => 1.0,
+            false => f64::INFINITY,
+        };
+        let style = self.style_guidance_scale.map(|scale| scale.min(most));
+        GuidanceScales::new(self.guidance_scale.min(most), style)
     }
 
     /// Where the last step lands: a timestep, or `None` for the clean motion.
@@ -192,7 +195,12 @@ mod tests {
             ..SamplerConfig::default()
         };
         assert_eq!(config.guidance(30), GuidanceScales::new(2.5, Some(0.5)));
-        assert_eq!(config.guidance(29), GuidanceScales::from(1.0));
+        assert_eq!(config.guidance(29), GuidanceScales::new(1.0, Some(0.5)));
+        let unconditional = SamplerConfig {
+            guidance_scale: 0.0,
+            ..config
+        };
+        assert_eq!(unconditional.guidance(29).cond, 0.0);
         assert_eq!(SamplerConfig::default().guidance(0).calls(), 1);
     }
 

@@ -6,6 +6,7 @@
 //! convolutions between levels 3 and 4.
 
 mod conditioner;
+mod input_skip;
 mod projection;
 mod res_block;
 mod unet;

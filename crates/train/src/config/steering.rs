@@ -1,5 +1,6 @@
 //! The table `sampling.steering`: guidance and imputation for goals.
 
+use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
@@ -16,6 +17,11 @@ pub struct SteeringConfig {
     /// Whether the second stage is guided along the path of the first, beside its imputation: the
     /// published demonstration does, the published evaluation does not.
     pub second_stage_guidance: bool,
+    /// Denoising steps of the first stage, whose small model is cheap to ask often: its paths shake
+    /// in few steps. Omitted: those of the second.
+    pub first_stage_steps: Option<usize>,
+    /// Classifier-free guidance scale of the first stage. Omitted: that of the second.
+    pub first_stage_guidance_scale: Option<f64>,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
     /// Which positions act at which timesteps.
@@ -28,6 +34,8 @@ impl Default for SteeringConfig {
             scale: 100.0,
             imputation: true,
             second_stage_guidance: true,
+            first_stage_steps: None,
+            first_stage_guidance_scale: None,
             guidance: GuidanceConfig::default(),
             schedule: GuidanceSchedule::default(),
         }
@@ -35,6 +43,19 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
+    /// The sampler of the first of two stages, where `sampler` is that of the second.
+    pub fn first_stage(&self, sampler: &SamplerConfig) -> SamplerConfig {
+        SamplerConfig {
+            num_inference_steps: self
+                .first_stage_steps
+                .unwrap_or(sampler.num_inference_steps),
+            guidance_scale: self
+                .first_stage_guidance_scale
+                .unwrap_or(sampler.guidance_scale),
+            ..sampler.clone()
+        }
+    }
+
     /// Validates the settings.
     ///
     /// # Errors

@@ -17,7 +17,9 @@ use serde::{Deserialize, Serialize};
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
 use super::text::GmdTextConfig;
-use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::config::{
+    ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
+};
 use crate::error::Error;
 
 /// The tables of this system.
@@ -205,6 +207,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         require(found <= most, "data.target_frames", found, allowed)?;
     }
     must_suit(&sampling.sampler, &own.diffusion)?;
+    must_suit_first_stage(sampling, &own.diffusion)?;
     for (key, value) in [
         (
             "sampling.sampler.style_guidance_scale",
@@ -300,6 +303,19 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "one of the two",
     )?;
     Ok(sampling.steering.validate().within("sampling.steering")?)
+}
+
+/// Validates the first stage's sampler; the error names its own keys.
+fn must_suit_first_stage(
+    sampling: &SamplingConfig,
+    process: &DiffusionConfig,
+) -> Result<(), InvalidSetting> {
+    let first = sampling.steering.first_stage(&sampling.sampler);
+    let (steps, scale) = (first.num_inference_steps, first.guidance_scale);
+    let most = process.num_train_timesteps;
+    in_range("sampling.steering.first_stage_steps", steps, 1..=most)?;
+    in_range("sampling.steering.first_stage_guidance_scale", scale, 0.0..)?;
+    must_suit(&first, process)
 }
 
 /// Warnings.

@@ -217,6 +217,7 @@ impl ClipGenerator {
             // The first stage is clipped as its own run says.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
+                sampler: sampling.steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
             let aim = Aim::of(&goals, None);

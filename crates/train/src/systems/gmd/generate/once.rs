@@ -7,11 +7,14 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_diffusion::{ClipRange, Prediction, Space as _, Time, guided};
 use kinegrad_motion::humanml::Features;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::in_range;
 
 use super::ClipGenerator;
+use crate::config::SystemTables as _;
 use crate::error::Error;
 use crate::sampling::item_seed;
-use crate::systems::gmd::ClipText;
+use crate::systems::gmd::recipe_name::RecipeName;
+use crate::systems::gmd::{ClipText, GmdConfig};
 
 impl ClipGenerator {
     /// The clean motion that a motion model predicts of each clip noised to `timestep`, in one step:
@@ -19,7 +22,8 @@ impl ClipGenerator {
     /// each depends on `seed` and its id.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a caption that the model does not know, [`Error::SampleNotFinite`].
+    /// [`Error::Usage`] for a caption that the model does not know or a trajectory model,
+    /// [`Error::SampleNotFinite`], and if the process has no such timestep.
     pub fn predict_once(
         &self,
         clips: &[Arc<Clip>],
@@ -27,6 +31,14 @@ impl ClipGenerator {
         guidance_scale: f64,
         seed: u64,
     ) -> Result<Vec<Features>, Error> {
+        if RecipeName::of(self.config())? != RecipeName::Motion {
+            return Err(Error::usage(
+                format!("`{}` predicts paths", self.config().run.name),
+                "name a run of recipe `gmd_motion`",
+            ));
+        }
+        let last = GmdConfig::of(self.config())?.diffusion.num_train_timesteps - 1;
+        in_range("timestep", timestep, 0..=last)?;
         let (batch, channels) = (clips.len(), self.channels);
         let humanml3d = &self.config().data.humanml3d;
         let frames = self.config().data.target_frames;

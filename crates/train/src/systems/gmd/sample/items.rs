@@ -48,8 +48,8 @@ pub(super) fn for_items(
     conditions.refuse(
         &["--goal", "--trajectory-run", "--text", "--text-embedding"],
         "`--phrase` and a run on clips of joint features",
-        "`--phrase` alone stands for the clip's first caption; beside a goal, name the caption with \
-         `--text` or `--text-embedding FILE#KEY`",
+        "`--phrase` alone stands for the first caption of all of the clip; beside a goal, name the \
+         caption with `--text` or `--text-embedding FILE#KEY`",
     )?;
     let Some(pattern) = &conditions.item else {
         let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
