@@ -29,6 +29,7 @@
 //! }
 //! ```
 
+pub mod captions;
 pub mod checkpoint;
 pub mod config;
 pub mod denoising;

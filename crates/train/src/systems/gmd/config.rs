@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::KeyframePlacement;
 use super::recipe_name::RecipeName;
-use super::text::GmdTextConfig;
+use crate::captions::CaptionsConfig;
 use crate::config::{
     ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SelectBy, SystemTables,
 };
@@ -31,7 +31,7 @@ pub struct GmdConfig {
     /// The denoiser.
     pub model: ModelTable<Backbone>,
     /// What the model knows of captions.
-    pub text: GmdTextConfig,
+    pub text: CaptionsConfig,
     /// The emphasis projection of a motion model.
     pub emphasis: EmphasisConfig,
     /// The diffusion process.

@@ -31,7 +31,7 @@ use super::networks::{TrainedClips, channels_of};
 use super::recipe_name::RecipeName;
 use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
-use super::text::{ClipText, TextInput};
+use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;

@@ -15,7 +15,6 @@ pub mod recipes;
 mod sample;
 mod space;
 mod stage;
-mod text;
 mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};
@@ -30,7 +29,6 @@ pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey, read_goa
 pub use networks::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use space::{FeatureSpace, GroundObjective};
 pub use stage::{StageModel, StageSteering};
-pub use text::{ClipText, GmdTextConfig};
 
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;

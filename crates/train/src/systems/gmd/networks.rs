@@ -10,7 +10,7 @@ use kinegrad_motion::{Representation, Statistics};
 
 use super::GmdConfig;
 use super::recipe_name::RecipeName;
-use super::text::TextInput;
+use crate::captions::TextInput;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;

@@ -16,7 +16,7 @@ use super::generate::{
 };
 use super::networks::footprint;
 use super::recipe_name::RecipeName;
-use super::text::{ClipText, TextInput};
+use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;

@@ -6,6 +6,30 @@ use kinegrad_kernels::float32_product;
 use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::goal::{GROUND_X, GuidanceLoss};
 
+/// What some channels of motion, less their means, are made of: `[rows, channels]` of the network's
+/// channels, undoing `projection` and normalisation by `std`.
+///
+/// # Panics
+/// Panics if there is no such channel, or the projection has others.
+pub(super) fn rows_to_motion(
+    rows: &[usize],
+    std: &[f64],
+    projection: Option<&EmphasisProjection>,
+) -> Vec<f32> {
+    let channels = std.len();
+    let inverse = projection.map(EmphasisProjection::inverse);
+    let row = |&row: &usize| {
+        (0..channels).map(move |channel| {
+            let share = match inverse {
+                Some(inverse) => f64::from(inverse[channel * channels + row]),
+                None => f64::from(u8::from(channel == row)),
+            };
+            (share * std[row]) as f32
+        })
+    };
+    rows.iter().flat_map(row).collect()
+}
+
 /// The affine map between normalised, perhaps projected features and features in metres and
 /// radians: `network = ((motion - mean) / std) P` (docs/sources.md, section 4.8).
 #[derive(Clone, Debug)]
@@ -34,20 +58,9 @@ impl FeatureSpace {
         device: &Device,
     ) -> Self {
         let channels = mean.len();
-        let ground_rows = GROUND_X..GROUND_X + 2;
-        let inverse = projection.map(EmphasisProjection::inverse);
-        let ground: Vec<f64> = ground_rows
-            .clone()
-            .flat_map(|row| {
-                (0..channels).map(move |channel| {
-                    let share = match inverse {
-                        Some(inverse) => f64::from(inverse[channel * channels + row]),
-                        None => f64::from(u8::from(channel == row)),
-                    };
-                    share * std[row]
-                })
-            })
-            .collect();
+        let ground_rows: Vec<usize> = (GROUND_X..GROUND_X + 2).collect();
+        let ground_mean: Vec<f64> = ground_rows.iter().map(|&row| mean[row]).collect();
+        let ground = rows_to_motion(&ground_rows, std, projection);
         let tensor = |values: &[f64], shape: [usize; 3]| -> Tensor<3> {
             let values: Vec<f32> = values.iter().map(|&value| value as f32).collect();
             Tensor::from_data(TensorData::new(values, shape), device)
@@ -57,8 +70,8 @@ impl FeatureSpace {
             Tensor::<2>::from_data(data, device).transpose()
         };
         Self {
-            ground: tensor(&ground, [1, 2, channels]),
-            ground_mean: tensor(&mean[ground_rows], [1, 2, 1]),
+            ground: Tensor::from_data(TensorData::new(ground, [1, 2, channels]), device),
+            ground_mean: tensor(&ground_mean, [1, 2, 1]),
             mean: tensor(mean, [1, channels, 1]),
             std: tensor(std, [1, channels, 1]),
             projection: projection.map(|p| [square(p.matrix()), square(p.inverse())]),

@@ -12,7 +12,7 @@ use kinegrad_motion::emphasis::EmphasisProjection;
 use super::GmdConfig;
 use super::networks::{channels_of, model_in_space, started, statistics_in};
 use super::recipes::{JointMotion, clip_recipe};
-use super::text::{TextInput, with_captions};
+use crate::captions::{TextInput, with_captions};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;

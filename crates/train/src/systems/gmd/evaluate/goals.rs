@@ -12,12 +12,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{GoalTask, Replicated, VarietyReport};
+use crate::captions::ClipText;
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::evaluation::OnStep;
 use crate::sampling::item_seed;
 use crate::systems::gmd::generate::keys;
-use crate::systems::gmd::{ClipGenerator, ClipRequest, ClipText, GeneratedClip};
+use crate::systems::gmd::{ClipGenerator, ClipRequest, GeneratedClip};
 use crate::systems::text_motion::{TextMotion, TextMotionReports};
 
 /// Pairs of samples whose distance the diversity is the mean of.

@@ -8,6 +8,7 @@ use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
 use super::{GoalSettings, GoalTask, Replicated, VarietyReport, evaluate_goals};
+use crate::captions::must_know_texts;
 use crate::checkpoint::{Weights, resolve_checkpoint};
 use crate::config::SystemTables;
 use crate::error::Error;
@@ -17,7 +18,6 @@ use crate::sampling::Subject;
 use crate::systems::gmd::generate::drawn_frames;
 use crate::systems::gmd::networks::footprint;
 use crate::systems::gmd::sample::must_draw_paths;
-use crate::systems::gmd::text::must_know_texts;
 use crate::systems::gmd::{ClipGenerator, EvaluationSplit, GmdConfig};
 use crate::systems::text_motion::TextMotion;
 

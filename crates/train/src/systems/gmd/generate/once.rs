@@ -10,11 +10,12 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::in_range;
 
 use super::ClipGenerator;
+use crate::captions::ClipText;
 use crate::config::SystemTables as _;
 use crate::error::Error;
 use crate::sampling::item_seed;
+use crate::systems::gmd::GmdConfig;
 use crate::systems::gmd::recipe_name::RecipeName;
-use crate::systems::gmd::{ClipText, GmdConfig};
 
 impl ClipGenerator {
     /// The clean motion that a motion model predicts of each clip noised to `timestep`, in one step:

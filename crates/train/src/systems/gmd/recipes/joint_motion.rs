@@ -6,6 +6,7 @@ use kinegrad_motion::emphasis::EmphasisProjection;
 use kinegrad_motion::humanml::{FeatureLayout, Skeleton};
 
 use crate::systems::gmd::GmdLossConfig;
+use crate::systems::gmd::space::rows_to_motion;
 
 /// Contact flags of the target above this are feet that stand.
 const STANDING: f32 = 0.5;
@@ -49,24 +50,14 @@ impl JointMotion {
         }
         let layout = skeleton.layout();
         let channels = layout.channels();
-        let inverse = projection.map(EmphasisProjection::inverse);
         let wanted = FeatureLayout::ROOT
             .chain(layout.positions())
             .chain(layout.contacts());
         let wanted: Vec<usize> = wanted.collect();
-        let row = |&row: &usize| {
-            (0..channels).map(move |channel| {
-                let share = match inverse {
-                    Some(inverse) => f64::from(inverse[channel * channels + row]),
-                    None => f64::from(u8::from(channel == row)),
-                };
-                (share * statistics.std[row]) as f32
-            })
-        };
         Some(Self {
             joint_velocity: loss.joint_velocity,
             foot_contact: loss.foot_contact,
-            rows: wanted.iter().flat_map(row).collect(),
+            rows: rows_to_motion(&wanted, &statistics.std, projection),
             offsets: wanted
                 .iter()
                 .map(|&row| statistics.mean[row] as f32)

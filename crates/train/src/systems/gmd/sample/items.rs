@@ -7,12 +7,11 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_data::{DataConfig, DataKind, Dataset};
 
 use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
+use crate::captions::{ClipText, must_know_texts};
 use crate::error::Error;
 use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subject, item_seed};
-use crate::systems::gmd::ClipText;
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
-use crate::systems::gmd::text::must_know_texts;
 
 /// Generates one clip for each of `count` held-out clips, or training clips if none are held out,
 /// conditioned on its caption.

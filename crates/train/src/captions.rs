@@ -9,9 +9,9 @@ use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
 
-use super::GmdConfig;
-use crate::config::{Config, SystemTables, nearest};
+use crate::config::{Config, ConfigError, PLAIN, from_table, nearest};
 use crate::error::Error;
 use crate::observer::Observer;
 
@@ -21,16 +21,41 @@ const LISTED: usize = 40;
 /// The table `text`: what the model knows of captions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct GmdTextConfig {
+pub struct CaptionsConfig {
     /// The captions of `data.humanml3d.text = "labels"`, of which the model has an embedding each.
     /// If empty, those of the training clips; the run's saved config and its checkpoints state them.
     pub captions: Vec<String>,
 }
 
-impl GmdTextConfig {
+/// Where the table stands.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Tables {
+    text: CaptionsConfig,
+}
+
+impl CaptionsConfig {
+    /// That of a run on clips.
+    ///
+    /// # Errors
+    /// If the config cannot be read.
+    fn of(config: &Config) -> Result<Self, ConfigError> {
+        let own = config.system.get_key_value("text").into_iter();
+        let own = own.map(|(key, table)| (key.clone(), table.clone()));
+        let tables: Tables = from_table(&Table::from_iter(own), &|_| "the run's config".into())?;
+        Ok(tables.text)
+    }
+
+    /// `config` with this table.
+    fn within(self, mut config: Config) -> Config {
+        let table = Table::try_from(self).expect(PLAIN);
+        config.system.insert("text".into(), Value::Table(table));
+        config
+    }
+
     /// # Errors
     /// Names the key that cannot be followed.
-    pub(super) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
+    pub(crate) fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
         let key = "text.captions";
         let count = self.captions.len();
         require(
@@ -87,7 +112,7 @@ impl ClipText {
 
 /// How the model of a run is told a text.
 #[derive(Clone, Debug)]
-pub(super) enum TextInput {
+pub(crate) enum TextInput {
     /// By an embedding.
     Embedding,
     /// As one of the captions that it has learned.
@@ -103,8 +128,7 @@ impl TextInput {
         Ok(match config.data.humanml3d.text {
             CaptionText::Embeddings => Self::Embedding,
             CaptionText::Labels => {
-                let captions = GmdConfig::of(config)?.text.captions;
-                Self::Labels(CaptionLabels::new(captions))
+                Self::Labels(CaptionLabels::new(CaptionsConfig::of(config)?.captions))
             }
         })
     }
@@ -155,7 +179,7 @@ impl TextInput {
 ///
 /// # Errors
 /// [`Error::Usage`] with the first such clip and what the model knows.
-pub(super) fn must_know_texts(config: &Config, clips: &[Arc<Clip>]) -> Result<(), Error> {
+pub(crate) fn must_know_texts(config: &Config, clips: &[Arc<Clip>]) -> Result<(), Error> {
     let input = TextInput::of(config)?;
     for clip in clips {
         if let Some(text) = ClipText::of(clip) {
@@ -198,7 +222,7 @@ fn listed(captions: &[String]) -> String {
 ///
 /// # Errors
 /// If there are none or too many, or a clip has one that is not known.
-pub(super) fn with_captions(
+pub(crate) fn with_captions(
     config: Config,
     dataset: &Dataset<Clip>,
     observer: &mut dyn Observer,
@@ -209,8 +233,8 @@ pub(super) fn with_captions(
     let found =
         |set: &kinegrad_data::humanml::ClipSet| set.captions_with_progress(&*observer.reading());
     let (train, held_out) = (found(&dataset.train)?, found(&dataset.validation)?);
-    let mut own = GmdConfig::of(&config)?;
-    if own.text.captions.is_empty() {
+    let mut own = CaptionsConfig::of(&config)?;
+    if own.captions.is_empty() {
         let count = train.len();
         require(
             (1..=MAX_CAPTIONS).contains(&count),
@@ -219,12 +243,12 @@ pub(super) fn with_captions(
             format!("\"labels\" for 1 to {MAX_CAPTIONS} distinct captions"),
         )
         .hint("\"embeddings\" is for captions of any number: docs/dataset.md")?;
-        own.text.captions = train.keys().cloned().collect();
+        own.captions = train.keys().cloned().collect();
         observer.note(&format!(
             "the model learns an embedding of each of {count} captions"
         ));
     }
-    let known = CaptionLabels::new(own.text.captions.clone());
+    let known = CaptionLabels::new(own.captions.clone());
     must_know(
         &train,
         &known,
@@ -238,10 +262,7 @@ pub(super) fn with_captions(
                                   hold out clips whose captions are also those of clips in \
                                   `data.humanml3d.train_list`",
     )?;
-    Ok(Config {
-        system: own.to_table(),
-        ..config
-    })
+    Ok(own.within(config))
 }
 
 /// Rejects captions, each with a clip that has it, that are not `known`.
