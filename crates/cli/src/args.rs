@@ -126,7 +126,8 @@ Examples:
   kinegrad sample runs/phrases --audio song.mp3 --start 30 --frames 120 --out dance
   kinegrad sample runs/phrases --audio song.mp3 --start 33 --continue-from dance.npy --out more
   kinegrad sample runs/phrases --keep 0..30,90..120 --keep-from dance.npy --out between
-  kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance")]
+  kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance
+  kinegrad sample runs/flow --history walk.npy --text \"a person walks\" --seconds 20 --out on")]
 pub struct SampleArguments {
     /// Folder of a run (its best checkpoint is used) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
@@ -179,6 +180,13 @@ pub struct SampleArguments {
     /// row N of it with KEY:N
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
+    /// Joints that the motion goes on from, `[T, J, 3]` in metres, for runs of recipe `flow`; the
+    /// frames before the last are what led there
+    #[arg(long, value_name = "MOTION.npy")]
+    pub history: Option<PathBuf>,
+    /// Texts one after another, each with its length, for runs of recipe `flow`
+    #[arg(long, value_name = "PLAN.toml", conflicts_with_all = ["text", "text_embedding"])]
+    pub plan: Option<PathBuf>,
     /// Style of the sample, for runs with `model.style`: a label, such as `waltz`, or eight numbers
     /// with commas between them [default: none]
     #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]
@@ -209,6 +217,9 @@ pub struct SampleArguments {
     /// trained on]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
+    /// Seconds to generate, in the place of `--frames`
+    #[arg(long, value_name = "S", conflicts_with = "frames")]
+    pub seconds: Option<f64>,
     #[command(flatten)]
     pub draw: DrawArguments,
     /// Random seed of the noise

@@ -194,7 +194,7 @@ impl<T: Item> ItemSet<T> {
     ///
     /// # Errors
     /// As [`get`](Self::get), and [`Error::Interrupted`] if `progress` says so.
-    pub(crate) fn measure<M: Send>(
+    pub fn measure<M: Send>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
         mut take: impl FnMut(M),

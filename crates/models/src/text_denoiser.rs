@@ -123,10 +123,8 @@ impl TextDenoiser {
     /// each: `[captions, 512]`, of variance 1 at first.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
-        let init = init.at("embed_captions");
-        let table = Embedding::new(captions, TEXT_CHANNELS, &init).with_unit_variance(&init);
         Self {
-            embed_captions: Some(table),
+            embed_captions: Some(Embedding::of_captions(captions, TEXT_CHANNELS, init)),
             ..self
         }
     }

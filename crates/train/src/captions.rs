@@ -1,9 +1,11 @@
 //! What a model of clips is told of a text: an embedding, or which of the captions it has learned.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, MAX_CAPTIONS};
+use burn::tensor::Device;
+use kinegrad_data::humanml::{CaptionLabels, CaptionText, Clip, MAX_CAPTIONS, read_embedding};
 use kinegrad_data::{DataConfig, Dataset};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
@@ -14,6 +16,8 @@ use toml::{Table, Value};
 use crate::config::{Config, ConfigError, PLAIN, from_table, nearest};
 use crate::error::Error;
 use crate::observer::Observer;
+use crate::sampling::Conditions;
+use crate::text_encoder::TextEncoder;
 
 /// Most captions that an error lists.
 const LISTED: usize = 40;
@@ -216,6 +220,53 @@ fn listed(captions: &[String]) -> String {
         text += &format!(" and {more} more: `text.captions` in the run's config.toml");
     }
     text
+}
+
+/// The text that is asked for, if any, in the form that models with these `inputs` take.
+///
+/// # Errors
+/// [`Error::Usage`] for a text that one of them does not know, and where the encoder that it needs is
+/// missing or superfluous; if a file cannot be read.
+pub(crate) fn text_of(
+    conditions: &Conditions,
+    inputs: &[TextInput],
+    device: &Device,
+) -> Result<Option<ClipText>, Error> {
+    let embedding = conditions.text_embedding.as_deref().map(read_embedding);
+    let mut text = ClipText {
+        caption: conditions.text.clone(),
+        embedding: embedding.transpose()?,
+    };
+    if text == ClipText::default() {
+        return Ok(None);
+    }
+    for input in inputs {
+        // Refuses what a model does not know, before anything is read.
+        input.values(&text)?;
+    }
+    let embeds = inputs.iter().any(|input| input.labels().is_none());
+    match (&text.caption, &conditions.clip) {
+        (Some(caption), Some(folder)) if embeds => {
+            let encoder = TextEncoder::read(folder, device)?;
+            let mut embedded = encoder.embed(&[caption], &mut |_| ControlFlow::Continue(()))?;
+            text.embedding = embedded.pop();
+        }
+        (Some(_), None) if embeds => {
+            return Err(Error::usage(
+                "`--text` without `--clip`, and the run is told embeddings of texts",
+                "name a folder with CLIP ViT-B/32, `--clip DIR`, or pass an embedding of the text, \
+                 `--text-embedding FILE#KEY`: docs/gmd.md",
+            ));
+        }
+        (_, Some(_)) => {
+            return Err(Error::usage(
+                "`--clip` with a run with `data.humanml3d.text = \"labels\"`",
+                "it needs no embedding of the text: leave `--clip` out",
+            ));
+        }
+        _ => {}
+    }
+    Ok(Some(text))
 }
 
 /// `config` with the captions of the training clips, if captions are labels and it states none.

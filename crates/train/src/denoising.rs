@@ -375,6 +375,11 @@ impl HeldOut {
         self.ids.is_empty()
     }
 
+    /// Draws of each item that a validation loss is the mean over.
+    pub fn draws(&self) -> usize {
+        self.draws
+    }
+
     /// Each batch on the device, with the numbers of its items.
     pub fn batches(&self, device: &Device) -> impl Iterator<Item = (Range<usize>, Inputs)> {
         self.host_batches()

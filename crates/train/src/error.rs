@@ -54,6 +54,10 @@ pub enum Error {
         /// Name of the representation that is needed.
         expected: String,
     },
+    /// A motion does not go on.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Rollout(#[from] kinegrad_models::flow::RolloutError),
     /// Invalid joint features.
     #[error(transparent)]
     #[diagnostic(transparent)]

@@ -4,6 +4,8 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::SamplerConfig;
+
 /// How a flow is followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -53,6 +55,29 @@ impl Default for FlowSamplerConfig {
 }
 
 impl FlowSamplerConfig {
+    /// What `sampling.sampler` says of a flow, validated.
+    ///
+    /// # Errors
+    /// Names the first key that is not of a flow or has a bad value.
+    pub fn of(sampler: &SamplerConfig) -> Result<Self, InvalidSetting> {
+        let kind = sampler.kind.flow();
+        require(
+            kind.is_some(),
+            "sampling.sampler.kind",
+            format!("\"{}\"", sampler.kind),
+            "\"euler\", \"midpoint\", \"heun\" or \"dopri5\" for recipe `flow`",
+        )
+        .hint("the others are of diffusion processes")?;
+        let config = Self {
+            kind: kind.unwrap_or_default(),
+            num_inference_steps: sampler.num_inference_steps,
+            tolerance: sampler.tolerance,
+            guidance_scale: sampler.guidance_scale,
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
     /// Most steps that are not a mistake.
     pub const MAX_STEPS: usize = 10_000;
 

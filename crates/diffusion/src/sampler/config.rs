@@ -6,7 +6,7 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::GuidanceScales;
+use crate::{FlowSolver, GuidanceScales};
 
 /// The sampling algorithm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -20,8 +20,33 @@ pub enum SamplerKind {
     /// DPM-Solver++ (2M): deterministic and of second order.
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m,
-    /// Deterministic and of second order, with two calls of the network a step.
+    /// Deterministic and of second order, with two calls of the network a step. For flows too.
     Heun,
+    /// Of a flow: of first order, one call of the network a step.
+    Euler,
+    /// Of a flow: of second order, two calls a step.
+    Midpoint,
+    /// Of a flow: Dormand and Prince's method of order 5, six calls a step; with a `tolerance` it
+    /// chooses its steps itself.
+    Dopri5,
+}
+
+impl SamplerKind {
+    /// Those that follow the velocity of a flow; none of a diffusion process alone.
+    pub fn flow(self) -> Option<FlowSolver> {
+        match self {
+            Self::Ddim | Self::Ddpm | Self::Dpmpp2m => None,
+            Self::Heun => Some(FlowSolver::Heun),
+            Self::Euler => Some(FlowSolver::Euler),
+            Self::Midpoint => Some(FlowSolver::Midpoint),
+            Self::Dopri5 => Some(FlowSolver::Dopri5),
+        }
+    }
+
+    /// Whether it goes backward through a diffusion process.
+    pub fn is_of_diffusion(self) -> bool {
+        matches!(self, Self::Ddim | Self::Ddpm | Self::Dpmpp2m | Self::Heun)
+    }
 }
 
 impl fmt::Display for SamplerKind {
@@ -77,6 +102,9 @@ pub struct SamplerConfig {
     /// `guidance_scale`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style_guidance_scale: Option<f64>,
+    /// Largest error of a step of `dopri5`, of a number of size 1; without it steps are equal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<f64>,
     /// Timestep below which no guidance scale is more than 1. Guidance multiplies what the network gets
     /// wrong, and what it gets wrong at low noise is how a motion shakes; what a motion is has been
     /// decided by then (Kynkäänniemi et al. 2024, <https://arxiv.org/abs/2404.07724>). 0 guides at
@@ -100,6 +128,7 @@ impl Default for SamplerConfig {
             guidance_scale: 1.0,
             style_guidance_scale: None,
             guidance_until: 0,
+            tolerance: None,
             timestep_spacing: TimestepSpacing::default(),
             final_alpha: FinalAlpha::default(),
             recompute_epsilon: true,

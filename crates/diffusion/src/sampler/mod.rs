@@ -118,6 +118,9 @@ pub fn draw(
         SamplerKind::Ddpm => ddpm(diffusion, predict, x_T, &path, keys, on_step),
         SamplerKind::Dpmpp2m => dpmpp_2m(diffusion, predict, x_T, &path, on_step),
         SamplerKind::Heun => heun(diffusion, predict, x_T, &path, on_step),
+        SamplerKind::Euler | SamplerKind::Midpoint | SamplerKind::Dopri5 => {
+            unreachable!("refused above: {}", config.kind)
+        }
     }
 }
 
@@ -128,6 +131,20 @@ pub fn draw(
 pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
     let all = process.num_train_timesteps;
     config.validate(all)?;
+    require(
+        config.kind.is_of_diffusion(),
+        "sampling.sampler.kind",
+        format!("\"{}\"", config.kind),
+        "\"ddim\", \"ddpm\", \"dpmpp_2m\" or \"heun\" for a diffusion process",
+    )
+    .hint("the others are of flows: recipe `flow`")?;
+    require(
+        config.tolerance.is_none(),
+        "sampling.sampler.tolerance",
+        config.tolerance.unwrap_or_default(),
+        "nothing for a diffusion process",
+    )
+    .hint("`dopri5` has one, with recipe `flow`")?;
     let from_noise = || timesteps(config, all).contains(&(all - 1));
     let heun = config.kind == SamplerKind::Heun;
     require(

@@ -24,7 +24,8 @@ mod rollout;
 mod tests;
 
 use burn::module::Module;
-use kinegrad_motion::humanml::Skeleton;
+use burn::tensor::Tensor;
+use kinegrad_motion::humanml::{Skeleton, TEXT_CHANNELS};
 use kinegrad_settings::InvalidSetting;
 
 pub use config::FlowConfig;
@@ -35,11 +36,13 @@ pub use predictor::{FlowCondition, FlowPredictor};
 pub use rollout::{FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 
 use crate::Initializer;
+use crate::layers::Embedding;
 
-/// The two networks: parameters `encoder.*` and `predictor.*`. Should be created with
-/// [`FlowConfig::init`].
+/// The two networks: parameters `encoder.*` and `predictor.*`, and `embed_captions.weight` if an
+/// embedding of each caption is learned. Should be created with [`FlowConfig::init`].
 #[derive(Module, Debug)]
 pub struct FlowModel {
+    embed_captions: Option<Embedding>,
     /// Past frames and text to a context of each joint.
     pub encoder: HistoryEncoder,
     /// The velocity of the next pose.
@@ -58,8 +61,30 @@ impl FlowConfig {
     ) -> Result<FlowModel, InvalidSetting> {
         self.validate()?;
         Ok(FlowModel {
+            embed_captions: None,
             encoder: HistoryEncoder::new(self, skeleton.joints(), &init.at("encoder")),
             predictor: FlowPredictor::new(self, skeleton, &init.at("predictor")),
         })
+    }
+}
+
+impl FlowModel {
+    /// The same networks, told one of so many captions, of which an embedding each is learned:
+    /// `[captions, 512]`, of variance 1 at first.
+    #[must_use]
+    pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
+        Self {
+            embed_captions: Some(Embedding::of_captions(captions, TEXT_CHANNELS, init)),
+            ..self
+        }
+    }
+
+    /// What the encoder reads of texts, `[batch, 512]`: as they are, or the embeddings of the
+    /// captions that `[batch, captions]` names with 1 and all others with 0; zeros stand for no text.
+    pub fn text(&self, told: Tensor<2>) -> Tensor<2> {
+        match &self.embed_captions {
+            Some(table) => table.mixed(told),
+            None => told,
+        }
     }
 }

@@ -27,6 +27,12 @@ impl Embedding {
         }
     }
 
+    /// The rows that stand for so many captions: `embed_captions` in `init`, of variance 1.
+    pub fn of_captions(captions: usize, features: usize, init: &Initializer) -> Self {
+        let init = init.at("embed_captions");
+        Self::new(captions, features, &init).with_unit_variance(&init)
+    }
+
     /// The sum of all rows, each times its share: the row of a thing where that has 1 and all others
     /// 0, and zeros where all have 0.
     ///

@@ -54,7 +54,8 @@ pub fn sample(
 ) -> Result<Option<Remark>, Error> {
     request.validate()?;
     let (system, _) = systems.of(&subject.config)?;
-    system.sample(subject, request, receiver)
+    let request = request.at(system.fps(&subject.config))?;
+    system.sample(subject, &request, receiver)
 }
 
 /// One sample, as files.

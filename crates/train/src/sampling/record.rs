@@ -136,6 +136,12 @@ pub struct Condition {
     /// What was known of the song's beats.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats: Option<KnownBeats>,
+    /// File of joints that the motion goes on from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub history: Option<PathBuf>,
+    /// Texts one after another, with their lengths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<PathBuf>,
     /// Goal file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<PathBuf>,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
-use kinegrad_settings::{Refused, in_range};
+use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 
 use super::{Given, GivenFrames, Style};
 use crate::error::Error;
@@ -18,6 +18,8 @@ pub struct Request {
     pub count: usize,
     /// Frames to generate.
     pub frames: Option<usize>,
+    /// Seconds to generate, in the place of `frames`: [`sample`](super::sample) makes frames of them.
+    pub seconds: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
     /// Repairs of the generated motion, for models with such; the default ones if not said.
@@ -49,6 +51,10 @@ pub struct Conditions {
     pub clip: Option<PathBuf>,
     /// Text embedding, `FILE#KEY`.
     pub text_embedding: Option<String>,
+    /// File of joints that the motion goes on from.
+    pub history: Option<PathBuf>,
+    /// File of texts with their lengths, one after another.
+    pub plan: Option<PathBuf>,
     /// Frames of a phrase that the sample has as they are.
     pub given: Option<Given>,
     /// The style, for models that are conditioned on one.
@@ -73,7 +79,32 @@ impl Request {
             in_range("--frames", frames, 1..=MAX_FRAMES)
                 .hint("leave it out for the length of the condition, or of the training")?;
         }
+        if let Some(seconds) = self.seconds {
+            if self.frames.is_some() {
+                let hint = "both say how long the motion is: leave out one of the two";
+                return Err(Error::usage("`--seconds` with `--frames`", hint));
+            }
+            in_range("--seconds", seconds, ABOVE_ZERO)
+                .hint("leave it out for the length of the condition, or of the training")?;
+        }
         self.conditions.validate()
+    }
+
+    /// The same with frames for the seconds, at so many frames a second.
+    ///
+    /// # Errors
+    /// If that is no frame or too many.
+    pub(super) fn at(&self, fps: f64) -> Result<Self, Error> {
+        let Some(seconds) = self.seconds else {
+            return Ok(self.clone());
+        };
+        let frames = (seconds * fps).round();
+        in_range("--seconds", seconds, 1.0 / fps..=MAX_FRAMES as f64 / fps)?;
+        Ok(Self {
+            frames: Some(frames as usize),
+            seconds: None,
+            ..self.clone()
+        })
     }
 }
 
@@ -84,7 +115,7 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 12] {
+    fn given(&self) -> [(&'static str, bool); 14] {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
@@ -96,6 +127,8 @@ impl Conditions {
             ("--text", self.text.is_some()),
             ("--clip", self.clip.is_some()),
             ("--text-embedding", self.text_embedding.is_some()),
+            ("--history", self.history.is_some()),
+            ("--plan", self.plan.is_some()),
             (
                 "--continue-from",
                 self.given.as_ref().is_some_and(continues),
@@ -175,13 +208,15 @@ impl Conditions {
 }
 
 /// Conditions that exclude each other, with what they are conditions on.
-const CONTRADICTORY: [(&str, &str, &str); 6] = [
+const CONTRADICTORY: [(&str, &str, &str); 8] = [
     ("audio", "--cond", "--phrase"),
     ("audio", "--cond", "--source"),
     ("audio", "--audio", "--cond"),
     ("audio", "--audio", "--phrase"),
     ("audio", "--audio", "--source"),
     ("text", "--text", "--text-embedding"),
+    ("text", "--text", "--plan"),
+    ("text", "--text-embedding", "--plan"),
 ];
 
 #[cfg(test)]

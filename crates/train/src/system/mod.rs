@@ -35,6 +35,11 @@ pub trait System: Sync {
     /// The representations of motion that its models are trained on or generate.
     fn representations(&self) -> Vec<Box<dyn Representation>>;
 
+    /// Frames a second of the motion that a run of `config` is trained on.
+    fn fps(&self, config: &Config) -> f64 {
+        config.data.humanml3d.skeleton.skeleton().description().fps
+    }
+
     /// Default values of the recipe for keys that are missing in `given`, the config as written.
     fn defaults(&self, _recipe: &RecipeInfo, _given: &Table) -> Table {
         Table::new()

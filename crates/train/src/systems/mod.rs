@@ -6,6 +6,7 @@
 //! [`BUILT_IN`] lists the systems of this crate.
 
 pub mod cc_motion;
+pub mod flow;
 pub mod gmd;
 pub mod text_motion;
 
@@ -16,5 +17,6 @@ pub use crate::system::{System, Systems};
 pub const BUILT_IN: Systems<'static> = Systems(&[
     &cc_motion::CcMotion,
     &gmd::Gmd,
+    &flow::Flow,
     &text_motion::TextMotionSystem,
 ]);

@@ -64,6 +64,10 @@ impl System for CcMotion {
         vec![Box::new(Phrases)]
     }
 
+    fn fps(&self, _: &Config) -> f64 {
+        kinegrad_motion::FPS
+    }
+
     fn keys(&self) -> Vec<Key> {
         CcMotionConfig::keys()
     }

@@ -54,9 +54,17 @@ pub(super) fn sample(
     receiver: &mut dyn Receiver,
 ) -> Result<Option<Remark>, Error> {
     request.conditions.refuse(
-        &["--goal", "--trajectory-run", "--text", "--text-embedding"],
+        &[
+            "--goal",
+            "--trajectory-run",
+            "--text",
+            "--text-embedding",
+            "--history",
+            "--plan",
+        ],
         "a run on phrases",
-        "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`",
+        "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \
+         plans of recipe `flow`",
     )?;
     if let Some(count) = request.conditions.held_out {
         return for_held_out(subject, count, request, receiver).map(Some);

@@ -2,10 +2,8 @@
 
 mod items;
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
-use kinegrad_data::humanml::read_embedding;
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
@@ -16,16 +14,15 @@ use super::generate::{
 };
 use super::networks::footprint;
 use super::recipe_name::RecipeName;
-use crate::captions::{ClipText, TextInput};
+use crate::captions::{ClipText, TextInput, text_of};
 use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    BatchRecord, Condition, Conditions, Contents, Drawn, GoalRecord, Names, Receiver, Record,
+    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record,
     Remark, Request, SamplerRecord, Subject,
 };
 use crate::system::System as _;
-use crate::text_encoder::TextEncoder;
 
 /// Extension of joint positions, or of a path alone.
 const MOTION: &str = ".npy";
@@ -51,7 +48,15 @@ pub(super) fn sample(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--cond", "--audio", "--continue-from", "--keep", "--style"],
+        &[
+            "--cond",
+            "--audio",
+            "--continue-from",
+            "--keep",
+            "--style",
+            "--history",
+            "--plan",
+        ],
         "a run on clips of joint features",
         "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
          caption",
@@ -93,7 +98,11 @@ pub(super) fn sample(
         receiver.note("no condition given: drawing without a text and without a goal");
     }
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
-    let text = text_of(conditions, subject)?;
+    let mut inputs = vec![TextInput::of(&subject.config)?];
+    if let Some(checkpoint) = &conditions.trajectory {
+        inputs.push(TextInput::of(&State::read(checkpoint)?.config)?);
+    }
+    let text = text_of(conditions, &inputs, &subject.device)?;
     let frames = match goals.iter().map(|goal| goal.frames).max() {
         Some(frames) => frames,
         None => request.frames.unwrap_or(subject.config.data.target_frames),
@@ -163,49 +172,6 @@ pub(super) fn sample(
         receiver.drawn(drawn(name, sample, &skeleton, record))?;
     }
     Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
-}
-
-/// The text that is asked for, if any, in the form that the models take.
-fn text_of(conditions: &Conditions, subject: &Subject) -> Result<Option<ClipText>, Error> {
-    let embedding = conditions.text_embedding.as_deref().map(read_embedding);
-    let mut text = ClipText {
-        caption: conditions.text.clone(),
-        embedding: embedding.transpose()?,
-    };
-    if text == ClipText::default() {
-        return Ok(None);
-    }
-    let mut inputs = vec![TextInput::of(&subject.config)?];
-    if let Some(checkpoint) = &conditions.trajectory {
-        inputs.push(TextInput::of(&State::read(checkpoint)?.config)?);
-    }
-    for input in &inputs {
-        // Refuses what a model does not know, before anything is read.
-        input.values(&text)?;
-    }
-    let embeds = inputs.iter().any(|input| input.labels().is_none());
-    match (&text.caption, &conditions.clip) {
-        (Some(caption), Some(folder)) if embeds => {
-            let encoder = TextEncoder::read(folder, &subject.device)?;
-            let mut embedded = encoder.embed(&[caption], &mut |_| ControlFlow::Continue(()))?;
-            text.embedding = embedded.pop();
-        }
-        (Some(_), None) if embeds => {
-            return Err(Error::usage(
-                "`--text` without `--clip`, and the run is told embeddings of texts",
-                "name a folder with CLIP ViT-B/32, `--clip DIR`, or pass an embedding of the text, \
-                 `--text-embedding FILE#KEY`: docs/gmd.md",
-            ));
-        }
-        (_, Some(_)) => {
-            return Err(Error::usage(
-                "`--clip` with a run with `data.humanml3d.text = \"labels\"`",
-                "it needs no embedding of the text: leave `--clip` out",
-            ));
-        }
-        _ => {}
-    }
-    Ok(Some(text))
 }
 
 /// Rejects clips that take more memory than is free as one batch.

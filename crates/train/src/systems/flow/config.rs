@@ -1,0 +1,180 @@
+//! The system's own config tables and their validation.
+
+use kinegrad_data::DataKind;
+use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
+use kinegrad_models::flow::FlowConfig;
+use kinegrad_motion::humanml::{NextPose, Root};
+use kinegrad_settings::{in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::RECIPE;
+use crate::captions::CaptionsConfig;
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::error::Error;
+
+/// Values of the common tables.
+pub(super) const DEFAULTS: &str = r#"
+[data]
+kind = "humanml3d"
+target_frames = 196
+batch_size = 64
+[data.humanml3d]
+root = "relative"
+[optim]
+learning_rate = 3e-4
+weight_decay = 0.0
+warmup_steps = 100
+[train]
+max_steps = 50000
+[sampling]
+clip = "none"
+[sampling.sampler]
+kind = "euler"
+num_inference_steps = 10
+guidance_scale = 1.0
+"#;
+
+/// The tables of this system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlowTables {
+    /// The history encoder and the predictor.
+    pub model: ModelTable<FlowNetwork>,
+    /// What the model knows of captions.
+    pub text: CaptionsConfig,
+    /// What is predicted of what.
+    pub pose: PoseConfig,
+    /// The evaluation.
+    pub evaluation: RolloutEvaluationConfig,
+}
+
+/// The kind of networks and their sizes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum FlowNetwork {
+    /// A recurrent history encoder and a transformer over joints.
+    Flow(FlowConfig),
+}
+
+impl FlowNetwork {
+    /// Its sizes.
+    pub fn sizes(&self) -> &FlowConfig {
+        let Self::Flow(sizes) = self;
+        sizes
+    }
+}
+
+impl Default for FlowNetwork {
+    fn default() -> Self {
+        Self::Flow(FlowConfig::default())
+    }
+}
+
+/// The table `pose`: what is predicted of what (docs/sources.md, section 5).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PoseConfig {
+    /// Rows of features in a history; a motion goes on from one frame more.
+    pub history_frames: usize,
+    /// How the next pose is said: `position` or `displacement`, in the present frame's facing frame.
+    pub target: NextPose,
+    /// What the predictor predicts.
+    pub prediction_type: FlowPrediction,
+    /// Probability that a training sample is not told its text, for classifier-free guidance.
+    pub cond_drop_prob: f64,
+    /// Deviation of noise on the histories of training, in deviations of each feature: a network
+    /// that has seen nothing but recorded histories does not find back from its own mistakes.
+    pub history_noise: f64,
+}
+
+impl Default for PoseConfig {
+    fn default() -> Self {
+        Self {
+            history_frames: 15,
+            target: NextPose::default(),
+            prediction_type: FlowPrediction::default(),
+            cond_drop_prob: 0.1,
+            history_noise: 0.0,
+        }
+    }
+}
+
+/// The table `evaluation`: the settings of `kinegrad eval`, which goes on from the beginnings of
+/// held-out clips, and of how `kinegrad sample` does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RolloutEvaluationConfig {
+    /// Number of held-out clips, evenly from all, with one rollout each.
+    pub rollouts: usize,
+    /// Frames of each rollout.
+    pub frames: usize,
+    /// Gives every frame the bones of the history's last one: its rotations by inverse kinematics,
+    /// put into forward kinematics.
+    pub constant_bones: bool,
+}
+
+impl Default for RolloutEvaluationConfig {
+    fn default() -> Self {
+        Self {
+            rollouts: 16,
+            frames: 200,
+            constant_bones: true,
+        }
+    }
+}
+
+impl SystemTables for FlowTables {
+    const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<FlowConfig>()];
+}
+
+/// Validates the tables of this system.
+///
+/// # Errors
+/// For the first invalid value; the error names the key.
+pub(super) fn validate(config: &Config) -> Result<(), Error> {
+    let own = FlowTables::of(config)?;
+    let Config { data, sampling, .. } = config;
+    own.model.network.sizes().validate()?;
+    own.text.validate(data)?;
+    require(
+        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
+        "data.kind",
+        "a kind of phrases",
+        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
+    )?;
+    require(
+        data.humanml3d.root == Root::Relative,
+        "data.humanml3d.root",
+        "\"absolute\"",
+        format!("\"relative\" for recipe `{RECIPE}`, whose poses do not depend on the place"),
+    )?;
+    let pose = &own.pose;
+    in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
+    in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;
+    in_range("pose.history_noise", pose.history_noise, 0.0..=10.0)?;
+    let shortest = pose.history_frames + 2;
+    require(
+        data.humanml3d.min_frames >= shortest,
+        "data.humanml3d.min_frames",
+        data.humanml3d.min_frames,
+        format!("at least {shortest}: a history of `pose.history_frames` rows and the next frame"),
+    )?;
+    FlowSamplerConfig::of(&sampling.sampler)?;
+    require(
+        sampling.clip == ClipSample::None,
+        "sampling.clip",
+        "a range",
+        format!("\"none\" for recipe `{RECIPE}`, whose poses are not clipped"),
+    )?;
+    require(
+        config.validation.select_by == SelectBy::Loss,
+        "validation.select_by",
+        "a metric of phrases",
+        format!("\"loss\" for recipe `{RECIPE}`"),
+    )?;
+    let evaluation = &own.evaluation;
+    in_range("evaluation.rollouts", evaluation.rollouts, 1..=100_000)?;
+    in_range("evaluation.frames", evaluation.frames, 4..=1_000_000)?;
+    Ok(())
+}

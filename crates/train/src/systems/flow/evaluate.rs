@@ -1,0 +1,188 @@
+//! The evaluation of motion that goes on: rollouts from the beginnings of held-out clips.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataKind, Dataset, ValidationSplit};
+use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+use serde_json::to_value;
+
+use super::report::RolloutReport;
+use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
+use crate::captions::{ClipText, must_know_texts};
+use crate::config::SystemTables;
+use crate::error::Error;
+use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
+use crate::sampling::{Subject, item_seed};
+
+/// Results of an evaluation of rollouts.
+#[derive(Clone, Debug, Serialize)]
+struct RolloutEvaluation {
+    /// Name of the run.
+    run: String,
+    /// Step of its checkpoint.
+    step: u64,
+    /// Seed of the noise.
+    seed: u64,
+    /// The settings.
+    settings: RolloutEvaluationConfig,
+    /// The solver.
+    sampler: FlowSamplerConfig,
+    /// Velocities asked for, of each frame.
+    evaluations_per_frame: f64,
+    /// The generated motion.
+    drawn: RolloutReport,
+    /// What follows in the held-out clips.
+    real: RolloutReport,
+}
+
+/// An evaluation of rollouts.
+///
+/// # Errors
+/// If the request does not apply, or nothing is held out.
+pub(super) fn prepare<'a>(
+    subject: &'a Subject,
+    request: &EvaluationRequest,
+) -> Result<Evaluate<'a>, Error> {
+    for (option, given) in [
+        ("--listening", request.listening),
+        ("--trajectory-run", request.trajectory.is_some()),
+    ] {
+        if given {
+            let message = format!(
+                "`{option}` with {}, a run of recipe `flow`",
+                subject.checkpoint.display()
+            );
+            return Err(Error::usage(message, "leave it out"));
+        }
+    }
+    let asked = FlowTables::of(&subject.config)?.evaluation;
+    let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
+    let mut data = subject.config.data.clone();
+    if let Some(source) = &request.source {
+        data.kind = DataKind::Humanml3d;
+        data.source = Some(source.clone());
+        // The dataset's own lists say what is held out.
+        data.validation = ValidationSplit::default();
+    }
+    let dataset = Dataset::<Clip>::open(&data)?;
+    if dataset.validation.is_empty() {
+        let message = format!("no clip is held out for {}", subject.checkpoint.display());
+        let hint = "motions go on from held-out clips: give a dataset that holds out some with \
+                    `--source URI`";
+        return Err(Error::usage(message, hint));
+    }
+    let held_out = dataset.validation.evenly(asked.rollouts)?;
+    let mut remarks = Vec::new();
+    if held_out.len() < asked.rollouts {
+        remarks.push(format!(
+            "note: {} clips are held out for {}, fewer than {} rollouts",
+            held_out.len(),
+            subject.checkpoint.display(),
+            asked.rollouts
+        ));
+    }
+    must_know_texts(&subject.config, &held_out)?;
+    let seed = request.seed;
+    Ok(Box::new(move |on_step| {
+        let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let evaluation = evaluate(&generator, &held_out, asked, &sampler, seed, on_step)?;
+        Ok(Evaluated {
+            run: evaluation.run.clone(),
+            report: "eval-rollouts",
+            drawn: column(Some(evaluation.step), &evaluation.drawn),
+            real: column(None, &evaluation.real),
+            json: to_value(&evaluation).expect("plain data"),
+            remarks: {
+                let each = evaluation.evaluations_per_frame;
+                remarks.push(format!("{each:.1} velocity evaluations for each frame"));
+                remarks
+            },
+        })
+    }))
+}
+
+fn evaluate(
+    generator: &FlowGenerator,
+    held_out: &[Arc<Clip>],
+    settings: RolloutEvaluationConfig,
+    sampler: &FlowSamplerConfig,
+    seed: u64,
+    on_step: &mut OnStep<'_>,
+) -> Result<RolloutEvaluation, Error> {
+    let skeleton = generator.space().skeleton.clone();
+    let needed = generator.shortest_history();
+    let all = held_out.len() * settings.frames;
+    let (mut drawn, mut real) = (Vec::new(), Vec::new());
+    let mut evaluations = 0;
+    for (number, clip) in held_out.iter().enumerate() {
+        let joints = clip.features.joints();
+        let history = part(&joints, 0, needed);
+        let key = Key::new(item_seed(seed, &clip.id), Purpose::Sampling);
+        let frames = settings.frames;
+        let rollout = generator.rollout(&history, frames, sampler, settings.constant_bones, key);
+        let mut rollout = rollout?;
+        rollout.push_text(&generator.text(ClipText::of(clip).as_ref())?)?;
+        let mut places = Vec::with_capacity(frames * skeleton.joints());
+        while let Some(frame) = rollout.next_frame()? {
+            places.extend(frame);
+            let done = number * frames + frames - rollout.remaining();
+            if let ControlFlow::Break(()) = on_step("", done, all) {
+                return Err(Error::Interrupted);
+            }
+        }
+        evaluations += rollout.evaluations();
+        let motion = Joints::new(places, skeleton.joints()).expect("whole frames");
+        drawn.push((bones(&skeleton, &history), motion));
+        let rest = part(&joints, needed, joints.frames());
+        if rest.frames() >= RolloutReport::SHORTEST {
+            real.push((bones(&skeleton, &history), rest));
+        }
+    }
+    let config = generator.config();
+    Ok(RolloutEvaluation {
+        run: config.run.name.clone(),
+        step: generator.step(),
+        seed,
+        settings,
+        sampler: sampler.clone(),
+        evaluations_per_frame: evaluations as f64 / all as f64,
+        drawn: RolloutReport::compute(&skeleton, &drawn, &real),
+        real: RolloutReport::compute(&skeleton, &real, &real),
+    })
+}
+
+fn part(joints: &Joints, first: usize, end: usize) -> Joints {
+    let places = (first..end).flat_map(|t| joints.frame(t).to_vec());
+    Joints::new(places.collect(), joints.joints()).expect("whole frames")
+}
+
+/// The bones of the last frame of a history: of each joint but the root the offset from its parent.
+fn bones(skeleton: &Skeleton, history: &Joints) -> Vec<f64> {
+    let last = history.frame(history.frames() - 1);
+    super::report::bone_lengths(skeleton, last)
+}
+
+fn column(step: Option<u64>, report: &RolloutReport) -> Column {
+    let rows = report.rows().into_iter();
+    let numbers = rows.map(|(name, value, unit)| Number {
+        name: name.to_string(),
+        value,
+        line: Some((
+            format!("{name}{unit}"),
+            value.map(|value| format!("{value:.4}")),
+        )),
+    });
+    Column {
+        facts: vec![("step", step)],
+        groups: vec![Group {
+            key: "rollouts",
+            title: "",
+            numbers: numbers.collect(),
+        }],
+    }
+}

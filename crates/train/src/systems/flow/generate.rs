@@ -1,0 +1,118 @@
+//! Motion that goes on, from a checkpoint.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
+use kinegrad_models::parameters;
+use kinegrad_motion::humanml::{Extraction, Joints, TEXT_CHANNELS};
+use kinegrad_random::Key;
+
+use super::networks::model;
+use super::{FlowTables, statistics_in};
+use crate::captions::{ClipText, TextInput};
+use crate::checkpoint::{State, Weights, read_weights};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+
+/// A trained pair of networks, ready to go on from histories.
+pub struct FlowGenerator {
+    model: FlowModel,
+    space: FlowSpace,
+    text: TextInput,
+    state: State,
+    device: Device,
+}
+
+impl FlowGenerator {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, is not of recipe `flow`, or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let state = State::read(path)?;
+        let own = FlowTables::of(&state.config)?;
+        let [features, target] = statistics_in(&state)?;
+        let values = read_weights(path, &state, weights)?;
+        let network = model(&state.config, &device.clone().autodiff())?;
+        Ok(Self {
+            model: parameters::load(network, values)?.valid(),
+            space: FlowSpace {
+                skeleton: state.config.data.humanml3d.skeleton.skeleton(),
+                features,
+                target,
+                next: own.pose.target,
+                prediction: own.pose.prediction_type,
+                history: own.pose.history_frames,
+                longest: state.config.data.target_frames,
+            },
+            text: TextInput::of(&state.config)?,
+            state,
+            device: device.clone(),
+        })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// Steps it was trained for.
+    pub fn step(&self) -> u64 {
+        self.state.step
+    }
+
+    /// What the numbers mean.
+    pub fn space(&self) -> &FlowSpace {
+        &self.space
+    }
+
+    /// Frames that a history has at least.
+    pub fn shortest_history(&self) -> usize {
+        self.space.history + 1
+    }
+
+    /// The 512 numbers that stand for a text, for [`FlowRollout::push_text`]; zeros for none.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a text that the model does not know.
+    pub fn text(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
+        let none = || vec![0.0; TEXT_CHANNELS];
+        let told = text
+            .map(|text| self.text.values(text))
+            .transpose()?
+            .flatten();
+        let Some(told) = told else {
+            return Ok(none());
+        };
+        let shape = [1, told.len()];
+        let told = Tensor::from_data(TensorData::new(told, shape), &self.device);
+        let numbers = self.model.text(told).try_into_vec_as::<f32>();
+        Ok(numbers.expect("weights are float32"))
+    }
+
+    /// A motion before its first frame, without a text: `frames` are to come after the `history`,
+    /// joints in metres above the floor at the skeleton's rate, drawn with the noise of `key`.
+    ///
+    /// # Errors
+    /// If the history is too short or of another skeleton, or a setting cannot work.
+    pub fn rollout(
+        &self,
+        history: &Joints,
+        frames: usize,
+        sampler: &FlowSamplerConfig,
+        constant_bones: bool,
+        key: Key,
+    ) -> Result<FlowRollout, RolloutError> {
+        let settings = RolloutSettings {
+            sampler: sampler.clone(),
+            frames,
+            constant_bones,
+            contact_threshold: Extraction::default().contact_threshold,
+        };
+        let (model, space) = (self.model.clone(), self.space.clone());
+        FlowRollout::new(model, space, settings, history, key, &self.device)
+    }
+}

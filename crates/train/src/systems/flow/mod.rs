@@ -1,0 +1,129 @@
+//! Motion that goes on frame by frame: a history encoder and flow matching of the next pose
+//! (docs/sources.md, section 5).
+//!
+//! Recipe `flow` trains them on windows of clips. [`FlowGenerator`] goes on from a history, by texts
+//! that may change on the way.
+
+mod config;
+mod evaluate;
+mod generate;
+mod networks;
+mod plan;
+pub mod recipe;
+mod report;
+mod sample;
+mod train;
+mod windows;
+
+use kinegrad_motion::humanml::Skeleton;
+use kinegrad_motion::{JointPositions, Representation};
+use kinegrad_settings::Key;
+use toml::Table;
+
+pub use config::{FlowNetwork, FlowTables, PoseConfig, RolloutEvaluationConfig};
+pub use generate::FlowGenerator;
+pub use plan::{RolloutPlan, Step};
+pub use report::{RolloutReport, bone_lengths};
+pub use windows::{PoseSpace, PoseWindows};
+
+use crate::checkpoint::State;
+use crate::config::{Config, ConfigError, Place, SystemTables};
+use crate::error::Error;
+use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::memory::Footprint;
+use crate::observer::Observer;
+use crate::recipe::RecipeInfo;
+use crate::run::{Outcome, Setup};
+use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::system::System;
+
+/// Name of the recipe.
+pub(super) const RECIPE: &str = "flow";
+
+const RECIPES: [RecipeInfo; 1] = [RecipeInfo {
+    name: RECIPE,
+    groups: &["flow"],
+}];
+
+/// The system.
+pub struct Flow;
+
+impl System for Flow {
+    fn name(&self) -> &'static str {
+        "flow"
+    }
+
+    fn recipes(&self) -> &'static [RecipeInfo] {
+        &RECIPES
+    }
+
+    /// None of its own: it generates joints, which models of clips do too.
+    fn representations(&self) -> Vec<Box<dyn Representation>> {
+        Vec::new()
+    }
+
+    fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
+        config::DEFAULTS.parse().expect("text of a program")
+    }
+
+    fn keys(&self) -> Vec<Key> {
+        FlowTables::keys()
+    }
+
+    fn complete(&self, tables: &Table, place: Place<'_>) -> Result<Table, ConfigError> {
+        Ok(FlowTables::read(tables, place)?.to_table())
+    }
+
+    fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
+        config::validate(config)?;
+        Ok(Vec::new())
+    }
+
+    fn parameter_count(&self, config: &Config) -> Result<usize, Error> {
+        networks::parameter_count(config)
+    }
+
+    fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
+        networks::footprint(config)
+    }
+
+    fn sample(
+        &self,
+        subject: &Subject,
+        request: &Request,
+        receiver: &mut dyn Receiver,
+    ) -> Result<Option<Remark>, Error> {
+        sample::sample(subject, request, receiver)
+    }
+
+    fn evaluate<'a>(
+        &self,
+        subject: &'a Subject,
+        request: &EvaluationRequest,
+    ) -> Result<Evaluate<'a>, Error> {
+        evaluate::prepare(subject, request)
+    }
+
+    fn train(&self, setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
+        train::train(setup, observer)
+    }
+}
+
+/// The statistics of features and poses of a run.
+///
+/// # Errors
+/// [`Error::OtherRepresentation`] for a run of another system.
+fn statistics_in(state: &State) -> Result<train::Both, Error> {
+    let humanml3d = &state.config.data.humanml3d;
+    let features = state.statistics_of(&humanml3d.representation())?.clone();
+    let skeleton: Skeleton = humanml3d.skeleton.skeleton();
+    match &state.network_statistics {
+        Some(target) if target.channels() == 3 * skeleton.joints() => {
+            Ok([features, target.clone()])
+        }
+        _ => Err(Error::OtherRepresentation {
+            recipe: state.config.train.recipe.clone(),
+            expected: JointPositions { skeleton }.name(),
+        }),
+    }
+}

@@ -1,0 +1,56 @@
+//! The networks of a config.
+
+use burn::tensor::Device;
+use kinegrad_models::flow::FlowModel;
+use kinegrad_models::{Initializer, parameters};
+
+use super::FlowTables;
+use crate::captions::TextInput;
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+use crate::memory::Footprint;
+
+/// Both networks with fresh weights.
+///
+/// # Errors
+/// If they cannot be built.
+pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error> {
+    let own = FlowTables::of(config)?;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let init = Initializer::new(config.run.seed, device);
+    let model = own.model.network.sizes().init(&skeleton, &init)?;
+    Ok(match TextInput::of(config)?.labels() {
+        Some(labels) => model.with_captions(labels.captions().len(), &init),
+        None => model,
+    })
+}
+
+/// Number of parameters.
+///
+/// # Errors
+/// As [`model`].
+pub(super) fn parameter_count(config: &Config) -> Result<usize, Error> {
+    // Parameters are lazy: no weight is drawn and no memory taken.
+    Ok(parameters::count(&model(config, &Device::flex())?))
+}
+
+/// What training takes.
+///
+/// # Errors
+/// As [`model`].
+pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
+    let own = FlowTables::of(config)?;
+    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let (sizes, joints) = (own.model.network.sizes(), skeleton.joints());
+    let history = own.pose.history_frames;
+    let of_frame = joints * (47 + 2 * sizes.joint_dim + 2 * sizes.context_dim);
+    let of_token = 49 + sizes.num_layers * (12 * sizes.latent_dim + 2 * sizes.ff_size);
+    let recurrent = history * 12 * sizes.gru_dim;
+    Ok(Footprint {
+        parameters: parameter_count(config)? as u64,
+        activations: (history * of_frame + recurrent + joints * of_token) as u64,
+        passes: 1,
+        item: (history * skeleton.layout().channels() + TextInput::of(config)?.channels()) as u64,
+        shared: 0,
+    })
+}

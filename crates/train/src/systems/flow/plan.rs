@@ -1,0 +1,107 @@
+//! Texts one after another: the file of `kinegrad sample --plan`.
+
+use std::path::Path;
+
+use kinegrad_data::file::read_text;
+use kinegrad_data::humanml::read_embedding;
+use kinegrad_motion::MAX_FRAMES;
+use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
+use serde::{Deserialize, Serialize};
+use toml::Table;
+
+use crate::captions::ClipText;
+use crate::config::line_of;
+use crate::error::Error;
+
+/// Texts one after another, each with its length.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RolloutPlan {
+    /// In order.
+    pub step: Vec<Step>,
+}
+
+/// One text for some time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Step {
+    /// How long, in seconds.
+    pub seconds: f64,
+    /// The text, one of the captions that the run knows; without any the motion goes on without.
+    pub text: Option<String>,
+    /// Its embedding in place of it, `FILE#KEY`.
+    pub text_embedding: Option<String>,
+}
+
+impl RolloutPlan {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] with the file, its line and what is wrong.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let refused = |reason: String| {
+            let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
+                        `text_embedding`: docs/flow.md";
+            Error::usage(format!("{}: {reason}", path.display()), hint)
+        };
+        let text = read_text(path).map_err(|error| refused(error.to_string()))?;
+        let wrong = |error: toml::de::Error| {
+            let line = error.span().map_or(1, |span| line_of(&text, span.start));
+            refused(format!("line {line}: {}", in_words(error.message())))
+        };
+        let given: Table = text.parse().map_err(wrong)?;
+        must_be_finite(&given).map_err(|unfit| refused(unfit.to_string()))?;
+        let plan: Self = toml::from_str(&text).map_err(wrong)?;
+        if plan.step.is_empty() {
+            return Err(refused("it has no step".into()));
+        }
+        for (number, step) in plan.step.iter().enumerate() {
+            in_range(format!("step[{number}].seconds"), step.seconds, ABOVE_ZERO)
+                .map_err(|error| refused(error.to_string()))?;
+            if step.text.is_some() && step.text_embedding.is_some() {
+                let both = format!("step[{number}] has both `text` and `text_embedding`");
+                return Err(refused(both));
+            }
+        }
+        Ok(plan)
+    }
+
+    /// The frame that each step ends before, at so many frames a second.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a step of no frame, and more frames than a motion may have.
+    pub fn ends(&self, fps: f64) -> Result<Vec<usize>, Error> {
+        let mut seconds = 0.0;
+        let mut ends = Vec::with_capacity(self.step.len());
+        for (number, step) in self.step.iter().enumerate() {
+            seconds += step.seconds;
+            let end = (seconds * fps).round();
+            if end > MAX_FRAMES as f64 {
+                let message = format!("the plan has more than {MAX_FRAMES} frames");
+                return Err(Error::usage(message, "make it shorter"));
+            }
+            let end = end as usize;
+            if end <= ends.last().copied().unwrap_or(0) {
+                let message = format!("step[{number}] of the plan is shorter than a frame");
+                return Err(Error::usage(message, format!("a second has {fps} frames")));
+            }
+            ends.push(end);
+        }
+        Ok(ends)
+    }
+}
+
+impl Step {
+    /// What is said.
+    ///
+    /// # Errors
+    /// If the embedding cannot be read.
+    pub fn said(&self) -> Result<Option<ClipText>, Error> {
+        let embedding = self.text_embedding.as_deref().map(read_embedding);
+        let text = ClipText {
+            caption: self.text.clone(),
+            embedding: embedding.transpose()?,
+        };
+        Ok((text != ClipText::default()).then_some(text))
+    }
+}

@@ -1,0 +1,171 @@
+//! How motion that goes on holds together.
+
+use kinegrad_motion::humanml::{Extraction, FeatureLayout, Heading, Joints, Skeleton};
+use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
+use kinegrad_motion::rotation::length;
+use serde::Serialize;
+
+/// Means over motions.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RolloutReport {
+    /// Motions.
+    pub motions: usize,
+    /// Mean jerk of the joints, metres per second cubed.
+    pub jerk: Option<f64>,
+    /// The same in the last quarter of each motion.
+    pub jerk_at_end: Option<f64>,
+    /// Share of the steps in which a toe slides, as published.
+    pub foot_skating: Option<f64>,
+    /// Largest change of a bone's length against the history's last frame, as a share of it.
+    pub bone_change: Option<f64>,
+    /// Height of the lowest joint of all frames above the floor, metres.
+    pub lowest_joint: Option<f64>,
+    /// Height of the root in the last quarter less that in the first, metres.
+    pub height_drift: Option<f64>,
+    /// Mean speed of the root over the ground, metres per second.
+    pub speed: Option<f64>,
+    /// Mean speed of the heading's turns, degrees per second.
+    pub turn_rate: Option<f64>,
+    /// Fréchet distance of the mean places of joints about the root from those of real motion.
+    pub frechet_distance: Option<f64>,
+}
+
+impl RolloutReport {
+    /// Frames that a motion has at least.
+    pub const SHORTEST: usize = 16;
+
+    /// The report of motions of [`SHORTEST`](Self::SHORTEST) frames or more, each with the
+    /// [bones](bone_lengths) that it began with, beside `real` ones.
+    pub fn compute(
+        skeleton: &Skeleton,
+        motions: &[(Vec<f64>, Joints)],
+        real: &[(Vec<f64>, Joints)],
+    ) -> Self {
+        let fps = skeleton.description().fps;
+        let feet = skeleton.contact_joints();
+        let each = |of: &dyn Fn(&[f64], &Joints) -> Option<f64>| {
+            let values = motions
+                .iter()
+                .filter_map(|(bones, joints)| of(bones, joints));
+            mean(values.collect())
+        };
+        let moments = |motions: &[(Vec<f64>, Joints)]| {
+            let of = |(_, joints): &(Vec<f64>, Joints)| mean_places(skeleton, joints);
+            FeatureMoments::compute(&motions.iter().filter_map(of).collect::<Vec<_>>())
+        };
+        Self {
+            motions: motions.len(),
+            jerk: each(&|_, joints| mean_jerk(joints, fps)),
+            jerk_at_end: each(&|_, joints| mean_jerk(&quarter(joints, 3), fps)),
+            // The toes are the second of each pair of contacts.
+            foot_skating: each(&|_, joints| skating_ratio(joints, fps, &[feet[1], feet[3]])),
+            bone_change: each(&|bones, joints| {
+                let frames = (0..joints.frames()).map(|t| joints.frame(t));
+                let changes = frames.flat_map(|frame| {
+                    let pairs = bone_lengths(skeleton, frame).into_iter().zip(bones);
+                    pairs
+                        .map(|(now, then)| (now / then - 1.0).abs())
+                        .collect::<Vec<_>>()
+                });
+                changes.reduce(f64::max)
+            }),
+            lowest_joint: each(&|_, joints| {
+                joints
+                    .as_slice()
+                    .iter()
+                    .map(|place| place[1])
+                    .reduce(f64::min)
+            }),
+            height_drift: each(&|_, joints| {
+                let height = |part: usize| {
+                    let part = quarter(joints, part);
+                    mean((0..part.frames()).map(|t| part.frame(t)[0][1]).collect())
+                };
+                height(3).zip(height(0)).map(|(last, first)| last - first)
+            }),
+            speed: each(&|_, joints| {
+                let root = joints.track(0);
+                let steps = root
+                    .windows(2)
+                    .map(|pair| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
+                mean(steps.collect())
+            }),
+            turn_rate: each(&|_, joints| turn_rate(skeleton, joints)),
+            frechet_distance: match std::ptr::eq(motions, real) {
+                // From itself it is none.
+                true => None,
+                false => {
+                    let pair = moments(motions).zip(moments(real));
+                    pair.map(|(a, b)| frechet_distance(&a, &b))
+                }
+            },
+        }
+    }
+
+    /// The metrics: name, value and unit.
+    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 9] {
+        [
+            ("jerk", self.jerk, ", m/s³"),
+            ("jerk at end", self.jerk_at_end, ", m/s³"),
+            ("foot skating", self.foot_skating, ""),
+            ("bone change", self.bone_change, ""),
+            ("lowest joint", self.lowest_joint, ", m"),
+            ("height drift", self.height_drift, ", m"),
+            ("speed", self.speed, ", m/s"),
+            ("turn rate", self.turn_rate, ", degrees/s"),
+            ("Fréchet distance", self.frechet_distance, ""),
+        ]
+    }
+}
+
+/// Of each joint but the root the distance from its parent, metres, in one frame.
+pub fn bone_lengths(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Vec<f64> {
+    let offsets = skeleton.offsets_of_frame(frame).into_iter().skip(1);
+    offsets.map(length).collect()
+}
+
+fn mean(values: Vec<f64>) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// A quarter of a motion, from 0.
+fn quarter(joints: &Joints, number: usize) -> Joints {
+    let frames = joints.frames();
+    let places = (number * frames / 4..(number + 1) * frames / 4).flat_map(|t| joints.frame(t));
+    Joints::new(places.copied().collect(), joints.joints()).expect("whole frames")
+}
+
+/// Features with the heading of each frame by itself, where the motion has any.
+fn features(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<Vec<f32>>> {
+    let extraction = Extraction {
+        rescale: false,
+        heading: Heading::Raw,
+        ..Extraction::default()
+    };
+    let features = extraction.features_in_place(skeleton, joints).ok()?;
+    let rows = (0..features.frames()).map(|t| features.frame(t).to_vec());
+    Some(rows.collect())
+}
+
+/// Mean over time of each joint's place about the root.
+fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
+    let rows = features(skeleton, joints)?;
+    let layout = skeleton.layout();
+    let of = |channel: usize| {
+        let values = rows.iter().map(|row| f64::from(row[channel]));
+        values.sum::<f64>() / rows.len() as f64
+    };
+    Some(layout.positions().map(of).collect())
+}
+
+/// Mean speed of the heading's turns, degrees per second.
+fn turn_rate(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
+    let rows = features(skeleton, joints)?;
+    let turn = FeatureLayout::ROOT.start;
+    let fps = skeleton.description().fps;
+    // The channel is the arc sine of the quaternion's part along y: half of the turn.
+    let turns = rows
+        .iter()
+        .map(|row| (2.0 * f64::from(row[turn])).abs().to_degrees() * fps);
+    mean(turns.collect())
+}

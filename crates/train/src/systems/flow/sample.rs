@@ -1,0 +1,343 @@
+//! Sampling motion that goes on from a history.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use kinegrad_data::humanml::Clip;
+use kinegrad_data::{DataKind, Dataset, read_array};
+use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_random::{Key, Purpose};
+
+use super::{Flow, FlowGenerator, FlowTables, RolloutPlan};
+use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
+use crate::config::SystemTables;
+use crate::error::Error;
+use crate::sampling::{
+    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
+    item_seed,
+};
+use crate::system::System as _;
+
+/// Extension of joint positions.
+const MOTION: &str = ".npy";
+
+/// Extension of the animated skeleton.
+const BVH: &str = ".bvh";
+
+/// What a motion goes on from.
+struct Start {
+    history: Joints,
+    /// What stands for it among several.
+    stem: String,
+    /// Its clip's id, if it is of one.
+    item: Option<String>,
+    /// What its clip is told.
+    caption: Option<ClipText>,
+    /// Seed of its noise.
+    seed: u64,
+}
+
+/// Generates the requested motions: joints and BVH of each. Returns how often the network was asked.
+///
+/// # Errors
+/// If a condition cannot be used, or a checkpoint cannot be read.
+pub(super) fn sample(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let conditions = &request.conditions;
+    conditions.refuse(
+        &[
+            "--cond",
+            "--audio",
+            "--goal",
+            "--trajectory-run",
+            "--continue-from",
+            "--keep",
+            "--style",
+        ],
+        "a run of recipe `flow`",
+        "its conditions are a history, `--history MOTION.npy` or `--phrase ID`, and texts, `--text`, \
+         `--text-embedding FILE#KEY` or `--plan PLAN.toml`",
+    )?;
+    if request.post_processing.is_some() {
+        return Err(Error::usage(
+            "`--postprocess` with a run of recipe `flow`",
+            "its samples are not post-processed: leave it out",
+        ));
+    }
+    let own = FlowTables::of(&subject.config)?;
+    let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    let input = TextInput::of(&subject.config)?;
+    let plan = conditions
+        .plan
+        .as_deref()
+        .map(RolloutPlan::read)
+        .transpose()?;
+    let script = Script::of(
+        subject,
+        request,
+        plan.as_ref(),
+        &input,
+        own.evaluation.frames,
+    )?;
+    let starts = starts(subject, request, receiver, own.pose.history_frames + 1)?;
+    let names = Names {
+        stems: starts.iter().map(|start| start.stem.clone()).collect(),
+        count: request.count,
+    };
+    if conditions.held_out.is_none() {
+        receiver.announced(&names, &[MOTION, BVH])?;
+    }
+    let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let all = starts.len() * request.count * script.frames;
+    let (mut done, mut evaluations) = (0, 0);
+    for start in &starts {
+        for index in 0..request.count {
+            let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
+            let constant_bones = own.evaluation.constant_bones;
+            let rollout =
+                generator.rollout(&start.history, script.frames, &sampler, constant_bones, key);
+            let mut rollout = rollout?;
+            let mut frames = Vec::with_capacity(script.frames * skeleton.joints());
+            let mut steps = script.steps.iter().peekable();
+            while rollout.remaining() > 0 {
+                let drawn = script.frames - rollout.remaining();
+                if let Some((_, text)) = steps.next_if(|(begin, _)| *begin == drawn) {
+                    let text = text.as_ref().or(start.caption.as_ref());
+                    rollout.push_text(&generator.text(text)?)?;
+                }
+                frames.extend(rollout.next_frame()?.expect("frames remain"));
+                done += 1;
+                if receiver.advance("", done, all).is_break() {
+                    return Err(Error::Interrupted);
+                }
+            }
+            evaluations += rollout.evaluations();
+            let joints = Joints::new(frames, skeleton.joints()).expect("whole frames");
+            let record = record(subject, request, start, index, &joints, &skeleton);
+            receiver.drawn(drawn(
+                names.of(&start.stem, index),
+                joints,
+                &skeleton,
+                record,
+            ))?;
+        }
+    }
+    let each = evaluations as f64 / all as f64;
+    Ok(Some(Remark::Text(format!(
+        "{all} frames, {each:.1} velocity evaluations each"
+    ))))
+}
+
+/// What is said when.
+struct Script {
+    frames: usize,
+    /// From which frame on what is said; nothing of a start's own caption.
+    steps: Vec<(usize, Option<ClipText>)>,
+}
+
+impl Script {
+    fn of(
+        subject: &Subject,
+        request: &Request,
+        plan: Option<&RolloutPlan>,
+        input: &TextInput,
+        default: usize,
+    ) -> Result<Self, Error> {
+        let Some(plan) = plan else {
+            let inputs = std::slice::from_ref(input);
+            return Ok(Self {
+                frames: request.frames.unwrap_or(default),
+                steps: vec![(0, text_of(&request.conditions, inputs, &subject.device)?)],
+            });
+        };
+        if request.frames.is_some() {
+            let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
+            return Err(Error::usage("`--plan` with a length", hint));
+        }
+        let ends = plan.ends(Flow.fps(&subject.config))?;
+        let begins = [0].into_iter().chain(ends.iter().copied());
+        let mut steps = Vec::with_capacity(ends.len());
+        for (step, begin) in plan.step.iter().zip(begins) {
+            // A step that says nothing is no caption of a clip either.
+            let said = step.said()?.unwrap_or_default();
+            if said != ClipText::default() {
+                input.values(&said)?;
+            }
+            steps.push((begin, Some(said)));
+        }
+        Ok(Self {
+            frames: ends.last().copied().unwrap_or_default(),
+            steps,
+        })
+    }
+}
+
+/// What the motions go on from: the file of a history, or the beginnings of clips.
+fn starts(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+    needed: usize,
+) -> Result<Vec<Start>, Error> {
+    let Conditions {
+        history,
+        source,
+        item,
+        held_out,
+        text,
+        text_embedding,
+        plan,
+        ..
+    } = &request.conditions;
+    if let Some(path) = history {
+        let clip = [("--phrase", item.is_some()), ("--source", source.is_some())];
+        if let Some((other, _)) = clip.into_iter().find(|(_, given)| *given) {
+            let hint = "both say what the motion goes on from: leave out one of the two";
+            return Err(Error::usage(format!("`--history` with `{other}`"), hint));
+        }
+        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+        return Ok(vec![Start {
+            history: read_history(path, &skeleton, needed)?,
+            stem: String::new(),
+            item: None,
+            caption: None,
+            seed: request.seed,
+        }]);
+    }
+    let mut data = subject.config.data.clone();
+    if let Some(source) = source {
+        data.kind = DataKind::Humanml3d;
+        data.source = Some(source.clone());
+    }
+    let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
+    let chosen: Vec<Arc<Clip>> = match (item, held_out) {
+        (Some(pattern), _) => {
+            let mut chosen = Vec::new();
+            for side in [&dataset.validation, &dataset.train] {
+                let side = side.filter(|id| kinegrad_data::matches(pattern, id));
+                chosen.extend(side.load()?);
+            }
+            if chosen.is_empty() {
+                let message = format!("the dataset has no clip `{pattern}`");
+                let hint = "`kinegrad data inspect URI` lists the clips";
+                return Err(Error::usage(message, hint));
+            }
+            chosen
+        }
+        (None, count) => {
+            let chosen = dataset.held_out().evenly(count.unwrap_or(1))?;
+            if let (None, Some(clip)) = (count, chosen.first()) {
+                receiver.note(&format!(
+                    "no history given: going on from the beginning of clip `{}`",
+                    clip.id
+                ));
+            }
+            chosen
+        }
+    };
+    let speaks = text.is_none() && text_embedding.is_none() && plan.is_none();
+    if speaks {
+        must_know_texts(&subject.config, &chosen)?;
+    }
+    let several = chosen.len() > 1;
+    let start = |clip: &Arc<Clip>| {
+        let frames = clip.features.frames();
+        if frames < needed {
+            let message = format!("clip `{}` has {frames} frames", clip.id);
+            let hint = format!("a motion goes on from {needed} frames: name a longer clip");
+            return Err(Error::usage(message, hint));
+        }
+        let stem = match (held_out, several) {
+            (Some(_), _) => clip.id.clone(),
+            (None, true) => format!("-{}", clip.id),
+            (None, false) => String::new(),
+        };
+        Ok(Start {
+            history: clip.features.slice(0..needed).joints(),
+            stem,
+            item: Some(clip.id.clone()),
+            caption: ClipText::of(clip).filter(|_| speaks),
+            seed: item_seed(request.seed, &clip.id),
+        })
+    };
+    chosen.iter().map(start).collect()
+}
+
+/// Joints `[T, J, 3]`.
+fn read_history(path: &Path, skeleton: &Skeleton, needed: usize) -> Result<Joints, Error> {
+    let array = read_array(path)?;
+    let joints = skeleton.joints();
+    let refused = |found: String| {
+        let message = format!("{}: {found}", path.display());
+        let hint = format!(
+            "a history is joints in metres, `[T, {joints}, 3]` with {needed} frames or more, as \
+             `kinegrad sample` writes them of a run on clips"
+        );
+        Error::usage(message, hint)
+    };
+    if !matches!(array.shape[..], [_, found, 3] if found == joints) {
+        return Err(refused(format!("an array of shape {:?}", array.shape)));
+    }
+    let bad = array.values.iter().position(|value| !value.is_finite());
+    if let Some(place) = bad {
+        let frame = place / (3 * joints);
+        return Err(refused(format!(
+            "frame {frame} has a number that is not finite"
+        )));
+    }
+    if array.shape[0] < needed {
+        return Err(refused(format!("{} frames", array.shape[0])));
+    }
+    Ok(Joints::from_f32(&array.values, joints)?)
+}
+
+fn record(
+    subject: &Subject,
+    request: &Request,
+    start: &Start,
+    index: usize,
+    joints: &Joints,
+    skeleton: &Skeleton,
+) -> Record {
+    let conditions = &request.conditions;
+    Record {
+        index,
+        frames: joints.frames(),
+        fps: skeleton.description().fps,
+        condition: Condition {
+            item: start.item.clone(),
+            source: conditions.source.clone().or_else(|| {
+                let own = || subject.config.data.source.clone();
+                start.item.as_ref().and_then(|_| own())
+            }),
+            history: conditions.history.clone(),
+            text: conditions.text.clone(),
+            clip: conditions.clip.clone(),
+            text_embedding: conditions.text_embedding.clone(),
+            plan: conditions.plan.clone(),
+            ..Condition::default()
+        },
+        ..Record::new(Flow.name(), subject, request.seed)
+    }
+}
+
+fn drawn(name: String, joints: Joints, skeleton: &Skeleton, record: Record) -> Drawn {
+    let array = Contents::Array {
+        shape: vec![joints.frames(), joints.joints(), 3],
+        values: joints.to_f32(),
+    };
+    let figure = Contents::Figure {
+        joints,
+        skeleton: Box::new(skeleton.clone()),
+    };
+    Drawn {
+        name,
+        files: vec![(MOTION, array), (BVH, figure)],
+        record,
+    }
+}
