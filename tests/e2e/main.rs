@@ -13,6 +13,7 @@ mod config_errors;
 mod config_keys;
 mod eval;
 mod fine_tuning;
+mod flow;
 mod goals;
 mod imports;
 mod listening;

@@ -45,6 +45,8 @@ const TEMPLATES: &[Template] = templates![
     "gmd_trajectory_tiny",
     "bodies_motion",
     "bodies_trajectory",
+    "flow_tiny",
+    "flow",
     "text_motion",
     "prepare",
     "bodies",

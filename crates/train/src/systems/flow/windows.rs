@@ -229,3 +229,140 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
     let places = frames.flat_map(|t| joints.frame(t).iter().map(|&place| turn.rotate(place)));
     Joints::new(places.collect(), joints.joints()).expect("whole frames")
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use kinegrad_data::{DataConfig, DataKind, Dataset, Loader};
+    use kinegrad_motion::humanml::FeatureLayout;
+    use kinegrad_motion::rotation::length;
+
+    use super::*;
+
+    const HISTORY_FRAMES: usize = 6;
+    const LONGEST: usize = 60;
+
+    fn config() -> DataConfig {
+        let mut config = DataConfig {
+            kind: DataKind::SyntheticWalks,
+            batch_size: 5,
+            num_workers: 0,
+            ..DataConfig::default()
+        };
+        config.synthetic.phrases = 4;
+        config.synthetic.frames = 48;
+        config
+    }
+
+    fn space(target: NextPose) -> PoseSpace {
+        PoseSpace {
+            skeleton: Skeleton::humanml3d(),
+            history: HISTORY_FRAMES,
+            target,
+            longest: LONGEST,
+        }
+    }
+
+    /// Windows with numbers as they are.
+    fn windows(target: NextPose) -> PoseWindows {
+        let clips = Dataset::<Clip>::open(&config()).expect("walks").train;
+        let [features, poses] = [263, 66].map(|channels| Arc::new(Statistics::unit(channels)));
+        PoseWindows::new(clips, space(target), features, poses, None, 3)
+    }
+
+    /// The rows of a sample's history.
+    fn history(batch: &Batch, sample: usize) -> Vec<Vec<f32>> {
+        let condition = batch.condition(HISTORY).expect("a history");
+        let values = &condition.values[sample * 263 * HISTORY_FRAMES..][..263 * HISTORY_FRAMES];
+        let row = |t: usize| (0..263).map(|c| values[c * HISTORY_FRAMES + t]).collect();
+        (0..HISTORY_FRAMES).map(row).collect()
+    }
+
+    #[test]
+    fn the_target_is_the_pose_after_the_history() {
+        for target in [NextPose::Position, NextPose::Displacement] {
+            let windows = windows(target);
+            let clips = windows.items().load().expect("walks");
+            let batch = windows.collate(0..clips.len()).expect("in memory");
+            for (sample, clip) in clips.iter().enumerate() {
+                let rows = space(target).rows(&clip.features.joints()).expect("rows");
+                let found = history(&batch, sample);
+                let same = |(first, _): &(usize, &Vec<f32>)| {
+                    let part = rows[*first..].iter().take(HISTORY_FRAMES);
+                    part.eq(found.iter())
+                };
+                let (first, _) = rows
+                    .iter()
+                    .enumerate()
+                    .find(same)
+                    .expect("rows of the clip");
+                let last = first + HISTORY_FRAMES;
+                let expected = target.of_row(&rows[last]).expect("a pose");
+                assert_eq!(batch.x_start[sample * 66..][..66], expected);
+                // Nothing of the pose is in the history: its last row leads to the frame before.
+                assert_ne!(
+                    target.of_row(found.last().expect("rows")).expect("a pose"),
+                    expected
+                );
+                let place = &batch.condition(PLACE).expect("a place").values[2 * sample..][..2];
+                let poses = (clip.features.frames() - HISTORY_FRAMES - 1) as f32;
+                assert!((place[0] - (1.0 - first as f32 / (poses - 1.0))).abs() < 1e-6);
+                assert!((place[1] - poses / LONGEST as f32).abs() < 1e-6);
+            }
+        }
+        assert_eq!(place(0, 41, 82), [1.0, 0.5]);
+        assert_eq!(place(40, 41, 41), [0.0, 1.0]);
+        assert_eq!(place(0, 1, 1), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn training_draws_windows_anew_and_turns_them() {
+        let config = config();
+        let mut loader = Loader::new(windows(NextPose::Displacement), &config, 1, 0);
+        let skeleton = Skeleton::humanml3d();
+        let clips = Dataset::<Clip>::open(&config).expect("walks").train;
+        let mut starts = BTreeSet::new();
+        let mut turns = 0;
+        for _ in 0..6 {
+            let batch = loader.next().expect("a batch");
+            for sample in 0..batch.batch_size {
+                let clip = clips
+                    .find(&batch.ids[sample])
+                    .expect("read")
+                    .expect("there");
+                let rows = space(NextPose::Displacement).rows(&clip.features.joints());
+                let rows = rows.expect("rows");
+                let found = history(&batch, sample);
+                // All but the rotations are as in the clip, wherever it faces.
+                let apart = |first: usize, range: std::ops::Range<usize>| {
+                    let pairs = rows[first..].iter().zip(&found);
+                    let each = pairs.flat_map(|(a, b)| {
+                        let pairs = a[range.clone()].iter().zip(&b[range.clone()]);
+                        pairs.map(|(a, b)| (a - b).abs()).collect::<Vec<_>>()
+                    });
+                    each.fold(0.0, f32::max)
+                };
+                let layout = skeleton.layout();
+                let places = layout.positions();
+                let first = (0..rows.len() - HISTORY_FRAMES)
+                    .find(|&first| apart(first, places.clone()) < 1e-4)
+                    .expect("a window of the clip");
+                assert!(apart(first, FeatureLayout::ROOT) < 1e-4);
+                assert!(apart(first, layout.velocities()) < 1e-4);
+                turns += usize::from(apart(first, layout.rotations()) > 0.05);
+                starts.insert((batch.ids[sample].clone(), first));
+            }
+        }
+        assert!(starts.len() > 20, "{}", starts.len());
+        assert!(turns > 20, "{turns} of 30 are turned");
+        let turned = turned(
+            &Joints::new(vec![[1.0, 2.0, 0.0]; 3], 1).expect("frames"),
+            1..3,
+            0.5,
+        );
+        assert_eq!(turned.frames(), 2);
+        let [x, y, z] = turned.frame(0)[0];
+        assert!((length([x, 0.0, z]) - 1.0).abs() < 1e-9 && y == 2.0 && z.abs() > 0.4);
+    }
+}

@@ -19,8 +19,8 @@ use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record,
-    Remark, Request, SamplerRecord, Subject,
+    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record, Remark, Request,
+    SamplerRecord, Subject,
 };
 use crate::system::System as _;
 

@@ -1,0 +1,293 @@
+//! Motion that goes on frame by frame: trained, drawn from histories by texts, evaluated.
+
+use std::fs;
+
+use kinegrad_data::{read_array, write_values};
+use kinegrad_tests::sandbox::{Finished, Sandbox, finish};
+use serde_json::Value;
+
+/// Walks of a few captions, which the model learns an embedding of each.
+pub const FLOW: &str = r#"
+[run]
+name = "flow"
+device = "cpu"
+[data]
+kind = "humanml3d"
+source = "walks"
+target_frames = 60
+batch_size = 8
+num_workers = 0
+[data.humanml3d]
+text = "labels"
+[data.validation]
+fraction = 0.3
+[model]
+size = "tiny"
+joint_dim = 8
+context_dim = 8
+gru_dim = 8
+decoder_dim = 16
+latent_dim = 16
+ff_size = 16
+[pose]
+history_frames = 6
+history_noise = 0.05
+target = "displacement"
+[optim]
+learning_rate = 3e-3
+warmup_steps = 5
+[train]
+recipe = "flow"
+max_steps = 60
+[ema]
+decay = 0.9
+[checkpoint]
+every_steps = 15
+[validation]
+every_steps = 20
+[sampling.sampler]
+num_inference_steps = 4
+[evaluation]
+rollouts = 3
+frames = 40
+"#;
+
+/// The config on disk beside its walks.
+pub fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox
+        .run("data synth --walks --phrases 12 --frames 48 --out walks")
+        .succeeded();
+    sandbox.write("c.toml", FLOW);
+    sandbox
+}
+
+fn trained() -> Sandbox {
+    let sandbox = sandbox();
+    sandbox.run("train c.toml").succeeded();
+    sandbox
+}
+
+fn values(sandbox: &Sandbox, name: &str) -> Vec<f32> {
+    read_array(&sandbox.path(name)).expect("an array").values
+}
+
+/// A caption that the run knows.
+fn captions(sandbox: &Sandbox) -> Vec<String> {
+    let config = fs::read_to_string(sandbox.path("runs/flow/config.toml")).expect("a config");
+    let config: toml::Table = config.parse().expect("TOML");
+    let known = config["text"]["captions"].as_array().expect("captions");
+    known
+        .iter()
+        .map(|caption| caption.as_str().expect("text").to_owned())
+        .collect()
+}
+
+/// `sample runs/flow` with arguments in which `FIRST` and `SECOND` are captions.
+fn said(sandbox: &Sandbox, arguments: &str, captions: &[String]) -> Finished {
+    let command = ["sample", "runs/flow", "--overwrite"];
+    let arguments = arguments.split_whitespace().map(|argument| match argument {
+        "FIRST" => captions[0].as_str(),
+        "SECOND" => captions[1].as_str(),
+        other => other,
+    });
+    finish(sandbox.command(command.into_iter().chain(arguments)))
+}
+
+#[test]
+fn a_motion_goes_on_from_its_history_as_the_texts_say() {
+    let sandbox = trained();
+    let captions = captions(&sandbox);
+    let [first, second] = [&captions[0], &captions[1]];
+    let draw = |arguments: &str| said(&sandbox, arguments, &captions).succeeded();
+    // From a clip of the dataset, for two seconds: 40 frames.
+    draw("--phrase walk_00003 --seconds 2 --out start");
+    let array = read_array(&sandbox.path("start.npy")).expect("an array");
+    assert_eq!(array.shape, [40, 22, 3]);
+    assert!(array.values.iter().all(|value| value.is_finite()));
+
+    let on = |settings: &str| {
+        draw(&format!(
+            "--history start.npy --frames 9 --out on {settings}"
+        ));
+        values(&sandbox, "on.npy")
+    };
+    let same = on("--text FIRST");
+    assert_eq!(same, on("--text FIRST"), "the same draw again");
+    let record = fs::read_to_string(sandbox.path("on.json")).expect("a record");
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["condition"]["history"], "start.npy");
+    assert_eq!(record["condition"]["text"], first.as_str());
+    // It begins where the history ends.
+    let last = &array.values[39 * 66..];
+    let apart = last.iter().zip(&same[..66]).map(|(a, b)| (a - b).abs());
+    assert!(apart.fold(0.0, f32::max) < 0.5, "a jump at the first frame");
+    for other in [
+        "--text SECOND",
+        "--text FIRST --seed 1",
+        "--text FIRST --steps 2",
+        "--text FIRST --set sampling.sampler.kind=midpoint",
+        "--text FIRST --guidance-scale 2",
+        "--text FIRST --set evaluation.constant_bones=false",
+        "",
+    ] {
+        assert_ne!(on(other), same, "{other} changes nothing");
+    }
+    // Another history: another motion, not only elsewhere.
+    draw("--phrase walk_00005 --seconds 2 --out start");
+    let other = on("--text FIRST");
+    let about_root = |values: &[f32]| -> Vec<f32> {
+        let frames = values.chunks_exact(66);
+        frames
+            .flat_map(|frame| {
+                frame
+                    .chunks_exact(3)
+                    .flat_map(|at| [at[0] - frame[0], at[1]])
+            })
+            .collect()
+    };
+    assert_ne!(about_root(&other), about_root(&same));
+
+    // A plan says one text after the other: up to the change all is as without.
+    let plan = format!(
+        "[[step]]\nseconds = 0.5\ntext = \"{first}\"\n[[step]]\nseconds = 0.5\ntext = \"{second}\"\n"
+    );
+    sandbox.write("plan.toml", &plan);
+    draw("--history start.npy --plan plan.toml --out planned");
+    draw(&format!(
+        "--history start.npy --frames 20 --text FIRST --out alone"
+    ));
+    let (planned, alone) = (
+        values(&sandbox, "planned.npy"),
+        values(&sandbox, "alone.npy"),
+    );
+    assert_eq!(planned.len(), 20 * 66);
+    assert_eq!(planned[..10 * 66], alone[..10 * 66]);
+    assert_ne!(planned[10 * 66..], alone[10 * 66..]);
+
+    // What cannot be used is refused by name, and nothing is written.
+    write_values(&sandbox.path("short.npy"), &[6, 22, 3], &[0.5; 6 * 66]).expect("written");
+    write_values(&sandbox.path("wide.npy"), &[9, 21, 3], &[0.5; 9 * 63]).expect("written");
+    let mut broken = vec![0.5; 9 * 66];
+    broken[70] = f32::NAN;
+    write_values(&sandbox.path("broken.npy"), &[9, 22, 3], &broken).expect("written");
+    sandbox.write("empty.toml", "step = []\n");
+    sandbox.write("odd.toml", "[[step]]\nseconds = -1.0\n");
+    sandbox.write(
+        "unknown.toml",
+        "[[step]]\nseconds = 1.0\ntext = \"nobody says this\"\n",
+    );
+    for (arguments, texts) in [
+        (
+            "--history short.npy",
+            ["short.npy: 6 frames", "7 frames or more"],
+        ),
+        ("--history wide.npy", ["wide.npy", "[T, 22, 3]"]),
+        ("--history broken.npy", ["frame 1", "not finite"]),
+        ("--history nowhere.npy", ["nowhere.npy", ""]),
+        (
+            "--history start.npy --phrase walk_00003",
+            ["`--history` with `--phrase`", ""],
+        ),
+        (
+            "--plan empty.toml",
+            ["empty.toml: it has no step", "[[step]]"],
+        ),
+        ("--plan odd.toml", ["step[0].seconds", "more than 0"]),
+        ("--plan unknown.toml", ["nobody says this", ""]),
+        (
+            "--plan plan.toml --frames 3",
+            ["`--plan` with a length", ""],
+        ),
+        ("--text nobody", ["`nobody` is no caption", ""]),
+        ("--goal plan.toml", ["`--goal` with", "--history"]),
+        (
+            "--set sampling.sampler.kind=ddim",
+            ["sampling.sampler.kind", "euler"],
+        ),
+        (
+            "--set sampling.sampler.tolerance=0.01",
+            ["sampling.sampler.tolerance", "dopri5"],
+        ),
+    ] {
+        let refused = format!("sample runs/flow --out no {arguments}");
+        sandbox.run(&refused).failed(2, &texts);
+        assert!(!sandbox.path("no.npy").exists(), "{arguments}");
+    }
+}
+
+#[test]
+fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
+    let sandbox = trained();
+    let report = |settings: &str| {
+        let said = sandbox.run(&format!("eval runs/flow --json {settings}"));
+        let report: Value = serde_json::from_str(&said.succeeded().stdout).expect("JSON");
+        report["evaluations"][0].clone()
+    };
+    let number = |report: &Value, side: &str, name: &str| {
+        let value = report[side][name].as_f64();
+        value.unwrap_or_else(|| panic!("{side}.{name}: {report}"))
+    };
+    let with = report("");
+    assert_eq!(with["evaluations_per_frame"], 4.0);
+    assert!(number(&with, "drawn", "bone_change") < 1e-3);
+    // 60 steps of training: nothing that keeps bones by itself.
+    let without = report("--set evaluation.constant_bones=false");
+    assert!(number(&without, "drawn", "bone_change") > 0.01);
+    for name in ["jerk", "speed", "turn_rate", "lowest_joint", "height_drift"] {
+        number(&with, "drawn", name);
+        number(&with, "real", name);
+    }
+    assert!(number(&with, "real", "bone_change") < 1e-3);
+    assert!(number(&with, "drawn", "frechet_distance") > 0.0);
+    let solver = report("--set sampling.sampler.kind=dopri5 --steps 2");
+    assert_eq!(solver["evaluations_per_frame"], 12.0);
+    sandbox
+        .run("eval runs/flow --trajectory-run runs/flow")
+        .failed(2, &["--trajectory-run"]);
+    // At the end of training too.
+    let train = "train c.toml --name at_end --set train.max_steps=2 --set sampling.count_at_end=2";
+    sandbox.run(train).succeeded();
+    let samples = fs::read_dir(sandbox.path("runs/at_end/samples")).expect("samples");
+    let names = samples.map(|entry| entry.expect("an entry").file_name());
+    let arrays = names.filter(|name| name.to_string_lossy().ends_with(".npy"));
+    assert_eq!(arrays.count(), 2);
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused_by_name() {
+    let sandbox = sandbox();
+    for (settings, texts) in [
+        (
+            "data.humanml3d.root=absolute",
+            ["data.humanml3d.root", "relative"],
+        ),
+        (
+            "pose.history_frames=39",
+            ["data.humanml3d.min_frames", "41"],
+        ),
+        ("pose.history_frames=0", ["pose.history_frames", "1"]),
+        ("pose.cond_drop_prob=2", ["pose.cond_drop_prob", "0 to 1"]),
+        ("pose.history_noise=-1", ["pose.history_noise", "0"]),
+        ("pose.target=nowhere", ["pose.target", "displacement"]),
+        (
+            "sampling.sampler.kind=ddim",
+            ["sampling.sampler.kind", "euler"],
+        ),
+        ("sampling.clip=six", ["sampling.clip", "none"]),
+        ("evaluation.frames=3", ["evaluation.frames", "4"]),
+        ("diffusion.loss_type=l1", ["diffusion", ""]),
+    ] {
+        let train = format!("train c.toml --set {settings}");
+        sandbox.run(&train).failed(2, &texts);
+    }
+    assert!(!sandbox.path("runs").exists());
+    // And a solver of flows is none of a diffusion process.
+    sandbox.write(
+        "d.toml",
+        "[train]\nrecipe = \"diffusion\"\n[sampling.sampler]\nkind = \"euler\"\n",
+    );
+    sandbox
+        .run("train d.toml")
+        .failed(2, &["sampling.sampler.kind", "ddim"]);
+}
