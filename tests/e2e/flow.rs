@@ -19,8 +19,6 @@ batch_size = 8
 num_workers = 0
 [data.humanml3d]
 text = "labels"
-[data.validation]
-fraction = 0.3
 [model]
 size = "tiny"
 joint_dim = 8
@@ -56,7 +54,7 @@ frames = 40
 pub fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox
-        .run("data synth --walks --phrases 12 --frames 48 --out walks")
+        .run("data synth --walks --phrases 40 --frames 48 --out walks")
         .succeeded();
     sandbox.write("c.toml", FLOW);
     sandbox
@@ -129,6 +127,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         "--text FIRST --set sampling.sampler.kind=midpoint",
         "--text FIRST --guidance-scale 2",
         "--text FIRST --set evaluation.constant_bones=false",
+        "--text FIRST --set evaluation.same_noise=true",
         "",
     ] {
         assert_ne!(on(other), same, "{other} changes nothing");
@@ -285,7 +284,7 @@ fn settings_that_cannot_work_are_refused_by_name() {
     // And a solver of flows is none of a diffusion process.
     sandbox.write(
         "d.toml",
-        "[train]\nrecipe = \"diffusion\"\n[sampling.sampler]\nkind = \"euler\"\n",
+        "[data]\nkind = \"synthetic\"\n[sampling.sampler]\nkind = \"euler\"\n",
     );
     sandbox
         .run("train d.toml")

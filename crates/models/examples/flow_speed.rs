@@ -80,6 +80,7 @@ fn rollout(kind: FlowSolver, num_inference_steps: usize, guidance_scale: f64) ->
         },
         frames: 2 * frames,
         constant_bones: true,
+        same_noise: false,
         contact_threshold: 0.002,
     };
     let key = Key::new(0, Purpose::Sampling);

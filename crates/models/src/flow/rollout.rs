@@ -45,6 +45,9 @@ pub struct RolloutSettings {
     pub frames: usize,
     /// Gives every frame the bones of the history's last ([`with_bones`]).
     pub constant_bones: bool,
+    /// Draws every pose from the same noise: what it decides is then decided alike in every frame,
+    /// and poses that follow each other differ by what they were told alone.
+    pub same_noise: bool,
     /// Of the contact flags, square metres
     /// ([`Extraction::contact_threshold`](kinegrad_motion::humanml::Extraction::contact_threshold)).
     pub contact_threshold: f64,
@@ -224,7 +227,11 @@ impl FlowRollout {
     fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
         let joints = self.space.skeleton.joints();
         let cond = self.condition();
-        let noise = self.key.at(self.drawn as u64).normals(3 * joints);
+        let number = match self.settings.same_noise {
+            true => 0,
+            false => self.drawn as u64,
+        };
+        let noise = self.key.at(number).normals(3 * joints);
         let noise = Tensor::from_data(TensorData::new(noise, [1, 3, joints]), &self.device);
         let flowed = sample_flow(
             &self.model.predictor,

@@ -47,6 +47,7 @@ fn settings(frames: usize) -> RolloutSettings {
         },
         frames,
         constant_bones: false,
+        same_noise: false,
         contact_threshold: 0.002,
     }
 }
@@ -166,6 +167,21 @@ fn bones_are_constant_where_they_are_asked_to_be() {
     };
     assert!(furthest(true) < 1e-9);
     assert!(furthest(false) > 1e-3);
+}
+
+#[test]
+fn the_same_noise_is_that_of_the_first_frame() {
+    let history = walked(6);
+    let draw = |same_noise| {
+        let settings = RolloutSettings {
+            same_noise,
+            ..settings(4)
+        };
+        all(begin(space(NextPose::Position), settings, &history, 1).expect("valid"))
+    };
+    let (own, same) = (draw(false), draw(true));
+    assert_eq!(own[0], same[0]);
+    assert!(apart(&own[1..2], &same[1..2]) > 1e-6);
 }
 
 #[test]

@@ -112,6 +112,9 @@ pub struct RolloutEvaluationConfig {
     /// Gives every frame the bones of the history's last one: its rotations by inverse kinematics,
     /// put into forward kinematics.
     pub constant_bones: bool,
+    /// Draws every pose of a motion from the same noise, not each from noise of its own: less
+    /// shaking.
+    pub same_noise: bool,
 }
 
 impl Default for RolloutEvaluationConfig {
@@ -120,6 +123,7 @@ impl Default for RolloutEvaluationConfig {
             rollouts: 16,
             frames: 200,
             constant_bones: true,
+            same_noise: false,
         }
     }
 }

@@ -124,7 +124,7 @@ fn evaluate(
         let history = part(&joints, 0, needed);
         let key = Key::new(item_seed(seed, &clip.id), Purpose::Sampling);
         let frames = settings.frames;
-        let rollout = generator.rollout(&history, frames, sampler, settings.constant_bones, key);
+        let rollout = generator.rollout(&history, frames, sampler, &settings, key);
         let mut rollout = rollout?;
         rollout.push_text(&generator.text(ClipText::of(clip).as_ref())?)?;
         let mut places = Vec::with_capacity(frames * skeleton.joints());

@@ -11,7 +11,7 @@ use kinegrad_motion::humanml::{Extraction, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
 
 use super::networks::model;
-use super::{FlowTables, statistics_in};
+use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
 use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
@@ -94,7 +94,8 @@ impl FlowGenerator {
     }
 
     /// A motion before its first frame, without a text: `frames` are to come after the `history`,
-    /// joints in metres above the floor at the skeleton's rate, drawn with the noise of `key`.
+    /// joints in metres above the floor at the skeleton's rate, drawn as `how` says with the noise of
+    /// `key`; its number of frames is not read.
     ///
     /// # Errors
     /// If the history is too short or of another skeleton, or a setting cannot work.
@@ -103,13 +104,14 @@ impl FlowGenerator {
         history: &Joints,
         frames: usize,
         sampler: &FlowSamplerConfig,
-        constant_bones: bool,
+        how: &RolloutEvaluationConfig,
         key: Key,
     ) -> Result<FlowRollout, RolloutError> {
         let settings = RolloutSettings {
             sampler: sampler.clone(),
             frames,
-            constant_bones,
+            constant_bones: how.constant_bones,
+            same_noise: how.same_noise,
             contact_threshold: Extraction::default().contact_threshold,
         };
         let (model, space) = (self.model.clone(), self.space.clone());

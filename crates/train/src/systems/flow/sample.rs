@@ -98,10 +98,8 @@ pub(super) fn sample(
     for start in &starts {
         for index in 0..request.count {
             let key = Key::new(start.seed, Purpose::Sampling).at(index as u64);
-            let constant_bones = own.evaluation.constant_bones;
-            let rollout =
-                generator.rollout(&start.history, script.frames, &sampler, constant_bones, key);
-            let mut rollout = rollout?;
+            let (history, how) = (&start.history, &own.evaluation);
+            let mut rollout = generator.rollout(history, script.frames, &sampler, how, key)?;
             let mut frames = Vec::with_capacity(script.frames * skeleton.joints());
             let mut steps = script.steps.iter().peekable();
             while rollout.remaining() > 0 {
