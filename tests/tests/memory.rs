@@ -102,6 +102,7 @@ fn memory_stays_flat_over_10_000_frames_of_a_rollout() {
         },
         frames: 11_000,
         constant_bones: true,
+        same_noise: false,
         contact_threshold: 0.002,
     };
     let key = Key::new(0, Purpose::Sampling);

@@ -62,6 +62,7 @@ fn golden_ddim_sampling(golden: Golden) {
             guidance_scale: parts[2].trim_start_matches("cfg").parse().expect("a scale"),
             style_guidance_scale: None,
             guidance_until: 0,
+            tolerance: None,
             timestep_spacing: TimestepSpacing::Document,
             final_alpha: FinalAlpha::First,
             recompute_epsilon: false,

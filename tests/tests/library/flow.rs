@@ -178,6 +178,7 @@ fn a_small_model_learns_to_go_on_walking() {
             sampler: FlowSamplerConfig::default(),
             frames: 40,
             constant_bones: true,
+            same_noise: false,
             contact_threshold: 0.002,
         };
         let (key, device) = (Key::new(5, Purpose::Sampling), Device::flex());

@@ -168,6 +168,8 @@ class Run:
         text: str | None = None,
         clip: PathArgument | None = None,
         text_embedding: str | None = None,
+        history: PathArgument | None = None,
+        plan: PathArgument | None = None,
         trajectory_run: PathArgument | Run | None = None,
         held_out: int | None = None,
         source: str | None = None,
@@ -178,6 +180,7 @@ class Run:
         style: str | Sequence[float] | None = None,
         count: int = 1,
         frames: int | None = None,
+        seconds: float | None = None,
         seed: int = 0,
         steps: int | None = None,
         guidance_scale: float | None = None,
@@ -200,6 +203,9 @@ class Run:
                 the captions that they were trained on.
             clip: Folder with CLIP ViT-B/32, which embeds the text.
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
+            history: Joints that the motion goes on from, `[T, J, 3]` in metres, for runs of recipe
+                `flow`.
+            plan: File of texts one after another, each with its length, for runs of recipe `flow`.
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
             held_out: One sample for each of the first so many held-out items.
             source: Dataset that contains the phrase, instead of the run's own.
@@ -214,6 +220,7 @@ class Run:
                 eight numbers in the units of the motion's style channels.
             count: Samples per condition.
             frames: Frames to generate, by default as many as the condition has.
+            seconds: Seconds to generate, in the place of `frames`.
             seed: Random seed of the noise.
             steps: Number of denoising steps.
             guidance_scale: Classifier-free guidance scale; 1 disables guidance.
@@ -251,9 +258,12 @@ class Run:
             "text": text,
             "clip": clip,
             "text_embedding": text_embedding,
+            "history": history,
+            "plan": plan,
             "held_out": held_out,
             "count": count,
             "frames": frames,
+            "seconds": None if seconds is None else float(seconds),
             "seed": seed,
             "continue_from": continue_from,
             "keep": kept,

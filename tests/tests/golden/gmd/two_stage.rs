@@ -264,6 +264,8 @@ fn compare(golden: &Golden, variant: &Variant) {
         },
         imputation: true,
         second_stage_guidance: variant.guided[1],
+        first_stage_steps: None,
+        first_stage_guidance_scale: None,
         guidance: GuidanceConfig {
             norm: variant.norm,
             frame_limit: None,
