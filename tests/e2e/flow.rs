@@ -153,9 +153,7 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     );
     sandbox.write("plan.toml", &plan);
     draw("--history start.npy --plan plan.toml --out planned");
-    draw(&format!(
-        "--history start.npy --frames 20 --text FIRST --out alone"
-    ));
+    draw("--history start.npy --frames 20 --text FIRST --out alone");
     let (planned, alone) = (
         values(&sandbox, "planned.npy"),
         values(&sandbox, "alone.npy"),
