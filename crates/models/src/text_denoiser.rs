@@ -8,7 +8,7 @@ use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, Projection};
+use crate::gmd::{Conditioner, GmdUnet, GmdUnetConfig, InputSkip, Projection};
 use crate::layers::Embedding;
 use crate::transformer::{Encoder, EncoderConfig};
 use crate::{DropoutKey, Initializer, Stages};
@@ -59,6 +59,7 @@ impl Backbone {
 #[derive(Module, Debug)]
 struct UnetDenoiser {
     unet: GmdUnet,
+    input_skip: Option<InputSkip>,
     padded_frames: usize,
 }
 
@@ -102,6 +103,9 @@ impl TextDenoiser {
                 let width = config.latent_dim;
                 let unet = UnetDenoiser {
                     unet: config.init(in_channels, width, &init.at("unet"))?,
+                    input_skip: config
+                        .input_skip
+                        .then(|| InputSkip::new(in_channels, width, &init.at("input_skip"))),
                     padded_frames: config.padded_frames,
                 };
                 (Network::Unet(unet), width)
@@ -204,7 +208,13 @@ impl TextDenoiser {
         };
         let cond = self.flat_conditioner.forward(time, text);
         match &self.flat_network {
-            Network::Unet(network) => network.forward(x_t, cond, stages),
+            Network::Unet(network) => {
+                let output = network.forward(x_t.clone(), cond, stages);
+                match &network.input_skip {
+                    Some(skip) => output + skip.forward(x_t, time),
+                    None => output,
+                }
+            }
             Network::Transformer(encoder) => encoder.forward(x_t, cond, dropout),
         }
     }

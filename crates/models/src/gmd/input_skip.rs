@@ -2,42 +2,49 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
+use kinegrad_diffusion::Time;
 
+use super::conditioner::interleaved_sinusoidal;
 use crate::Initializer;
 use crate::layers::{Conv1d, Linear};
 
 /// What a network adds of its input to its output:
 ///
 /// ```text
-/// g = Linear(mish(c))            one gain a channel, zero in a new network
+/// g = Linear(sinusoid(t))        one gain a channel, zero in a new network
 /// y = g (x + W x)                W of one frame, zero in a new network
 /// ```
 ///
 /// The published UNet halves its input's length before the first skip that it uses, and group
 /// normalisation takes the level and the scale of a clip away: where little noise is left, a small
 /// network of that shape returns neither the finest detail of its input nor where the root stands
-/// (docs/gmd.md).
+/// (docs/gmd.md). How much of a noisy input is worth returning depends on its noise and not on the
+/// text: a gain that the text sets too is arbitrary for captions of few clips, and guidance
+/// multiplies what is arbitrary, step after step.
 #[derive(Module, Debug)]
-pub(super) struct InputSkip {
+pub struct InputSkip {
     gain: Linear,
     mix: Conv1d,
+    width: usize,
 }
 
 impl InputSkip {
-    /// A path of `channels` under an activated condition of `width` numbers.
+    /// A path of `channels`, with sinusoids of `width` (even).
     pub fn new(channels: usize, width: usize, init: &Initializer) -> Self {
         let (gain, mix) = (init.at("gain"), init.at("mix"));
         Self {
             gain: Linear::new(width, channels, &gain).zeroed(&gain),
             mix: Conv1d::new(channels, channels, 1, &mix).zeroed(&mix),
+            width,
         }
     }
 
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
-    /// - activated: `mish(c)`, `[batch, width]`
-    pub fn forward(&self, x: Tensor<3>, activated: Tensor<2>) -> Tensor<3> {
-        let gain = self.gain.forward(activated).unsqueeze_dim::<3>(2);
+    pub fn forward(&self, x: Tensor<3>, time: &[Time]) -> Tensor<3> {
+        let positions: Vec<f64> = time.iter().map(|time| time.0).collect();
+        let rows = interleaved_sinusoidal(&positions, self.width, &x.device());
+        let gain = self.gain.forward(rows).unsqueeze_dim::<3>(2);
         self.mix.operation().residual(x.clone()).forward(x) * gain
     }
 }
@@ -45,10 +52,12 @@ impl InputSkip {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
+    use kinegrad_diffusion::guided;
+    use kinegrad_motion::humanml::TEXT_CHANNELS;
     use kinegrad_random::{Key, Purpose};
 
     use crate::gmd::GmdUnetConfig;
-    use crate::{Initializer, gradients, parameters};
+    use crate::{Backbone, Initializer, TextDenoiser, gradients, parameters};
 
     use super::*;
 
@@ -78,10 +87,8 @@ mod tests {
             seed += 1;
             values.copy_from_slice(&normals(seed, values.len()));
         });
-        let (x, c) = (
-            normals(10, BATCH * CHANNELS * TIME),
-            normals(11, BATCH * WIDTH),
-        );
+        let x = normals(10, BATCH * CHANNELS * TIME);
+        let times = [Time(3.0), Time(0.5)];
         let of = |name: &str| {
             let found = parameters::export(&skip).into_iter();
             let mut found = found.filter(|parameter| parameter.info.name == name);
@@ -89,13 +96,14 @@ mod tests {
         };
         let [gain, gain_bias] = ["gain.weight", "gain.bias"].map(of);
         let [mix, mix_bias] = ["mix.weight", "mix.bias"].map(of);
-        let output = values(skip.forward(
-            tensor(x.clone(), [BATCH, CHANNELS, TIME], &device),
-            tensor(c.clone(), [BATCH, WIDTH], &device),
-        ));
+        let input = tensor(x.clone(), [BATCH, CHANNELS, TIME], &device);
+        let output = values(skip.forward(input, &times));
         for b in 0..BATCH {
             for k in 0..CHANNELS {
-                let row = (0..WIDTH).map(|i| gain[k * WIDTH + i] * c[b * WIDTH + i]);
+                // Two frequencies, 1 and 1/100, a sine and a cosine of each.
+                let (t, slow) = (times[b].0 as f32, times[b].0 as f32 / 100.0);
+                let sinusoid = [t.sin(), t.cos(), slow.sin(), slow.cos()];
+                let row = (0..WIDTH).map(|i| gain[k * WIDTH + i] * sinusoid[i]);
                 let g = row.sum::<f32>() + gain_bias[k];
                 for t in 0..TIME {
                     let at = |channel: usize| (b * CHANNELS + channel) * TIME + t;
@@ -108,40 +116,64 @@ mod tests {
         }
     }
 
+    fn network(input_skip: bool, zero_init: bool, device: &Device) -> TextDenoiser {
+        let backbone = Backbone::GmdUnet(GmdUnetConfig {
+            input_skip,
+            dim_mults: vec![1.0; 2],
+            latent_dim: 8,
+            padded_frames: 8,
+            zero_init,
+            ..GmdUnetConfig::motion_tiny()
+        });
+        let init = Initializer::new(3, device);
+        TextDenoiser::new(&backbone, CHANNELS, &init).expect("a network")
+    }
+
     #[test]
     fn a_new_network_is_as_without_it_and_learns_from_it_at_once() {
         let device = Device::flex().autodiff();
-        let network = |input_skip| {
-            let config = GmdUnetConfig {
-                input_skip,
-                dim_mults: vec![1.0; 2],
-                latent_dim: 8,
-                padded_frames: 8,
-                zero_init: false,
-                ..GmdUnetConfig::motion_tiny()
-            };
-            let init = Initializer::new(3, &device);
-            config.init(CHANNELS, WIDTH, &init).expect("a network")
-        };
-        let [with, without] = [true, false].map(network);
-        let x = tensor(
-            normals(1, BATCH * CHANNELS * 8),
-            [BATCH, CHANNELS, 8],
-            &device,
+        let [with, without] = [true, false].map(|input_skip| network(input_skip, false, &device));
+        let x = normals(1, BATCH * CHANNELS * TIME);
+        let x = tensor(x, [BATCH, CHANNELS, TIME], &device);
+        let text = Tensor::ones([BATCH, TEXT_CHANNELS, 1], &device);
+        let times = [Time(700.0), Time(2.0)];
+        let output = with.forward(x.clone(), &times, text.clone());
+        assert_eq!(
+            values(output.clone()),
+            values(without.forward(x, &times, text))
         );
-        let c = tensor(normals(2, BATCH * WIDTH), [BATCH, WIDTH], &device);
-        let output = with.forward(x.clone(), c.clone());
-        assert_eq!(values(output.clone()), values(without.forward(x, c)));
         let mut found = output.powi_scalar(2).sum().backward();
         let found = gradients(&with, &mut found);
         let infos = parameters::infos(&with);
         let of_gain = infos
             .iter()
-            .position(|info| info.name == "input_skip.gain.weight");
+            .position(|info| info.name.ends_with("input_skip.gain.weight"));
         let slopes = &found[of_gain.expect("a gain")];
         assert!(slopes.iter().all(|slope| slope.abs() > 0.0), "{slopes:?}");
         let extra = [CHANNELS * (8 + 1), CHANNELS * (CHANNELS + 1)];
-        let more = parameters::count(&network(true)) - parameters::count(&network(false));
+        let more = parameters::count(&with) - parameters::count(&without);
         assert_eq!(more, extra.iter().sum::<usize>());
+    }
+
+    #[test]
+    fn it_returns_the_same_whatever_the_text() {
+        let device = Device::flex();
+        // The UNet gives 0 at first.
+        let fresh = network(true, true, &device);
+        let infos = parameters::infos(&fresh);
+        let network = parameters::update(fresh, |index, values| {
+            if infos[index].name.ends_with("input_skip.gain.bias") {
+                values.fill(0.5);
+            }
+        });
+        let x = normals(4, BATCH * CHANNELS * TIME);
+        let input = tensor(x.clone(), [BATCH, CHANNELS, TIME], &device);
+        let text = normals(5, BATCH * TEXT_CHANNELS);
+        let text = tensor(text, [BATCH, TEXT_CHANNELS, 1], &device);
+        let time = [Time(40.0), Time(800.0)];
+        let output = values(guided(&network, input, &time, &text, 7.5));
+        for (output, x) in output.iter().zip(&x) {
+            assert!((output - 0.5 * x).abs() < 1e-6, "guidance multiplies it");
+        }
     }
 }

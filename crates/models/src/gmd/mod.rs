@@ -12,6 +12,7 @@ mod res_block;
 mod unet;
 
 pub use conditioner::{Conditioner, interleaved_sinusoidal};
+pub use input_skip::InputSkip;
 pub use projection::Projection;
 pub use res_block::GmdResBlock;
 pub use unet::{GmdUnet, GmdUnetConfig};

@@ -8,7 +8,6 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::input_skip::InputSkip;
 use super::res_block::{ConvNorm, GROUPS, GmdResBlock};
 use crate::config::MAX_WIDTH;
 use crate::layers::{Conv1d, ConvTranspose1d, Linear};
@@ -31,7 +30,7 @@ pub struct GmdUnetConfig {
     /// 0.
     pub zero_init: bool,
     /// The input is added to the output, mixed between channels and with a gain for each that the
-    /// condition sets: a small network returns what it knows already. Not in the published models.
+    /// timestep sets: a small network returns what it knows already. Not in the published models.
     pub input_skip: bool,
     /// Frames that every clip is padded to.
     pub padded_frames: usize,
@@ -219,9 +218,6 @@ impl GmdUnetConfig {
                 true => output.zeroed(&last.at("1")),
                 false => output,
             },
-            input_skip: self
-                .input_skip
-                .then(|| InputSkip::new(in_channels, width, &init.at("input_skip"))),
         })
     }
 }
@@ -258,7 +254,6 @@ pub struct GmdUnet {
     ups: Vec<UpLevel>,
     final_conv_at_0_at_block: ConvNorm,
     final_conv_at_1: Conv1d,
-    input_skip: Option<InputSkip>,
 }
 
 impl GmdUnet {
@@ -283,7 +278,6 @@ impl GmdUnet {
         let c = self.time_mlp_at_2.forward(mish(c));
         stages.stage(format_args!("c"), || c.clone());
         let c = mish(c);
-        let input = x.clone();
         let mut x = x;
         let mut skips = Vec::with_capacity(self.downs.len());
         for (index, level) in self.downs.iter().enumerate() {
@@ -315,10 +309,6 @@ impl GmdUnet {
         // The last convolution normalises its input itself: nothing holds this otherwise.
         stages.stage(format_args!("final0"), || last.norm().forward(h.clone()));
         let output = self.final_conv_at_1.operation();
-        let output = output.norm(last.norm()).forward(h);
-        match &self.input_skip {
-            Some(skip) => output + skip.forward(input, c),
-            None => output,
-        }
+        output.norm(last.norm()).forward(h)
     }
 }
