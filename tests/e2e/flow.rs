@@ -116,6 +116,8 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let record: Value = serde_json::from_str(&record).expect("JSON");
     assert_eq!(record["condition"]["history"], "start.npy");
     assert_eq!(record["condition"]["text"], first.as_str());
+    assert_eq!(record["rollout"]["same_noise"], false);
+    assert_eq!(record["rollout"]["said"][0]["text"], first.as_str());
     // It begins where the history ends.
     let last = &array.values[39 * 66..];
     let apart = last.iter().zip(&same[..66]).map(|(a, b)| (a - b).abs());
@@ -162,6 +164,13 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     assert_eq!(planned[..10 * 66], alone[..10 * 66]);
     assert_ne!(planned[10 * 66..], alone[10 * 66..]);
 
+    // A step may say nothing.
+    let silent = format!("{plan}[[step]]\nseconds = 0.2\n");
+    sandbox.write("silent.toml", &silent);
+    draw("--history start.npy --plan silent.toml --out quiet");
+    let quiet = values(&sandbox, "quiet.npy");
+    assert_eq!(quiet.len(), 24 * 66);
+
     // What cannot be used is refused by name, and nothing is written.
     write_values(&sandbox.path("short.npy"), &[6, 22, 3], &[0.5; 6 * 66]).expect("written");
     write_values(&sandbox.path("wide.npy"), &[9, 21, 3], &[0.5; 9 * 63]).expect("written");
@@ -191,7 +200,10 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
             ["empty.toml: it has no step", "[[step]]"],
         ),
         ("--plan odd.toml", ["step[0].seconds", "more than 0"]),
-        ("--plan unknown.toml", ["nobody says this", ""]),
+        (
+            "--plan unknown.toml",
+            ["unknown.toml: step[0]", "nobody says this"],
+        ),
         (
             "--plan plan.toml --frames 3",
             ["`--plan` with a length", ""],
@@ -272,7 +284,7 @@ fn settings_that_cannot_work_are_refused_by_name() {
             ["sampling.sampler.kind", "euler"],
         ),
         ("sampling.clip=six", ["sampling.clip", "none"]),
-        ("evaluation.frames=3", ["evaluation.frames", "4"]),
+        ("evaluation.frames=3", ["evaluation.frames", "16"]),
         ("diffusion.loss_type=l1", ["diffusion", ""]),
     ] {
         let train = format!("train c.toml --set {settings}");

@@ -68,6 +68,15 @@ impl FlowSamplerConfig {
             "\"euler\", \"midpoint\", \"heun\" or \"dopri5\" for recipe `flow`",
         )
         .hint("the others are of diffusion processes")?;
+        let usual = SamplerConfig::default();
+        let nothing = "left out for recipe `flow`: it is of diffusion processes";
+        let (eta, until) = (sampler.eta, sampler.guidance_until);
+        require(eta == usual.eta, "sampling.sampler.eta", eta, nothing)?;
+        let key = "sampling.sampler.guidance_until";
+        require(until == usual.guidance_until, key, until, nothing)?;
+        let style = sampler.style_guidance_scale;
+        let key = "sampling.sampler.style_guidance_scale";
+        require(style.is_none(), key, style.unwrap_or_default(), nothing)?;
         let config = Self {
             kind: kind.unwrap_or_default(),
             num_inference_steps: sampler.num_inference_steps,

@@ -13,7 +13,10 @@ use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
 pub use given::{Given, GivenFrames, GivenMotion};
-pub use record::{BatchRecord, Condition, GoalRecord, Kept, Record, SamplerRecord, WindowsRecord};
+pub use record::{
+    BatchRecord, Condition, GoalRecord, Kept, Record, RolloutRecord, SaidRecord, SamplerRecord,
+    WindowsRecord,
+};
 pub use request::{Conditions, Request};
 pub use seed::item_seed;
 pub use style::Style;

@@ -46,11 +46,35 @@ pub struct Record {
     /// The windows it was drawn in; none if it was drawn as one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub windows: Option<WindowsRecord>,
+    /// How a motion went on, for models of recipe `flow`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout: Option<RolloutRecord>,
     /// What the sample is conditioned on.
     pub condition: Condition,
     /// What it was drawn together with; left out where that does not matter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub batch: Option<BatchRecord>,
+}
+
+/// How a motion went on frame by frame.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RolloutRecord {
+    /// Whether every frame has the bones of the history's last one.
+    pub constant_bones: bool,
+    /// Whether all poses were drawn from one noise.
+    pub same_noise: bool,
+    /// The texts, in order.
+    pub said: Vec<SaidRecord>,
+}
+
+/// A text and the frame from which on it is said.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SaidRecord {
+    /// The frame, from 0.
+    pub from: usize,
+    /// The caption; none for none, or where an embedding was given alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text: Option<String>,
 }
 
 /// A batch of clips that are guided to goals: the guidance of each depends on the keyframes of all,
@@ -189,6 +213,7 @@ impl Record {
             },
             post_processing: None,
             windows: None,
+            rollout: None,
             condition: Condition::default(),
             batch: None,
         }

@@ -3,12 +3,13 @@
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
 use kinegrad_models::flow::FlowConfig;
+use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::humanml::{NextPose, Root};
 use kinegrad_settings::{in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::RECIPE;
+use super::{RECIPE, RolloutReport};
 use crate::captions::CaptionsConfig;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
@@ -179,6 +180,10 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     )?;
     let evaluation = &own.evaluation;
     in_range("evaluation.rollouts", evaluation.rollouts, 1..=100_000)?;
-    in_range("evaluation.frames", evaluation.frames, 4..=1_000_000)?;
+    in_range(
+        "evaluation.frames",
+        evaluation.frames,
+        RolloutReport::SHORTEST..=MAX_FRAMES,
+    )?;
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! How motion that goes on holds together.
 
-use kinegrad_motion::humanml::{Extraction, FeatureLayout, Heading, Joints, Skeleton};
+use kinegrad_motion::humanml::{Extraction, FeatureLayout, FeatureStream, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
 use kinegrad_motion::rotation::length;
 use serde::Serialize;
@@ -135,16 +135,17 @@ fn quarter(joints: &Joints, number: usize) -> Joints {
     Joints::new(places.copied().collect(), joints.joints()).expect("whole frames")
 }
 
-/// Features with the heading of each frame by itself, where the motion has any.
+/// Features with the heading of each frame by itself, wherever the first one faces; none of a motion
+/// that has no such.
 fn features(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<Vec<f32>>> {
-    let extraction = Extraction {
-        rescale: false,
-        heading: Heading::Raw,
-        ..Extraction::default()
-    };
-    let features = extraction.features_in_place(skeleton, joints).ok()?;
-    let rows = (0..features.frames()).map(|t| features.frame(t).to_vec());
-    Some(rows.collect())
+    let threshold = Extraction::default().contact_threshold;
+    let stream = FeatureStream::new(skeleton.clone(), threshold).ok()?;
+    let mut stream = stream.facing_anywhere();
+    let mut rows = Vec::with_capacity(joints.frames());
+    for t in 0..joints.frames() {
+        rows.extend(stream.push(joints.frame(t)).ok()?);
+    }
+    Some(rows)
 }
 
 /// Mean over time of each joint's place about the root.
@@ -168,4 +169,64 @@ fn turn_rate(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
         .iter()
         .map(|row| (2.0 * f64::from(row[turn])).abs().to_degrees() * fps);
     mean(turns.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_data::humanml::walk;
+    use kinegrad_motion::Quaternion;
+
+    use super::*;
+
+    fn walked() -> Joints {
+        walk(5, 60, 1).features.joints()
+    }
+
+    fn changed(joints: &Joints, change: impl Fn([f64; 3]) -> [f64; 3]) -> Joints {
+        let places = joints.as_slice().iter().map(|&place| change(place));
+        Joints::new(places.collect(), joints.joints()).expect("whole frames")
+    }
+
+    #[test]
+    fn where_a_motion_stands_and_faces_changes_nothing() {
+        let skeleton = Skeleton::humanml3d();
+        let joints = walked();
+        let turn = Quaternion::from_yaw(2.0);
+        let moved = changed(&joints, |place| {
+            let [x, y, z] = turn.rotate(place);
+            [x + 3.0, y, z - 1.0]
+        });
+        let report = |joints: &Joints| {
+            let bones = bone_lengths(&skeleton, joints.frame(0));
+            RolloutReport::compute(&skeleton, &[(bones, joints.clone())], &[])
+        };
+        let (here, there) = (report(&joints), report(&moved));
+        for ((name, a, _), (_, b, _)) in here.rows().into_iter().zip(there.rows()) {
+            let apart = a.zip(b).map_or(0.0, |(a, b)| (a - b).abs());
+            assert!(
+                apart < 1e-3 * a.unwrap_or(0.0).abs() + 1e-6,
+                "{name}: {a:?} {b:?}"
+            );
+        }
+        assert!(here.speed > Some(0.3) && here.turn_rate > Some(0.0));
+    }
+
+    #[test]
+    fn what_falls_apart_is_seen() {
+        let skeleton = Skeleton::humanml3d();
+        let joints = walked();
+        let bones = bone_lengths(&skeleton, joints.frame(0));
+        let report = |joints: Joints| {
+            let bones = bones.clone();
+            RolloutReport::compute(&skeleton, &[(bones, joints)], &[])
+        };
+        let good = report(joints.clone());
+        assert!(good.bone_change < Some(1e-3), "{:?}", good.bone_change);
+        let grown = report(changed(&joints, |place| place.map(|value| 1.1 * value)));
+        assert!((grown.bone_change.expect("bones") - 0.1).abs() < 1e-3);
+        let sunk = report(changed(&joints, |[x, y, z]| [x, y - 0.2, z]));
+        let lower = good.lowest_joint.zip(sunk.lowest_joint).map(|(a, b)| a - b);
+        assert!((lower.expect("heights") - 0.2).abs() < 1e-9);
+        assert!(grown.jerk > good.jerk && grown.speed > good.speed);
+    }
 }

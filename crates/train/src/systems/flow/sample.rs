@@ -4,18 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataKind, Dataset, read_array};
+use kinegrad_data::{DataKind, Dataset, ValidationSplit, read_array};
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 
-use super::{Flow, FlowGenerator, FlowTables, RolloutPlan};
+use super::{Flow, FlowGenerator, FlowTables, PoseSpace, RolloutPlan};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request, Subject,
-    item_seed,
+    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request,
+    RolloutRecord, SaidRecord, Subject, item_seed,
 };
 use crate::system::System as _;
 
@@ -84,7 +84,16 @@ pub(super) fn sample(
         &input,
         own.evaluation.frames,
     )?;
-    let starts = starts(subject, request, receiver, own.pose.history_frames + 1)?;
+    let longest = subject.config.data.target_frames;
+    let space = PoseSpace::new(skeleton.clone(), &own.pose, longest);
+    let starts = starts(subject, request, receiver, &space)?;
+    if script.frames > longest {
+        receiver.note(&format!(
+            "{} frames are more than the longest motion of training, {longest}: the model is told \
+             that length, and goes on",
+            script.frames
+        ));
+    }
     let names = Names {
         stems: starts.iter().map(|start| start.stem.clone()).collect(),
         count: request.count,
@@ -116,7 +125,14 @@ pub(super) fn sample(
             }
             evaluations += rollout.evaluations();
             let joints = Joints::new(frames, skeleton.joints()).expect("whole frames");
-            let record = record(subject, request, start, index, &joints, &skeleton);
+            let record = Record {
+                rollout: Some(RolloutRecord {
+                    constant_bones: how.constant_bones,
+                    same_noise: how.same_noise,
+                    said: script.said(start),
+                }),
+                ..record(subject, request, start, index, &joints, &skeleton)
+            };
             receiver.drawn(drawn(
                 names.of(&start.stem, index),
                 joints,
@@ -139,6 +155,18 @@ struct Script {
 }
 
 impl Script {
+    /// What was said when, to a motion from `start`.
+    fn said(&self, start: &Start) -> Vec<SaidRecord> {
+        let said = |(from, text): &(usize, Option<ClipText>)| {
+            let text = text.as_ref().or(start.caption.as_ref());
+            SaidRecord {
+                from: *from,
+                text: text.and_then(|text| text.caption.clone()),
+            }
+        };
+        self.steps.iter().map(said).collect()
+    }
+
     fn of(
         subject: &Subject,
         request: &Request,
@@ -157,14 +185,33 @@ impl Script {
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
             return Err(Error::usage("`--plan` with a length", hint));
         }
+        let path = request
+            .conditions
+            .plan
+            .as_deref()
+            .unwrap_or(Path::new("the plan"));
         let ends = plan.ends(Flow.fps(&subject.config))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         let mut steps = Vec::with_capacity(ends.len());
-        for (step, begin) in plan.step.iter().zip(begins) {
+        for (number, (step, begin)) in plan.step.iter().zip(begins).enumerate() {
+            let refused = |message: &str, hint: &str| {
+                let place = format!("{}: step[{number}]", path.display());
+                Error::usage(format!("{place}: {message}"), hint)
+            };
+            if step.text.is_some() && input.labels().is_none() {
+                let hint = "`text_embedding = \"FILE#KEY\"`: `kinegrad text embed` makes the file";
+                return Err(refused(
+                    "`text`, and the run is told embeddings of texts",
+                    hint,
+                ));
+            }
             // A step that says nothing is no caption of a clip either.
             let said = step.said()?.unwrap_or_default();
             if said != ClipText::default() {
-                input.values(&said)?;
+                input.values(&said).map_err(|error| match error {
+                    Error::Usage { message, hint } => refused(&message, &hint),
+                    other => other,
+                })?;
             }
             steps.push((begin, Some(said)));
         }
@@ -180,8 +227,9 @@ fn starts(
     subject: &Subject,
     request: &Request,
     receiver: &mut dyn Receiver,
-    needed: usize,
+    space: &PoseSpace,
 ) -> Result<Vec<Start>, Error> {
+    let needed = space.history + 1;
     let Conditions {
         history,
         source,
@@ -198,9 +246,8 @@ fn starts(
             let hint = "both say what the motion goes on from: leave out one of the two";
             return Err(Error::usage(format!("`--history` with `{other}`"), hint));
         }
-        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
         return Ok(vec![Start {
-            history: read_history(path, &skeleton, needed)?,
+            history: read_history(path, space)?,
             stem: String::new(),
             item: None,
             caption: None,
@@ -211,6 +258,8 @@ fn starts(
     if let Some(source) = source {
         data.kind = DataKind::Humanml3d;
         data.source = Some(source.clone());
+        // The dataset's own lists say what is held out.
+        data.validation = ValidationSplit::default();
     }
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen: Vec<Arc<Clip>> = match (item, held_out) {
@@ -267,9 +316,9 @@ fn starts(
 }
 
 /// Joints `[T, J, 3]`.
-fn read_history(path: &Path, skeleton: &Skeleton, needed: usize) -> Result<Joints, Error> {
+fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     let array = read_array(path)?;
-    let joints = skeleton.joints();
+    let (joints, needed) = (space.skeleton.joints(), space.history + 1);
     let refused = |found: String| {
         let message = format!("{}: {found}", path.display());
         let hint = format!(
@@ -291,7 +340,11 @@ fn read_history(path: &Path, skeleton: &Skeleton, needed: usize) -> Result<Joint
     if array.shape[0] < needed {
         return Err(refused(format!("{} frames", array.shape[0])));
     }
-    Ok(Joints::from_f32(&array.values, joints)?)
+    let found = Joints::from_f32(&array.values, joints)?;
+    // What no features can be made of is refused with the file's name.
+    let rows = space.rows(&found);
+    rows.map_err(|error| refused(error.to_string()))?;
+    Ok(found)
 }
 
 fn record(

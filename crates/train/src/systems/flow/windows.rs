@@ -66,13 +66,19 @@ impl PoseSpace {
         Ok(rows)
     }
 
-    /// Moments of the features and of the target of a clip.
+    /// Moments of the features and of the target of a clip, which faces four ways: training turns
+    /// windows by any angle, and rotations depend on it.
     ///
     /// # Panics
     /// Panics for a clip of another skeleton.
     pub fn moments(&self, clip: &Clip) -> [ChannelMoments; 2] {
-        let rows = self.rows(&clip.features.joints());
-        let rows = rows.expect("the reader takes clips of this skeleton alone");
+        let joints = clip.features.joints();
+        let ways = (0..4).map(|quarter| {
+            let way = turned(&joints, 0..joints.frames(), 0.25 * TAU * f64::from(quarter));
+            let rows = self.rows(&way);
+            rows.expect("the reader takes clips of this skeleton alone")
+        });
+        let rows: Vec<Vec<f32>> = ways.flatten().collect();
         let targets: Vec<f32> = rows.iter().flat_map(|row| self.target_of(row)).collect();
         let (channels, joints) = (self.skeleton.layout().channels(), self.skeleton.joints());
         [

@@ -92,7 +92,10 @@ pub(super) fn sample(
             "the goal says how long the clip is: `frames = {}`",
             goal.frames
         );
-        return Err(Error::usage("`--frames` with `--goal`", hint));
+        return Err(Error::usage(
+            "`--frames` or `--seconds` with `--goal`",
+            hint,
+        ));
     }
     if conditions.is_empty() {
         receiver.note("no condition given: drawing without a text and without a goal");

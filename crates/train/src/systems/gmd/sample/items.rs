@@ -4,7 +4,7 @@ use std::iter::repeat_n;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataConfig, DataKind, Dataset};
+use kinegrad_data::{DataConfig, DataKind, Dataset, ValidationSplit};
 
 use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
 use crate::captions::{ClipText, must_know_texts};
@@ -58,6 +58,8 @@ pub(super) fn for_items(
     if let Some(source) = &conditions.source {
         data.kind = DataKind::Humanml3d;
         data.source = Some(source.clone());
+        // The dataset's own lists say what is held out.
+        data.validation = ValidationSplit::default();
     }
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let mut chosen = Vec::new();
