@@ -487,8 +487,8 @@ fn goals_that_cannot_be_followed_are_refused_by_name() {
             "--set model.size=mdm",
             ["only keys of `sampling`", "model.size"],
         ),
-        ("--frames 8", ["a length with `--goal`", "frames = 16"]),
-        ("--seconds 1", ["a length with `--goal`", "frames = 16"]),
+        ("--frames 8", ["`--seconds` with `--goal`", "frames = 16"]),
+        ("--seconds 1", ["`--seconds` with `--goal`", "frames = 16"]),
         (
             "--set sampling.steering.scale=-1",
             ["sampling.steering.scale", "0 or more"],

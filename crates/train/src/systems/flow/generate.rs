@@ -80,6 +80,8 @@ impl FlowGenerator {
     /// [`Error::Usage`] for a text that the model does not know.
     pub fn text(&self, text: Option<&ClipText>) -> Result<Vec<f32>, Error> {
         let none = || vec![0.0; TEXT_CHANNELS];
+        // A step of a plan may say nothing.
+        let text = text.filter(|text| **text != ClipText::default());
         let told = text
             .map(|text| self.text.values(text))
             .transpose()?
