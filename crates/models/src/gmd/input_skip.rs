@@ -98,11 +98,11 @@ mod tests {
         let [mix, mix_bias] = ["mix.weight", "mix.bias"].map(of);
         let input = tensor(x.clone(), [BATCH, CHANNELS, TIME], &device);
         let output = values(skip.forward(input, &times));
-        for b in 0..BATCH {
+        for (b, time) in times.iter().enumerate() {
+            let (t, slow) = (time.0 as f32, time.0 as f32 / 100.0);
+            // Two frequencies, 1 and 1/100, a sine and a cosine of each.
+            let sinusoid = [t.sin(), t.cos(), slow.sin(), slow.cos()];
             for k in 0..CHANNELS {
-                // Two frequencies, 1 and 1/100, a sine and a cosine of each.
-                let (t, slow) = (times[b].0 as f32, times[b].0 as f32 / 100.0);
-                let sinusoid = [t.sin(), t.cos(), slow.sin(), slow.cos()];
                 let row = (0..WIDTH).map(|i| gain[k * WIDTH + i] * sinusoid[i]);
                 let g = row.sum::<f32>() + gain_bias[k];
                 for t in 0..TIME {
