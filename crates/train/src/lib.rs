@@ -31,6 +31,7 @@
 
 pub mod captions;
 pub mod checkpoint;
+mod clips;
 pub mod config;
 pub mod denoising;
 pub mod device;

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
@@ -14,6 +14,7 @@ use serde_json::to_value;
 use super::report::RolloutReport;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use crate::captions::{ClipText, must_know_texts};
+use crate::clips::dataset_or;
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
@@ -62,13 +63,7 @@ pub(super) fn prepare<'a>(
     }
     let asked = FlowTables::of(&subject.config)?.evaluation;
     let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
-    let mut data = subject.config.data.clone();
-    if let Some(source) = &request.source {
-        data.kind = DataKind::Humanml3d;
-        data.source = Some(source.clone());
-        // The dataset's own lists say what is held out.
-        data.validation = ValidationSplit::default();
-    }
+    let data = dataset_or(&subject.config.data, request.source.as_deref());
     let dataset = Dataset::<Clip>::open(&data)?;
     if dataset.validation.is_empty() {
         let message = format!("no clip is held out for {}", subject.checkpoint.display());

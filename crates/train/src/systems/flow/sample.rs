@@ -4,13 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataKind, Dataset, ValidationSplit, read_array};
+use kinegrad_data::{Dataset, read_array};
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace, RolloutPlan};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
+use crate::clips::{clips_named, dataset_or};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::sampling::{
@@ -254,28 +255,10 @@ fn starts(
             seed: request.seed,
         }]);
     }
-    let mut data = subject.config.data.clone();
-    if let Some(source) = source {
-        data.kind = DataKind::Humanml3d;
-        data.source = Some(source.clone());
-        // The dataset's own lists say what is held out.
-        data.validation = ValidationSplit::default();
-    }
+    let data = dataset_or(&subject.config.data, source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
     let chosen: Vec<Arc<Clip>> = match (item, held_out) {
-        (Some(pattern), _) => {
-            let mut chosen = Vec::new();
-            for side in [&dataset.validation, &dataset.train] {
-                let side = side.filter(|id| kinegrad_data::matches(pattern, id));
-                chosen.extend(side.load()?);
-            }
-            if chosen.is_empty() {
-                let message = format!("the dataset has no clip `{pattern}`");
-                let hint = "`kinegrad data inspect URI` lists the clips";
-                return Err(Error::usage(message, hint));
-            }
-            chosen
-        }
+        (Some(pattern), _) => clips_named(&dataset, pattern)?,
         (None, count) => {
             let chosen = dataset.held_out().evenly(count.unwrap_or(1))?;
             if let (None, Some(clip)) = (count, chosen.first()) {

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, labels_of};
-use kinegrad_data::{DataKind, Dataset, ValidationSplit};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use serde_json::json;
 
 use super::TextMotion;
+use crate::clips::dataset_or;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::sampling::Subject;
@@ -27,12 +28,7 @@ pub(super) fn prepare<'a>(
             "its encoders generate nothing: leave them out",
         ));
     }
-    let mut data = subject.config.data.clone();
-    if let Some(source) = &request.source {
-        data.kind = DataKind::Humanml3d;
-        data.source = Some(source.clone());
-        data.validation = ValidationSplit::default();
-    }
+    let data = dataset_or(&subject.config.data, request.source.as_deref());
     let dataset = Dataset::<Clip>::open(&data)?;
     if dataset.validation.is_empty() {
         let message = format!("no clip is held out for {}", subject.checkpoint.display());

@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use kinegrad_data::humanml::{Clip, labels_of};
-use kinegrad_data::{DataKind, Dataset, ValidationSplit};
+use kinegrad_data::{Dataset, ValidationSplit};
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
 use super::{GoalSettings, GoalTask, Replicated, VarietyReport, evaluate_goals};
 use crate::captions::must_know_texts;
 use crate::checkpoint::{Weights, resolve_checkpoint};
+use crate::clips::dataset_or;
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
@@ -38,13 +39,7 @@ pub fn prepare<'a>(
         return Err(Error::usage(message, hint));
     }
     let asked = GmdConfig::of(&subject.config)?.evaluation;
-    let mut data = subject.config.data.clone();
-    if let Some(source) = &request.source {
-        data.kind = DataKind::Humanml3d;
-        data.source = Some(source.clone());
-        // The dataset's own lists say what is held out.
-        data.validation = ValidationSplit::default();
-    }
+    let mut data = dataset_or(&subject.config.data, request.source.as_deref());
     if asked.split == EvaluationSplit::Test {
         data.humanml3d.validation_list = data.humanml3d.test_list.clone();
         data.validation = ValidationSplit::default();

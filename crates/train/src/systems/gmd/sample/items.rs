@@ -4,10 +4,11 @@ use std::iter::repeat_n;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
-use kinegrad_data::{DataConfig, DataKind, Dataset, ValidationSplit};
+use kinegrad_data::{DataConfig, Dataset};
 
 use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
 use crate::captions::{ClipText, must_know_texts};
+use crate::clips::{clips_named, dataset_or};
 use crate::error::Error;
 use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subject, item_seed};
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
@@ -54,24 +55,9 @@ pub(super) fn for_items(
         let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
         return Err(Error::usage("`--source` without `--phrase`", hint));
     };
-    let mut data = subject.config.data.clone();
-    if let Some(source) = &conditions.source {
-        data.kind = DataKind::Humanml3d;
-        data.source = Some(source.clone());
-        // The dataset's own lists say what is held out.
-        data.validation = ValidationSplit::default();
-    }
+    let data = dataset_or(&subject.config.data, conditions.source.as_deref());
     let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
-    let mut chosen = Vec::new();
-    for side in [&dataset.validation, &dataset.train] {
-        let side = side.filter(|id| kinegrad_data::matches(pattern, id));
-        chosen.extend(side.load()?);
-    }
-    if chosen.is_empty() {
-        let message = format!("the dataset has no clip `{pattern}`");
-        let hint = "`kinegrad data inspect URI` lists the clips";
-        return Err(Error::usage(message, hint));
-    }
+    let chosen = clips_named(&dataset, pattern)?;
     let items = Items {
         clips: &chosen,
         count: request.count,
