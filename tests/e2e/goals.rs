@@ -88,13 +88,17 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
 #[test]
 fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
     let sandbox = trained();
-    let features = |frames: usize| {
+    let drawn = |frames: usize, padding: &str| {
         let out = format!("free{frames}");
-        let sample = format!("sample runs/gmd_motion --frames {frames} --out {out}");
+        let sample = format!(
+            "sample runs/gmd_motion --frames {frames} --out {out} --overwrite \
+             --set sampling.padding={padding}"
+        );
         sandbox.run(&sample).succeeded();
         let features = read_array(&sandbox.path(format!("{out}.features.npy")));
         features.expect("features").values
     };
+    let features = |frames| drawn(frames, "drawn");
     // 16 is the length of training; the network is padded to 20.
     let (short, cut, whole) = (features(7), features(13), features(16));
     assert_eq!(short[..], whole[..7 * 263]);
@@ -104,6 +108,11 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
         short[..],
         "18 frames are drawn as 18"
     );
+    // With padding as in training a short clip is another one, not the beginning of a long one.
+    let (padded, long) = (drawn(7, "zeros"), drawn(16, "zeros"));
+    assert_eq!(long, whole);
+    assert_eq!(padded.len(), short.len());
+    assert_ne!(padded, short);
 
     // A goal that ends early leaves the frames behind it to the model: the first stage's path is
     // followed to the end of the batch's longest.

@@ -83,6 +83,8 @@ pub enum Purpose {
     Pools = 27,
     /// Vectors of words that have no published ones, keyed by the word.
     WordVectors = 28,
+    /// Which clips are in which half of held-out ones.
+    Halves = 29,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

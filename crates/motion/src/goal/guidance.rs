@@ -93,15 +93,15 @@ impl GuidanceLoss {
         Ok(Self::of_samples(config, samples.collect(), frames))
     }
 
-    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and `frames`
-    /// long, from beginning to end: they replace keyframes and trajectories. Obstacles and weights
+    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and at
+    /// most `frames` long, from beginning to end: they replace keyframes and trajectories. Obstacles and weights
     /// stay those of the goals.
     ///
     /// # Errors
     /// As [`new`](Self::new).
     ///
     /// # Panics
-    /// Panics if there is not one path of `frames` positions for each goal.
+    /// Panics if there is not one path of at most `frames` positions for each goal.
     pub fn along(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -111,8 +111,8 @@ impl GuidanceLoss {
         assert_eq!(goals.len(), paths.len(), "a path for each goal");
         let mut whole = Self::new(config, goals, frames)?;
         for (sample, path) in whole.samples.iter_mut().zip(paths) {
-            assert_eq!(path.len(), frames, "a position for each frame");
-            sample.targets = GroundTargets::trajectory(path, 0, frames);
+            assert!(path.len() <= frames, "a frame for each position");
+            sample.targets = GroundTargets::trajectory(path, 0, path.len());
         }
         Ok(Self::of_samples(config, whole.samples, frames))
     }

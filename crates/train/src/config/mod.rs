@@ -31,8 +31,8 @@ pub use steering::SteeringConfig;
 pub use system_tables::SystemTables;
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, RunConfig, SamplingConfig,
-    SelectBy, TrainConfig, ValidationConfig, WeightDecayGroups,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, Padding, RunConfig,
+    SamplingConfig, SelectBy, TrainConfig, ValidationConfig, WeightDecayGroups,
 };
 
 use kinegrad_data::DataConfig;

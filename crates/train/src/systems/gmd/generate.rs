@@ -28,12 +28,13 @@ use toml::Table;
 
 use super::GmdConfig;
 use super::networks::{TrainedClips, channels_of};
+use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::space::FeatureSpace;
 use super::stage::{StageModel, StageSteering};
 use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
-use crate::config::{Config, PLAIN, SamplingConfig, SystemTables, line_of};
+use crate::config::{Config, PLAIN, Padding, SamplingConfig, SystemTables, line_of};
 use crate::error::Error;
 use crate::evaluation::OnStep;
 
@@ -49,6 +50,8 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 /// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
+    /// Its frames, at least 1.
+    pub frames: usize,
     /// Position control of the root.
     pub goal: Option<Goal>,
     /// The text; unconditional if `None`.
@@ -172,16 +175,15 @@ impl ClipGenerator {
         &self,
         trajectory: Option<&Self>,
         requests: &[ClipRequest],
-        frames: usize,
         sampling: &SamplingConfig,
         seed: u64,
         on_step: &mut OnStep<'_>,
     ) -> Result<Vec<GeneratedClip>, Error> {
         let keys: Vec<NoiseKey> = keys(seed, requests.len()).collect();
-        self.sample_keyed(trajectory, requests, frames, sampling, &keys, on_step)
+        self.sample_keyed(trajectory, requests, sampling, &keys, on_step)
     }
 
-    /// Generates the clips of `requests` as one batch of `frames` frames; `trajectory`, if given,
+    /// Generates the clips of `requests` as one batch; `trajectory`, if given,
     /// generates their ground paths first. A clip depends on its key and its request alone, on the
     /// CPU to the bit; one with a goal also on the rest of the batch: on how many keyframes it has,
     /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
@@ -198,7 +200,6 @@ impl ClipGenerator {
         &self,
         trajectory: Option<&Self>,
         requests: &[ClipRequest],
-        frames: usize,
         sampling: &SamplingConfig,
         keys: &[NoiseKey],
         on_step: &mut OnStep<'_>,
@@ -206,6 +207,8 @@ impl ClipGenerator {
         let texts: Vec<Option<&ClipText>> = requests.iter().map(|r| r.text.as_ref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
         let goals = goals.unwrap_or_default();
+        let lengths: Vec<usize> = requests.iter().map(|r| r.frames).collect();
+        let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = drawn_frames(self.config(), frames);
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
@@ -221,14 +224,19 @@ impl ClipGenerator {
                 ..sampling.clone()
             };
             let aim = Aim::of(&goals, None);
-            let x = model.draw(&texts, aim, frames, &first, &keys, &mut told)?;
+            let x = model.draw(&texts, aim, (frames, &lengths), &first, &keys, &mut told)?;
             let mut drawn = model.paths(x);
-            drawn.iter_mut().for_each(|path| path.truncate(own));
+            for (path, &length) in drawn.iter_mut().zip(&lengths) {
+                path.truncate(match sampling.padding {
+                    Padding::Zeros => length,
+                    Padding::Drawn => own,
+                });
+            }
             paths = Some(drawn);
         }
         let mut told = |done, all| on_step("motion", done, all);
         let aim = Aim::of(&goals, paths.as_deref());
-        let x = self.draw(&texts, aim, own, sampling, keys, &mut told)?;
+        let x = self.draw(&texts, aim, (own, &lengths), sampling, keys, &mut told)?;
         let samples: Vec<GeneratedClip> = match RecipeName::of(self.config())? {
             RecipeName::Trajectory => {
                 let of_path = |ground| GeneratedClip {
@@ -250,7 +258,8 @@ impl ClipGenerator {
         };
         Ok(samples
             .into_iter()
-            .map(|sample| sample.cut(frames))
+            .zip(lengths)
+            .map(|(sample, length)| sample.cut(length))
             .collect())
     }
 
@@ -272,12 +281,13 @@ impl ClipGenerator {
         }
     }
 
-    /// Motion in the network's space, steered to an aim if there is one.
+    /// Motion in the network's space, steered to an aim if there is one: of so many frames, for clips
+    /// of these lengths.
     fn draw(
         &self,
         texts: &[Option<&ClipText>],
         aim: Option<Aim<'_>>,
-        frames: usize,
+        (frames, lengths): (usize, &[usize]),
         sampling: &SamplingConfig,
         keys: &[NoiseKey],
         on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
@@ -317,12 +327,17 @@ impl ClipGenerator {
         };
         let clip = sampling.clip.range(&self.state.statistics, channels)?;
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
+        let lengths = match sampling.padding {
+            Padding::Zeros => lengths.to_vec(),
+            Padding::Drawn => vec![frames; batch],
+        };
+        let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
         let Some(aim) = aim else {
             // Each clip as if it were drawn alone, to the bit.
             let x = batch_invariant(batch, || {
                 sample(
                     &self.diffusion,
-                    &self.plain,
+                    &plain,
                     start,
                     &cond,
                     &sampler,
@@ -352,9 +367,10 @@ impl ClipGenerator {
             None => StageSteering::of_goals(steering, aim.goals, model)?,
         };
         let at = |timestep| steering.at(timestep);
+        let like = start.clone().autodiff();
         let networks = Networks {
-            tracked: &self.tracked,
-            plain: &self.plain,
+            tracked: &Padded::new(&self.tracked, &self.diffusion, &lengths, &like),
+            plain: &plain,
         };
         let x = steered_sample(
             &self.diffusion,

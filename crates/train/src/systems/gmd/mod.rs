@@ -10,6 +10,7 @@ pub mod evaluate;
 mod generate;
 mod import;
 mod networks;
+mod padding;
 mod recipe_name;
 pub mod recipes;
 mod sample;

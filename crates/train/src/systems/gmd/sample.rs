@@ -127,7 +127,7 @@ pub(super) fn sample(
         RecipeName::Motion => &[MOTION, FEATURES, BVH, PATH],
     };
     receiver.announced(&names, extensions)?;
-    let requests = requests(request.count, &goals, text.as_ref());
+    let requests = requests(request.count, frames, &goals, text.as_ref());
     let load =
         |checkpoint: &Path| ClipGenerator::load(checkpoint, subject.weights, &subject.device);
     let trajectory = match &conditions.trajectory {
@@ -140,7 +140,6 @@ pub(super) fn sample(
     let samples = load(&subject.checkpoint)?.sample(
         trajectory.as_ref(),
         &requests,
-        frames,
         &subject.config.sampling,
         request.seed,
         &mut |stage, done, all| receiver.advance(stage, done, all),
@@ -212,9 +211,15 @@ pub(super) fn must_draw_paths(checkpoint: &Path) -> Result<(), Error> {
     ))
 }
 
-/// `count` clips for each goal, or for none.
-fn requests(count: usize, goals: &[Goal], text: Option<&ClipText>) -> Vec<ClipRequest> {
+/// `count` clips for each goal, or of `frames` frames for none.
+fn requests(
+    count: usize,
+    frames: usize,
+    goals: &[Goal],
+    text: Option<&ClipText>,
+) -> Vec<ClipRequest> {
     let request = |goal: Option<&Goal>| ClipRequest {
+        frames: goal.map_or(frames, |goal| goal.frames),
         goal: goal.cloned(),
         text: text.cloned(),
     };

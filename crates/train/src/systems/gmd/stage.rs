@@ -77,7 +77,7 @@ impl<'a> StageSteering<'a> {
     /// As [`of_goals`](Self::of_goals).
     ///
     /// # Panics
-    /// Panics if there is not one path of the model's frames for each goal.
+    /// Panics if there is not one path of at most the model's frames for each goal.
     pub fn along(
         config: &'a SteeringConfig,
         goals: &[Goal],

@@ -8,6 +8,7 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::{Features, Joints};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use kinegrad_motion::metrics::{FeatureMoments, GoalReport, GoalSample, frechet_distance};
+use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -23,6 +24,9 @@ use crate::systems::text_motion::{TextMotion, TextMotionReports};
 
 /// Pairs of samples whose distance the diversity is the mean of.
 const DIVERSITY_PAIRS: usize = 200;
+
+/// Divisions of the held-out clips into halves, of which the mean distance is taken.
+const DIVISIONS: u64 = 20;
 
 /// Settings of an evaluation of goals.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -157,11 +161,11 @@ fn replicate(
     let goal = |clip: &Arc<Clip>| task.goal(clip, seed);
     let goals: Vec<Goal> = held_out.iter().map(goal).collect();
     let asks = task.keyframes + task.obstacles > 0;
-    let frames = goals.iter().map(|goal| goal.frames).max().unwrap_or(0);
     let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
     let draw = |clips: &[(&Arc<Clip>, &Goal)], repeats: usize, on_step: &mut OnStep<'_>| {
         let all = clips.iter().flat_map(|(clip, goal)| {
             let request = ClipRequest {
+                frames: goal.frames,
                 goal: asks.then(|| Goal::clone(goal)),
                 text: ClipText::of(clip),
             };
@@ -176,7 +180,6 @@ fn replicate(
             samples.extend(generator.sample_keyed(
                 trajectory,
                 requests,
-                frames,
                 &settings.sampling,
                 noise,
                 &mut |stage, done, all| on_step(stage, batch * all + done, count * all),
@@ -215,7 +218,7 @@ fn replicate(
         drawn: drawn.report(generator, &goals, &real),
         real: GoalReport {
             // From itself it is none: the distance that as many clips of the same kind have.
-            frechet_distance: between_halves(&real.features),
+            frechet_distance: between_halves(&real.features, seed),
             ..real.report(generator, &goals, &real)
         },
         text_motion,
@@ -223,15 +226,23 @@ fn replicate(
     })
 }
 
-/// The distance between every second of the feature vectors and the others.
-fn between_halves(features: &[Vec<f64>]) -> Option<f64> {
-    let half = |first| -> Vec<Vec<f64>> {
-        let half = features.iter().skip(first).step_by(2);
-        half.cloned().collect()
+/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] divisions at
+/// random. Every second one would not do: clips beside each other in a list are often of one take,
+/// so that both halves would be the same.
+fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
+    let key = Key::new(seed, Purpose::Halves);
+    let distance = |division| {
+        let order = key.at(division).permutation(features.len());
+        let (one, other) = order.split_at(features.len() / 2);
+        let moments = |half: &[usize]| {
+            let half: Vec<Vec<f64>> = half.iter().map(|&i| features[i].clone()).collect();
+            FeatureMoments::compute(&half)
+        };
+        let (one, other) = moments(one).zip(moments(other))?;
+        Some(frechet_distance(&one, &other))
     };
-    let [even, odd] = [half(0), half(1)];
-    let moments = FeatureMoments::compute(&even).zip(FeatureMoments::compute(&odd));
-    moments.map(|(even, odd)| frechet_distance(&even, &odd))
+    let distances: Option<Vec<f64>> = (0..DIVISIONS).map(distance).collect();
+    Some(distances?.iter().sum::<f64>() / DIVISIONS as f64)
 }
 
 /// Clips in the form that metrics take, generated and real ones alike: cut to their goals' lengths.

@@ -113,6 +113,7 @@ impl Items<'_> {
         let mut noise = Vec::new();
         for clip in self.clips {
             let request = ClipRequest {
+                frames: self.frames,
                 goal: None,
                 text: ClipText::of(clip),
             };
@@ -123,7 +124,6 @@ impl Items<'_> {
         let samples = generator.sample_keyed(
             None,
             &requests,
-            self.frames,
             &subject.config.sampling,
             &noise,
             &mut |stage, done, all| receiver.advance(stage, done, all),
