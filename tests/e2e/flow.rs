@@ -29,7 +29,7 @@ latent_dim = 16
 ff_size = 16
 [pose]
 history_frames = 6
-history_noise = 0.05
+history_noise = 0.02
 target = "displacement"
 [optim]
 learning_rate = 3e-3
@@ -254,6 +254,14 @@ fn rollouts_are_measured_beside_what_follows_in_held_out_clips() {
     sandbox
         .run("eval runs/flow --trajectory-run runs/flow")
         .failed(2, &["--trajectory-run"]);
+    // Numbers that run away are no mistake of the request.
+    let away = "sampling.sampler.guidance_scale=1e38";
+    sandbox
+        .run(&format!("eval runs/flow --set {away}"))
+        .failed(1, &["after clip `", "not finite"]);
+    sandbox
+        .run(&format!("sample runs/flow --out away --set {away}"))
+        .failed(1, &["1 of 1, frame 0", "not finite"]);
     // At the end of training too.
     let train = "train c.toml --name at_end --set train.max_steps=2 --set sampling.count_at_end=2";
     sandbox.run(train).succeeded();
@@ -284,6 +292,16 @@ fn settings_that_cannot_work_are_refused_by_name() {
             ["sampling.sampler.kind", "euler"],
         ),
         ("sampling.clip=six", ["sampling.clip", "none"]),
+        ("sampling.padding=drawn", ["sampling.padding", "gmd_motion"]),
+        (
+            "sampling.steering.scale=3",
+            ["sampling.steering", "gmd_motion"],
+        ),
+        (
+            "sampling.sampler.recompute_epsilon=false",
+            ["sampling.sampler.recompute_epsilon", "diffusion"],
+        ),
+        ("data.crop=leading", ["data.crop", "random"]),
         ("evaluation.frames=3", ["evaluation.frames", "16"]),
         ("diffusion.loss_type=l1", ["diffusion", ""]),
     ] {

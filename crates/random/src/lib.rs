@@ -85,6 +85,8 @@ pub enum Purpose {
     WordVectors = 28,
     /// Which clips are in which half of held-out ones.
     Halves = 29,
+    /// How histories of training drift, keyed by sample.
+    HistoryNoise = 30,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -77,6 +77,22 @@ impl FlowSamplerConfig {
         let style = sampler.style_guidance_scale;
         let key = "sampling.sampler.style_guidance_scale";
         require(style.is_none(), key, style.unwrap_or_default(), nothing)?;
+        for (key, same) in [
+            (
+                "sampling.sampler.timestep_spacing",
+                sampler.timestep_spacing == usual.timestep_spacing,
+            ),
+            (
+                "sampling.sampler.final_alpha",
+                sampler.final_alpha == usual.final_alpha,
+            ),
+            (
+                "sampling.sampler.recompute_epsilon",
+                sampler.recompute_epsilon == usual.recompute_epsilon,
+            ),
+        ] {
+            require(same, key, "set", nothing)?;
+        }
         let config = Self {
             kind: kind.unwrap_or_default(),
             num_inference_steps: sampler.num_inference_steps,

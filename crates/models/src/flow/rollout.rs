@@ -207,6 +207,11 @@ impl FlowRollout {
         self.settings.frames - self.drawn
     }
 
+    /// Frames that have been drawn.
+    pub fn drawn(&self) -> usize {
+        self.drawn
+    }
+
     /// How often the solver has asked for a velocity, over all frames.
     pub fn evaluations(&self) -> usize {
         self.evaluations

@@ -1,6 +1,6 @@
 //! The system's own config tables and their validation.
 
-use kinegrad_data::DataKind;
+use kinegrad_data::{Crop, DataKind};
 use kinegrad_diffusion::{FlowPrediction, FlowSamplerConfig};
 use kinegrad_models::flow::FlowConfig;
 use kinegrad_motion::MAX_FRAMES;
@@ -84,8 +84,10 @@ pub struct PoseConfig {
     pub prediction_type: FlowPrediction,
     /// Probability that a training sample is not told its text, for classifier-free guidance.
     pub cond_drop_prob: f64,
-    /// Deviation of noise on the histories of training, in deviations of each feature: a network
-    /// that has seen nothing but recorded histories does not find back from its own mistakes.
+    /// How far the histories of training drift from where they were recorded until the next pose,
+    /// which stays as it was recorded: the deviation of the body and of each joint beside it, metres.
+    /// A network that has seen nothing but recorded histories does not find back from its own
+    /// mistakes (Sanchez-Gonzalez et al. 2020, <https://arxiv.org/abs/2002.09405>, section 4.3).
     pub history_noise: f64,
 }
 
@@ -154,10 +156,16 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "\"absolute\"",
         format!("\"relative\" for recipe `{RECIPE}`, whose poses do not depend on the place"),
     )?;
+    require(
+        data.crop == Crop::Random,
+        "data.crop",
+        "\"leading\"",
+        format!("\"random\" for recipe `{RECIPE}`, which draws windows anywhere in a clip"),
+    )?;
     let pose = &own.pose;
     in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
     in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;
-    in_range("pose.history_noise", pose.history_noise, 0.0..=10.0)?;
+    in_range("pose.history_noise", pose.history_noise, 0.0..=1.0)?;
     let shortest = pose.history_frames + 2;
     require(
         data.humanml3d.min_frames >= shortest,

@@ -18,6 +18,7 @@ use crate::clips::dataset_or;
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
+use crate::memory::must_fit;
 use crate::sampling::{Subject, item_seed};
 
 /// Results of an evaluation of rollouts.
@@ -82,6 +83,10 @@ pub(super) fn prepare<'a>(
         ));
     }
     must_know_texts(&subject.config, &held_out)?;
+    let joints = subject.config.data.humanml3d.skeleton.skeleton().joints();
+    let numbers = held_out.len() as u64 * asked.frames as u64 * 3 * joints as u64;
+    let hint = "fewer or shorter motions: `evaluation.rollouts`, `evaluation.frames`";
+    must_fit("the evaluation", numbers * size_of::<f64>() as u64, hint)?;
     let seed = request.seed;
     Ok(Box::new(move |on_step| {
         let generator = FlowGenerator::load(&subject.checkpoint, subject.weights, &subject.device)?;
@@ -123,7 +128,8 @@ fn evaluate(
         let mut rollout = rollout?;
         rollout.push_text(&generator.text(ClipText::of(clip).as_ref())?)?;
         let mut places = Vec::with_capacity(frames * skeleton.joints());
-        while let Some(frame) = rollout.next_frame()? {
+        let sample = || format!("after clip `{}`", clip.id);
+        while let Some(frame) = FlowGenerator::next_frame(&mut rollout, &sample)? {
             places.extend(frame);
             let done = number * frames + frames - rollout.remaining();
             if let ControlFlow::Break(()) = on_step("", done, all) {

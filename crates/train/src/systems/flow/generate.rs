@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use kinegrad_models::parameters;
-use kinegrad_motion::humanml::{Extraction, Joints, TEXT_CHANNELS};
+use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
 use kinegrad_random::Key;
 
 use super::networks::model;
@@ -93,6 +93,22 @@ impl FlowGenerator {
         let told = Tensor::from_data(TensorData::new(told, shape), &self.device);
         let numbers = self.model.text(told).try_into_vec_as::<f32>();
         Ok(numbers.expect("weights are float32"))
+    }
+
+    /// The next frame of the motion called `sample`; none after the last.
+    ///
+    /// # Errors
+    /// [`Error::SampleNotFinite`], and those of [`FlowRollout::next_frame`].
+    pub(super) fn next_frame(
+        rollout: &mut FlowRollout,
+        sample: &dyn Fn() -> String,
+    ) -> Result<Option<Vec<[f64; 3]>>, Error> {
+        rollout.next_frame().map_err(|error| match error {
+            RolloutError::Feature(FeatureError::NonFinite { .. }) => Error::SampleNotFinite {
+                sample: format!("{}, frame {}", sample(), rollout.drawn()),
+            },
+            other => other.into(),
+        })
     }
 
     /// A motion before its first frame, without a text: `frames` are to come after the `history`,

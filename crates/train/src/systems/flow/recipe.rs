@@ -33,8 +33,6 @@ struct Draws {
     noise: Tensor<3>,
     /// 0 where the text is dropped, else 1: `[batch, 1, 1]`. None drops none.
     keep_text: Option<Tensor<3>>,
-    /// What is added to the histories: `[batch, 12 J - 1, history]`. None adds nothing.
-    history_noise: Option<Tensor<3>>,
 }
 
 impl FlowRecipe {
@@ -48,10 +46,7 @@ impl FlowRecipe {
         let prediction_type = self.pose.prediction_type;
         let x_start = of_joints(x_start);
         let [batch, ..] = x_start.dims();
-        let mut history = cond.get(HISTORY).clone();
-        if let Some(noise) = draws.history_noise {
-            history = history + noise;
-        }
+        let history = cond.get(HISTORY).clone();
         let mut text = cond.get(TEXT).clone();
         if let Some(keep) = draws.keep_text {
             text = text * keep;
@@ -111,11 +106,6 @@ impl Recipe for FlowRecipe {
             let keep = uniforms.map(|u| f32::from(f64::from(u) >= probability));
             Tensor::from_data(TensorData::new(keep.collect(), [size, 1, 1]), device)
         });
-        let deviation = self.pose.history_noise;
-        let history_noise = (deviation > 0.0).then(|| {
-            let key = key.of(Purpose::Augment);
-            noise(key, inputs.cond.get(HISTORY).dims(), device) * deviation
-        });
         let [_, numbers, _] = inputs.x_start.dims();
         let draws = Draws {
             times: key
@@ -126,7 +116,6 @@ impl Recipe for FlowRecipe {
                 .collect(),
             noise: noise(key.of(Purpose::Noise), [size, 3, numbers / 3], device),
             keep_text,
-            history_noise,
         };
         self.loss_of(model, inputs, draws)
     }
@@ -143,7 +132,6 @@ impl Recipe for FlowRecipe {
                     times: range.clone().map(time).collect(),
                     noise: self.held_out.noise(range.clone(), draw as u64, &like),
                     keep_text: None,
-                    history_noise: None,
                 };
                 let loss = self
                     .loss_of(model, inputs, given)

@@ -118,7 +118,9 @@ pub(super) fn sample(
                     let text = text.as_ref().or(start.caption.as_ref());
                     rollout.push_text(&generator.text(text)?)?;
                 }
-                frames.extend(rollout.next_frame()?.expect("frames remain"));
+                let sample = || format!("{} of {}", index + 1, request.count);
+                let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
+                frames.extend(frame.expect("frames remain"));
                 done += 1;
                 if receiver.advance("", done, all).is_break() {
                     return Err(Error::Interrupted);

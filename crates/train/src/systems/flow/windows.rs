@@ -32,6 +32,8 @@ pub struct PoseSpace {
     pub target: NextPose,
     /// Poses that a duration of 1 stands for.
     pub longest: usize,
+    /// How far histories of training drift, metres.
+    pub noise: f64,
 }
 
 impl PoseSpace {
@@ -42,6 +44,7 @@ impl PoseSpace {
             history: pose.history_frames,
             target: pose.target,
             longest,
+            noise: pose.history_noise,
         }
     }
 
@@ -190,7 +193,10 @@ impl Samples for PoseWindows {
         let first = passage.start + pose;
         let joints = clip.features.joints();
         let angle = number.map_or(0.0, |_| TAU * key(Purpose::Augment).uniform());
-        let window = turned(&joints, first..first + self.space.window(), angle);
+        let mut window = turned(&joints, first..first + self.space.window(), angle);
+        if let (Some(_), true) = (number, self.space.noise > 0.0) {
+            window = drifting(&window, self.space.noise, key(Purpose::HistoryNoise));
+        }
         let rows = self.space.rows(&window);
         let mut rows = rows.expect("the reader takes clips of this skeleton alone");
         let last = rows.pop().expect("a window has a next pose");
@@ -236,6 +242,34 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
     Joints::new(places.collect(), joints.joints()).expect("whole frames")
 }
 
+/// The frames with a random walk added to all but the last, of the whole body and of each joint
+/// beside it, either of which ends `deviation` metres from where it began.
+///
+/// A target taken from the last two frames then leads back to where the body was recorded.
+fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
+    let (frames, joints) = (window.frames(), window.joints());
+    let steps = frames - 1;
+    let step = deviation / (steps as f64).sqrt();
+    let normals = key.normals(steps * (joints + 1) * 3);
+    let mut drift = vec![[0.0; 3]; joints + 1];
+    let mut places = Vec::with_capacity(frames * joints);
+    for (t, normals) in normals.chunks_exact(3 * (joints + 1)).enumerate() {
+        for (drift, normals) in drift.iter_mut().zip(normals.as_chunks::<3>().0) {
+            let moved = [0, 1, 2].map(|axis| drift[axis] + step * f64::from(normals[axis]));
+            *drift = moved;
+        }
+        let (body, beside) = drift.split_first().expect("the body's");
+        let of_frame = window.frame(t).iter().zip(beside);
+        places.extend(
+            of_frame.map(|(place, beside)| {
+                [0, 1, 2].map(|axis| place[axis] + body[axis] + beside[axis])
+            }),
+        );
+    }
+    places.extend(window.frame(frames - 1));
+    Joints::new(places, joints).expect("whole frames")
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
@@ -267,6 +301,7 @@ mod tests {
             history: HISTORY_FRAMES,
             target,
             longest: LONGEST,
+            noise: 0.0,
         }
     }
 
@@ -371,5 +406,51 @@ mod tests {
         let [x, y, z] = turned.frame(0)[0];
         assert!((length([x, 0.0, z]) - 1.0).abs() < 1e-9 && (y - 2.0).abs() < 1e-9);
         assert!(z.abs() > 0.4, "half a radian");
+    }
+
+    #[test]
+    fn the_next_pose_leads_back_from_where_a_history_has_drifted() {
+        let clip = Dataset::<Clip>::open(&config()).expect("walks").train;
+        let clip = clip.get(0).expect("a walk");
+        let joints = clip.features.joints();
+        let window = turned(&joints, 3..3 + HISTORY_FRAMES + 2, 0.4);
+        let key = |sample| Key::new(1, Purpose::HistoryNoise).at(sample);
+        let now = HISTORY_FRAMES;
+        let (mut heights, mut beside) = (Vec::new(), Vec::new());
+        for sample in 0..200 {
+            let found = drifting(&window, 0.03, key(sample));
+            assert_eq!(found.frame(now + 1), window.frame(now + 1));
+            let apart = |joint: usize| {
+                let [a, b] = [&found, &window].map(|frames| frames.frame(now)[joint][1]);
+                a - b
+            };
+            let mean = (0..22).map(apart).sum::<f64>() / 22.0;
+            heights.push(mean);
+            beside.push(apart(20) - mean);
+            for target in [NextPose::Position, NextPose::Displacement] {
+                let space = space(target);
+                let skeleton = space.skeleton.clone();
+                let rows = space.rows(&found).expect("rows");
+                let of_row = space.target_of(rows.last().expect("a next pose"));
+                let mut stream = FeatureStream::new(skeleton, 0.002)
+                    .expect("a threshold")
+                    .facing_anywhere();
+                for t in 0..=now {
+                    stream.push(found.frame(t)).expect("finite");
+                }
+                let (frame, facing) = stream.last().expect("frames");
+                let next = target.apply(&of_row, frame, facing).expect("a pose");
+                for (a, b) in next.iter().zip(window.frame(now + 1)) {
+                    assert!(length([0, 1, 2].map(|i| a[i] - b[i])) < 1e-4, "{target}");
+                }
+            }
+        }
+        let deviation = |values: &[f64]| {
+            let squares: f64 = values.iter().map(|value| value * value).sum();
+            (squares / values.len() as f64).sqrt()
+        };
+        for found in [deviation(&heights), deviation(&beside)] {
+            assert!((0.025..0.036).contains(&found), "{found}");
+        }
     }
 }
