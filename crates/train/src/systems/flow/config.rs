@@ -84,9 +84,8 @@ pub struct PoseConfig {
     pub prediction_type: FlowPrediction,
     /// Probability that a training sample is not told its text, for classifier-free guidance.
     pub cond_drop_prob: f64,
-    /// How far the histories of training drift from where they were recorded until the next pose,
-    /// which stays as it was recorded: the deviation of the body and of each joint beside it, metres.
-    /// A network that has seen nothing but recorded histories does not find back from its own
+    /// How far the histories of training drift from where they were recorded, the deviation of the
+    /// body and of each joint beside it, metres; the next pose takes a tenth of it back. A network that has seen nothing but recorded histories does not find back from its own
     /// mistakes (Sanchez-Gonzalez et al. 2020, <https://arxiv.org/abs/2002.09405>, section 4.3).
     pub history_noise: f64,
 }

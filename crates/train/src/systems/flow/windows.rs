@@ -70,22 +70,40 @@ impl PoseSpace {
     }
 
     /// Moments of the features and of the target of a clip, which faces four ways: training turns
-    /// windows by any angle, and rotations depend on it.
+    /// windows by any angle, and rotations depend on it. Where histories drift, of windows that do.
     ///
     /// # Panics
-    /// Panics for a clip of another skeleton.
+    /// Panics for a clip of another skeleton, and one that is shorter than a window.
     pub fn moments(&self, clip: &Clip) -> [ChannelMoments; 2] {
         let joints = clip.features.joints();
-        let ways = (0..4).map(|quarter| {
-            let way = turned(&joints, 0..joints.frames(), 0.25 * TAU * f64::from(quarter));
-            let rows = self.rows(&way);
+        let (mut histories, mut targets) = (Vec::new(), Vec::new());
+        let rows_of = |frames: &Joints| {
+            let rows = self.rows(frames);
             rows.expect("the reader takes clips of this skeleton alone")
-        });
-        let rows: Vec<Vec<f32>> = ways.flatten().collect();
-        let targets: Vec<f32> = rows.iter().flat_map(|row| self.target_of(row)).collect();
+        };
+        for quarter in 0..4 {
+            let angle = 0.25 * TAU * quarter as f64;
+            if self.noise == 0.0 {
+                let rows = rows_of(&turned(&joints, 0..joints.frames(), angle));
+                targets.extend(rows.iter().flat_map(|row| self.target_of(row)));
+                histories.extend(rows.concat());
+                continue;
+            }
+            let key = Key::new(0, Purpose::HistoryNoise)
+                .named(&clip.id)
+                .at(quarter);
+            // Every pose is in a history once.
+            for first in (0..=joints.frames() - self.window()).step_by(self.window() - 1) {
+                let window = turned(&joints, first..first + self.window(), angle);
+                let mut rows = rows_of(&drifting(&window, self.noise, key.at(first as u64)));
+                let last = rows.pop().expect("a window has a next pose");
+                targets.extend(self.target_of(&last));
+                histories.extend(rows.concat());
+            }
+        }
         let (channels, joints) = (self.skeleton.layout().channels(), self.skeleton.joints());
         [
-            ChannelMoments::measure(channels, [&rows.concat()[..]]),
+            ChannelMoments::measure(channels, [&histories[..]]),
             ChannelMoments::measure(3 * joints, [&targets[..]]),
         ]
     }
@@ -242,10 +260,14 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
     Joints::new(places.collect(), joints.joints()).expect("whole frames")
 }
 
+/// Share of a drift that the next pose takes back. All of it at once would be a jump, and of what no
+/// network can tell from a history every pose would take back another guess.
+const RETURN: f64 = 0.1;
+
 /// The frames with a random walk added to all but the last, of the whole body and of each joint
-/// beside it, either of which ends `deviation` metres from where it began.
-///
-/// A target taken from the last two frames then leads back to where the body was recorded.
+/// beside it, either of which ends `deviation` metres from where it began; the last has what
+/// [`RETURN`] leaves of it. A target taken from the last two then leads back to where the body was
+/// recorded.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;
@@ -266,7 +288,11 @@ fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
             }),
         );
     }
-    places.extend(window.frame(frames - 1));
+    let (body, beside) = drift.split_first().expect("the body's");
+    let last = window.frame(frames - 1).iter().zip(beside);
+    places.extend(last.map(|(place, beside)| {
+        [0, 1, 2].map(|axis| place[axis] + (1.0 - RETURN) * (body[axis] + beside[axis]))
+    }));
     Joints::new(places, joints).expect("whole frames")
 }
 
@@ -419,7 +445,6 @@ mod tests {
         let (mut heights, mut beside) = (Vec::new(), Vec::new());
         for sample in 0..200 {
             let found = drifting(&window, 0.03, key(sample));
-            assert_eq!(found.frame(now + 1), window.frame(now + 1));
             let apart = |joint: usize| {
                 let [a, b] = [&found, &window].map(|frames| frames.frame(now)[joint][1]);
                 a - b
@@ -440,8 +465,11 @@ mod tests {
                 }
                 let (frame, facing) = stream.last().expect("frames");
                 let next = target.apply(&of_row, frame, facing).expect("a pose");
-                for (a, b) in next.iter().zip(window.frame(now + 1)) {
-                    assert!(length([0, 1, 2].map(|i| a[i] - b[i])) < 1e-4, "{target}");
+                for (joint, place) in next.iter().enumerate() {
+                    let recorded = window.frame(now + 1)[joint];
+                    let drift = |i: usize| found.frame(now)[joint][i] - window.frame(now)[joint][i];
+                    let left = [0, 1, 2].map(|i| place[i] - recorded[i] - 0.9 * drift(i));
+                    assert!(length(left) < 1e-4, "{target}");
                 }
             }
         }
