@@ -114,23 +114,33 @@ fn a_clip_is_drawn_at_the_length_of_training_and_cut() {
     assert_eq!(padded.len(), short.len());
     assert_ne!(padded, short);
 
-    // A goal that ends early leaves the frames behind it to the model: the first stage's path is
-    // followed to the end of the batch's longest.
+    // Several goals of unlike lengths, padded, and as published: the frames behind a goal that ends
+    // early are left to the model there, and the first stage's path is followed to the end.
     sandbox.write(
         "short.toml",
         GOAL.replace("frames = 16", "frames = 9").replace("15", "5"),
     );
     let two_stages = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory \
                       --goal goal.toml --goal short.toml";
-    sandbox.run(&format!("{two_stages} --out both")).succeeded();
-    for (index, frames) in [16, 9].into_iter().enumerate() {
-        let name = format!("both-{index:03}");
-        assert_eq!(shape(&sandbox.path(format!("{name}.npy"))), [frames, 22, 3]);
-        assert_eq!(
-            shape(&sandbox.path(format!("{name}.path.npy"))),
-            [frames, 2]
-        );
+    for padding in ["zeros", "drawn"] {
+        let set = format!("--set sampling.padding={padding}");
+        sandbox
+            .run(&format!("{two_stages} --out {padding} {set}"))
+            .succeeded();
+        for (index, frames) in [16, 9].into_iter().enumerate() {
+            let name = format!("{padding}-{index:03}");
+            assert_eq!(shape(&sandbox.path(format!("{name}.npy"))), [frames, 22, 3]);
+            assert_eq!(
+                shape(&sandbox.path(format!("{name}.path.npy"))),
+                [frames, 2]
+            );
+        }
     }
+    let path = |padding: &str, index: usize| {
+        let path = sandbox.path(format!("{padding}-{index:03}.path.npy"));
+        read_array(&path).expect("a path").values
+    };
+    assert_ne!(path("zeros", 1), path("drawn", 1));
 }
 
 #[test]

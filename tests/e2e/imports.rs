@@ -42,13 +42,20 @@ fn published_weights_become_a_run() {
         .run(&format!(
             "{import} --out runs/other --set sampling.steering.guidance.norm=mse \
              --set sampling.steering.guidance.frame_limit=12 \
-             --set sampling.steering.schedule.points_until=30"
+             --set sampling.steering.schedule.points_until=30 --set sampling.padding=zeros"
         ))
         .succeeded();
-    let state = sandbox.path("runs/other/checkpoints/step-00000000/state.json");
-    let state = fs::read_to_string(state).expect("a checkpoint");
-    let state: Value = serde_json::from_str(&state).expect("JSON");
-    let steering = &state["config"]["sampling"]["steering"];
+    let sampling_of = |run: &str| {
+        let state = sandbox.path(format!("runs/{run}/checkpoints/step-00000000/state.json"));
+        let state = fs::read_to_string(state).expect("a checkpoint");
+        let state: Value = serde_json::from_str(&state).expect("JSON");
+        state["config"]["sampling"].clone()
+    };
+    // As in the published program, unless something else is asked for.
+    assert_eq!(sampling_of("gmd")["padding"], "drawn");
+    let sampling = sampling_of("other");
+    assert_eq!(sampling["padding"], "zeros");
+    let steering = &sampling["steering"];
     assert_eq!(steering["guidance"]["norm"], "mse");
     assert_eq!(steering["guidance"]["frame_limit"], 12);
     assert_eq!(steering["schedule"]["points_until"], 30);

@@ -24,8 +24,7 @@ pub enum Error {
     /// A flow that changes too fast to be followed as closely as asked.
     #[error("no step from flow time {at:.6} keeps the error below {tolerance}")]
     #[diagnostic(help(
-        "raise `sampling.sampler.tolerance`, or leave it out for `num_inference_steps` equal steps; \
-         a network that answers NaN has no step either"
+        "raise `sampling.sampler.tolerance`, or leave it out for `num_inference_steps` equal steps"
     ))]
     FlowTolerance {
         /// The largest error allowed.
@@ -33,6 +32,10 @@ pub enum Error {
         /// Where the step begins, from 0 to 1.
         at: f64,
     },
+    /// The adaptive solver met numbers that are not finite.
+    #[error("the velocity of the flow is not finite")]
+    #[diagnostic(help("lower the guidance, or check the model's validation loss"))]
+    NotFinite,
     /// The callback of the steps asked for an end.
     #[error("sampling was stopped")]
     Stopped,

@@ -86,7 +86,7 @@ pub enum Purpose {
     /// Which clips are in which half of held-out ones.
     Halves = 29,
     /// How histories of training drift, keyed by sample.
-    HistoryNoise = 30,
+    HistoryDrift = 30,
 }
 
 /// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.

@@ -165,7 +165,7 @@ pub enum Error {
     #[error("the sample {sample} is not finite: it is not written")]
     #[diagnostic(help(
         "the sampler overflowed: lower the guidance (`sampling.sampler.guidance_scale`, the goal's \
-         weights), clip (`sampling.clip`), or check the model's validation loss"
+         weights), clip where the recipe does (`sampling.clip`), or check the model's validation loss"
     ))]
     SampleNotFinite {
         /// The file it would have been, or its place among the samples.

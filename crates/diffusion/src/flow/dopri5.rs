@@ -150,7 +150,9 @@ pub fn dopri5_adaptive<const D: usize>(
             (x, t) = (end, there);
             first = slopes.pop().expect("the velocity at the end");
             go_on(on_step(t, &x))?;
-        } else if taken <= LEAST_STEP || !error.is_finite() {
+        } else if !error.is_finite() {
+            return Err(Error::NotFinite);
+        } else if taken <= LEAST_STEP {
             return Err(Error::FlowTolerance { tolerance, at: t });
         }
         h = (taken * factor).max(LEAST_STEP);

@@ -239,3 +239,33 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn paths_may_end_before_the_motion_does() {
+    let config = GuidanceConfig::default();
+    let goals = [2, 5].map(|frames| {
+        let mut goal = Goal::new(frames);
+        let keyframe = Keyframe {
+            frame: 1,
+            x: 9.0,
+            z: 9.0,
+        };
+        goal.keyframes = vec![keyframe];
+        goal
+    });
+    let path = |frames: usize| vec![[1.0, 2.0]; frames];
+    let loss = GuidanceLoss::along(&config, &goals, &[path(2), path(5)], 5).unwrap();
+    let (value, gradient) = loss.evaluate(&[0.0; 20]);
+    // Two samples, 14 numbers with a target, of which one in two is 1 off and the other 2.
+    assert!((value - 2.0 / 14.0 * 7.0 * 3.0).abs() < 1e-9, "{value}");
+    let expected = |index: usize| {
+        if (4..10).contains(&index) {
+            0.0
+        } else {
+            -2.0 / 14.0
+        }
+    };
+    for (index, found) in gradient.into_iter().enumerate() {
+        assert!((found - expected(index)).abs() < 1e-9, "{index}: {found}");
+    }
+}

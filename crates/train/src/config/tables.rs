@@ -276,7 +276,7 @@ impl ClipSample {
     }
 }
 
-/// What stands behind the end of a clip that is shorter than those of training, while it is drawn.
+/// What stands behind the end of a clip that is shorter than what is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
@@ -301,11 +301,12 @@ pub struct SamplingConfig {
     pub preview_every_steps: u64,
     /// What the predicted clean motion is clipped to.
     pub clip: ClipSample,
-    /// What stands behind the end of clips while they are drawn, for recipes on clips.
+    /// What stands behind the end of clips that are shorter than what is drawn, for recipes
+    /// `gmd_motion` and `gmd_trajectory`.
     pub padding: Padding,
     /// The sampler.
     pub sampler: SamplerConfig,
-    /// Guidance and imputation for goals, for recipes on clips.
+    /// Guidance and imputation for goals, for recipes `gmd_motion` and `gmd_trajectory`.
     pub steering: SteeringConfig,
 }
 

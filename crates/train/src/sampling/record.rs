@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Style, Subject};
 use crate::checkpoint::Weights;
-use crate::config::{ClipSample, SteeringConfig};
+use crate::config::{ClipSample, Padding, SteeringConfig};
 use crate::song::KnownBeats;
 
 /// How a sample was made: enough to draw it again.
@@ -127,6 +127,9 @@ pub struct SamplerRecord {
     pub settings: SamplerConfig,
     /// What the predicted clean motion was clipped to.
     pub clip: ClipSample,
+    /// What stood behind the end of a clip; none but for clips of Guided Motion Diffusion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub padding: Option<Padding>,
     /// Guidance and imputation for goals; none without a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steering: Option<SteeringConfig>,
@@ -209,6 +212,7 @@ impl Record {
             sampler: SamplerRecord {
                 settings: config.sampling.sampler.clone(),
                 clip: config.sampling.clip,
+                padding: None,
                 steering: None,
             },
             post_processing: None,

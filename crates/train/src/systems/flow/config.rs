@@ -84,10 +84,11 @@ pub struct PoseConfig {
     pub prediction_type: FlowPrediction,
     /// Probability that a training sample is not told its text, for classifier-free guidance.
     pub cond_drop_prob: f64,
-    /// How far the histories of training drift from where they were recorded, the deviation of the
-    /// body and of each joint beside it, metres; the next pose takes a tenth of it back. A network that has seen nothing but recorded histories does not find back from its own
-    /// mistakes (Sanchez-Gonzalez et al. 2020, <https://arxiv.org/abs/2002.09405>, section 4.3).
-    pub history_noise: f64,
+    /// How far the histories of training drift from where they were recorded, metres: the deviation
+    /// of each coordinate of the body and of each joint beside it. The next pose takes a tenth of it
+    /// back. A network that has seen nothing but recorded histories does not find back from its own
+    /// mistakes.
+    pub history_drift: f64,
 }
 
 impl Default for PoseConfig {
@@ -97,7 +98,7 @@ impl Default for PoseConfig {
             target: NextPose::default(),
             prediction_type: FlowPrediction::default(),
             cond_drop_prob: 0.1,
-            history_noise: 0.0,
+            history_drift: 0.0,
         }
     }
 }
@@ -164,7 +165,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let pose = &own.pose;
     in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
     in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;
-    in_range("pose.history_noise", pose.history_noise, 0.0..=1.0)?;
+    in_range("pose.history_drift", pose.history_drift, 0.0..=1.0)?;
     let shortest = pose.history_frames + 2;
     require(
         data.humanml3d.min_frames >= shortest,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinegrad_diffusion::FlowSamplerConfig;
+use kinegrad_diffusion::{Error as Diffusion, FlowSamplerConfig};
 use kinegrad_models::flow::{FlowModel, FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 use kinegrad_models::parameters;
 use kinegrad_motion::humanml::{Extraction, FeatureError, Joints, TEXT_CHANNELS};
@@ -104,7 +104,8 @@ impl FlowGenerator {
         sample: &dyn Fn() -> String,
     ) -> Result<Option<Vec<[f64; 3]>>, Error> {
         rollout.next_frame().map_err(|error| match error {
-            RolloutError::Feature(FeatureError::NonFinite { .. }) => Error::SampleNotFinite {
+            RolloutError::Feature(FeatureError::NonFinite { .. })
+            | RolloutError::Sampler(Diffusion::NotFinite) => Error::SampleNotFinite {
                 sample: format!("{}, frame {}", sample(), rollout.drawn()),
             },
             other => other.into(),

@@ -118,7 +118,7 @@ pub(super) fn sample(
                     let text = text.as_ref().or(start.caption.as_ref());
                     rollout.push_text(&generator.text(text)?)?;
                 }
-                let sample = || format!("{} of {}", index + 1, request.count);
+                let sample = || format!("`{}`", names.of(&start.stem, index));
                 let frame = FlowGenerator::next_frame(&mut rollout, &sample)?;
                 frames.extend(frame.expect("frames remain"));
                 done += 1;

@@ -44,7 +44,7 @@ impl PoseSpace {
             history: pose.history_frames,
             target: pose.target,
             longest,
-            noise: pose.history_noise,
+            noise: pose.history_drift,
         }
     }
 
@@ -89,11 +89,11 @@ impl PoseSpace {
                 histories.extend(rows.concat());
                 continue;
             }
-            let key = Key::new(0, Purpose::HistoryNoise)
+            let key = Key::new(0, Purpose::HistoryDrift)
                 .named(&clip.id)
                 .at(quarter);
-            // Every pose is in a history once.
-            for first in (0..=joints.frames() - self.window()).step_by(self.window() - 1) {
+            // Windows overlap by half, so that nearly every frame is in a history.
+            for first in (0..=joints.frames() - self.window()).step_by(self.window() / 2) {
                 let window = turned(&joints, first..first + self.window(), angle);
                 let mut rows = rows_of(&drifting(&window, self.noise, key.at(first as u64)));
                 let last = rows.pop().expect("a window has a next pose");
@@ -213,7 +213,7 @@ impl Samples for PoseWindows {
         let angle = number.map_or(0.0, |_| TAU * key(Purpose::Augment).uniform());
         let mut window = turned(&joints, first..first + self.space.window(), angle);
         if let (Some(_), true) = (number, self.space.noise > 0.0) {
-            window = drifting(&window, self.space.noise, key(Purpose::HistoryNoise));
+            window = drifting(&window, self.space.noise, key(Purpose::HistoryDrift));
         }
         let rows = self.space.rows(&window);
         let mut rows = rows.expect("the reader takes clips of this skeleton alone");
@@ -266,8 +266,8 @@ const RETURN: f64 = 0.1;
 
 /// The frames with a random walk added to all but the last, of the whole body and of each joint
 /// beside it, either of which ends `deviation` metres from where it began; the last has what
-/// [`RETURN`] leaves of it. A target taken from the last two then leads back to where the body was
-/// recorded.
+/// [`RETURN`] leaves of it: a target taken from the last two leads that part of the way back to where
+/// the body was recorded.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;
@@ -440,7 +440,7 @@ mod tests {
         let clip = clip.get(0).expect("a walk");
         let joints = clip.features.joints();
         let window = turned(&joints, 3..3 + HISTORY_FRAMES + 2, 0.4);
-        let key = |sample| Key::new(1, Purpose::HistoryNoise).at(sample);
+        let key = |sample| Key::new(1, Purpose::HistoryDrift).at(sample);
         let now = HISTORY_FRAMES;
         let (mut heights, mut beside) = (Vec::new(), Vec::new());
         for sample in 0..200 {
@@ -480,5 +480,37 @@ mod tests {
         for found in [deviation(&heights), deviation(&beside)] {
             assert!((0.025..0.036).contains(&found), "{found}");
         }
+    }
+
+    #[test]
+    fn histories_of_training_drift_and_validation_is_as_it_was_recorded() {
+        let drifting = |noise: f64| {
+            let mut windows = windows(NextPose::Displacement);
+            windows.space.noise = noise;
+            windows
+        };
+        let clips = drifting(0.0).items().load().expect("walks");
+        let validation = |noise| drifting(noise).collate(0..clips.len()).expect("in memory");
+        assert_eq!(validation(0.0).x_start, validation(0.02).x_start);
+        let training = |noise| {
+            let batch = Loader::new(drifting(noise), &config(), 1, 0).next();
+            batch.expect("a batch")
+        };
+        let [plain, drifted, again] = [0.0, 0.02, 0.02].map(training);
+        assert_eq!(plain.ids, drifted.ids);
+        assert_ne!(history(&plain, 0), history(&drifted, 0));
+        assert_ne!(plain.x_start, drifted.x_start);
+        assert_eq!(drifted.x_start, again.x_start);
+        // Statistics know of it: the trunk hardly moves from frame to frame, and drifts do.
+        let deviation = |noise: f64| {
+            let [_, target] = PoseSpace {
+                noise,
+                ..space(NextPose::Displacement)
+            }
+            .moments(&clips[0]);
+            target.std[0]
+        };
+        let (plain, drifted) = (deviation(0.0), deviation(0.02));
+        assert!(drifted > 1.5 * plain, "{plain}, {drifted}");
     }
 }

@@ -50,12 +50,18 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 /// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// Its frames, at least 1.
+    /// Its frames, at least 1; with a goal, the goal's count.
     pub frames: usize,
     /// Position control of the root.
     pub goal: Option<Goal>,
     /// The text; unconditional if `None`.
     pub text: Option<ClipText>,
+}
+
+impl ClipRequest {
+    fn length(&self) -> usize {
+        self.goal.as_ref().map_or(self.frames, |goal| goal.frames)
+    }
 }
 
 /// One clip.
@@ -96,7 +102,7 @@ impl GeneratedClip {
 struct Aim<'a> {
     /// One for each clip.
     goals: &'a [Goal],
-    /// The paths of a first stage, one for each clip and of the length that is drawn.
+    /// The paths of a first stage, one for each clip: of the length that is drawn, or of the clip's.
     paths: Option<&'a [Vec<[f64; 2]>]>,
 }
 
@@ -184,14 +190,14 @@ impl ClipGenerator {
     }
 
     /// Generates the clips of `requests` as one batch; `trajectory`, if given,
-    /// generates their ground paths first. A clip depends on its key and its request alone, on the
-    /// CPU to the bit; one with a goal also on the rest of the batch: on how many keyframes it has,
-    /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
+    /// generates their ground paths first. A clip depends on its key, its request and the frames
+    /// that are drawn, on the CPU to the bit; one with a goal also on the rest of the batch: on how many
+    /// keyframes it has, by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
     /// `motion`, and its steps done and in total.
     ///
-    /// As many frames are drawn as the models were trained with, and the rest is cut off: shorter
-    /// noise would leave the network more padding than it has ever seen (docs/sources.md, section
-    /// 4.9). So the first frames of a clip do not depend on `frames`.
+    /// As many frames are drawn as the models were trained with, or as the longest clip has, and the
+    /// rest is cut off: shorter noise would leave the network more padding than it has ever seen
+    /// (docs/sources.md, section 4.13). What stands behind a clip's end meanwhile is `sampling.padding`.
     ///
     /// # Errors
     /// If a goal cannot be followed in so many frames, the sampler's settings cannot work, one of the
@@ -207,19 +213,27 @@ impl ClipGenerator {
         let texts: Vec<Option<&ClipText>> = requests.iter().map(|r| r.text.as_ref()).collect();
         let goals: Option<Vec<Goal>> = requests.iter().map(|r| r.goal.clone()).collect();
         let goals = goals.unwrap_or_default();
-        let lengths: Vec<usize> = requests.iter().map(|r| r.frames).collect();
+        let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = drawn_frames(self.config(), frames);
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
-            let frames = own.max(drawn_frames(model.config(), frames));
+            // Where the motion model draws what is behind a clip's end, it follows a path there too.
+            let follows_behind = sampling.padding == Padding::Drawn;
+            let followed = if follows_behind { own } else { frames };
+            let frames = drawn_frames(model.config(), followed);
             let mut told = |done, all| on_step("trajectory", done, all);
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
-            // The first stage is clipped as its own run says.
+            // The first stage is clipped and padded as its own run says, but for a path that is
+            // followed everywhere.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
+                padding: match follows_behind {
+                    true => Padding::Drawn,
+                    false => model.config().sampling.padding,
+                },
                 sampler: sampling.steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
@@ -227,10 +241,7 @@ impl ClipGenerator {
             let x = model.draw(&texts, aim, (frames, &lengths), &first, &keys, &mut told)?;
             let mut drawn = model.paths(x);
             for (path, &length) in drawn.iter_mut().zip(&lengths) {
-                path.truncate(match sampling.padding {
-                    Padding::Zeros => length,
-                    Padding::Drawn => own,
-                });
+                path.truncate(if follows_behind { own } else { length });
             }
             paths = Some(drawn);
         }

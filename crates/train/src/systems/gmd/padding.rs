@@ -70,8 +70,12 @@ impl<D: Denoiser<Cond = Tensor<3>>> Denoiser for Padded<'_, D> {
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use burn::tensor::Device;
-    use kinegrad_diffusion::{ClipRange, DiffusionConfig, Prediction};
+    use kinegrad_diffusion::{
+        ClipRange, DiffusionConfig, NoiseKeys, Prediction, SamplerConfig, SamplerKind, sample,
+    };
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
@@ -170,6 +174,57 @@ mod tests {
             assert!(largest(of_clip.clone().narrow(2, 0, length)) > 0.0);
             if length < 8 {
                 assert_eq!(largest(of_clip.narrow(2, length, 8 - length)), 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn every_sampler_ends_at_zeros_behind_a_clip_and_draws_it_as_if_it_stood_alone() {
+        let diffusion = process(PredictionType::Sample);
+        let start = normal("start", [3, 2, 8]);
+        let cond = normal("cond", [3, 2, 1]);
+        for kind in [
+            SamplerKind::Ddpm,
+            SamplerKind::Ddim,
+            SamplerKind::Dpmpp2m,
+            SamplerKind::Heun,
+        ] {
+            let sampler = SamplerConfig {
+                kind,
+                num_inference_steps: 5,
+                guidance_scale: 2.5,
+                ..SamplerConfig::default()
+            };
+            let draw = |clips: std::ops::Range<usize>| {
+                let count = clips.len();
+                let part = |x: &Tensor<3>| x.clone().narrow(0, clips.start, count);
+                let lengths = &LENGTHS[clips.clone()];
+                let padded = Padded::new(&Mean, &diffusion, lengths, &part(&start));
+                let key = Key::new(7, Purpose::Sampling);
+                let keys: Vec<(Key, u64)> = clips.clone().map(|clip| (key, clip as u64)).collect();
+                let found = sample(
+                    &diffusion,
+                    &padded,
+                    part(&start),
+                    &part(&cond),
+                    &sampler,
+                    &ClipRange::None,
+                    NoiseKeys::Numbered(&keys),
+                    &mut |_, _, _| ControlFlow::Continue(()),
+                );
+                found.expect("valid settings")
+            };
+            let all = draw(0..3);
+            for (index, length) in LENGTHS.into_iter().enumerate() {
+                let clip = all.clone().narrow(0, index, 1);
+                if length < 8 {
+                    let behind = largest(clip.clone().narrow(2, length, 8 - length));
+                    assert!(behind < 1e-4, "{kind}: {behind}");
+                }
+                assert!(
+                    largest(clip.clone() - draw(index..index + 1)) < 1e-5,
+                    "{kind}"
+                );
             }
         }
     }

@@ -240,11 +240,16 @@ fn record(
     frames: usize,
     skeleton: &Skeleton,
 ) -> Record {
+    let record = Record::new(Gmd.name(), subject, seed);
     Record {
         index,
         frames,
         fps: skeleton.description().fps,
-        ..Record::new(Gmd.name(), subject, seed)
+        sampler: SamplerRecord {
+            padding: Some(subject.config.sampling.padding),
+            ..record.sampler
+        },
+        ..record
     }
 }
 

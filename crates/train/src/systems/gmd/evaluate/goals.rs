@@ -301,3 +301,24 @@ fn mean_positions(features: &Features) -> Vec<f64> {
     };
     body.map(mean).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_are_drawn_at_random() {
+        // Every number twice, side by side, as mirrored or neighbouring clips of a take are.
+        let normals = Key::new(4, Purpose::Synthetic).normals(60);
+        let pairs = normals.iter().flat_map(|&value| [f64::from(value); 2]);
+        let features: Vec<Vec<f64>> = pairs.map(|value| vec![value]).collect();
+        let distance = between_halves(&features, 1).expect("enough");
+        assert!(distance > 1e-3, "every second one would be 0: {distance}");
+        assert_eq!(between_halves(&features, 1), Some(distance));
+        assert_ne!(between_halves(&features, 2), Some(distance));
+        for few in 0..4 {
+            assert_eq!(between_halves(&features[..few], 1), None);
+        }
+        assert!(between_halves(&features[..4], 1).is_some());
+    }
+}

@@ -30,7 +30,7 @@ pub(super) fn for_held_out(
     let items = Items {
         clips: &chosen,
         count: 1,
-        frames: config.data.target_frames,
+        frames: None,
         data: &config.data,
     };
     items.must_fit(subject, hint)?;
@@ -61,7 +61,7 @@ pub(super) fn for_items(
     let items = Items {
         clips: &chosen,
         count: request.count,
-        frames: request.frames.unwrap_or(data.target_frames),
+        frames: request.frames,
         data: &data,
     };
     let hint = "all are drawn as one batch: name fewer (`--phrase`), ask for fewer (`--count`), or \
@@ -89,7 +89,8 @@ struct Items<'a> {
     clips: &'a [Arc<Clip>],
     /// Samples for each.
     count: usize,
-    frames: usize,
+    /// Frames of each; its clip's own, up to those of training, if not given.
+    frames: Option<usize>,
     /// The dataset that they are of.
     data: &'a DataConfig,
 }
@@ -97,7 +98,13 @@ struct Items<'a> {
 impl Items<'_> {
     fn must_fit(&self, subject: &Subject, hint: &str) -> Result<(), Error> {
         let clips = self.clips.len().saturating_mul(self.count);
-        must_fit_as_batch(subject, clips, self.frames, false, hint)
+        let frames = self.frames.unwrap_or(self.data.target_frames);
+        must_fit_as_batch(subject, clips, frames, false, hint)
+    }
+
+    fn frames_of(&self, clip: &Clip) -> usize {
+        let own = || clip.features.frames().min(self.data.target_frames);
+        self.frames.unwrap_or_else(own)
     }
 
     /// Draws them as one batch. Sample k of a clip depends on the seed, the clip's id and k alone.
@@ -113,7 +120,7 @@ impl Items<'_> {
         let mut noise = Vec::new();
         for clip in self.clips {
             let request = ClipRequest {
-                frames: self.frames,
+                frames: self.frames_of(clip),
                 goal: None,
                 text: ClipText::of(clip),
             };
@@ -137,7 +144,7 @@ impl Items<'_> {
                         source: self.data.source.clone(),
                         ..Condition::default()
                     },
-                    ..record(subject, seed, index, self.frames, &skeleton)
+                    ..record(subject, seed, index, self.frames_of(clip), &skeleton)
                 };
                 receiver.drawn(drawn(name(clip, index), sample, &skeleton, record))?;
             }
