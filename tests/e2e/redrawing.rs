@@ -185,7 +185,7 @@ fn clips_are_drawn_again_from_their_records() {
             .succeeded();
     }
     let records = redraw(&sandbox, "drawn");
-    assert_eq!(records.len(), 3 + 2 + 20 + 4 + 1);
+    assert_eq!(records.len(), 3 + 1 + 2 + 20 + 4 + 1);
     // A goal is known by its contents, wherever its file is.
     let mut goals = records
         .iter()
