@@ -1,12 +1,15 @@
 //! The widths that a config chooses.
 
-use kinegrad_settings::{InvalidSetting, in_range};
+use kinegrad_settings::{InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::TextMotionConfig;
 use crate::config::MAX_WIDTH;
 use crate::{NamedSizes, NetworkConfig};
+
+/// Most numbers of an embedding.
+const MAX_EMBEDDING: usize = 4096;
 
 /// Widths of a text-motion evaluator that is trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -91,10 +94,10 @@ impl TextMotionSizes {
             ("model.movement", self.movement),
             ("model.motion_state", self.motion_state),
             ("model.text_state", self.text_state),
-            ("model.embedding", self.embedding),
         ] {
             in_range(key, width, 1..=MAX_WIDTH)?;
         }
-        Ok(())
+        in_range("model.embedding", self.embedding, 1..=MAX_EMBEDDING)
+            .hint("evaluations have a covariance of so many rows and columns")
     }
 }
