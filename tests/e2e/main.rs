@@ -8,6 +8,7 @@ mod bodies;
 mod captions;
 mod checking;
 mod checkpoints;
+mod clip_lengths;
 mod commands;
 mod config_errors;
 mod config_keys;

@@ -214,7 +214,7 @@ pub struct SampleArguments {
     pub count: usize,
     /// Frames to generate, at most the length of the condition [default: its full length, which of a
     /// song is all that is left of it; for a clip without a goal, the length that the run was
-    /// trained on]
+    /// trained on, or with `--phrase` the clip's own if that is shorter]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     /// Seconds to generate, in the place of `--frames`

@@ -119,8 +119,8 @@ pub fn dopri5<const D: usize>(
 /// Six velocities a step, taken or tried, and one at the start.
 ///
 /// # Errors
-/// Those of `velocity`, [`Error::Stopped`], and [`Error::FlowTolerance`] where no step is short
-/// enough.
+/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] where no step is short enough,
+/// and [`Error::NotFinite`].
 pub fn dopri5_adaptive<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     x: Tensor<D>,

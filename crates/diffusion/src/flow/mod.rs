@@ -57,7 +57,7 @@ pub struct Flowed<const D: usize> {
 ///
 /// # Errors
 /// If the config is not valid, those of `velocity`, [`Error::Stopped`], and
-/// [`Error::FlowTolerance`] of the adaptive solver.
+/// [`Error::FlowTolerance`] and [`Error::NotFinite`] of the adaptive solver.
 pub fn integrate<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     x: Tensor<D>,

@@ -93,9 +93,9 @@ impl GuidanceLoss {
         Ok(Self::of_samples(config, samples.collect(), frames))
     }
 
-    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and at
-    /// most `frames` long, from beginning to end: they replace keyframes and trajectories. Obstacles and weights
-    /// stay those of the goals.
+    /// The loss of the goals for a motion that is to follow `paths`, one for each goal and at most
+    /// `frames` long, from beginning to end: they replace keyframes and trajectories. Obstacles and
+    /// weights stay those of the goals.
     ///
     /// # Errors
     /// As [`new`](Self::new).

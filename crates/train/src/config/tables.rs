@@ -315,13 +315,13 @@ impl SamplingConfig {
     ///
     /// # Errors
     /// Names the key.
-    pub(crate) fn must_have_no_goals(&self, recipe: &str) -> Result<(), InvalidSetting> {
+    pub(crate) fn must_have_no_gmd_settings(&self, recipe: &str) -> Result<(), InvalidSetting> {
         let plain = Self::default();
-        let of_goals = [
+        let of_clips = [
             ("sampling.padding", self.padding == plain.padding),
             ("sampling.steering", self.steering == plain.steering),
         ];
-        of_goals.into_iter().try_for_each(|(key, is_plain)| {
+        of_clips.into_iter().try_for_each(|(key, is_plain)| {
             let allowed = format!("nothing for recipe `{recipe}`, which does not read it");
             require(is_plain, key, "set", allowed)
                 .hint("it is of recipes `gmd_motion` and `gmd_trajectory`")

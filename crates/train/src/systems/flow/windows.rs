@@ -33,7 +33,7 @@ pub struct PoseSpace {
     /// Poses that a duration of 1 stands for.
     pub longest: usize,
     /// How far histories of training drift, metres.
-    pub noise: f64,
+    pub drift: f64,
 }
 
 impl PoseSpace {
@@ -44,7 +44,7 @@ impl PoseSpace {
             history: pose.history_frames,
             target: pose.target,
             longest,
-            noise: pose.history_drift,
+            drift: pose.history_drift,
         }
     }
 
@@ -83,7 +83,7 @@ impl PoseSpace {
         };
         for quarter in 0..4 {
             let angle = 0.25 * TAU * quarter as f64;
-            if self.noise == 0.0 {
+            if self.drift == 0.0 {
                 let rows = rows_of(&turned(&joints, 0..joints.frames(), angle));
                 targets.extend(rows.iter().flat_map(|row| self.target_of(row)));
                 histories.extend(rows.concat());
@@ -95,7 +95,7 @@ impl PoseSpace {
             // Windows overlap by half, so that nearly every frame is in a history.
             for first in (0..=joints.frames() - self.window()).step_by(self.window() / 2) {
                 let window = turned(&joints, first..first + self.window(), angle);
-                let mut rows = rows_of(&drifting(&window, self.noise, key.at(first as u64)));
+                let mut rows = rows_of(&drifting(&window, self.drift, key.at(first as u64)));
                 let last = rows.pop().expect("a window has a next pose");
                 targets.extend(self.target_of(&last));
                 histories.extend(rows.concat());
@@ -212,8 +212,8 @@ impl Samples for PoseWindows {
         let joints = clip.features.joints();
         let angle = number.map_or(0.0, |_| TAU * key(Purpose::Augment).uniform());
         let mut window = turned(&joints, first..first + self.space.window(), angle);
-        if let (Some(_), true) = (number, self.space.noise > 0.0) {
-            window = drifting(&window, self.space.noise, key(Purpose::HistoryDrift));
+        if let (Some(_), true) = (number, self.space.drift > 0.0) {
+            window = drifting(&window, self.space.drift, key(Purpose::HistoryDrift));
         }
         let rows = self.space.rows(&window);
         let mut rows = rows.expect("the reader takes clips of this skeleton alone");
@@ -327,7 +327,7 @@ mod tests {
             history: HISTORY_FRAMES,
             target,
             longest: LONGEST,
-            noise: 0.0,
+            drift: 0.0,
         }
     }
 
@@ -484,16 +484,16 @@ mod tests {
 
     #[test]
     fn histories_of_training_drift_and_validation_is_as_it_was_recorded() {
-        let drifting = |noise: f64| {
+        let drifting = |drift: f64| {
             let mut windows = windows(NextPose::Displacement);
-            windows.space.noise = noise;
+            windows.space.drift = drift;
             windows
         };
         let clips = drifting(0.0).items().load().expect("walks");
-        let validation = |noise| drifting(noise).collate(0..clips.len()).expect("in memory");
+        let validation = |drift| drifting(drift).collate(0..clips.len()).expect("in memory");
         assert_eq!(validation(0.0).x_start, validation(0.02).x_start);
-        let training = |noise| {
-            let batch = Loader::new(drifting(noise), &config(), 1, 0).next();
+        let training = |drift| {
+            let batch = Loader::new(drifting(drift), &config(), 1, 0).next();
             batch.expect("a batch")
         };
         let [plain, drifted, again] = [0.0, 0.02, 0.02].map(training);
@@ -502,9 +502,9 @@ mod tests {
         assert_ne!(plain.x_start, drifted.x_start);
         assert_eq!(drifted.x_start, again.x_start);
         // Statistics know of it: the trunk hardly moves from frame to frame, and drifts do.
-        let deviation = |noise: f64| {
+        let deviation = |drift: f64| {
             let [_, target] = PoseSpace {
-                noise,
+                drift,
                 ..space(NextPose::Displacement)
             }
             .moments(&clips[0]);

@@ -50,7 +50,7 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 /// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// Its frames, at least 1; with a goal, the goal's count.
+    /// Its frames, at least 1; not read with a goal, which says how many.
     pub frames: usize,
     /// Position control of the root.
     pub goal: Option<Goal>,
@@ -189,10 +189,10 @@ impl ClipGenerator {
         self.sample_keyed(trajectory, requests, sampling, &keys, on_step)
     }
 
-    /// Generates the clips of `requests` as one batch; `trajectory`, if given,
-    /// generates their ground paths first. A clip depends on its key, its request and the frames
-    /// that are drawn, on the CPU to the bit; one with a goal also on the rest of the batch: on how many
-    /// keyframes it has, by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
+    /// Generates the clips of `requests` as one batch; `trajectory`, if given, generates their ground
+    /// paths first. A clip depends on its key, its request and the number of frames that are drawn, on
+    /// the CPU to the bit; one with a goal also on the rest of the batch: on how many keyframes it has,
+    /// by the published guidance's divisor. `on_step` is called with the stage, `trajectory` or
     /// `motion`, and its steps done and in total.
     ///
     /// As many frames are drawn as the models were trained with, or as the longest clip has, and the
