@@ -14,15 +14,29 @@ const ZERO: f64 = 1e-6;
 /// # Panics
 /// Panics if one differs, or if a stored one is of no parameter.
 pub fn compare<M: Module>(golden: &Golden, module: &M, gradients: &[Vec<f32>], tolerance: f64) {
+    compare_under(golden, module, gradients, "grad.model.", tolerance);
+}
+
+/// [`compare`] with the gradients that are stored under `prefix`.
+///
+/// # Panics
+/// As [`compare`].
+pub fn compare_under<M: Module>(
+    golden: &Golden,
+    module: &M,
+    gradients: &[Vec<f32>],
+    prefix: &str,
+    tolerance: f64,
+) {
     let infos = parameters::infos(module);
-    let stored = golden.names_under("grad.model.");
+    let stored = golden.names_under(prefix);
     let mut compared = 0;
     for (info, gradient) in infos.iter().zip(gradients) {
         if !stored.contains(&info.name) {
             continue;
         }
         compared += 1;
-        let name = format!("grad.model.{}", info.name);
+        let name = format!("{prefix}{}", info.name);
         let reference = golden.get(&name);
         let largest = reference.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         if largest < ZERO {

@@ -9,6 +9,7 @@ mod talk;
 mod text;
 mod train;
 mod view;
+mod warp;
 
 use std::any::TypeId;
 use std::fmt::Display;
@@ -36,6 +37,7 @@ pub use talk::TalkArguments;
 pub use text::{EmbedArguments, TextCommand};
 pub use train::TrainArguments;
 pub use view::ViewArguments;
+pub use warp::WarpArguments;
 
 /// Train and fine-tune motion-generation models.
 #[derive(Debug, Parser)]
@@ -63,6 +65,8 @@ pub enum Command {
     Sample(Box<SampleArguments>),
     /// Make new motion from example motions, without training
     Match(Box<MatchArguments>),
+    /// Move a motion onto a path, without training
+    Warp(WarpArguments),
     /// Convert published PyTorch weights to a run
     Import(ImportArguments),
     /// Merge the LoRA adapters of a fine-tuned model into its weights

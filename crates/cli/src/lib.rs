@@ -69,6 +69,7 @@ fn execute(systems: Systems<'_>, command: Command) -> Result<ExitCode, Error> {
         Command::Train(arguments) => commands::train::run(systems, arguments),
         Command::Sample(arguments) => commands::sample::run(systems, *arguments),
         Command::Match(arguments) => commands::matching::run(systems, *arguments),
+        Command::Warp(arguments) => commands::warp::run(systems, arguments),
         Command::Import(arguments) => commands::import::run(systems, arguments),
         Command::Merge(arguments) => commands::merge::run(systems, arguments),
         Command::Check(arguments) => commands::check::run(systems, arguments),

@@ -1,10 +1,10 @@
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::Lengths;
 use crate::backend::{FusedOps, Given};
 use crate::composed;
 use crate::mode::fuses;
+use crate::{KeyRanges, Lengths};
 
 /// `softmax(queries keys^T / sqrt(head channels)) values` for each head, the channels of a head
 /// lying together; keys and values one after the other in `keys_values`.
@@ -45,6 +45,51 @@ pub fn cross_attention(
         keys_values.into_dispatch(),
         num_heads,
         given(lengths),
+    ))
+}
+
+/// [`cross_attention`] in which each query attends to its own keys, which follow each other; one
+/// without keys gives zeros.
+///
+/// Time and memory grow with the number of queries times the widest range: a band of a long sequence
+/// costs what it holds.
+///
+/// # Shapes
+/// - queries, output: `[batch, channels, time]`
+/// - keys_values: `[batch, 2 channels, keys]`
+/// - ranges: for each query of each sample
+///
+/// # Panics
+/// Panics if the channels do not divide into the heads, or the ranges do not fit.
+pub fn ranged_attention(
+    queries: Tensor<3>,
+    keys_values: Tensor<3>,
+    num_heads: usize,
+    ranges: &KeyRanges,
+) -> Tensor<3> {
+    let [batch, channels, time] = queries.dims();
+    check(channels, num_heads);
+    let [other_batch, both, num_keys] = keys_values.dims();
+    assert_eq!(
+        (other_batch, both),
+        (batch, 2 * channels),
+        "samples and channels of keys and values"
+    );
+    ranges.check(batch, time, num_keys);
+    if !fuses(&queries) {
+        let keys = keys_values.clone().narrow(1, 0, channels);
+        let values = keys_values.narrow(1, channels, channels);
+        return composed::ranged_attention(queries, keys, values, num_heads, ranges);
+    }
+    let given = Given {
+        keys: Some(ranges.clone()),
+        ..Given::default()
+    };
+    Tensor::from_dispatch(Dispatch::fused_cross_attention(
+        queries.into_dispatch(),
+        keys_values.into_dispatch(),
+        num_heads,
+        given,
     ))
 }
 

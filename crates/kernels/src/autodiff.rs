@@ -168,7 +168,7 @@ impl Backward<Flex, 2> for CrossAttention {
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
         let (queries, keys_values) = (queries.view(), keys_values.view());
-        let heads = cross_heads(queries, keys_values, num_heads, given.frames());
+        let heads = cross_heads(queries, keys_values, num_heads, &given);
         let values = attend_backward(heads, gradient.view());
         for (node, value) in ops.parents.into_iter().zip(values) {
             if let Some(node) = node {
@@ -188,7 +188,7 @@ impl Backward<Flex, 1> for SelfAttention {
         let (all, num_heads, given) = ops.state;
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let all = HostRows::of(all);
-        let heads = self_heads(all.view(), num_heads, given.frames());
+        let heads = self_heads(all.view(), num_heads, &given);
         let value = self_attend_backward(heads, gradient.view());
         if let [Some(node)] = ops.parents {
             gradients.register::<Flex>(node.id, value);

@@ -8,14 +8,14 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, backend_extension};
 
 use crate::flex::{HostRows, contiguous, from_rows, tensor};
-use crate::host::attention::{Columns, HeadGradients, Heads};
+use crate::host::attention::{Attended, Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
 use crate::host::team;
-use crate::lengths::Lengths;
+use crate::lengths::{KeyRanges, Lengths};
 use crate::linear_map::SharedMap;
 
 /// Which of an operation's optional tensors count, and how much of each sample.
@@ -31,9 +31,20 @@ pub struct Given {
     pub mask: bool,
     /// Frames of each sample that are not padding; all where nothing is said.
     pub lengths: Option<Lengths>,
+    /// Keys that each query attends to.
+    pub keys: Option<KeyRanges>,
 }
 
 impl Given {
+    /// The keys that are attended to.
+    pub fn attended(&self) -> Attended<'_> {
+        match (&self.keys, self.frames()) {
+            (Some(ranges), _) => Attended::Ranges(ranges),
+            (None, Some(lengths)) => Attended::First(lengths),
+            (None, None) => Attended::All,
+        }
+    }
+
     /// The frames of each sample, as the kernels take them.
     pub fn frames(&self) -> Option<&[usize]> {
         self.lengths.as_ref().map(Lengths::frames)
@@ -205,7 +216,7 @@ pub(crate) fn cross_heads<'a>(
     queries: Rows<'a>,
     keys_values: Rows<'a>,
     num_heads: usize,
-    lengths: Option<&'a [usize]>,
+    given: &'a Given,
 ) -> Heads<'a> {
     let channels = queries.channels;
     Heads {
@@ -213,23 +224,19 @@ pub(crate) fn cross_heads<'a>(
         keys: keys_values.narrow(0, channels),
         values: keys_values.narrow(channels, channels),
         num_heads,
-        lengths,
+        attended: given.attended(),
     }
 }
 
 /// Queries, keys and values that lie side by side.
-pub(crate) fn self_heads<'a>(
-    all: Rows<'a>,
-    num_heads: usize,
-    lengths: Option<&'a [usize]>,
-) -> Heads<'a> {
+pub(crate) fn self_heads<'a>(all: Rows<'a>, num_heads: usize, given: &'a Given) -> Heads<'a> {
     let channels = all.channels / 3;
     Heads {
         queries: all.narrow(0, channels),
         keys: all.narrow(channels, channels),
         values: all.narrow(2 * channels, channels),
         num_heads,
-        lengths,
+        attended: given.attended(),
     }
 }
 
@@ -391,7 +398,7 @@ impl FusedOps for Flex {
     ) -> FlexTensor {
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
         let (queries, keys_values) = (queries.view(), keys_values.view());
-        attend(cross_heads(queries, keys_values, num_heads, given.frames()))
+        attend(cross_heads(queries, keys_values, num_heads, &given))
     }
 
     fn fused_self_attention(
@@ -400,7 +407,7 @@ impl FusedOps for Flex {
         given: Given,
     ) -> FlexTensor {
         let all = HostRows::of(queries_keys_values);
-        attend(self_heads(all.view(), num_heads, given.frames()))
+        attend(self_heads(all.view(), num_heads, &given))
     }
 
     fn fused_gru(

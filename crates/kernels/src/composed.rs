@@ -1,9 +1,11 @@
 //! The operations in Burn's own, for every device.
 
+use std::ops::Range;
+
 use burn::tensor::Tensor;
 use burn::tensor::activation::{mish, silu};
 
-use crate::{Activation, Convolution, GroupNorm, Lengths};
+use crate::{Activation, Convolution, GroupNorm, KeyRanges, Lengths};
 
 pub(crate) fn group_norm(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
@@ -196,28 +198,81 @@ pub(crate) fn attention(
     num_heads: usize,
     lengths: Option<&Lengths>,
 ) -> Tensor<3> {
+    let mask = lengths.map(|lengths| {
+        let mask = lengths.mask(keys.dims()[2], &queries.device());
+        mask.unsqueeze_dim::<4>(1)
+    });
+    masked(queries, keys, values, num_heads, mask)
+}
+
+/// The same in which each query attends to its own keys. Queries of narrow ranges are taken in parts.
+pub(crate) fn ranged_attention(
+    queries: Tensor<3>,
+    keys: Tensor<3>,
+    values: Tensor<3>,
+    num_heads: usize,
+    ranges: &KeyRanges,
+) -> Tensor<3> {
+    let [batch, channels, time] = queries.dims();
+    let length = match 2 * ranges.widest() < keys.dims()[2] {
+        true => ranges.widest().max(SHORTEST_PART),
+        false => time,
+    };
+    let part = |start: usize| {
+        let part = start..time.min(start + length);
+        let spans = (0..batch).map(|sample| ranges.span(sample, part.clone()));
+        let spans = spans.filter(|span| !span.is_empty());
+        let span = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
+        let Some(span) = span else {
+            return Tensor::zeros([batch, channels, part.len()], &queries.device());
+        };
+        let of =
+            |x: &Tensor<3>, frames: &Range<usize>| x.clone().narrow(2, frames.start, frames.len());
+        let mask = ranges.mask(part.clone(), span.clone(), &queries.device());
+        masked(
+            of(&queries, &part),
+            of(&keys, &span),
+            of(&values, &span),
+            num_heads,
+            Some(mask),
+        )
+    };
+    Tensor::cat((0..time).step_by(length).map(part).collect(), 2)
+}
+
+/// Fewest queries that are taken together.
+const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 64 };
+
+/// Attention to the keys under a mask that all heads share, `[batch, 1, 1 or time, keys]`; a query
+/// without a key gives zeros.
+fn masked(
+    queries: Tensor<3>,
+    keys: Tensor<3>,
+    values: Tensor<3>,
+    num_heads: usize,
+    mask: Option<Tensor<4>>,
+) -> Tensor<3> {
     let [batch, channels, time] = queries.dims();
     let head_channels = channels / num_heads;
     let heads = |x: Tensor<3>| {
         let frames = x.dims()[2];
         x.reshape([batch, num_heads, head_channels, frames])
     };
-    let num_keys = keys.dims()[2];
     let scale = (head_channels as f64).powf(-0.5);
     let scores = heads(queries)
         .swap_dims(2, 3)
         .matmul(heads(keys))
         .mul_scalar(scale);
-    let scores = match lengths {
-        Some(lengths) => {
-            // Far below every score, and finite: exactly no weight after the softmax.
-            let mask = lengths.mask(num_keys, &scores.device());
-            scores + mask.sub_scalar(1.0).mul_scalar(1e9).unsqueeze_dim::<4>(1)
+    let weights = match mask {
+        // Far below every score, and finite: exactly no weight after the softmax.
+        Some(mask) => {
+            let hidden = mask.clone().sub_scalar(1.0).mul_scalar(1e9);
+            softmax(scores + hidden) * mask
         }
-        None => scores,
+        None => softmax(scores),
     };
     heads(values)
-        .matmul(softmax(scores).swap_dims(2, 3))
+        .matmul(weights.swap_dims(2, 3))
         .reshape([batch, channels, time])
 }
 

@@ -1,5 +1,6 @@
-//! How much of each sample of a batch is real.
+//! How much of each sample of a batch is real, and which frames attend to which.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -51,6 +52,93 @@ impl Lengths {
             "lengths {:?} of {time} frames",
             self.0
         );
+    }
+}
+
+/// Frames that each frame of a batch attends to: a range for each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KeyRanges {
+    /// `[batch, queries]`, first and behind the last.
+    ranges: Arc<[[u32; 2]]>,
+    queries: usize,
+    widest: usize,
+}
+
+impl KeyRanges {
+    /// The keys of each query, `[batch][queries]`; an empty range gives zeros.
+    ///
+    /// # Panics
+    /// Panics unless every sample has as many queries, or if a range runs backwards.
+    pub fn new(batch: impl IntoIterator<Item = Vec<Range<usize>>>) -> Self {
+        let batch: Vec<Vec<Range<usize>>> = batch.into_iter().collect();
+        let queries = batch.first().map_or(0, Vec::len);
+        let all = batch.iter().flat_map(|sample| {
+            assert_eq!(sample.len(), queries, "queries of each sample");
+            sample
+        });
+        let all: Vec<&Range<usize>> = all.collect();
+        assert!(all.iter().all(|range| range.start <= range.end), "ranges");
+        Self {
+            widest: all.iter().map(|range| range.len()).max().unwrap_or(0),
+            ranges: all
+                .iter()
+                .map(|range| [range.start as u32, range.end as u32])
+                .collect(),
+            queries,
+        }
+    }
+
+    /// Keys of a query.
+    pub fn of(&self, sample: usize, query: usize) -> Range<usize> {
+        let [start, end] = self.ranges[sample * self.queries + query];
+        start as usize..end as usize
+    }
+
+    /// Most keys of a query.
+    pub fn widest(&self) -> usize {
+        self.widest
+    }
+
+    /// From the first key of some queries to behind their last; empty of none.
+    pub(crate) fn span(&self, sample: usize, queries: Range<usize>) -> Range<usize> {
+        let ranges = queries.map(|query| self.of(sample, query));
+        let filled = ranges.filter(|range| !range.is_empty());
+        let span = filled.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
+        span.unwrap_or(0..0)
+    }
+
+    /// 1 where a query attends to a key, else 0, of some queries and keys:
+    /// `[batch, 1, queries, keys]`.
+    pub(crate) fn mask(
+        &self,
+        queries: Range<usize>,
+        keys: Range<usize>,
+        device: &Device,
+    ) -> Tensor<4> {
+        let batch = self.ranges.len() / self.queries.max(1);
+        let mut values = Vec::with_capacity(batch * queries.len() * keys.len());
+        for sample in 0..batch {
+            for query in queries.clone() {
+                let range = self.of(sample, query);
+                values.extend(
+                    keys.clone()
+                        .map(|key| f32::from(u8::from(range.contains(&key)))),
+                );
+            }
+        }
+        let shape = [batch, 1, queries.len(), keys.len()];
+        Tensor::from_data(TensorData::new(values, shape), device)
+    }
+
+    /// Asserts that they fit a batch of so many samples, queries and keys.
+    pub(crate) fn check(&self, batch: usize, queries: usize, keys: usize) {
+        assert_eq!(
+            (self.ranges.len(), self.queries),
+            (batch * queries, queries),
+            "a range of keys for each query"
+        );
+        let inside = self.ranges.iter().all(|[_, end]| *end as usize <= keys);
+        assert!(inside, "ranges beyond {keys} keys");
     }
 }
 

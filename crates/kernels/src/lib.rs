@@ -35,11 +35,11 @@ pub mod optimizer;
 mod product;
 mod recurrence;
 
-pub use attention::{cross_attention, self_attention};
+pub use attention::{cross_attention, ranged_attention, self_attention};
 pub use convolution::{Convolution, concat_channels, linear};
 pub use host::activation::Activation;
 pub use invariance::batch_invariant;
-pub use lengths::Lengths;
+pub use lengths::{KeyRanges, Lengths};
 pub use linear_map::{LinearMap, SharedMap, linear_map};
 pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};

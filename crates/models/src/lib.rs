@@ -6,9 +6,10 @@
 //! that name. [`lora`] adds low-rank adapters. [`gmd`] contains the networks of Guided Motion
 //! Diffusion, [`transformer`] the encoder of its baseline, and [`TextDenoiser`] is a
 //! text-conditioned denoiser with either of them; [`clip`] is the encoder of the texts. [`flow`] contains the networks that continue a
-//! motion frame by frame. [`text_motion`] contains the encoders of the text-motion evaluator.
+//! motion frame by frame, [`blended`] the one that composes a motion of several texts. [`text_motion`] contains the encoders of the text-motion evaluator.
 
 pub mod attention;
+pub mod blended;
 pub mod clip;
 pub mod config;
 pub mod decoder;

@@ -2,43 +2,82 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// Turns the channels of each head by the frame's position, so that the product of a query and a
-/// key depends on how far apart their frames are, and on where neither stands:
+/// Turns channels of each head by the frame's position, so that the product of a query and a key
+/// depends on how far apart their frames are, and on where neither stands:
 ///
 /// ```text
 /// [a_i | b_i] -> [a_i cos(t f_i) - b_i sin(t f_i) | a_i sin(t f_i) + b_i cos(t f_i)]
 /// f_i = 10000^(-i / h)
 /// ```
 ///
-/// with `a` the first and `b` the second half of a head's `2 h` channels.
+/// with `a` the first and `b` the second half of the `2 h` channels of a head that turn, its first
+/// ones.
+#[derive(Clone, Debug)]
+pub struct Rotation {
+    /// Channels of a head that turn.
+    channels: usize,
+    /// `[1 or batch, 1, 1, half, time]`.
+    cos: Tensor<5>,
+    sin: Tensor<5>,
+}
+
+impl Rotation {
+    /// Turns the first `channels` of each head, an even number, in those motions of a batch that
+    /// `turns` says; one entry stands for all motions.
+    pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
+        let half = channels / 2;
+        // Computed on the host in double precision, as the embedding of timesteps is.
+        let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
+        let angles: Vec<f64> = frequencies
+            .flat_map(|frequency| (0..time).map(move |t| t as f64 * frequency))
+            .collect();
+        let table = |of: fn(f64) -> f64| {
+            let angles = &angles;
+            let values = turns.iter().flat_map(|turns| {
+                let factor = f64::from(u8::from(*turns));
+                angles.iter().map(move |angle| of(factor * angle) as f32)
+            });
+            let data = TensorData::new(values.collect::<Vec<_>>(), [turns.len(), 1, 1, half, time]);
+            Tensor::from_data(data, device)
+        };
+        Self {
+            channels,
+            cos: table(f64::cos),
+            sin: table(f64::sin),
+        }
+    }
+
+    /// # Shapes
+    /// - x, output: `[batch, channels, time]`, the channels of a head lying together
+    pub fn turn(&self, x: Tensor<3>, num_heads: usize) -> Tensor<3> {
+        let [batch, channels, time] = x.dims();
+        let (head, half) = (channels / num_heads, self.channels / 2);
+        let heads = x.reshape([batch, num_heads, head, time]);
+        let turning = heads.clone().narrow(2, 0, self.channels);
+        let halves = turning.reshape([batch, num_heads, 2, half, time]);
+        let part = |index: usize| halves.clone().narrow(2, index, 1);
+        let (a, b) = (part(0), part(1));
+        let turned = vec![
+            a.clone() * self.cos.clone() - b.clone() * self.sin.clone(),
+            a * self.sin.clone() + b * self.cos.clone(),
+        ];
+        let turned = Tensor::cat(turned, 2);
+        if head == self.channels {
+            return turned.reshape([batch, channels, time]);
+        }
+        let turned = turned.reshape([batch, num_heads, self.channels, time]);
+        let rest = heads.narrow(2, self.channels, head - self.channels);
+        Tensor::cat(vec![turned, rest], 2).reshape([batch, channels, time])
+    }
+}
+
+/// [`Rotation`] of all channels of each head.
 ///
 /// # Shapes
 /// - x, output: `[batch, channels, time]`, the channels of a head lying together and even in number
 pub fn rotate(x: Tensor<3>, num_heads: usize) -> Tensor<3> {
-    let [batch, channels, time] = x.dims();
-    let half = channels / num_heads / 2;
-    let [cos, sin] = tables(half, time, &x.device());
-    let halves = x.reshape([batch, num_heads, 2, half, time]);
-    let part = |index: usize| halves.clone().narrow(2, index, 1);
-    let (a, b) = (part(0), part(1));
-    let turned = vec![
-        a.clone() * cos.clone() - b.clone() * sin.clone(),
-        a * sin + b * cos,
-    ];
-    Tensor::cat(turned, 2).reshape([batch, channels, time])
-}
-
-/// Cosine and sine of each angle: `[1, 1, 1, half, time]`. Computed on the host in double
-/// precision, as the embedding of timesteps is.
-fn tables(half: usize, time: usize, device: &Device) -> [Tensor<5>; 2] {
-    let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
-    let angles: Vec<f64> = frequencies
-        .flat_map(|frequency| (0..time).map(move |t| t as f64 * frequency))
-        .collect();
-    [f64::cos, f64::sin].map(|of| {
-        let values: Vec<f32> = angles.iter().map(|&angle| of(angle) as f32).collect();
-        Tensor::from_data(TensorData::new(values, [1, 1, 1, half, time]), device)
-    })
+    let [_, channels, time] = x.dims();
+    Rotation::new(channels / num_heads, time, &[true], &x.device()).turn(x, num_heads)
 }
 
 #[cfg(test)]

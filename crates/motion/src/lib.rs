@@ -30,6 +30,7 @@ pub mod kinematics;
 pub mod metrics;
 pub mod moments;
 pub mod movement;
+pub mod path;
 pub mod phrase;
 pub mod postprocess;
 pub mod representation;

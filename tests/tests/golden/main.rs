@@ -8,10 +8,12 @@ mod diffusion_loss;
 mod diffusion_steps;
 mod e2e;
 mod flow;
+mod flowmdm;
 mod genmm;
 mod gmd;
 mod humanml;
 mod optim;
+mod paths;
 mod postprocess_sanity;
 mod schedules;
 mod temporal_loss;
@@ -29,10 +31,12 @@ fn main() -> ExitCode {
         diffusion_steps::tests(),
         e2e::tests(),
         flow::tests(),
+        flowmdm::tests(),
         genmm::tests(),
         gmd::tests(),
         humanml::tests(),
         optim::tests(),
+        paths::tests(),
         postprocess_sanity::tests(),
         schedules::tests(),
         temporal_loss::tests(),

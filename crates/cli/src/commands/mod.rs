@@ -22,6 +22,7 @@ pub mod shell;
 pub mod text;
 pub mod train;
 pub mod view;
+pub mod warp;
 
 /// The name that `found` is nearest to, if it is near.
 fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {

@@ -12,7 +12,7 @@ use gemm::{Parallelism, gemm};
 use super::rows::{Rows, SharedRows};
 use super::simd::{exp, vectorized};
 use super::team;
-use crate::lengths::frames_of;
+use crate::lengths::KeyRanges;
 
 /// Queries, keys and values, all heads side by side in the channels.
 #[derive(Clone, Copy)]
@@ -25,8 +25,38 @@ pub struct Heads<'a> {
     pub values: Rows<'a>,
     /// Heads that the channels divide into.
     pub num_heads: usize,
-    /// Keys of each sample that are attended to; all where nothing is said.
-    pub lengths: Option<&'a [usize]>,
+    /// Keys that are attended to.
+    pub attended: Attended<'a>,
+}
+
+/// Keys that are attended to.
+#[derive(Clone, Copy)]
+pub enum Attended<'a> {
+    /// All of them.
+    All,
+    /// So many of each sample, from the first on.
+    First(&'a [usize]),
+    /// Those of each query.
+    Ranges(&'a KeyRanges),
+}
+
+impl Attended<'_> {
+    /// Keys of a query, of so many.
+    fn of(self, sample: usize, query: usize, keys: usize) -> Range<usize> {
+        match self {
+            Self::All => 0..keys,
+            Self::First(lengths) => 0..lengths[sample],
+            Self::Ranges(ranges) => ranges.of(sample, query),
+        }
+    }
+
+    /// From the first key of some queries to behind their last.
+    fn span(self, sample: usize, queries: Range<usize>, keys: usize) -> Range<usize> {
+        match self {
+            Self::Ranges(ranges) => ranges.span(sample, queries),
+            _ => self.of(sample, queries.start, keys),
+        }
+    }
 }
 
 /// Where the gradients of [`Heads`] go.
@@ -47,6 +77,9 @@ pub(crate) struct Columns<'a> {
 /// Most scores that are in memory at a time, of each thread: those of a thousand frames. Tests are of
 /// few, and take their queries in parts too.
 const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
+
+/// Fewest queries of a part of those that attend to few keys each.
+const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 32 };
 
 /// What a thread holds of the head that it works on.
 #[derive(Default)]
@@ -157,11 +190,6 @@ impl<'a> Heads<'a> {
         (self.head_channels() as f32).sqrt().recip()
     }
 
-    /// Keys of a sample that are attended to.
-    fn keys_of(&self, sample: usize) -> usize {
-        frames_of(self.lengths, sample, self.keys.time)
-    }
-
     /// Runs `work(sample, head)` for every head of every sample.
     fn for_each(&self, work: impl Fn(usize, usize) + Sync) {
         let heads = self.num_heads;
@@ -170,25 +198,71 @@ impl<'a> Heads<'a> {
         });
     }
 
-    /// The queries, in parts whose scores fit into a buffer.
+    /// The queries, in parts whose scores fit into a buffer. Of queries that attend to few keys each a
+    /// part is short, so that its keys are few as well.
     fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        let (time, length) = (self.queries.time, (MOST_SCORES / self.keys.time).max(1));
+        let (time, keys) = (self.queries.time, self.keys.time);
+        let most = (MOST_SCORES / keys.max(1)).max(1);
+        let length = match self.attended {
+            Attended::Ranges(ranges) if 2 * ranges.widest() < keys => (ranges.widest() / 4)
+                .clamp(SHORTEST_PART, time.max(SHORTEST_PART))
+                .min(most),
+            _ => most,
+        };
         let starts = (0..time).step_by(length);
         starts.map(move |start| start..time.min(start + length))
     }
 
-    /// Writes the attention `[part, keys]` of one head to `weights`.
-    fn weights(&self, sample: usize, head: usize, part: Range<usize>, weights: &mut Vec<f32>) {
-        let keys = self.keys_of(sample);
+    /// Writes the attention `[part, span]` of one head to `weights`, and says which keys the span is.
+    fn weights(
+        &self,
+        sample: usize,
+        head: usize,
+        part: Range<usize>,
+        weights: &mut Vec<f32>,
+    ) -> Range<usize> {
+        let span = self.attended.span(sample, part.clone(), self.keys.time);
+        let keys = span.len();
         weights.resize(part.len() * keys, 0.0);
+        if span.is_empty() {
+            return span;
+        }
         let queries = self.matrix(self.queries, sample, head).from(part.start);
-        let keys_matrix = self.matrix(self.keys, sample, head).transposed();
+        let keys_matrix = self.matrix(self.keys, sample, head).from(span.start);
         let size = [part.len(), self.head_channels(), keys];
-        product(weights, false, self.scale(), queries, keys_matrix, size);
+        product(
+            weights,
+            false,
+            self.scale(),
+            queries,
+            keys_matrix.transposed(),
+            size,
+        );
+        let ranges = part.map(|query| {
+            let Range { start, end } = self.attended.of(sample, query, self.keys.time);
+            // Of a query without keys wherever its empty range is.
+            let inside = |key: usize| key.clamp(span.start, span.end) - span.start;
+            inside(start)..inside(end)
+        });
         vectorized(
             #[inline(always)]
-            || weights.chunks_exact_mut(keys).for_each(softmax),
+            || {
+                for (row, range) in weights.chunks_exact_mut(keys).zip(ranges) {
+                    if range.len() == keys {
+                        softmax(row);
+                        continue;
+                    }
+                    let (before, rest) = row.split_at_mut(range.start);
+                    let (inside, behind) = rest.split_at_mut(range.len());
+                    before.fill(0.0);
+                    behind.fill(0.0);
+                    if !inside.is_empty() {
+                        softmax(inside);
+                    }
+                }
+            },
         );
+        span
     }
 
     /// `softmax(queries keys^T / sqrt(head channels)) values`: `[batch, time, channels]`.
@@ -199,14 +273,16 @@ impl<'a> Heads<'a> {
         let mut output = vec![0.0; shape.iter().product()];
         let rows = SharedRows::dense(&mut output, shape);
         self.for_each(|sample, head| {
-            let keys = self.keys_of(sample);
             SCORES.with_borrow_mut(|Buffers { weights, sums, .. }| {
                 for part in self.parts() {
-                    self.weights(sample, head, part.clone(), weights);
+                    let span = self.weights(sample, head, part.clone(), weights);
+                    if span.is_empty() {
+                        continue;
+                    }
                     sums.resize(part.len() * head_channels, 0.0);
-                    let weights = dense(weights, keys);
-                    let values = self.matrix(self.values, sample, head);
-                    let size = [part.len(), keys, head_channels];
+                    let weights = dense(weights, span.len());
+                    let values = self.matrix(self.values, sample, head).from(span.start);
+                    let size = [part.len(), span.len(), head_channels];
                     product(sums, false, 1.0, weights, values, size);
                     let columns = Columns { rows, first: 0 };
                     let place = [sample, part.start, head * head_channels];
@@ -223,7 +299,8 @@ impl<'a> Heads<'a> {
         let channels = self.head_channels();
         let scale = self.scale();
         self.for_each(|sample, head| {
-            let keys = self.keys_of(sample);
+            let queries = self.queries.time;
+            let all = self.attended.span(sample, 0..queries, self.keys.time);
             SCORES.with_borrow_mut(|buffers| {
                 let Buffers {
                     weights,
@@ -233,22 +310,36 @@ impl<'a> Heads<'a> {
                     of_values,
                 } = buffers;
                 let first = head * channels;
-                of_keys.resize(keys * channels, 0.0);
-                of_values.resize(keys * channels, 0.0);
+                for sums in [&mut *of_keys, &mut *of_values] {
+                    sums.clear();
+                    sums.resize(all.len() * channels, 0.0);
+                }
                 for part in self.parts() {
-                    let is_later = part.start > 0;
                     let length = part.len();
-                    self.weights(sample, head, part.clone(), weights);
+                    let span = self.weights(sample, head, part.clone(), weights);
+                    if span.is_empty() {
+                        continue;
+                    }
+                    let keys = span.len();
+                    let place = span.start - all.start;
+                    let place = place * channels..(place + keys) * channels;
                     let gradient = self.matrix(gradient, sample, head).from(part.start);
 
                     let transposed = dense(weights, keys).transposed();
                     let size = [keys, length, channels];
-                    product(of_values, is_later, 1.0, transposed, gradient, size);
+                    product(
+                        &mut of_values[place.clone()],
+                        true,
+                        1.0,
+                        transposed,
+                        gradient,
+                        size,
+                    );
 
                     scores.resize(length * keys, 0.0);
-                    let values = self.matrix(self.values, sample, head).transposed();
+                    let values = self.matrix(self.values, sample, head).from(span.start);
                     let size = [length, channels, keys];
-                    product(scores, false, 1.0, gradient, values, size);
+                    product(scores, false, 1.0, gradient, values.transposed(), size);
                     vectorized(
                         #[inline(always)]
                         || {
@@ -262,17 +353,19 @@ impl<'a> Heads<'a> {
                     let queries = self.matrix(self.queries, sample, head).from(part.start);
                     let transposed = dense(scores, keys).transposed();
                     let size = [keys, length, channels];
-                    product(of_keys, is_later, scale, transposed, queries, size);
+                    product(&mut of_keys[place], true, scale, transposed, queries, size);
 
                     sums.resize(length * channels, 0.0);
-                    let keys_matrix = self.matrix(self.keys, sample, head);
+                    let keys_matrix = self.matrix(self.keys, sample, head).from(span.start);
                     let size = [length, keys, channels];
                     product(sums, false, scale, dense(scores, keys), keys_matrix, size);
                     let place = [sample, part.start, first];
                     into.queries.write(place, sums, channels);
                 }
-                into.keys.write([sample, 0, first], of_keys, channels);
-                into.values.write([sample, 0, first], of_values, channels);
+                into.keys
+                    .write([sample, all.start, first], of_keys, channels);
+                into.values
+                    .write([sample, all.start, first], of_values, channels);
             });
         });
     }

@@ -4,8 +4,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
 use crate::{
-    Activation, Convolution, GroupNorm, Lengths, concat_channels, cross_attention, gelu,
-    layer_norm, self_attention,
+    Activation, Convolution, GroupNorm, KeyRanges, Lengths, concat_channels, cross_attention, gelu,
+    layer_norm, ranged_attention, self_attention,
 };
 use crate::{Mode, linear};
 
@@ -39,6 +39,8 @@ pub enum Operation {
     CrossAttention {
         num_heads: usize,
         keys: usize,
+        /// Each query attends to the keys that are at most so many from it.
+        reach: Option<usize>,
     },
     SelfAttention {
         num_heads: usize,
@@ -132,6 +134,33 @@ impl Case {
         let of_sample = |sample| time - (sample * 5 + self.seed as usize % 7) % time;
         self.padded
             .then(|| Lengths::new((0..self.batch).map(of_sample)))
+    }
+
+    /// Keys of each query, where those are near it alone: every fifth or so has none.
+    pub fn ranges(&self) -> Option<KeyRanges> {
+        let Operation::CrossAttention {
+            keys,
+            reach: Some(reach),
+            ..
+        } = self.operation
+        else {
+            return None;
+        };
+        let lengths = self.lengths();
+        let of = |sample: usize, query: usize| {
+            let end = lengths
+                .as_ref()
+                .map_or(keys, |lengths| lengths.frames()[sample]);
+            let middle = query * keys / self.time;
+            match (query + sample + self.seed as usize % 5) % 5 {
+                4 => middle..middle,
+                _ => middle.saturating_sub(reach).min(end)..(middle + reach + 1).min(end),
+            }
+        };
+        let of_sample = |sample| (0..self.time).map(move |query| (sample, query));
+        let batch =
+            (0..self.batch).map(|sample| of_sample(sample).map(|(s, q)| of(s, q)).collect());
+        Some(KeyRanges::new(batch))
     }
 
     /// Every tensor that goes in, `x` first.
@@ -385,7 +414,11 @@ impl Case {
             }
             Operation::GroupNorm(given) => norm(given).forward(x),
             Operation::CrossAttention { num_heads, .. } => {
-                cross_attention(x, take("keys_values"), num_heads, self.lengths().as_ref())
+                let keys_values = take("keys_values");
+                match self.ranges() {
+                    Some(ranges) => ranged_attention(x, keys_values, num_heads, &ranges),
+                    None => cross_attention(x, keys_values, num_heads, self.lengths().as_ref()),
+                }
             }
             Operation::SelfAttention { num_heads } => {
                 self_attention(x, num_heads, self.lengths().as_ref())

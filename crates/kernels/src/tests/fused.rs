@@ -76,9 +76,9 @@ fn operations() -> impl Strategy<Value = Operation> {
         3 => normalized,
         2 => transposed,
         2 => norms().prop_map(Operation::GroupNorm),
-        1 => (1..4usize, 1..20usize).prop_map(|(num_heads, keys)| {
-            Operation::CrossAttention { num_heads, keys }
-        }),
+        2 => (1..4usize, 1..40usize, proptest::option::of(0..6usize)).prop_map(
+            |(num_heads, keys, reach)| Operation::CrossAttention { num_heads, keys, reach },
+        ),
         1 => (1..4usize).prop_map(|num_heads| Operation::SelfAttention { num_heads }),
         1 => (1..70usize).prop_map(|second| Operation::Concat { second }),
         1 => Just(Operation::Linear),

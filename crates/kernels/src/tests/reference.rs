@@ -128,6 +128,11 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
         Operation::GroupNorm(norm) => group_norm(x, norm, tensors, &counts),
         Operation::CrossAttention { num_heads, .. } => {
             let other = tensors.get("keys_values");
+            let ranges = case.ranges();
+            let counts = |b: usize, t: usize, key: usize| match &ranges {
+                Some(ranges) => ranges.of(b, t).contains(&key),
+                None => counts(b, key),
+            };
             attention(
                 case,
                 num_heads,
@@ -143,7 +148,7 @@ fn evaluate(case: &Case, tensors: &Tensors<'_>) -> Frames {
             &x,
             (&x, case.inputs),
             (&x, 2 * case.inputs),
-            &counts,
+            &|b, _, key| counts(b, key),
         ),
         Operation::Concat { second: channels } => {
             let second = tensors.get("second");
@@ -240,25 +245,26 @@ fn attention(
     queries: &Frames,
     (keys, first_key): (&Frames, usize),
     (values, first_value): (&Frames, usize),
-    counts: &dyn Fn(usize, usize) -> bool,
+    counts: &dyn Fn(usize, usize, usize) -> bool,
 ) -> Frames {
     let head = case.inputs / num_heads;
     Frames::from_fn([case.batch, case.inputs, case.time], |b, c, t| {
         let first = c / head * head;
-        let weights: Vec<f64> = (0..keys.shape[2])
-            .filter(|&s| counts(b, s))
-            .map(|s| {
-                let products = (first..first + head)
-                    .map(|c| queries.at(b, c, t) * keys.at(b, first_key + c, s));
-                (products.sum::<f64>() / (head as f64).sqrt()).exp()
-            })
-            .collect();
-        let total: f64 = weights.iter().sum();
+        let attended = (0..keys.shape[2]).filter(|&s| counts(b, t, s));
+        let weights = attended.map(|s| {
+            let products =
+                (first..first + head).map(|c| queries.at(b, c, t) * keys.at(b, first_key + c, s));
+            (s, (products.sum::<f64>() / (head as f64).sqrt()).exp())
+        });
+        let weights: Vec<(usize, f64)> = weights.collect();
+        let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
         let products = weights
             .iter()
-            .enumerate()
-            .map(|(s, w)| w * values.at(b, first_value + c, s));
-        products.sum::<f64>() / total
+            .map(|(s, w)| w * values.at(b, first_value + c, *s));
+        match weights.is_empty() {
+            true => 0.0,
+            false => products.sum::<f64>() / total,
+        }
     })
 }
 

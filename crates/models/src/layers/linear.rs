@@ -67,6 +67,30 @@ impl Linear {
     }
 }
 
+/// `y = x W^T`: a linear map without a bias, weight `[out, in]`.
+#[derive(Module, Debug)]
+pub struct Unbiased {
+    weight: Param<Tensor<2>>,
+}
+
+impl Unbiased {
+    /// A map from `inputs` to `outputs` features.
+    pub fn new(inputs: usize, outputs: usize, init: &Initializer) -> Self {
+        Self {
+            weight: init.uniform("weight", [outputs, inputs], inputs),
+        }
+    }
+
+    /// The map of every frame.
+    ///
+    /// # Shapes
+    /// - x: `[batch, in, time]`
+    /// - output: `[batch, out, time]`
+    pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
+        Convolution::new(self.weight.val().unsqueeze_dim(2), 1).forward(x)
+    }
+}
+
 impl Adaptable for Linear {
     fn with_adapter(mut self, config: &LoraConfig, init: &Initializer) -> Self {
         let [outputs, inputs] = self.weight.lazy_shape().dims();

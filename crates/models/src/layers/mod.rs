@@ -21,4 +21,4 @@ pub use embedding::Embedding;
 pub use encoder_layer::{EncoderLayer, EncoderLayerConfig, NormOrder};
 pub use group_norm::{GROUP_NORM_EPS, GROUPS, GroupNorm};
 pub use layer_norm::{LAYER_NORM_EPS, LayerNorm};
-pub use linear::Linear;
+pub use linear::{Linear, Unbiased};

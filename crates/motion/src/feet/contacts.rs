@@ -65,6 +65,63 @@ impl ContactRule {
     }
 }
 
+/// When a joint stands, by its height and its step to the next frame alone, as in the literature; the
+/// last frame has the step before. Lengths are metres, of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum StepRule {
+    /// Low, and a short step (docs/sources.md, section 7, "Edge Considerations").
+    HeightAndStep {
+        /// It is lower than this above the floor.
+        height: f64,
+        /// Its step is shorter than this.
+        step: f64,
+    },
+    /// A short step in both directions, at any height (docs/sources.md, section 7, option A).
+    VerticalAndHorizontal {
+        /// Its vertical step is shorter than this.
+        vertical: f64,
+        /// Its horizontal step is shorter than this.
+        horizontal: f64,
+    },
+    /// A squared step below this, as HumanML3D's flags.
+    SquaredStep(f64),
+    /// A step of at most this, as losses of standing feet have it.
+    Step(f64),
+}
+
+impl StepRule {
+    /// Low and slow, with the thresholds of this project.
+    pub const LOW_AND_SLOW: Self = Self::HeightAndStep {
+        height: 0.12,
+        step: 0.03,
+    };
+
+    /// Whether the joint at `path`, `[frames, 3]`, stands above a floor of that height.
+    pub fn contacts(&self, path: &[[f64; 3]], floor: f64) -> Vec<bool> {
+        let stands = |(here, [x, y, z]): (&[f64; 3], [f64; 3])| match *self {
+            Self::HeightAndStep { height, step } => {
+                here[1] - floor < height && length([x, y, z]) < step
+            }
+            Self::VerticalAndHorizontal {
+                vertical,
+                horizontal,
+            } => y.abs() < vertical && x.hypot(z) < horizontal,
+            Self::SquaredStep(squared) => x * x + y * y + z * z < squared,
+            Self::Step(step) => length([x, y, z]) <= step,
+        };
+        path.iter().zip(steps(path)).map(stands).collect()
+    }
+}
+
+/// The way of each frame to the next, the last one repeated; of a single frame none.
+pub fn steps(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let pairs = path.windows(2).map(|pair| minus(pair[1], pair[0]));
+    let mut steps: Vec<[f64; 3]> = pairs.collect();
+    let last = steps.last().copied().unwrap_or_default();
+    steps.resize(path.len(), last);
+    steps
+}
+
 /// The ranges of frames that are in contact, in order.
 pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();

@@ -16,7 +16,7 @@ mod contacts;
 mod tests;
 
 pub use body::{Held, hold};
-pub use contacts::{ContactRule, runs, steadied};
+pub use contacts::{ContactRule, StepRule, runs, steadied, steps};
 
 use std::ops::Range;
 

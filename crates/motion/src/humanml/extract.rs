@@ -6,7 +6,8 @@ use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{
-    Across, Heading, between, forward, forward_kinematics, inverse_kinematics, minus, to_columns,
+    Across, Heading, between, forward, forward_kinematics, inverse_kinematics, minus, plus,
+    to_columns,
 };
 use super::{FeatureError, Features, Joints, Root, Skeleton};
 use crate::Quaternion;
@@ -54,6 +55,27 @@ impl Extraction {
             joints
         };
         self.features_in_place(skeleton, &canonicalize(skeleton, joints)?)
+    }
+
+    /// [`features`](Self::features) with a row for each frame: the last frame moves on as the one before
+    /// does.
+    ///
+    /// # Errors
+    /// As [`features`](Self::features).
+    pub fn features_of_all_frames(
+        &self,
+        skeleton: &Skeleton,
+        joints: &Joints,
+    ) -> Result<Features, FeatureError> {
+        let mut places = joints.as_slice().to_vec();
+        let last = joints.frames() - 1;
+        let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));
+        places.extend(
+            now.iter()
+                .zip(before)
+                .map(|(now, before)| plus(*now, minus(*now, *before))),
+        );
+        self.features(skeleton, &Joints::new(places, joints.joints())?)
     }
 
     /// The features of a clip as it stands: neither rescaled nor moved. Heights are above y = 0,

@@ -16,6 +16,7 @@ mod goal;
 mod joints;
 mod phase;
 pub mod text_motion;
+mod transitions;
 mod variety;
 
 pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats, speed_peaks};
@@ -28,6 +29,7 @@ pub use joints::{
     sliding_ratio,
 };
 pub use phase::phase_error;
+pub use transitions::{BABEL_JERK, HUMANML3D_JERK, TransitionJerk, jerk_of_frames};
 pub use variety::{mean_pair_distance, multimodality, replication_interval, trajectory_diversity};
 
 use std::ops::Range;

@@ -1,6 +1,6 @@
 //! Guided Motion Diffusion.
 
-mod bench;
+pub mod bench;
 mod draw_and_cut;
 mod emphasis;
 mod evaluator;

@@ -116,18 +116,12 @@ impl Clip {
                 .map(|&joint| world[joint].position.map(|value| value / CENTIMETRES));
             joints.extend(metres);
         }
-        let count = places.len();
-        let last = joints.len() - count;
-        for joint in 0..count {
-            let (now, before) = (joints[last + joint], joints[last - count + joint]);
-            joints.push([0, 1, 2].map(|axis| 2.0 * now[axis] - before[axis]));
-        }
-        let joints = Joints::new(joints, count)?;
+        let joints = Joints::new(joints, places.len())?;
         let extraction = Extraction {
             rescale: false,
             ..Extraction::default()
         };
-        let features = extraction.features(&self.skeleton, &joints)?;
+        let features = extraction.features_of_all_frames(&self.skeleton, &joints)?;
         Ok(features.with_root(self.root))
     }
 }

@@ -1,0 +1,271 @@
+//! `kinegrad warp`
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use kinegrad_data::file::read_text;
+use kinegrad_data::{Digest, read_array, write_values, write_whole};
+use kinegrad_motion::Representation;
+use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
+use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
+use kinegrad_motion::path::{PathPlan, PathReport, Warp};
+use kinegrad_report::table;
+use kinegrad_train::Error;
+use kinegrad_train::systems::Systems;
+use serde::Serialize;
+
+use crate::args::WarpArguments;
+use crate::commands::files::{self, note_deviation};
+use crate::output::unusable;
+use crate::{folder, interrupt, output};
+
+/// Times its own speed beyond which a motion that is stretched is doubted.
+const USUAL: std::ops::RangeInclusive<f64> = 0.67..=1.5;
+
+/// How a motion was moved onto a path.
+#[derive(Serialize)]
+struct Record {
+    kinegrad: &'static str,
+    motion: PathBuf,
+    path: PathBuf,
+    path_sha256: String,
+    path_content: PathPlan,
+    warp: Warp,
+    fix_feet: bool,
+    frames: usize,
+    fps: f64,
+    /// Metres of the path.
+    path_length: f64,
+    /// The root's speed on the path by that before; 0 of a motion that stood.
+    speed_ratio: f64,
+    before: Quality,
+    after: PathReport,
+}
+
+/// How a motion looks.
+#[derive(Serialize)]
+struct Quality {
+    foot_skating: Option<f64>,
+    jerk: Option<f64>,
+}
+
+/// Moves a motion onto a path.
+pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, Error> {
+    interrupt::end_between_files();
+    let outputs = outputs(&arguments)?;
+    let (text, plan) = read_path(&arguments)?;
+    let (joints, skeleton) = read_motion(systems, &arguments.motion)?;
+    let path = plan.polyline().map_err(unusable)?;
+    let warp = Warp {
+        along: arguments.along,
+        turning: arguments.heading,
+        smooth: !arguments.sharp,
+    };
+    let warped = warp.apply(&joints, &skeleton, &path).map_err(unusable)?;
+    let frames = warped.course.frames();
+    if frames < 2 {
+        let message = format!(
+            "the path is {:.3} m long: the motion leaves it after its first frame",
+            path.length()
+        );
+        let hint = "give a longer path, or `--along stretch`";
+        return Err(Error::usage(message, hint));
+    }
+    let own = Joints::new(
+        joints.as_slice()[..frames * joints.joints()].to_vec(),
+        joints.joints(),
+    )?;
+    let moved = match arguments.fix_feet {
+        true => hold(&warped.joints, &own, &skeleton, &ContactRule::default())?.joints,
+        false => warped.joints,
+    };
+    let extraction = Extraction {
+        rescale: false,
+        ..Extraction::default()
+    };
+    let features = extraction.features_of_all_frames(&skeleton, &moved)?;
+    let record = Record {
+        kinegrad: env!("CARGO_PKG_VERSION"),
+        motion: arguments.motion.clone(),
+        path: arguments.path.clone(),
+        path_sha256: Digest::of(text.as_bytes()).to_string(),
+        warp,
+        fix_feet: arguments.fix_feet,
+        frames,
+        fps: skeleton.description().fps,
+        path_length: path.length(),
+        speed_ratio: warped.speed_ratio,
+        before: Quality::of(&own, &skeleton),
+        after: PathReport::of(&moved, &skeleton, &path, &warped.course)?,
+        path_content: plan,
+    };
+    for path in &outputs {
+        folder::must_take(path)?;
+    }
+    interrupt::not_during(|| write(&moved, &features, &skeleton, &record, &outputs))?;
+    match arguments.json {
+        true => output::json(&record),
+        false => {
+            for path in &outputs {
+                say!("{}", path.display());
+            }
+            record.summarize(joints.frames());
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Where the results go: joints, features, BVH and record.
+fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
+    let text = arguments.out.to_string_lossy();
+    let stem = text.strip_suffix(".npy").unwrap_or(&text);
+    if stem.is_empty() || stem.ends_with(['/', '.']) {
+        let message = format!("`--out {text}` names no file: it is the beginning of a path");
+        return Err(Error::usage(message, "such as `--out warped/walk`"));
+    }
+    let outputs = [".npy", ".features.npy", ".bvh", ".json"];
+    let outputs = outputs.map(|ending| PathBuf::from(format!("{stem}{ending}")));
+    let read = [&arguments.motion, &arguments.path];
+    let read = read.map(|path| path.canonicalize().ok());
+    for path in &outputs {
+        let there = path.canonicalize().ok();
+        if there.is_some() && read.contains(&there) {
+            let message = format!("{} is read itself", path.display());
+            return Err(Error::usage(message, "choose another `--out`"));
+        }
+        if there.is_some() && !arguments.overwrite {
+            let message = format!("{} exists already", path.display());
+            let hint = "replace it with `--overwrite`, or choose another `--out`";
+            return Err(Error::usage(message, hint));
+        }
+    }
+    Ok(outputs)
+}
+
+/// The path's file and what it says.
+fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
+    let file = arguments.path.display().to_string();
+    let refused = |reason: String| {
+        let hint = "docs/paths.md describes paths";
+        Error::usage(format!("{file}: {reason}"), hint)
+    };
+    let text = read_text(&arguments.path).map_err(|error| refused(error.to_string()))?;
+    let plan = PathPlan::read(&text, &file, arguments.metres_per_unit).map_err(refused)?;
+    if plan.speed.is_some() {
+        tell!(
+            "note: {file}: `speed` is for motion that is generated; this one is as fast as `--along` \
+             says"
+        );
+    }
+    Ok((text, plan))
+}
+
+/// The joints of a motion and their skeleton.
+fn read_motion(systems: Systems<'_>, path: &Path) -> Result<(Joints, Skeleton), Error> {
+    let array = read_array(path)?;
+    let representation = systems.representation_of(path, &array.shape, &array.values)?;
+    let Some(skeleton) = representation.skeleton().cloned() else {
+        let message = format!(
+            "{}: a {} has no body that a path could turn",
+            path.display(),
+            representation.name()
+        );
+        let hint = "give joint positions `[T, J, 3]` or joint features of a skeleton, such as \
+                    `kinegrad sample` of a run on clips writes";
+        return Err(Error::usage(message, hint));
+    };
+    match representation.joints(&array.values) {
+        Some(joints) if joints.frames() > 1 => Ok((joints, skeleton)),
+        Some(_) => {
+            let message = format!("{} has a single frame", path.display());
+            Err(Error::usage(message, "give a motion of two frames or more"))
+        }
+        None => {
+            let message = format!("{}: a position is not finite", path.display());
+            let hint = "`kinegrad check` says what is wrong with a motion";
+            Err(Error::usage(message, hint))
+        }
+    }
+}
+
+fn write(
+    joints: &Joints,
+    features: &Features,
+    skeleton: &Skeleton,
+    record: &Record,
+    [motion, rows, figure, described]: &[PathBuf; 4],
+) -> Result<(), Error> {
+    let bvh = files::bvh(joints, skeleton)?;
+    note_deviation(figure, &bvh, joints, skeleton);
+    write_values(
+        motion,
+        &[joints.frames(), joints.joints(), 3],
+        &joints.to_f32(),
+    )?;
+    let shape = [features.frames(), features.layout().channels()];
+    write_values(rows, &shape, features.as_slice())?;
+    write_whole(figure, bvh.to_text().as_bytes())?;
+    let text = serde_json::to_string_pretty(record).expect("plain data") + "\n";
+    Ok(write_whole(described, text.as_bytes())?)
+}
+
+impl Quality {
+    fn of(joints: &Joints, skeleton: &Skeleton) -> Self {
+        let feet = skeleton.contact_joints();
+        let fps = skeleton.description().fps;
+        Self {
+            foot_skating: skating_ratio(joints, fps, &[feet[1], feet[3]]),
+            jerk: mean_jerk(joints, fps),
+        }
+    }
+}
+
+impl Record {
+    fn summarize(&self, given: usize) {
+        let number = |value: Option<f64>, digits: usize| match value {
+            Some(value) => format!("{value:.digits$}"),
+            None => "-".to_owned(),
+        };
+        let (before, after) = (&self.before, &self.after);
+        let rows = [
+            [
+                "foot skating",
+                &number(before.foot_skating, 3),
+                &number(after.foot_skating, 3),
+            ],
+            [
+                "jerk, m/s^3",
+                &number(before.jerk, 0),
+                &number(after.jerk, 0),
+            ],
+            [
+                "heading from the path, degrees",
+                "",
+                &number(Some(after.heading_error), 1),
+            ],
+            [
+                "root from the path, m",
+                "",
+                &number(Some(after.largest_distance), 6),
+            ],
+        ];
+        let rows = rows.map(|row| row.map(str::to_owned));
+        tell!("{}", table(["", "before", "after"], rows));
+        if self.frames < given {
+            tell!(
+                "note: the path ends after {} of {given} frames, at {:.2} m",
+                self.frames,
+                self.path_length
+            );
+        }
+        if self.speed_ratio > 0.0 && !USUAL.contains(&self.speed_ratio) {
+            tell!(
+                "warning: the root is {:.2} times as fast as it was, and feet slide in proportion: give \
+                 a path as long as the motion's own way ({:.2} m), or `--along own`",
+                self.speed_ratio,
+                self.path_length / self.speed_ratio
+            );
+        }
+    }
+}

@@ -1,0 +1,324 @@
+//! The transformer with blended positional encodings (Barquero et al. 2024, "Seamless Human Motion
+//! Composition with Blended Positional Encodings", <https://arxiv.org/abs/2402.15509>; docs/sources.md,
+//! section 6): one sequence for several texts. In absolute mode frames attend within their text's
+//! segment and know their place in it; in relative mode they attend across segments and know only how
+//! far apart they are. A draw begins in the first mode and ends in the second.
+//!
+//! Parameters have the names of the published model.
+#![expect(
+    non_snake_case,
+    reason = "fields are named as the published model's parameters"
+)]
+
+mod config;
+mod script;
+mod sublayers;
+
+#[cfg(test)]
+mod tests;
+
+use burn::module::{Module, Param};
+use burn::tensor::activation::silu;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{Denoiser, Time};
+use kinegrad_random::Key;
+
+pub use config::BlendedConfig;
+pub use script::{Script, Segment};
+
+pub use sublayers::{PoseCentricAttention, Shared};
+
+use sublayers::SubLayer;
+
+use crate::gmd::interleaved_sinusoidal;
+use crate::layers::{Embedding, LayerNorm, Linear};
+use crate::{Dropout, DropoutKey, Initializer, Stages};
+
+/// Channels of an attention head.
+pub const HEAD_CHANNELS: usize = 64;
+
+/// Channels of a head, from the first on, that turn in relative mode.
+pub const ROTATED_CHANNELS: usize = 32;
+
+/// In which steps of a draw positions are relative: the published `bpe_denoising_step`, k. Of T
+/// timesteps t is relative if `t <= T - k`, so that `k - 1` steps are absolute; at -1 all are, at 0
+/// none.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub struct Switch {
+    /// k.
+    pub bpe_denoising_step: i64,
+    /// T.
+    pub num_train_timesteps: usize,
+}
+
+impl Switch {
+    /// Whether timestep `t` is relative.
+    pub fn is_relative(self, t: usize) -> bool {
+        match self.bpe_denoising_step {
+            ..0 => false,
+            0 => true,
+            k => t as i64 <= self.num_train_timesteps as i64 - k,
+        }
+    }
+}
+
+/// What a forward pass is told besides noise, time and texts.
+#[derive(Clone, Copy, Debug)]
+pub struct Pass<'a> {
+    /// Who is told what for how long.
+    pub script: &'a Script,
+    /// Whether each motion is in relative mode.
+    pub is_relative: &'a [bool],
+    /// The draw of dropout and stochastic depth, in training.
+    pub dropout: DropoutKey,
+}
+
+/// The network. Should be created with [`BlendedConfig::init`].
+#[derive(Module, Debug)]
+pub struct BlendedTransformer {
+    embed_captions: Option<Embedding>,
+    embed_timestep_at_time_embed_at_0: Linear,
+    embed_timestep_at_time_embed_at_2: Linear,
+    embed_text: Linear,
+    input_process_at_poseEmbedding: Linear,
+    seqTransEncoder_at_pos_emb_at_absolute_at_scale: Param<Tensor<1>>,
+    seqTransEncoder_at_project_in: Linear,
+    seqTransEncoder_at_attn_layers_at_layers: Vec<SubLayer>,
+    seqTransEncoder_at_attn_layers_at_final_norm: LayerNorm,
+    seqTransEncoder_at_project_out: Linear,
+    output_process_at_poseFinal: Linear,
+    dropout: Dropout,
+    depth: f64,
+    horizon: usize,
+    width: usize,
+}
+
+impl BlendedTransformer {
+    fn new(
+        config: &BlendedConfig,
+        in_channels: usize,
+        text_channels: usize,
+        init: &Initializer,
+    ) -> Self {
+        let width = config.latent_dim;
+        let square = |init: &Initializer| Linear::new(width, width, init);
+        let time = init.at("embed_timestep").at("time_embed");
+        let encoder = init.at("seqTransEncoder");
+        let attention = encoder.at("attn_layers");
+        let pose = init.at("input_process").at("poseEmbedding");
+        let last = init.at("output_process").at("poseFinal");
+        let layers = attention.at("layers");
+        let sub_layer = |index: usize| SubLayer::new(index, config, &layers.at(&index.to_string()));
+        Self {
+            embed_captions: None,
+            embed_timestep_at_time_embed_at_0: square(&time.at("0")),
+            embed_timestep_at_time_embed_at_2: square(&time.at("2")),
+            embed_text: Linear::new(text_channels, width, &init.at("embed_text")),
+            input_process_at_poseEmbedding: Linear::new(in_channels, width, &pose),
+            seqTransEncoder_at_pos_emb_at_absolute_at_scale: encoder
+                .constant([1], (width as f32).sqrt().recip()),
+            seqTransEncoder_at_project_in: square(&encoder.at("project_in")),
+            seqTransEncoder_at_attn_layers_at_layers: (0..2 * config.num_layers)
+                .map(sub_layer)
+                .collect(),
+            seqTransEncoder_at_attn_layers_at_final_norm: LayerNorm::new(
+                width,
+                &attention.at("final_norm"),
+            ),
+            seqTransEncoder_at_project_out: square(&encoder.at("project_out")),
+            output_process_at_poseFinal: Linear::new(width, in_channels, &last),
+            dropout: Dropout::new(config.dropout, 0),
+            depth: config.dropout,
+            horizon: config.horizon,
+            width,
+        }
+    }
+
+    /// The same network, told one of so many captions, of which it learns an embedding each.
+    #[must_use]
+    pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
+        let features = self.embed_text.inputs();
+        Self {
+            embed_captions: Some(Embedding::of_captions(captions, features, init)),
+            ..self
+        }
+    }
+
+    /// # Shapes
+    /// - x_t, output: `[batch, channels, time]`
+    /// - texts: `[texts, text channels]`, or `[texts, captions]`; zeros stand for no text
+    ///
+    /// # Panics
+    /// Panics if the sizes do not fit.
+    pub fn forward(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        texts: Tensor<2>,
+        pass: Pass<'_>,
+    ) -> Tensor<3> {
+        self.forward_stages(x_t, time, texts, pass, &mut ())
+    }
+
+    /// [`forward`](Self::forward), and what each stage gives, `[batch, width, time]`: `cond`,
+    /// `pose_embedding`, `project_in`, `absolute`, `tokens`, `layerI.branch` and `layerI.sum` of
+    /// sub-layer I, `final_norm`, `project_out`.
+    ///
+    /// # Panics
+    /// As [`forward`](Self::forward).
+    pub fn forward_stages(
+        &self,
+        x_t: Tensor<3>,
+        time: &[Time],
+        texts: Tensor<2>,
+        pass: Pass<'_>,
+        stages: &mut impl Stages,
+    ) -> Tensor<3> {
+        let ([batch, _, frames], device) = (x_t.dims(), x_t.device());
+        let Pass {
+            script,
+            is_relative,
+            dropout,
+        } = pass;
+        assert_eq!(
+            (script.len(), is_relative.len(), time.len()),
+            (batch, batch, batch),
+            "a script, a mode and a time for each motion"
+        );
+        let cond = self.cond(time, texts, script, frames);
+        stages.stage(format_args!("cond"), || cond.clone());
+        let h = self.input_process_at_poseEmbedding.forward_frames(x_t);
+        stages.stage(format_args!("pose_embedding"), || h.clone());
+        let h = self.seqTransEncoder_at_project_in.forward_frames(h);
+        stages.stage(format_args!("project_in"), || h.clone());
+        let absolute = self.absolute(script, is_relative, frames, &device);
+        stages.stage(format_args!("absolute"), || absolute.clone());
+        let h = h + absolute;
+        stages.stage(format_args!("tokens"), || h.clone());
+        let mut h = self.dropout.forward(h, dropout);
+        let ranges = script.ranges(frames, self.horizon, is_relative);
+        let shared = Shared::new(cond, ranges, is_relative);
+        let layers = &self.seqTransEncoder_at_attn_layers_at_layers;
+        let left_out = self.left_out(dropout, layers.len());
+        for (index, (layer, left_out)) in layers.iter().zip(left_out).enumerate() {
+            if left_out {
+                continue;
+            }
+            let branch = layer.forward(h.clone(), &shared);
+            stages.stage(format_args!("layer{index}.branch"), || branch.clone());
+            h = h + branch;
+            stages.stage(format_args!("layer{index}.sum"), || h.clone());
+        }
+        let h = self
+            .seqTransEncoder_at_attn_layers_at_final_norm
+            .forward_tokens(h);
+        stages.stage(format_args!("final_norm"), || h.clone());
+        let h = self.seqTransEncoder_at_project_out.forward_frames(h);
+        stages.stage(format_args!("project_out"), || h.clone());
+        self.output_process_at_poseFinal.forward_frames(h)
+    }
+
+    /// What timesteps become: `[batch, width]`.
+    pub fn embed_time(&self, time: &[Time], device: &Device) -> Tensor<2> {
+        let timesteps: Vec<f64> = time.iter().map(|time| time.0).collect();
+        let rows = interleaved_sinusoidal(&timesteps, self.width, device);
+        let inner = silu(self.embed_timestep_at_time_embed_at_0.forward(rows));
+        self.embed_timestep_at_time_embed_at_2.forward(inner)
+    }
+
+    /// What each frame is told: `[batch, width, time]`.
+    fn cond(&self, time: &[Time], texts: Tensor<2>, script: &Script, frames: usize) -> Tensor<3> {
+        let device = texts.device();
+        let time = self.embed_time(time, &device);
+        let texts = match &self.embed_captions {
+            Some(table) => table.mixed(texts),
+            None => texts,
+        };
+        let count = texts.dims()[0];
+        let told = self.embed_text.forward(texts);
+        let told = Tensor::cat(vec![told, Tensor::zeros([1, self.width], &device)], 0);
+        let rows = script.rows(frames, count, &device);
+        let told = told
+            .select(0, rows)
+            .reshape([script.len(), frames, self.width]);
+        told.swap_dims(1, 2) + time.unsqueeze_dim(2)
+    }
+
+    /// What tokens of motions in absolute mode have added, zeros of the others:
+    /// `[batch, width, time]`.
+    fn absolute(
+        &self,
+        script: &Script,
+        is_relative: &[bool],
+        frames: usize,
+        device: &Device,
+    ) -> Tensor<3> {
+        let mut values = Vec::with_capacity(script.len() * self.width * frames);
+        for (places, is_relative) in script.places(frames).into_iter().zip(is_relative) {
+            match is_relative {
+                true => values.extend(vec![0.0; self.width * frames]),
+                false => values.extend(absolute_positions(&places, self.width)),
+            }
+        }
+        let data = TensorData::new(values, [script.len(), self.width, frames]);
+        let scale = self.seqTransEncoder_at_pos_emb_at_absolute_at_scale.val();
+        Tensor::from_data(data, device) * scale.reshape([1, 1, 1])
+    }
+
+    /// Which sub-layers a training step leaves out.
+    fn left_out(&self, dropout: DropoutKey, count: usize) -> Vec<bool> {
+        let drawn = |key: Key| key.named("depth").uniforms(count);
+        let Some(drawn) = dropout.filter(|_| self.depth > 0.0).map(drawn) else {
+            return vec![false; count];
+        };
+        drawn
+            .into_iter()
+            .map(|u| f64::from(u) < self.depth)
+            .collect()
+    }
+}
+
+/// The table of absolute positions, `[width, places]`: `sin(p w_j)` of all j, then `cos(p w_j)`, with
+/// `w_j = 10000^(-2 j / width)`.
+pub fn absolute_positions(places: &[f64], width: usize) -> Vec<f32> {
+    let half = width / 2;
+    let row = |index: usize| {
+        let frequency = 10_000f64.powf(-((index % half) as f64) / half as f64);
+        let of = if index < half { f64::sin } else { f64::cos };
+        places.iter().map(move |place| of(place * frequency) as f32)
+    };
+    (0..2 * half).flat_map(row).collect()
+}
+
+/// A network for the texts of one batch.
+#[derive(Debug)]
+pub struct Composed<'a> {
+    /// The network.
+    pub network: &'a BlendedTransformer,
+    /// Who is told what for how long.
+    pub script: Script,
+    /// In which steps positions are relative.
+    pub switch: Switch,
+}
+
+impl Denoiser for Composed<'_> {
+    /// `[texts, text channels, 1]`, zeros for no text.
+    type Cond = Tensor<3>;
+
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        let is_relative = time
+            .iter()
+            .map(|time| self.switch.is_relative(time.timestep()));
+        let pass = Pass {
+            script: &self.script,
+            is_relative: &is_relative.collect::<Vec<_>>(),
+            dropout: None,
+        };
+        self.network
+            .forward(x_t, time, cond.clone().squeeze_dim(2), pass)
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}

@@ -1,0 +1,161 @@
+//! Who says what for how long: texts one after another in one motion.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use kinegrad_kernels::KeyRanges;
+
+/// A text for some frames.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub struct Segment {
+    /// Its row among the texts of the batch.
+    pub text: usize,
+    /// How long it lasts, at least one frame.
+    pub frames: usize,
+}
+
+/// The texts of a batch of motions, each of which is one sequence without overlaps.
+///
+/// A motion of a single text is told it in its padding as well, where its positions run on; one of
+/// several is told none there. Neither changes frames that count.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Script(Arc<[Vec<Segment>]>);
+
+impl Script {
+    /// The segments of each motion.
+    ///
+    /// # Panics
+    /// Panics for a motion without a segment, or a segment without a frame.
+    pub fn new(motions: impl IntoIterator<Item = Vec<Segment>>) -> Self {
+        let motions: Arc<[Vec<Segment>]> = motions.into_iter().collect();
+        let whole = |motion: &Vec<Segment>| {
+            !motion.is_empty() && motion.iter().all(|segment| segment.frames > 0)
+        };
+        assert!(motions.iter().all(whole), "segments of a frame or more");
+        Self(motions)
+    }
+
+    /// One text for each motion, each with a row of its own, for so many frames.
+    pub fn single(frames: impl IntoIterator<Item = usize>) -> Self {
+        let motions = frames.into_iter().enumerate();
+        Self::new(motions.map(|(text, frames)| vec![Segment { text, frames }]))
+    }
+
+    /// Number of motions.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether there is no motion.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Frames of each motion that count.
+    pub fn frames(&self) -> impl Iterator<Item = usize> {
+        self.0
+            .iter()
+            .map(|motion| motion.iter().map(|segment| segment.frames).sum())
+    }
+
+    /// Of each frame of a motion the segment's text and the range of frames that it lasts, of
+    /// `time` frames; none of padding.
+    fn of(&self, motion: usize, time: usize) -> Vec<Option<(usize, Range<usize>)>> {
+        let mut frames = Vec::with_capacity(time);
+        for segment in &self.0[motion] {
+            let range = frames.len()..frames.len() + segment.frames;
+            frames.extend(vec![Some((segment.text, range)); segment.frames]);
+        }
+        assert!(frames.len() <= time, "{} frames in {time}", frames.len());
+        frames.resize(time, None);
+        frames
+    }
+
+    fn is_single(&self, motion: usize) -> bool {
+        self.0[motion].len() == 1
+    }
+
+    /// Row of each frame's text, `[batch * time]`; `silent` where there is none.
+    pub fn rows(&self, time: usize, silent: usize, device: &Device) -> Tensor<1, Int> {
+        let rows = (0..self.len()).flat_map(|motion| {
+            let only = self.is_single(motion).then(|| self.0[motion][0].text);
+            let frames = self.of(motion, time).into_iter();
+            frames.map(move |frame| frame.map_or(only.unwrap_or(silent), |(text, _)| text) as i64)
+        });
+        let rows: Vec<i64> = rows.collect();
+        let count = rows.len();
+        Tensor::from_data(TensorData::new(rows, [count]), device)
+    }
+
+    /// The place of each frame in its segment, `[batch][time]`.
+    pub fn places(&self, time: usize) -> Vec<Vec<f64>> {
+        let of_motion = |motion: usize| {
+            let runs_on = self.is_single(motion);
+            let frames = self.of(motion, time).into_iter().enumerate();
+            frames
+                .map(|(t, frame)| match frame {
+                    Some((_, range)) => (t - range.start) as f64,
+                    None if runs_on => t as f64,
+                    None => 0.0,
+                })
+                .collect()
+        };
+        (0..self.len()).map(of_motion).collect()
+    }
+
+    /// Frames that each frame attends to: those that count, at most `horizon` away, and in absolute
+    /// mode in the same segment. Padding attends to none.
+    pub fn ranges(&self, time: usize, horizon: usize, is_relative: &[bool]) -> KeyRanges {
+        let of_motion = |motion: usize| {
+            let end = self.frames().nth(motion).expect("a motion");
+            let frames = self.of(motion, time).into_iter().enumerate();
+            frames
+                .map(|(t, frame)| {
+                    let Some((_, segment)) = frame else {
+                        return t..t;
+                    };
+                    let near = t.saturating_sub(horizon)..(t + horizon + 1).min(end);
+                    match is_relative[motion] {
+                        true => near,
+                        false => near.start.max(segment.start)..near.end.min(segment.end),
+                    }
+                })
+                .collect()
+        };
+        KeyRanges::new((0..self.len()).map(of_motion))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_attend_within_horizon_segment_and_length() {
+        let segment = |text, frames| Segment { text, frames };
+        let script = Script::new([vec![segment(0, 3), segment(1, 4)], vec![segment(2, 5)]]);
+        assert_eq!(script.frames().collect::<Vec<_>>(), [7, 5]);
+        let absolute = script.ranges(8, 2, &[false, false]);
+        let relative = script.ranges(8, 2, &[true, false]);
+        for (t, in_segment, across) in [
+            (0, 0..3, 0..3),
+            (2, 0..3, 0..5),
+            (3, 3..6, 1..6),
+            (6, 4..7, 4..7),
+            (7, 7..7, 7..7),
+        ] {
+            assert_eq!(absolute.of(0, t), in_segment, "{t}");
+            assert_eq!(relative.of(0, t), across, "{t}");
+        }
+        assert_eq!(relative.of(1, 4), 2..5);
+        assert_eq!(
+            script.places(8)[0],
+            [0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0, 0.0]
+        );
+        assert_eq!(script.places(8)[1][7], 7.0);
+        let rows = script.rows(8, 9, &Device::flex()).into_data();
+        let rows: Vec<i64> = rows.iter::<i64>().collect();
+        assert_eq!(rows, [0, 0, 0, 1, 1, 1, 1, 9, 2, 2, 2, 2, 2, 2, 2, 2]);
+    }
+}

@@ -1,0 +1,94 @@
+//! How smoothly one movement passes into the next: Peak Jerk and Area Under the Jerk (Barquero et al.
+//! 2024, section 4; docs/sources.md, section 6.6).
+
+use serde::{Deserialize, Serialize};
+
+use crate::humanml::Joints;
+
+/// The mean jerk of real motion that [`TransitionJerk`] is compared with, as published for HumanML3D at
+/// 20 frames per second, metres per frame cubed.
+pub const HUMANML3D_JERK: f64 = 0.033_031_363;
+
+/// The same of BABEL at 30 frames per second.
+pub const BABEL_JERK: f64 = 0.016_383_045;
+
+/// The jerk of each frame, metres per frame cubed: of all joints the largest sum of the absolute
+/// components of the third difference. Three fewer than frames.
+///
+/// The sum depends on the heading: windows that are compared must be turned alike.
+pub fn jerk_of_frames(joints: &Joints) -> Vec<f64> {
+    let frames = joints.frames().saturating_sub(3);
+    let of_joint = |t: usize, joint: usize| -> f64 {
+        let at = |ahead: usize| joints.frame(t + ahead)[joint];
+        let (a, b, c, d) = (at(0), at(1), at(2), at(3));
+        (0..3)
+            .map(|axis| (d[axis] - 3.0 * c[axis] + 3.0 * b[axis] - a[axis]).abs())
+            .sum()
+    };
+    let of_frame = |t: usize| {
+        let joints = (0..joints.joints()).map(|joint| of_joint(t, joint));
+        joints.fold(0.0, f64::max)
+    };
+    (0..frames).map(of_frame).collect()
+}
+
+/// The jerk around transitions.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransitionJerk {
+    /// The largest value over time of the mean over transitions.
+    pub peak: f64,
+    /// How far that mean is from the jerk of real motion, absolute, summed over time.
+    pub area: f64,
+}
+
+impl TransitionJerk {
+    /// Of curves of [`jerk_of_frames`], each around one transition and none longer than the first; the
+    /// frames that shorter ones lack count as 0, as in the published program. `None` of no frames.
+    pub fn of(curves: &[Vec<f64>], real_jerk: f64) -> Option<Self> {
+        let frames = curves
+            .iter()
+            .map(Vec::len)
+            .max()
+            .filter(|frames| *frames > 0)?;
+        let mean = |t: usize| {
+            let values = curves
+                .iter()
+                .map(|curve| curve.get(t).copied().unwrap_or(0.0));
+            values.sum::<f64>() / curves.len() as f64
+        };
+        let means: Vec<f64> = (0..frames).map(mean).collect();
+        Some(Self {
+            peak: means.iter().copied().fold(0.0, f64::max),
+            area: means.iter().map(|mean| (mean - real_jerk).abs()).sum(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jump_is_a_peak_and_steady_motion_is_none() {
+        let joints = |jump: f64| {
+            let places = (0..12).flat_map(|t| {
+                let by = if t < 6 { 0.0 } else { jump };
+                [[0.1 * f64::from(t) + by, 1.0, 0.0], [0.0, 0.5, 0.2]]
+            });
+            Joints::new(places.collect(), 2).unwrap()
+        };
+        let steady = jerk_of_frames(&joints(0.0));
+        assert_eq!(steady.len(), 9);
+        assert!(steady.iter().all(|jerk| *jerk < 1e-12));
+        let jumping = jerk_of_frames(&joints(0.3));
+        let found = TransitionJerk::of(&[jumping.clone(), steady.clone()], 0.0).unwrap();
+        // Differences of a step are 1, -2, 1.
+        assert!((found.peak - 0.3).abs() < 1e-9, "{}", found.peak);
+        assert!((found.area - 0.6).abs() < 1e-9, "{}", found.area);
+        let real = TransitionJerk::of(&[steady], 0.01).unwrap();
+        assert!((real.area - 0.09).abs() < 1e-9);
+        assert_eq!(TransitionJerk::of(&[], 0.0), None);
+        assert_eq!(TransitionJerk::of(&[vec![]], 0.0), None);
+    }
+}

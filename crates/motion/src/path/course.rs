@@ -1,0 +1,135 @@
+//! Where on a path each frame is.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Polyline, STILL, between};
+
+/// How the frames of a motion lie along a path.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Along {
+    /// All of the path, in the proportions of the motion's own way: its speed changes by the ratio
+    /// of the two lengths. A motion that stands is spread evenly.
+    #[default]
+    Stretch,
+    /// Metre by metre as the motion goes: its speed stays. It ends where the path does, or stops
+    /// before.
+    Own,
+}
+
+/// A ground position for each frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Course {
+    /// Metres along the path, `[frames]`.
+    pub metres: Vec<f64>,
+    /// Where that is, `[frames]`.
+    pub points: Vec<[f64; 2]>,
+}
+
+impl Course {
+    /// The course along `path` of a motion whose root is at `track`, a position for each frame. With
+    /// [`Along::Own`] it may have fewer frames, at least one.
+    pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: Along) -> Self {
+        let walked = walked(track);
+        let total = walked.last().copied().unwrap_or(0.0);
+        let length = path.length();
+        let metres = match along {
+            Along::Stretch => {
+                let last = track.len().saturating_sub(1).max(1) as f64;
+                let share = |(t, metres): (usize, &f64)| match total < STILL {
+                    true => t as f64 / last,
+                    false => metres / total,
+                };
+                walked
+                    .iter()
+                    .enumerate()
+                    .map(|at| share(at) * length)
+                    .collect()
+            }
+            Along::Own => {
+                let on_path = walked
+                    .iter()
+                    .take_while(|metres| **metres <= length + STILL);
+                on_path.copied().collect()
+            }
+        };
+        Self::at(path, metres)
+    }
+
+    /// The course of `frames` frames along `path`: at `speed` metres a second and so many frames a
+    /// second, standing at its end once that is reached; or without a speed evenly from end to end.
+    pub fn at_speed(path: &Polyline, frames: usize, speed: Option<f64>, fps: f64) -> Self {
+        let length = path.length();
+        let step = match speed {
+            Some(speed) => speed / fps,
+            None => length / frames.saturating_sub(1).max(1) as f64,
+        };
+        let metres = (0..frames).map(|t| (t as f64 * step).min(length));
+        Self::at(path, metres.collect())
+    }
+
+    fn at(path: &Polyline, metres: Vec<f64>) -> Self {
+        let points = metres.iter().map(|&metres| path.at_metres(metres).point);
+        Self {
+            points: points.collect(),
+            metres,
+        }
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.points.len()
+    }
+}
+
+/// Metres that a track has covered at each frame.
+pub(super) fn walked(track: &[[f64; 2]]) -> Vec<f64> {
+    let mut metres = 0.0;
+    let covered = |t: usize| {
+        if t > 0 {
+            metres += between(track[t - 1], track[t]);
+        }
+        metres
+    };
+    (0..track.len()).map(covered).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(length: f64) -> Polyline {
+        Polyline::new(vec![[0.0, 0.0], [0.0, length]]).unwrap()
+    }
+
+    #[test]
+    fn a_motion_is_stretched_or_keeps_its_metres() {
+        let track: Vec<[f64; 2]> = [0.0, 1.0, 1.0, 3.0, 4.0].map(|x| [x, 0.0]).to_vec();
+        let stretched = Course::of_motion(&line(8.0), &track, Along::Stretch);
+        assert_eq!(stretched.metres, [0.0, 2.0, 2.0, 6.0, 8.0]);
+        assert_eq!(stretched.points[3], [0.0, 6.0]);
+        let own = Course::of_motion(&line(8.0), &track, Along::Own);
+        assert_eq!(own.metres, [0.0, 1.0, 1.0, 3.0, 4.0]);
+        // A path that is shorter ends it.
+        let own = Course::of_motion(&line(2.0), &track, Along::Own);
+        assert_eq!(own.metres, [0.0, 1.0, 1.0]);
+        let standing = [[1.0, 1.0]; 3];
+        assert_eq!(
+            Course::of_motion(&line(4.0), &standing, Along::Stretch).metres,
+            [0.0, 2.0, 4.0]
+        );
+        assert_eq!(
+            Course::of_motion(&line(4.0), &standing, Along::Own).metres,
+            [0.0; 3]
+        );
+    }
+
+    #[test]
+    fn a_stated_speed_stands_at_the_end() {
+        let at = |speed| Course::at_speed(&line(2.0), 5, speed, 2.0).metres;
+        assert_eq!(at(None), [0.0, 0.5, 1.0, 1.5, 2.0]);
+        assert_eq!(at(Some(1.6)), [0.0, 0.8, 1.6, 2.0, 2.0]);
+        assert_eq!(at(Some(0.4)), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8]);
+        assert_eq!(Course::at_speed(&line(2.0), 1, None, 20.0).metres, [0.0]);
+    }
+}

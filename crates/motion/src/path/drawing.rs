@@ -1,0 +1,121 @@
+//! Paths that are drawn: the first path, line or polyline of an SVG file.
+
+use kurbo::{BezPath, PathEl};
+use roxmltree::{Document, Node};
+
+/// How far straight pieces may be from a curve, metres.
+const TOLERANCE: f64 = 1e-3;
+
+/// What an SVG file holds.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Drawing {
+    /// Points `[x, z]`, metres.
+    pub points: Vec<[f64; 2]>,
+    /// Whether it returns to where it begins.
+    pub closed: bool,
+}
+
+/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, of whose unit there are `scale`
+/// metres: x to the right is x, up is z. What is after a gap of that path is left out.
+///
+/// # Errors
+/// In words.
+pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
+    if !(scale.is_finite() && scale > 0.0) {
+        return Err(format!("a unit is {scale} metres, allowed: greater than 0"));
+    }
+    let document = Document::parse(text).map_err(|error| format!("it is no SVG: {error}"))?;
+    let names = ["path", "polyline", "polygon", "line"];
+    let drawn = |node: &Node| node.is_element() && names.contains(&node.tag_name().name());
+    let node = document.descendants().find(drawn);
+    let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
+    if node.ancestors().any(|node| node.has_attribute("transform")) {
+        return Err(
+            "its path has a `transform`, which is not read: apply it in the drawing program".into(),
+        );
+    }
+    let outline = outline(&node)?;
+    let mut drawing = Drawing {
+        points: Vec::new(),
+        closed: false,
+    };
+    let mut parts = 0;
+    kurbo::flatten(outline, TOLERANCE / scale, |element| {
+        parts += usize::from(matches!(element, PathEl::MoveTo(_)));
+        match element {
+            _ if parts > 1 => {}
+            // Up on the page is away from the viewer.
+            PathEl::MoveTo(point) | PathEl::LineTo(point) => {
+                drawing.points.push([scale * point.x, -scale * point.y]);
+            }
+            PathEl::ClosePath => drawing.closed = true,
+            _ => unreachable!("a flattened path has lines only"),
+        }
+    });
+    Ok(drawing)
+}
+
+/// A node's outline as a path.
+fn outline(node: &Node) -> Result<BezPath, String> {
+    let name = node.tag_name().name();
+    let given = |key: &str| {
+        let value = node.attribute(key);
+        value.ok_or_else(|| format!("its `{name}` has no `{key}`"))
+    };
+    let data = match name {
+        "path" => given("d")?.to_owned(),
+        "line" => {
+            let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"].map(given);
+            format!("M{},{} L{},{}", x1?, y1?, x2?, y2?)
+        }
+        "polygon" => format!("M{} Z", given("points")?),
+        _ => format!("M{}", given("points")?),
+    };
+    BezPath::from_svg(&data).map_err(|error| format!("its `{name}` cannot be read: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::PathPlan;
+
+    fn svg(inside: &str) -> String {
+        format!("<svg xmlns='http://www.w3.org/2000/svg'><g>{inside}</g></svg>")
+    }
+
+    #[test]
+    fn lines_and_curves_of_a_drawing_are_read_in_metres() {
+        let text =
+            svg("<text>a</text><path d='M 100 0 C 100 -100 200 -100 200 -200 M 0 0 L 5 5'/>");
+        let drawing = read_drawing(&text, 0.01).unwrap();
+        assert_eq!(drawing.points[0], [1.0, 0.0]);
+        assert_eq!(drawing.points.last(), Some(&[2.0, 2.0]));
+        assert!(drawing.points.len() > 5 && !drawing.closed);
+        let polygon = read_drawing(&svg("<polygon points='0,0 10,0 10,-20'/>"), 0.1).unwrap();
+        assert_eq!(polygon.points, [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]);
+        assert!(polygon.closed);
+        let line = read_drawing(&svg("<line x1='0' y1='0' x2='0' y2='-30'/>"), 0.1).unwrap();
+        assert_eq!(line.points, [[0.0, 0.0], [0.0, 3.0]]);
+        let plan = PathPlan::read(&svg("<polyline points='0,0 1,-1'/>"), "a.SVG", Some(2.0));
+        assert_eq!(plan.unwrap().points[1], [2.0, 2.0]);
+    }
+
+    #[test]
+    fn what_is_not_drawn_is_refused() {
+        for (text, scale, expected) in [
+            ("no", 1.0, "it is no SVG"),
+            (&svg("<rect/>"), 1.0, "it holds no `path`"),
+            (&svg("<path/>"), 1.0, "its `path` has no `d`"),
+            (&svg("<path d='M 0 x'/>"), 1.0, "its `path` cannot be read"),
+            (
+                &svg("<path transform='scale(2)' d='M0 0L1 1'/>"),
+                1.0,
+                "`transform`",
+            ),
+            (&svg("<path d='M0 0L1 1'/>"), 0.0, "a unit is 0 metres"),
+        ] {
+            let found = read_drawing(text, scale).unwrap_err();
+            assert!(found.contains(expected), "{found}");
+        }
+    }
+}

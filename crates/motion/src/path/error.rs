@@ -1,0 +1,44 @@
+use kinegrad_settings::InvalidSetting;
+use miette::Diagnostic;
+use thiserror::Error;
+
+use crate::humanml::FeatureError;
+
+/// An error about a path or a motion that follows one.
+#[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
+pub enum PathError {
+    /// A path of fewer than two points.
+    #[error("a path has {found} points, at least 2 are needed")]
+    #[diagnostic(help("give where it begins and where it ends, `[x, z]` in metres"))]
+    TooFewPoints {
+        /// Points found.
+        found: usize,
+    },
+
+    /// A point that is nowhere.
+    #[error("point {index} of the path (counted from 0) is [{x}, {z}]")]
+    #[diagnostic(help("points are `[x, z]` in metres, at most 100 km from the origin"))]
+    NotAPoint {
+        /// The point.
+        index: usize,
+        /// Its first coordinate.
+        x: f64,
+        /// Its second coordinate.
+        z: f64,
+    },
+
+    /// All points of a path are the same.
+    #[error("all points of the path are the same: it leads nowhere")]
+    #[diagnostic(help("points are `[x, z]` in metres"))]
+    NoLength,
+
+    /// A setting out of range.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Setting(#[from] InvalidSetting),
+
+    /// A motion that does not fit.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Features(#[from] FeatureError),
+}

@@ -1,0 +1,44 @@
+//! Paths over the ground: lines and curves by arc length, what they say of each frame, and motions
+//! that are moved onto them.
+//!
+//! Ground points are `[x, z]` in metres. A heading is `atan2(dx, dz)`: 0 along +z, growing towards
+//! +x, as a turn about +y. Source: the note on path-conditioned generation (docs/sources.md,
+//! section 7), whose formulas are read as `docs/paths.md` says.
+//!
+//! ```
+//! use kinegrad_motion::path::Polyline;
+//! let line = Polyline::new(vec![[0.0, 0.0], [0.0, 3.0], [4.0, 3.0]])?;
+//! assert_eq!(line.length(), 7.0);
+//! assert_eq!(line.at(5.0 / 7.0).point, [2.0, 3.0]);
+//! # Ok::<(), kinegrad_motion::path::PathError>(())
+//! ```
+
+mod course;
+mod drawing;
+mod error;
+mod headings;
+mod loss;
+mod measures;
+mod plan;
+mod polyline;
+mod smoothing;
+mod spline;
+mod warp;
+
+pub use course::{Along, Course};
+pub use error::PathError;
+pub use headings::{PathFeatures, headings_of, unwrapped, wrapped};
+pub use loss::{PathLoss, PathLossConfig, root_channels};
+pub use measures::{PathReport, distance_from, slide};
+pub use plan::{CurveKind, PathPlan};
+pub use polyline::{PathPoint, Polyline};
+pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights};
+pub use spline::{CatmullRom, Parameterization};
+pub use warp::{Turning, Warp, Warped, placed};
+
+/// Slower frames have no direction, metres per frame; shorter paths have none either, metres.
+const STILL: f64 = 1e-6;
+
+fn between([ax, az]: [f64; 2], [bx, bz]: [f64; 2]) -> f64 {
+    (bx - ax).hypot(bz - az)
+}

@@ -1,0 +1,275 @@
+//! Paths as users write them: TOML, a table of points, a drawing.
+
+use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml::Table;
+
+use super::drawing::{Drawing, read_drawing};
+use super::{CatmullRom, Parameterization, PathError, Polyline};
+
+/// What runs through the points of a path.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CurveKind {
+    /// Straight lines.
+    Line,
+    /// A Catmull-Rom spline.
+    #[default]
+    Spline,
+}
+
+/// A path over the ground.
+///
+/// ```toml
+/// points = [[0.0, 0.0], [0.0, 2.0], [1.5, 3.0]]   # x and z, metres
+/// curve = "spline"              # or "line"
+/// parameterization = "centripetal"
+/// closed = false
+/// speed = 1.2                   # metres per second
+/// ```
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PathPlan {
+    /// Ground positions `[x, z]` that it leads through, metres.
+    pub points: Vec<[f64; 2]>,
+    /// What runs through them.
+    #[serde(default)]
+    pub curve: CurveKind,
+    /// How a spline runs through them.
+    #[serde(default)]
+    pub parameterization: Parameterization,
+    /// Whether it returns to where it begins.
+    #[serde(default)]
+    pub closed: bool,
+    /// How fast a motion follows it, metres per second; without it from end to end in the motion's
+    /// time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<f64>,
+}
+
+impl PathPlan {
+    /// A line from point to point.
+    pub fn line(points: Vec<[f64; 2]>) -> Self {
+        Self {
+            points,
+            curve: CurveKind::Line,
+            parameterization: Parameterization::default(),
+            closed: false,
+            speed: None,
+        }
+    }
+
+    /// The path in `text`, by the ending of its `file`'s name: `.csv`, a table with a column for x
+    /// and one for z; `.svg`, a drawing, `metres_per_unit`; anything else TOML.
+    ///
+    /// # Errors
+    /// In words, with the place in the file.
+    pub fn read(text: &str, file: &str, metres_per_unit: Option<f64>) -> Result<Self, String> {
+        let ending = file
+            .rsplit_once('.')
+            .map(|(_, ending)| ending.to_lowercase());
+        let plan = match ending.as_deref() {
+            Some("csv") => Self::line(read_table(text)?),
+            Some("svg") => {
+                let scale = metres_per_unit.ok_or(
+                    "a drawing has no metres: state the length of its unit, as \
+                     `--metres-per-unit 0.01`",
+                )?;
+                let Drawing { points, closed } = read_drawing(text, scale)?;
+                Self {
+                    closed,
+                    ..Self::line(points)
+                }
+            }
+            _ => Self::read_toml(text)?,
+        };
+        if metres_per_unit.is_some() && ending.as_deref() != Some("svg") {
+            return Err(
+                "`--metres-per-unit` is for drawings (.svg): this file is in metres".into(),
+            );
+        }
+        plan.validate().map_err(|error| error.to_string())?;
+        Ok(plan)
+    }
+
+    fn read_toml(text: &str) -> Result<Self, String> {
+        let wrong = |error: toml::de::Error| {
+            let at = error.span().map_or(0, |span| span.start);
+            let line = 1 + text[..at].matches('\n').count();
+            format!("line {line}: {}", in_words(error.message()))
+        };
+        let given: Table = text.parse().map_err(wrong)?;
+        must_be_finite(&given).map_err(|unfit| unfit.to_string())?;
+        toml::from_str(text).map_err(wrong)
+    }
+
+    /// Rejects what is no path.
+    ///
+    /// # Errors
+    /// As [`polyline`](Self::polyline), and [`PathError::NoLength`].
+    pub fn validate(&self) -> Result<(), PathError> {
+        if let Some(speed) = self.speed {
+            in_range("speed", speed, ABOVE_ZERO)?;
+        }
+        match self.polyline()?.length() < super::STILL {
+            true => Err(PathError::NoLength),
+            false => Ok(()),
+        }
+    }
+
+    /// The path by arc length; a spline as 64 straight pieces between neighbouring points.
+    ///
+    /// # Errors
+    /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].
+    pub fn polyline(&self) -> Result<Polyline, PathError> {
+        match self.curve {
+            CurveKind::Spline => {
+                let spline = CatmullRom::new(&self.points, self.parameterization, self.closed);
+                Ok(spline?.polyline())
+            }
+            CurveKind::Line => {
+                let mut points = self.points.clone();
+                if self.closed && points.len() > 1 {
+                    points.push(points[0]);
+                }
+                Polyline::new(points)
+            }
+        }
+    }
+}
+
+/// The points of a table with one row for each; a first row of names may say which column is x and
+/// which z.
+fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .comment(Some(b'#'))
+        .from_reader(text.as_bytes());
+    let mut columns = [0, 1];
+    let mut points = Vec::new();
+    for (number, row) in reader.records().enumerate() {
+        let row = row.map_err(|error| error.to_string())?;
+        let line = row
+            .position()
+            .map_or(number as u64 + 1, csv::Position::line);
+        let named = |name: &str| row.iter().position(|cell| cell.eq_ignore_ascii_case(name));
+        if number == 0 && row.iter().any(|cell| cell.parse::<f64>().is_err()) {
+            let [Some(x), Some(z)] = ["x", "z"].map(named) else {
+                let names: Vec<&str> = row.iter().collect();
+                return Err(format!(
+                    "line {line}: the columns are {}, among them `x` and `z` are needed",
+                    names.join(", ")
+                ));
+            };
+            columns = [x, z];
+            continue;
+        }
+        let mut point = [0.0; 2];
+        for (value, column) in point.iter_mut().zip(columns) {
+            let cell = row.get(column).unwrap_or_default();
+            *value = cell.parse().map_err(|_| {
+                format!(
+                    "line {line}: `{cell}` in column {} is no number",
+                    column + 1
+                )
+            })?;
+        }
+        points.push(point);
+    }
+    Ok(points)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_read_from_toml_and_tables() {
+        let text = "points = [[0, 0], [0, 2.5]]\ncurve = 'line'\nspeed = 1.2\n";
+        let plan = PathPlan::read(text, "p.toml", None).unwrap();
+        assert_eq!(plan.speed, Some(1.2));
+        assert_eq!(plan.polyline().unwrap().length(), 2.5);
+        let table = "# drawn by hand\nframe, z, x\n0, 0.0, 1.0\n1, 2.0, 1.0\n";
+        let plan = PathPlan::read(table, "p.csv", None).unwrap();
+        assert_eq!(plan.points, [[1.0, 0.0], [1.0, 2.0]]);
+        let plan = PathPlan::read("1;2\n", "p.csv", None);
+        assert!(plan.is_err());
+        let plan = PathPlan::read("1,2\n3,4\n", "p.csv", None).unwrap();
+        assert_eq!(plan.points, [[1.0, 2.0], [3.0, 4.0]]);
+    }
+
+    #[test]
+    fn closed_paths_return() {
+        let square = vec![[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]];
+        let plan = PathPlan {
+            closed: true,
+            ..PathPlan::line(square)
+        };
+        assert_eq!(plan.polyline().unwrap().length(), 4.0);
+        let spline = PathPlan {
+            curve: CurveKind::Spline,
+            ..plan
+        };
+        let length = spline.polyline().unwrap().length();
+        assert!((4.0..4.6).contains(&length), "{length}");
+    }
+
+    #[test]
+    fn what_is_no_path_is_refused_with_its_place() {
+        for (file, text, expected) in [
+            (
+                "p.toml",
+                "points = [[0, 0]]",
+                "a path has 1 points, at least 2 are needed",
+            ),
+            (
+                "p.toml",
+                "points = [[1, 1], [1, 1]]",
+                "all points of the path are the same: it leads nowhere",
+            ),
+            (
+                "p.toml",
+                "points = [[0, 0], [nan, 1]]",
+                "`points[1][0]`: NaN is not a finite number",
+            ),
+            (
+                "p.toml",
+                "\npoints = [[0, 0], [1]]",
+                "line 2: expected a list of 2 values, found 1",
+            ),
+            (
+                "p.toml",
+                "points = [[0, 0], [1, 1]]\nspeed = 0",
+                "`speed` is 0, allowed: more than 0",
+            ),
+            (
+                "p.toml",
+                "points = [[0, 0], [1, 1]]\nspeeds = 1",
+                "line 2: unknown key `speeds`, allowed: points, curve, parameterization, closed, speed",
+            ),
+            (
+                "p.csv",
+                "a,b\n1,2\n",
+                "line 1: the columns are a, b, among them `x` and `z` are needed",
+            ),
+            (
+                "p.csv",
+                "x,z\n1,2\n3\n",
+                "line 3: `` in column 2 is no number",
+            ),
+            (
+                "p.svg",
+                "<svg/>",
+                "a drawing has no metres: state the length of its unit, as `--metres-per-unit 0.01`",
+            ),
+        ] {
+            let found = PathPlan::read(text, file, None).unwrap_err();
+            assert_eq!(found, expected, "{text}");
+        }
+        let found = PathPlan::read("points = [[0,0],[0,1]]", "p.toml", Some(1.0)).unwrap_err();
+        assert!(found.contains("in metres"), "{found}");
+    }
+}

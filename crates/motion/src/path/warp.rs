@@ -1,0 +1,247 @@
+//! A motion that is moved onto a path afterwards (docs/sources.md, section 7, option A).
+
+use serde::{Deserialize, Serialize};
+
+use super::course::walked;
+use super::{
+    Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL, headings_of,
+    savgol, unwrapped,
+};
+use crate::humanml::kinematics::{Across, forward};
+use crate::humanml::{FeatureError, Joints, Skeleton};
+
+/// How a body is turned on its path.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Turning {
+    /// As the direction of its way turns: who walks sideways goes on walking sideways.
+    #[default]
+    Relative,
+    /// To face along the path.
+    Face,
+    /// Not at all.
+    Free,
+}
+
+/// How a motion is moved onto a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Warp {
+    /// Where on the path each frame is.
+    pub along: Along,
+    /// How the body turns.
+    pub turning: Turning,
+    /// Whether turns are smoothed over time, by a Savitzky-Golay filter of 11 frames and order 3.
+    pub smooth: bool,
+}
+
+/// A motion on a path.
+#[derive(Clone, Debug)]
+pub struct Warped {
+    /// Where its joints are.
+    pub joints: Joints,
+    /// Where the path has the root in each frame.
+    pub course: Course,
+    /// What each frame is turned by about +y, radians.
+    pub turned: Vec<f64>,
+    /// How much faster the root is than it was: the length of its way on the path to that before,
+    /// 0 for a motion that stood.
+    pub speed_ratio: f64,
+}
+
+impl Warp {
+    /// `joints` on `path`: each frame turned about the vertical through its root, and moved so that
+    /// the root is on the path. Heights and bones stay as they are.
+    ///
+    /// # Errors
+    /// [`PathError::Features`] unless they are joints of `skeleton`.
+    pub fn apply(
+        &self,
+        joints: &Joints,
+        skeleton: &Skeleton,
+        path: &Polyline,
+    ) -> Result<Warped, PathError> {
+        joints.must_be_of(skeleton)?;
+        let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
+        let course = Course::of_motion(path, &track, self.along);
+        let frames = course.frames();
+        let track = &track[..frames];
+        let turned = match path.length() < STILL {
+            true => vec![0.0; frames],
+            false => self.turns(joints, skeleton, track, &course),
+        };
+        let last = |metres: &[f64]| metres.last().copied().unwrap_or(0.0);
+        let (before, after) = (last(&walked(track)), last(&course.metres));
+        Ok(Warped {
+            joints: placed(joints, &course.points, &turned)?,
+            course,
+            turned,
+            speed_ratio: if before < STILL { 0.0 } else { after / before },
+        })
+    }
+
+    fn turns(
+        &self,
+        joints: &Joints,
+        skeleton: &Skeleton,
+        track: &[[f64; 2]],
+        course: &Course,
+    ) -> Vec<f64> {
+        let own = match self.turning {
+            Turning::Free => return vec![0.0; track.len()],
+            Turning::Relative => headings_of(track),
+            Turning::Face => facing(joints, skeleton)[..track.len()].to_vec(),
+        };
+        let path = unwrapped(&headings_of(&course.points));
+        let turns = path
+            .iter()
+            .zip(unwrapped(&own))
+            .map(|(path, own)| path - own);
+        let turns: Vec<f64> = turns.collect();
+        match self.smooth {
+            true => savgol(&turns, HEADING_WINDOW, HEADING_ORDER, Edges::Fitted),
+            false => turns,
+        }
+    }
+}
+
+/// `joints`, each frame turned by an angle about the vertical through its root, whose ground position
+/// becomes that of `points`. Frames beyond the last point are left out.
+///
+/// # Errors
+/// [`FeatureError::LengthMismatch`] for another number of angles than of points, or more than of
+/// frames.
+pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joints, FeatureError> {
+    FeatureError::unless_equal("angles", points.len(), turns.len())?;
+    FeatureError::unless_equal("points", points.len().min(joints.frames()), points.len())?;
+    let mut places = Vec::with_capacity(points.len() * joints.joints());
+    for (t, ([x, z], turn)) in points.iter().zip(turns).enumerate() {
+        let frame = joints.frame(t);
+        let (root, (sin, cos)) = (frame[0], turn.sin_cos());
+        places.extend(frame.iter().map(|[jx, y, jz]| {
+            let (dx, dz) = (jx - root[0], jz - root[2]);
+            [x + dx * cos + dz * sin, *y, z - dx * sin + dz * cos]
+        }));
+    }
+    Joints::new(places, joints.joints())
+}
+
+/// Where a body faces in each frame, radians.
+pub(super) fn facing(joints: &Joints, skeleton: &Skeleton) -> Vec<f64> {
+    let heading = |t: usize| {
+        let [x, _, z] = forward(skeleton, joints.frame(t), Across::Consistent);
+        x.atan2(z)
+    };
+    (0..joints.frames()).map(heading).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use super::*;
+    use crate::humanml::kinematics::minus;
+    use crate::humanml::walk::{Course as Walk, joints as walk};
+    use crate::path::wrapped;
+    use crate::rotation::length;
+
+    fn walking(frames: usize) -> (Joints, Skeleton) {
+        let skeleton = Skeleton::humanml3d();
+        let course = Walk {
+            speed: Box::new(|t| 1.0 + 0.3 * t.sin()),
+            turning: Box::new(|t| 0.5 * (0.7 * t).cos()),
+        };
+        let places = walk(&course, &skeleton, frames);
+        (Joints::new(places, 22).unwrap(), skeleton)
+    }
+
+    fn corner() -> Polyline {
+        Polyline::new(vec![[1.0, -2.0], [1.0, 1.0], [-3.0, 1.0]]).unwrap()
+    }
+
+    #[test]
+    fn the_root_is_on_the_path_and_bones_stay() {
+        let (joints, skeleton) = walking(70);
+        let path = corner();
+        for turning in [Turning::Relative, Turning::Face, Turning::Free] {
+            for smooth in [false, true] {
+                let warp = Warp {
+                    turning,
+                    smooth,
+                    ..Warp::default()
+                };
+                let warped = warp.apply(&joints, &skeleton, &path).unwrap();
+                let ends = [(0, [1.0, -2.0]), (69, [-3.0, 1.0])];
+                for (t, [x, z]) in ends {
+                    let root = warped.joints.frame(t)[0];
+                    assert!((root[0] - x).abs() < 1e-9 && (root[2] - z).abs() < 1e-9);
+                }
+                for t in 0..70 {
+                    let (old, new) = (joints.frame(t), warped.joints.frame(t));
+                    for (joint, parent) in skeleton.parents().iter().enumerate() {
+                        assert_eq!(old[joint][1], new[joint][1]);
+                        let Some(parent) = *parent else { continue };
+                        let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
+                        assert!((bone(old) - bone(new)).abs() < 1e-12);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_walk_faces_along_the_path_and_side_steps_stay_sideways() {
+        let (joints, skeleton) = walking(70);
+        let line = Polyline::new(vec![[0.0, 0.0], [-5.0, 0.0]]).unwrap();
+        let facing_of = |joints: &Joints, warp: Warp| {
+            let warped = warp.apply(joints, &skeleton, &line).unwrap();
+            facing(&warped.joints, &skeleton)
+        };
+        let to_left = -PI / 2.0;
+        for turning in [Turning::Relative, Turning::Face] {
+            let warp = Warp {
+                turning,
+                ..Warp::default()
+            };
+            for heading in facing_of(&joints, warp) {
+                assert!(
+                    wrapped(heading - to_left).abs() < 0.15,
+                    "{turning:?}: {heading}"
+                );
+            }
+        }
+        // The same body moved sideways: it faces +z and travels along +x.
+        let sideways = (0..70).flat_map(|t| {
+            let frame = joints.frame(0);
+            let by = 0.05 * t as f64;
+            frame.iter().map(move |[x, y, z]| [x + by, *y, *z])
+        });
+        let sideways = Joints::new(sideways.collect(), 22).unwrap();
+        let before = facing(&sideways, &skeleton)[0] - PI / 2.0;
+        for heading in facing_of(&sideways, Warp::default()) {
+            assert!(wrapped(heading - to_left - before).abs() < 1e-6);
+        }
+        let face = Warp {
+            turning: Turning::Face,
+            ..Warp::default()
+        };
+        assert!(wrapped(facing_of(&sideways, face)[30] - to_left).abs() < 1e-6);
+    }
+
+    #[test]
+    fn its_own_speed_ends_at_the_end_of_the_path() {
+        let (joints, skeleton) = walking(70);
+        let own = Warp {
+            along: Along::Own,
+            ..Warp::default()
+        };
+        let short = Polyline::new(vec![[0.0, 0.0], [1.0, 0.0]]).unwrap();
+        let warped = own.apply(&joints, &skeleton, &short).unwrap();
+        assert!(warped.joints.frames() < 30);
+        assert!((warped.speed_ratio - 1.0).abs() < 1e-12);
+        let stretched = Warp::default().apply(&joints, &skeleton, &short).unwrap();
+        assert_eq!(stretched.joints.frames(), 70);
+        assert!(stretched.speed_ratio < 0.5);
+        let other = Skeleton::kit();
+        assert!(own.apply(&joints, &other, &short).is_err());
+    }
+}
