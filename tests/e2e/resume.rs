@@ -245,6 +245,12 @@ fn killed_runs_of_flows_end_the_same() {
 }
 
 #[test]
+fn killed_runs_of_compositions_end_the_same() {
+    let sandbox = crate::compose::sandbox();
+    check_kills_in(&sandbox, "--name smallest --set data.num_workers=1");
+}
+
+#[test]
 fn killed_runs_of_evaluators_end_the_same() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", EVALUATOR);

@@ -131,7 +131,8 @@ Examples:
   kinegrad sample runs/phrases --audio song.mp3 --start 33 --continue-from dance.npy --out more
   kinegrad sample runs/phrases --keep 0..30,90..120 --keep-from dance.npy --out between
   kinegrad sample runs/phrases/checkpoints/step-00000750 --cond features.npz --out dance
-  kinegrad sample runs/flow --history walk.npy --text \"a person walks\" --seconds 20 --out on")]
+  kinegrad sample runs/flow --history walk.npy --text \"a person walks\" --seconds 20 --out on
+  kinegrad sample runs/bpe --plan plan.toml --path path.toml --method override --out walk")]
 pub struct SampleArguments {
     /// Folder of a run (its best checkpoint is used) or of a checkpoint
     #[arg(value_name = "RUN_OR_CHECKPOINT")]
@@ -188,9 +189,25 @@ pub struct SampleArguments {
     /// frames before the last are what led there
     #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
-    /// Texts one after another, each with its length, for runs of recipe `flow`
-    #[arg(long, value_name = "PLAN.toml", conflicts_with_all = ["text", "text_embedding"])]
+    /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
+    #[arg(
+        long,
+        visible_alias = "compose",
+        value_name = "PLAN.toml",
+        conflicts_with_all = ["text", "text_embedding"]
+    )]
     pub plan: Option<PathBuf>,
+    /// Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
+    /// `bpe_motion`
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// How the motion follows the path: `warp`, `override`, `guidance` or `override_guidance`
+    /// [default: from the run's config, `warp`]
+    #[arg(long, value_name = "METHOD", requires = "path")]
+    pub method: Option<String>,
+    /// Metres of a unit of a path that is a drawing
+    #[arg(long, value_name = "METRES", requires = "path")]
+    pub metres_per_unit: Option<f64>,
     /// Style of the sample, for runs with `model.style`: a label, such as `waltz`, or eight numbers
     /// with commas between them [default: none]
     #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]

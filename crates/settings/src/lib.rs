@@ -157,6 +157,12 @@ impl Number for u64 {
     }
 }
 
+impl Number for i64 {
+    fn is_finite(self) -> bool {
+        true
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -53,6 +53,7 @@ pub mod system;
 pub mod systems;
 pub mod telemetry;
 pub mod text_encoder;
+mod text_plan;
 mod trainer;
 
 pub use config::Config;
@@ -60,4 +61,5 @@ pub use error::Error;
 pub use observer::{Observer, Preview, Reading, RunSummary, StepReport};
 pub use parameter_count::ParameterCount;
 pub use recipe::{Loss, Measured, Recipe, StepKey};
+pub use text_plan::{TextPlan, TextStep};
 pub use trainer::{Ending, Trainer, TrainerParts};

@@ -11,8 +11,8 @@ use kinegrad_diffusion::{
 };
 use kinegrad_kernels::KeyRanges;
 use kinegrad_models::blended::{
-    BlendedConfig, BlendedTransformer, Composed, Pass, PoseCentricAttention, Script, Segment,
-    Shared, Switch, absolute_positions,
+    BlendedConfig, BlendedTransformer, Composed, HEAD_CHANNELS, Pass, PoseCentricAttention, Script,
+    Segment, Shared, Switch, absolute_positions,
 };
 use kinegrad_models::gmd::interleaved_sinusoidal;
 use kinegrad_models::rotary::Rotation;
@@ -195,12 +195,14 @@ fn golden_blended_positions(golden: Golden) {
     let heads_of = |x: Tensor<3>| x.reshape([batch, heads, channels, time]).swap_dims(2, 3);
     let rotation = |turns: bool| Rotation::new(32, time, &[turns], &device);
     let turned = |name: &str, turns| heads_of(rotation(turns).turn(flat(name), heads));
+    // As logits are.
+    let scaled = |dots: Tensor<4>| dots / (channels as f64).sqrt();
     let (q, k) = (turned("in.q", true), turned("in.k", true));
     for (name, found, tolerance) in [
         ("out.q_rotated", q.clone(), 2e-5),
         ("out.k_rotated", k.clone(), 2e-5),
         ("out.q_absolute_mode", turned("in.q", false), 2e-5),
-        ("out.dots", q.matmul(k.swap_dims(2, 3)), 5e-5),
+        ("out.dots", scaled(q.matmul(k.swap_dims(2, 3))), 5e-5),
     ] {
         golden.get(name).assert_within(name, found, tolerance, 0.0);
     }
@@ -214,7 +216,7 @@ fn golden_blended_positions(golden: Golden) {
             .narrow(2, 50, time);
         heads_of(x)
     };
-    let dots = late("in.q").matmul(late("in.k").swap_dims(2, 3));
+    let dots = scaled(late("in.q").matmul(late("in.k").swap_dims(2, 3)));
     let name = "out.dots_shifted_by_50";
     golden.get(name).assert_within(name, dots, 5e-5, 0.0);
     compare_masks(&golden);
@@ -260,7 +262,7 @@ fn golden_pose_centric_attention(golden: Golden) {
     let shape = |name: &str| golden.get(&format!("model.{name}")).shape;
     let config = BlendedConfig {
         latent_dim: shape("to_q.weight")[1],
-        num_heads: number(&golden, "in.heads") as usize,
+        num_heads: shape("to_q.weight")[0] / HEAD_CHANNELS,
         ..BlendedConfig::flowmdm_tiny()
     };
     let layer = PoseCentricAttention::new(&config, &Initializer::new(0, &device));

@@ -240,9 +240,12 @@ fn golden_warp(golden: Golden) {
     }
     let standing = joints(&golden, "in.standing.joints");
     let line = Polyline::new(points(&golden, "in.line.points")).expect("a path");
-    let warped = Warp::default()
-        .apply(&standing, &skeleton, &line)
-        .expect("a body");
+    // It has no way of its own to be turned by.
+    let face = Warp {
+        turning: Turning::Face,
+        ..Warp::default()
+    };
+    let warped = face.apply(&standing, &skeleton, &line).expect("a body");
     let shares = warped
         .course
         .metres

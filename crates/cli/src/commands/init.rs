@@ -47,10 +47,14 @@ const TEMPLATES: &[Template] = templates![
     "bodies_trajectory",
     "flow_tiny",
     "flow",
+    "bpe_tiny",
+    "bodies_bpe",
+    "bpe",
     "text_motion",
     "prepare",
     "bodies",
     "goal",
+    "compose",
 ];
 
 impl Template {
@@ -74,6 +78,7 @@ impl Template {
         match self.name {
             "prepare" | "bodies" => format!("kinegrad data prepare {path}"),
             "goal" => format!("kinegrad sample RUN --goal {path} --out walk"),
+            "compose" => format!("kinegrad sample RUN --plan {path} --out walk"),
             _ if file == Path::new(DEFAULT_CONFIG) => "kinegrad train".to_owned(),
             _ => format!("kinegrad train {path}"),
         }

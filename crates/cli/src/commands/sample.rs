@@ -7,7 +7,7 @@ use kinegrad_report::rows;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{Weights, resolve_checkpoint};
 use kinegrad_train::sampling::{
-    self, Conditions, Given, GivenFrames, Remark, Request, Style, Subject,
+    self, Conditions, Given, GivenFrames, PathFile, Remark, Request, Style, Subject,
 };
 use kinegrad_train::systems::Systems;
 use serde::Serialize;
@@ -51,7 +51,11 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
     if arguments.json {
         files = files.keeping();
     }
-    let subject = subject(systems, &arguments.run, &arguments.draw)?;
+    let mut draw = arguments.draw.clone();
+    let method = arguments.method.iter();
+    draw.overrides
+        .extend(method.map(|method| format!("evaluation.path.method={method}")));
+    let subject = subject(systems, &arguments.run, &draw)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let kept = arguments.keep_from.zip(arguments.keep);
     let given = match (arguments.continue_from, kept) {
@@ -77,6 +81,10 @@ fn draw(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Er
             text_embedding: arguments.text_embedding,
             history: arguments.history,
             plan: arguments.plan,
+            path: arguments.path.map(|file| PathFile {
+                file,
+                metres_per_unit: arguments.metres_per_unit,
+            }),
             given,
             style: arguments.style.as_deref().map(Style::parse).transpose()?,
             held_out: None,

@@ -5,7 +5,6 @@ use std::process::ExitCode;
 
 use kinegrad_data::file::read_text;
 use kinegrad_data::{Digest, read_array, write_values, write_whole};
-use kinegrad_motion::Representation;
 use kinegrad_motion::feet::{ContactRule, hold};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{mean_jerk, skating_ratio};

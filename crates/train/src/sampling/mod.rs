@@ -1,5 +1,6 @@
 //! Generating motion with a trained model: [`sample`], for the command line and other programs.
 
+mod clip_files;
 mod given;
 mod record;
 mod request;
@@ -12,12 +13,13 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 
+pub use clip_files::{BVH, FEATURES, MOTION, clip_files};
 pub use given::{Given, GivenFrames, GivenMotion};
 pub use record::{
-    BatchRecord, Condition, GoalRecord, Kept, Record, RolloutRecord, SaidRecord, SamplerRecord,
-    WindowsRecord,
+    BatchRecord, CompositionRecord, Condition, GoalRecord, Kept, PathRecord, Record, RolloutRecord,
+    SaidRecord, SamplerRecord, WindowsRecord,
 };
-pub use request::{Conditions, Request};
+pub use request::{Conditions, PathFile, Request};
 pub use seed::item_seed;
 pub use style::Style;
 

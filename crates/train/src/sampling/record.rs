@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::Goal;
+use kinegrad_motion::path::{PathPlan, PathReport};
 use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +12,7 @@ use super::{Style, Subject};
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, Padding, SteeringConfig};
 use crate::song::KnownBeats;
+use crate::systems::bpe_transformer::PathConfig;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +51,9 @@ pub struct Record {
     /// How a motion went on, for models of recipe `flow`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutRecord>,
+    /// How a motion was composed, for models of recipe `bpe_motion`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub composition: Option<CompositionRecord>,
     /// What the sample is conditioned on.
     pub condition: Condition,
     /// What it was drawn together with; left out where that does not matter.
@@ -65,6 +70,31 @@ pub struct RolloutRecord {
     pub same_noise: bool,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,
+}
+
+/// How a motion was composed of texts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CompositionRecord {
+    /// When positions were relative.
+    pub bpe_denoising_step: i64,
+    /// The texts, in order.
+    pub said: Vec<SaidRecord>,
+    /// The path that it follows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<PathRecord>,
+}
+
+/// A path, how a motion follows it, and how well.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PathRecord {
+    /// Its file.
+    pub file: PathBuf,
+    /// What that says.
+    pub content: PathPlan,
+    /// How the motion was drawn.
+    pub settings: PathConfig,
+    /// How it follows.
+    pub report: PathReport,
 }
 
 /// A text and the frame from which on it is said.
@@ -218,6 +248,7 @@ impl Record {
             post_processing: None,
             windows: None,
             rollout: None,
+            composition: None,
             condition: Condition::default(),
             batch: None,
         }

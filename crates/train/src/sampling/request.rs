@@ -55,12 +55,23 @@ pub struct Conditions {
     pub history: Option<PathBuf>,
     /// File of texts with their lengths, one after another.
     pub plan: Option<PathBuf>,
+    /// File of a path over the ground.
+    pub path: Option<PathFile>,
     /// Frames of a phrase that the sample has as they are.
     pub given: Option<Given>,
     /// The style, for models that are conditioned on one.
     pub style: Option<Style>,
     /// Use the first so many held-out items of the run's own dataset.
     pub held_out: Option<usize>,
+}
+
+/// A path over the ground, in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathFile {
+    /// The file.
+    pub file: PathBuf,
+    /// Metres of a unit, where it is a drawing.
+    pub metres_per_unit: Option<f64>,
 }
 
 impl Request {
@@ -115,7 +126,7 @@ impl Conditions {
     }
 
     /// The conditions by their command-line names, and whether each is given.
-    fn given(&self) -> [(&'static str, bool); 14] {
+    fn given(&self) -> [(&'static str, bool); 15] {
         let continues = |given: &Given| given.frames == GivenFrames::Last;
         [
             ("--source", self.source.is_some()),
@@ -129,6 +140,7 @@ impl Conditions {
             ("--text-embedding", self.text_embedding.is_some()),
             ("--history", self.history.is_some()),
             ("--plan", self.plan.is_some()),
+            ("--path", self.path.is_some()),
             (
                 "--continue-from",
                 self.given.as_ref().is_some_and(continues),

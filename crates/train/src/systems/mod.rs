@@ -5,6 +5,7 @@
 //! name: entry points take a list of [`Systems`] and find the system of a run by its recipe.
 //! [`BUILT_IN`] lists the systems of this crate.
 
+pub mod bpe_transformer;
 pub mod cc_motion;
 pub mod flow;
 pub mod gmd;
@@ -18,5 +19,6 @@ pub const BUILT_IN: Systems<'static> = Systems(&[
     &cc_motion::CcMotion,
     &gmd::Gmd,
     &flow::Flow,
+    &bpe_transformer::BpeTransformer,
     &text_motion::TextMotionSystem,
 ]);

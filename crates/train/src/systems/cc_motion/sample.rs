@@ -61,6 +61,7 @@ pub(super) fn sample(
             "--text-embedding",
             "--history",
             "--plan",
+            "--path",
         ],
         "a run on phrases",
         "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \

@@ -8,7 +8,6 @@ mod config;
 mod evaluate;
 mod generate;
 mod networks;
-mod plan;
 pub mod recipe;
 mod report;
 mod sample;
@@ -22,7 +21,6 @@ use toml::Table;
 
 pub use config::{FlowNetwork, FlowTables, PoseConfig, RolloutEvaluationConfig};
 pub use generate::FlowGenerator;
-pub use plan::{RolloutPlan, Step};
 pub use report::{RolloutReport, bone_lengths};
 pub use windows::{PoseSpace, PoseWindows};
 

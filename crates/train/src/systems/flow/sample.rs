@@ -9,22 +9,17 @@ use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 
-use super::{Flow, FlowGenerator, FlowTables, PoseSpace, RolloutPlan};
+use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
 use crate::clips::{clips_named, dataset_or};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::sampling::{
-    Condition, Conditions, Contents, Drawn, Names, Receiver, Record, Remark, Request,
+    BVH, Condition, Conditions, Contents, Drawn, MOTION, Names, Receiver, Record, Remark, Request,
     RolloutRecord, SaidRecord, Subject, item_seed,
 };
 use crate::system::System as _;
-
-/// Extension of joint positions.
-const MOTION: &str = ".npy";
-
-/// Extension of the animated skeleton.
-const BVH: &str = ".bvh";
+use crate::text_plan::TextPlan;
 
 /// What a motion goes on from.
 struct Start {
@@ -58,6 +53,7 @@ pub(super) fn sample(
             "--continue-from",
             "--keep",
             "--style",
+            "--path",
         ],
         "a run of recipe `flow`",
         "its conditions are a history, `--history MOTION.npy` or `--phrase ID`, and texts, `--text`, \
@@ -73,11 +69,7 @@ pub(super) fn sample(
     let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
     let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     let input = TextInput::of(&subject.config)?;
-    let plan = conditions
-        .plan
-        .as_deref()
-        .map(RolloutPlan::read)
-        .transpose()?;
+    let plan = conditions.plan.as_deref().map(TextPlan::read).transpose()?;
     let script = Script::of(
         subject,
         request,
@@ -173,7 +165,7 @@ impl Script {
     fn of(
         subject: &Subject,
         request: &Request,
-        plan: Option<&RolloutPlan>,
+        plan: Option<&TextPlan>,
         input: &TextInput,
         default: usize,
     ) -> Result<Self, Error> {
@@ -195,29 +187,9 @@ impl Script {
             .unwrap_or(Path::new("the plan"));
         let ends = plan.ends(Flow.fps(&subject.config))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
-        let mut steps = Vec::with_capacity(ends.len());
-        for (number, (step, begin)) in plan.step.iter().zip(begins).enumerate() {
-            let refused = |message: &str, hint: &str| {
-                let place = format!("{}: step[{number}]", path.display());
-                Error::usage(format!("{place}: {message}"), hint)
-            };
-            if step.text.is_some() && input.labels().is_none() {
-                let hint = "`text_embedding = \"FILE#KEY\"`: `kinegrad text embed` makes the file";
-                return Err(refused(
-                    "`text`, and the run is told embeddings of texts",
-                    hint,
-                ));
-            }
-            // A step that says nothing is no caption of a clip either.
-            let said = step.said()?.unwrap_or_default();
-            if said != ClipText::default() {
-                input.values(&said).map_err(|error| match error {
-                    Error::Usage { message, hint } => refused(&message, &hint),
-                    other => other,
-                })?;
-            }
-            steps.push((begin, Some(said)));
-        }
+        // A step that says nothing is no caption of a clip either.
+        let said = plan.said(path, input)?.into_iter().map(Some);
+        let steps = begins.zip(said).collect();
         Ok(Self {
             frames: ends.last().copied().unwrap_or_default(),
             steps,

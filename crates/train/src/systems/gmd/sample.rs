@@ -19,19 +19,10 @@ use crate::checkpoint::State;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    BatchRecord, Condition, Contents, Drawn, GoalRecord, Names, Receiver, Record, Remark, Request,
-    SamplerRecord, Subject,
+    BVH, BatchRecord, Condition, Contents, Drawn, FEATURES, GoalRecord, MOTION, Names, Receiver,
+    Record, Remark, Request, SamplerRecord, Subject, clip_files,
 };
 use crate::system::System as _;
-
-/// Extension of joint positions, or of a path alone.
-const MOTION: &str = ".npy";
-
-/// Extension of joint features.
-const FEATURES: &str = ".features.npy";
-
-/// Extension of the animated skeleton.
-const BVH: &str = ".bvh";
 
 /// Extension of the ground path of the first stage.
 const PATH: &str = ".path.npy";
@@ -56,6 +47,7 @@ pub(super) fn sample(
             "--style",
             "--history",
             "--plan",
+            "--path",
         ],
         "a run on clips of joint features",
         "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
@@ -266,29 +258,7 @@ fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Reco
     };
     let features = features.slice(0..frames);
     let joints = features.joints();
-    let mut files = vec![
-        (
-            MOTION,
-            Contents::Array {
-                shape: vec![joints.frames(), joints.joints(), 3],
-                values: joints.to_f32(),
-            },
-        ),
-        (
-            FEATURES,
-            Contents::Array {
-                shape: vec![features.frames(), features.layout().channels()],
-                values: features.into_vec(),
-            },
-        ),
-        (
-            BVH,
-            Contents::Figure {
-                joints,
-                skeleton: Box::new(skeleton.clone()),
-            },
-        ),
-    ];
+    let mut files = clip_files(features, joints, skeleton);
     if let Some(drawn) = &sample.path {
         files.push((PATH, path(&drawn[..frames])));
     }

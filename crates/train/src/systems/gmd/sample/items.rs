@@ -6,11 +6,13 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{DataConfig, Dataset};
 
-use super::{BVH, FEATURES, MOTION, drawn, must_fit_as_batch, record};
+use super::{drawn, must_fit_as_batch, record};
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{clips_named, dataset_or};
 use crate::error::Error;
-use crate::sampling::{Condition, Names, Receiver, Record, Remark, Request, Subject, item_seed};
+use crate::sampling::{
+    BVH, Condition, FEATURES, MOTION, Names, Receiver, Record, Remark, Request, Subject, item_seed,
+};
 use crate::systems::gmd::generate::{ClipGenerator, ClipRequest, keys};
 use crate::systems::gmd::recipe_name::RecipeName;
 

@@ -1,4 +1,5 @@
-//! Texts one after another: the file of `kinegrad sample --plan`.
+//! Texts one after another: the file of `kinegrad sample --plan`, for motion that goes on by changing
+//! texts and for motion that is composed of them.
 
 use std::path::Path;
 
@@ -9,22 +10,22 @@ use kinegrad_settings::{ABOVE_ZERO, in_range, in_words, must_be_finite};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
-use crate::captions::ClipText;
+use crate::captions::{ClipText, TextInput};
 use crate::config::line_of;
 use crate::error::Error;
 
 /// Texts one after another, each with its length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RolloutPlan {
+pub struct TextPlan {
     /// In order.
-    pub step: Vec<Step>,
+    pub step: Vec<TextStep>,
 }
 
 /// One text for some time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Step {
+pub struct TextStep {
     /// How long, in seconds.
     pub seconds: f64,
     /// The text, one of the captions that the run knows; without any the motion goes on without.
@@ -33,7 +34,7 @@ pub struct Step {
     pub text_embedding: Option<String>,
 }
 
-impl RolloutPlan {
+impl TextPlan {
     /// Reads and checks a file.
     ///
     /// # Errors
@@ -41,7 +42,7 @@ impl RolloutPlan {
     pub fn read(path: &Path) -> Result<Self, Error> {
         let refused = |reason: String| {
             let hint = "a plan is a list of `[[step]]`, each with `seconds` and `text` or \
-                        `text_embedding`: docs/flow.md";
+                        `text_embedding`: docs/compose.md";
             Error::usage(format!("{}: {reason}", path.display()), hint)
         };
         let text = read_text(path).map_err(|error| refused(error.to_string()))?;
@@ -89,9 +90,40 @@ impl RolloutPlan {
         }
         Ok(ends)
     }
+
+    /// What each step says, to a model that is told texts as `input` says; nothing where a step has no
+    /// text. `path` is the plan's file.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a text that the model does not know, with the file and the step; if an
+    /// embedding cannot be read.
+    pub(crate) fn said(&self, path: &Path, input: &TextInput) -> Result<Vec<ClipText>, Error> {
+        let of_step = |(number, step): (usize, &TextStep)| {
+            let refused = |message: &str, hint: &str| {
+                let place = format!("{}: step[{number}]", path.display());
+                Error::usage(format!("{place}: {message}"), hint)
+            };
+            if step.text.is_some() && input.labels().is_none() {
+                let hint = "`text_embedding = \"FILE#KEY\"`: `kinegrad text embed` makes the file";
+                return Err(refused(
+                    "`text`, and the run is told embeddings of texts",
+                    hint,
+                ));
+            }
+            let said = step.said()?.unwrap_or_default();
+            if said != ClipText::default() {
+                input.values(&said).map_err(|error| match error {
+                    Error::Usage { message, hint } => refused(&message, &hint),
+                    other => other,
+                })?;
+            }
+            Ok(said)
+        };
+        self.step.iter().enumerate().map(of_step).collect()
+    }
 }
 
-impl Step {
+impl TextStep {
     /// What is said.
     ///
     /// # Errors

@@ -1,0 +1,232 @@
+//! The system's own config tables and their validation.
+
+use kinegrad_data::DataKind;
+use kinegrad_diffusion::{DiffusionConfig, PredictionType, SamplerKind, must_suit};
+use kinegrad_models::blended::BlendedConfig;
+use kinegrad_motion::MAX_FRAMES;
+use kinegrad_settings::{Refused, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{PathConfig, RECIPE};
+use crate::captions::CaptionsConfig;
+use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
+use crate::error::Error;
+
+/// Values of the common tables: those of the published program where it has them.
+pub(super) const DEFAULTS: &str = r#"
+[data]
+kind = "humanml3d"
+target_frames = 196
+batch_size = 64
+[data.humanml3d]
+root = "relative"
+[diffusion]
+beta_schedule = "cosine"
+beta_min = 0.0
+beta_max = 0.999
+prediction_type = "sample"
+loss_type = "mse"
+cond_drop_prob = 0.1
+[optim]
+learning_rate = 1e-4
+weight_decay = 0.0
+warmup_steps = 0
+lr_schedule = "constant"
+[train]
+max_steps = 500000
+max_grad_norm = 0.0
+[sampling]
+clip = "none"
+[sampling.sampler]
+kind = "ddpm"
+num_inference_steps = 1000
+guidance_scale = 2.5
+"#;
+
+/// The tables of this system.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeTables {
+    /// The denoiser.
+    pub model: ModelTable<BpeNetwork>,
+    /// What the model knows of captions.
+    pub text: CaptionsConfig,
+    /// The diffusion process.
+    pub diffusion: DiffusionConfig,
+    /// Absolute and relative positions.
+    pub positions: PositionsConfig,
+    /// The loss.
+    pub loss: BpeLossConfig,
+    /// The evaluation.
+    pub evaluation: ComposeEvaluationConfig,
+}
+
+/// The kind of network and its sizes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum BpeNetwork {
+    /// A transformer with blended positional encodings.
+    BpeTransformer(BlendedConfig),
+}
+
+impl BpeNetwork {
+    /// Its sizes.
+    pub fn sizes(&self) -> &BlendedConfig {
+        let Self::BpeTransformer(sizes) = self;
+        sizes
+    }
+}
+
+impl Default for BpeNetwork {
+    fn default() -> Self {
+        Self::BpeTransformer(BlendedConfig::default())
+    }
+}
+
+/// The table `positions`: which positions the network is trained with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PositionsConfig {
+    /// Share of the training samples that are in relative mode.
+    pub bpe_training_ratio: f64,
+}
+
+impl Default for PositionsConfig {
+    fn default() -> Self {
+        Self {
+            bpe_training_ratio: 0.5,
+        }
+    }
+}
+
+/// The table `loss`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeLossConfig {
+    /// Weight of the squared error of the differences between consecutive frames, beside that of the
+    /// frames: what shakes between them weighs more. 0 in the published program. Small models shake
+    /// without it.
+    pub velocity: f64,
+}
+
+/// The table `evaluation`: the settings of `kinegrad eval`, which composes motions of held-out clips'
+/// texts, in their lengths, and of how `kinegrad sample` does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ComposeEvaluationConfig {
+    /// Number of compositions.
+    pub compositions: usize,
+    /// Texts of each.
+    pub texts: usize,
+    /// Frames of the window around a transition, whose jerk is measured.
+    pub transition_frames: usize,
+    /// In a draw, timestep t is relative if it is at most the number of timesteps less this; -1 for
+    /// absolute positions always, 0 for relative ones. 60 in the published model of HumanML3D, 125 in
+    /// that of BABEL.
+    pub bpe_denoising_step: i64,
+    /// How motion follows a path.
+    pub path: PathConfig,
+}
+
+impl Default for ComposeEvaluationConfig {
+    fn default() -> Self {
+        Self {
+            compositions: 16,
+            texts: 4,
+            transition_frames: 60,
+            bpe_denoising_step: 60,
+            path: PathConfig::default(),
+        }
+    }
+}
+
+impl SystemTables for BpeTables {
+    const NETWORKS: &'static [NetworkKind] = &[NetworkKind::of::<BlendedConfig>()];
+}
+
+/// Validates the tables of this system.
+///
+/// # Errors
+/// For the first invalid value; the error names the key.
+pub(super) fn validate(config: &Config) -> Result<(), Error> {
+    let own = BpeTables::of(config)?;
+    let Config { data, sampling, .. } = config;
+    own.model.network.sizes().validate()?;
+    own.diffusion.validate()?;
+    own.text.validate(data)?;
+    require(
+        matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
+        "data.kind",
+        "a kind of phrases",
+        format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
+    )?;
+    let positions = &own.positions;
+    in_range(
+        "positions.bpe_training_ratio",
+        positions.bpe_training_ratio,
+        0.0..=1.0,
+    )?;
+    let most = own.diffusion.num_train_timesteps as i64;
+    in_range(
+        "evaluation.bpe_denoising_step",
+        own.evaluation.bpe_denoising_step,
+        -1..=most,
+    )
+    .hint("-1 for absolute positions in all steps, 0 for relative ones")?;
+    in_range("loss.velocity", own.loss.velocity, 0.0..)?;
+    require(
+        own.loss.velocity == 0.0 || own.diffusion.prediction_type == PredictionType::Sample,
+        "loss.velocity",
+        own.loss.velocity,
+        "0 unless `diffusion.prediction_type = \"sample\"`: noise has no velocity",
+    )?;
+    for (key, value) in [
+        (
+            "sampling.sampler.style_guidance_scale",
+            sampling.sampler.style_guidance_scale,
+        ),
+        ("diffusion.style_drop_prob", own.diffusion.style_drop_prob),
+    ] {
+        let Some(value) = value else { continue };
+        let allowed = "nothing for models of clips, which have no style";
+        require(false, key, value, allowed)?;
+    }
+    must_suit(&sampling.sampler, &own.diffusion)?;
+    sampling.must_have_no_gmd_settings(RECIPE)?;
+    require(
+        sampling.clip == ClipSample::None,
+        "sampling.clip",
+        "a range",
+        format!("\"none\" for recipe `{RECIPE}`, whose clean motion is not clipped"),
+    )?;
+    require(
+        config.validation.select_by == SelectBy::Loss,
+        "validation.select_by",
+        "a metric of phrases",
+        format!("\"loss\" for recipe `{RECIPE}`"),
+    )?;
+    let evaluation = &own.evaluation;
+    evaluation.path.validate().within("evaluation.path")?;
+    require(
+        sampling.sampler.kind == SamplerKind::Ddpm
+            || !evaluation.path.method.guides()
+            || !evaluation.path.through_network,
+        "sampling.sampler.kind",
+        format!("\"{}\"", sampling.sampler.kind),
+        "\"ddpm\" for guidance through the network",
+    )
+    .hint("its gradient is scaled by the variance of the step, which only DDPM has")?;
+    in_range(
+        "evaluation.compositions",
+        evaluation.compositions,
+        1..=100_000,
+    )?;
+    in_range("evaluation.texts", evaluation.texts, 1..=10_000)?;
+    in_range(
+        "evaluation.transition_frames",
+        evaluation.transition_frames,
+        4..=MAX_FRAMES,
+    )?;
+    Ok(())
+}

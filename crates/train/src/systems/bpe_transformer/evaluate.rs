@@ -1,0 +1,202 @@
+//! The evaluation of composed motion: of the texts and lengths of held-out clips, several in a row.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use kinegrad_data::Dataset;
+use kinegrad_data::humanml::Clip;
+use kinegrad_diffusion::SamplerConfig;
+use kinegrad_motion::humanml::Features;
+use kinegrad_random::{Key, Purpose};
+use serde::Serialize;
+use serde_json::to_value;
+
+use super::networks::{footprint, statistics_in};
+use super::report::{ComposedReport, Measured};
+use super::{BpeTables, ComposeEvaluationConfig, Composer, Line, RECIPE};
+use crate::captions::{ClipText, must_know_texts};
+use crate::checkpoint::State;
+use crate::clips::dataset_or;
+use crate::config::SystemTables;
+use crate::error::Error;
+use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
+use crate::memory::must_fit;
+use crate::sampling::Subject;
+
+/// Results of an evaluation of compositions.
+#[derive(Clone, Debug, Serialize)]
+struct ComposeEvaluation {
+    /// Name of the run.
+    run: String,
+    /// Step of its checkpoint.
+    step: u64,
+    /// Seed of the noise.
+    seed: u64,
+    /// The settings.
+    settings: ComposeEvaluationConfig,
+    /// The sampler.
+    sampler: SamplerConfig,
+    /// The generated motion.
+    drawn: ComposedReport,
+    /// Held-out clips.
+    real: ComposedReport,
+}
+
+/// An evaluation of compositions.
+///
+/// # Errors
+/// If the request does not apply, or too few clips are held out.
+pub(super) fn prepare<'a>(
+    subject: &'a Subject,
+    request: &EvaluationRequest,
+) -> Result<Evaluate<'a>, Error> {
+    for (option, given) in [
+        ("--listening", request.listening),
+        ("--trajectory-run", request.trajectory.is_some()),
+    ] {
+        if given {
+            let message = format!(
+                "`{option}` with {}, a run of recipe `{RECIPE}`",
+                subject.checkpoint.display()
+            );
+            return Err(Error::usage(message, "leave it out"));
+        }
+    }
+    let own = BpeTables::of(&subject.config)?;
+    let asked = own.evaluation;
+    let data = dataset_or(&subject.config.data, request.source.as_deref());
+    let dataset = Dataset::<Clip>::open(&data)?;
+    if dataset.validation.is_empty() {
+        let message = format!("no clip is held out for {}", subject.checkpoint.display());
+        let hint = "texts and lengths are those of held-out clips: give a dataset that holds out some \
+                    with `--source URI`";
+        return Err(Error::usage(message, hint));
+    }
+    let held_out = dataset.validation.evenly(dataset.validation.len())?;
+    must_know_texts(&subject.config, &held_out)?;
+    let longest = held_out.iter().map(|clip| clip.features.frames()).max();
+    let frames = longest.unwrap_or(0).min(data.target_frames) * asked.texts;
+    let networks = footprint(&subject.config, frames)?;
+    must_fit(
+        "the evaluation",
+        networks.of_sampling(1, false, subject.on_host),
+        "compose fewer texts: `evaluation.texts`",
+    )?;
+    let seed = request.seed;
+    let most = data.target_frames;
+    Ok(Box::new(move |on_step| {
+        let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
+        let evaluation = evaluate(subject, &composer, &held_out, &asked, most, seed, on_step)?;
+        Ok(Evaluated {
+            run: evaluation.run.clone(),
+            report: "eval-compositions",
+            drawn: column(Some(evaluation.step), &evaluation.drawn),
+            real: column(None, &evaluation.real),
+            json: to_value(&evaluation).expect("plain data"),
+            remarks: Vec::new(),
+        })
+    }))
+}
+
+#[expect(
+    clippy::too_many_arguments,
+    reason = "each is another thing, named at the call"
+)]
+fn evaluate(
+    subject: &Subject,
+    composer: &Composer,
+    held_out: &[Arc<Clip>],
+    asked: &ComposeEvaluationConfig,
+    most: usize,
+    seed: u64,
+    on_step: &mut OnStep<'_>,
+) -> Result<ComposeEvaluation, Error> {
+    let sampler = &subject.config.sampling.sampler;
+    let key = Key::new(seed, Purpose::Sampling);
+    let chosen = key
+        .named("texts")
+        .integers(asked.compositions * asked.texts, held_out.len());
+    let window = asked.transition_frames;
+    let (mut motions, mut windows, mut segments) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, chosen) in chosen.chunks(asked.texts).enumerate() {
+        let lines = chosen.iter().map(|&clip| Line {
+            text: ClipText::of(&held_out[clip]),
+            frames: held_out[clip].features.frames().min(most),
+        });
+        let lines: Vec<Line> = lines.collect();
+        let features = composer.compose(
+            &lines,
+            sampler,
+            asked,
+            None,
+            key.at(number as u64),
+            &mut |done, all| match on_step("", number * all + done, asked.compositions * all) {
+                ControlFlow::Continue(()) => ControlFlow::Continue(()),
+                ControlFlow::Break(()) => ControlFlow::Break(()),
+            },
+        )?;
+        let mut begin = 0;
+        for (index, line) in lines.iter().enumerate() {
+            segments.push(features.slice(begin..begin + line.frames));
+            if index > 0
+                && let Some(first) = begin.checked_sub(window / 2)
+                && first + window <= features.frames()
+            {
+                windows.push(features.to_relative().slice(first..first + window).joints());
+            }
+            begin += line.frames;
+        }
+        motions.push(features.joints());
+    }
+    let real: Vec<Features> = held_out
+        .iter()
+        .map(|clip| clip.features.slice(0..clip.features.frames().min(most)))
+        .collect();
+    let middle = |clip: &Features| {
+        let first = clip.frames().checked_sub(window)? / 2;
+        Some(clip.to_relative().slice(first..first + window).joints())
+    };
+    let of_real = Measured {
+        motions: &real.iter().map(Features::joints).collect::<Vec<_>>(),
+        windows: &real.iter().filter_map(middle).collect::<Vec<_>>(),
+        segments: &real,
+    };
+    let of_drawn = Measured {
+        motions: &motions,
+        windows: &windows,
+        segments: &segments,
+    };
+    let state = State::read(&subject.checkpoint)?;
+    let statistics = statistics_in(&state)?;
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    let real_jerk = of_real.window_jerk();
+    Ok(ComposeEvaluation {
+        run: composer.config().run.name.clone(),
+        step: composer.step(),
+        seed,
+        settings: asked.clone(),
+        sampler: sampler.clone(),
+        drawn: of_drawn.report(&skeleton, statistics, real_jerk, Some(&real)),
+        real: of_real.report(&skeleton, statistics, real_jerk, None),
+    })
+}
+
+fn column(step: Option<u64>, report: &ComposedReport) -> Column {
+    let rows = report.rows().into_iter();
+    let numbers = rows.map(|(name, value, unit)| Number {
+        name: name.to_string(),
+        value,
+        line: Some((
+            format!("{name}{unit}"),
+            value.map(|value| format!("{value:.4}")),
+        )),
+    });
+    Column {
+        facts: vec![("step", step)],
+        groups: vec![Group {
+            key: "compositions",
+            title: "",
+            numbers: numbers.collect(),
+        }],
+    }
+}

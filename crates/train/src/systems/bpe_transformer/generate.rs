@@ -1,0 +1,221 @@
+//! Motion composed of texts, from a checkpoint.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_diffusion::{
+    ClipRange, GaussianDiffusion, Guidance, Networks, NoiseKeys, SamplerConfig, Space as _,
+    Steering, Time, draw, sample, steered_prediction,
+};
+use kinegrad_models::blended::{BlendedTransformer, Composed, Script, Segment, Switch};
+use kinegrad_motion::Representation;
+use kinegrad_motion::humanml::Features;
+use kinegrad_random::Key;
+
+use super::networks::{statistics_in, trained};
+use super::path::PathControl;
+use super::{BpeTables, ComposeEvaluationConfig, PathMethod, PathTarget};
+use crate::captions::{ClipText, TextInput};
+use crate::checkpoint::{State, Weights};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+use crate::systems::gmd::FeatureSpace;
+
+/// A text for some frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// What is said; nothing without.
+    pub text: Option<ClipText>,
+    /// How long, at least a frame.
+    pub frames: usize,
+}
+
+/// A trained network, ready to compose motion.
+pub struct Composer {
+    plain: BlendedTransformer,
+    tracked: BlendedTransformer,
+    diffusion: GaussianDiffusion,
+    space: FeatureSpace,
+    text: TextInput,
+    state: State,
+    device: Device,
+}
+
+impl Composer {
+    /// Loads the checkpoint in `path` onto `device`.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged, is not of recipe `bpe_motion`, or does not fit its own config.
+    pub fn load(path: &Path, weights: Weights, device: &Device) -> Result<Self, Error> {
+        let (network, state) = trained(path, weights, &device.clone().autodiff())?;
+        let own = BpeTables::of(&state.config)?;
+        let statistics = statistics_in(&state)?;
+        Ok(Self {
+            plain: network.valid(),
+            tracked: network.no_grad(),
+            diffusion: GaussianDiffusion::new(&own.diffusion)?,
+            space: FeatureSpace::new(&statistics.mean, &statistics.std, None, device),
+            text: TextInput::of(&state.config)?,
+            state,
+            device: device.clone(),
+        })
+    }
+
+    /// The config the model was trained with.
+    pub fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// Steps it was trained for.
+    pub fn step(&self) -> u64 {
+        self.state.step
+    }
+
+    /// The fastest that the root of a training clip was along either axis of the ground, metres per
+    /// second; none where the run does not know.
+    ///
+    /// # Errors
+    /// If the run is of another system.
+    pub fn fastest(&self) -> Result<Option<f64>, Error> {
+        let skeleton = self.config().data.humanml3d.skeleton.skeleton();
+        // Displacements of joint 0, in the facing frame, metres per frame.
+        let first = skeleton.layout().velocities().start;
+        let statistics = statistics_in(&self.state)?;
+        let largest = statistics.range.as_ref().map(|[min, max]| {
+            let of = |channel: usize| min[channel].abs().max(max[channel].abs());
+            of(first).max(of(first + 2)) * skeleton.description().fps
+        });
+        Ok(largest)
+    }
+
+    /// One motion of all `lines`, without overlaps or transitions of its own: a following line begins
+    /// where the one before ends. With a `target` it is drawn along that, as `settings.path` says, and has
+    /// still to be [finished](PathTarget::finish). `on_step` is called with the steps done and in total.
+    ///
+    /// # Errors
+    /// If the model does not know a text, the sampler's settings cannot work, or the result is not
+    /// finite.
+    ///
+    /// # Panics
+    /// Panics without a line, or for one without a frame.
+    pub fn compose(
+        &self,
+        lines: &[Line],
+        sampler: &SamplerConfig,
+        settings: &ComposeEvaluationConfig,
+        target: Option<&PathTarget>,
+        key: Key,
+        on_step: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<Features, Error> {
+        let segments = lines.iter().enumerate().map(|(text, line)| Segment {
+            text,
+            frames: line.frames,
+        });
+        let script = Script::new([segments.collect()]);
+        let composed = |network| Composed {
+            network,
+            script: script.clone(),
+            switch: Switch {
+                bpe_denoising_step: settings.bpe_denoising_step,
+                num_train_timesteps: self.diffusion.config.num_train_timesteps,
+            },
+        };
+        let (plain, tracked) = (composed(&self.plain), composed(&self.tracked));
+        let cond = self.told(lines)?;
+        let frames: usize = lines.iter().map(|line| line.frames).sum();
+        let humanml3d = &self.config().data.humanml3d;
+        let channels = humanml3d.representation().channels();
+        let start = key.named("start").normals(channels * frames);
+        let start = TensorData::new(start, [1, channels, frames]);
+        let is_told = lines.iter().any(|line| line.text.is_some());
+        let sampler = SamplerConfig {
+            // Without any text both passes of the guidance are the same one.
+            guidance_scale: if is_told { sampler.guidance_scale } else { 0.0 },
+            ..sampler.clone()
+        };
+        let start = Tensor::from_data(start, &self.device);
+        let numbered = [(key, 0)];
+        let keys = NoiseKeys::Numbered(&numbered);
+        let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
+        let x = match target.filter(|_| settings.path.method != PathMethod::Warp) {
+            None => sample(
+                &self.diffusion,
+                &plain,
+                start,
+                &cond,
+                &sampler,
+                &ClipRange::None,
+                keys,
+                &mut told,
+            )?,
+            Some(target) => {
+                let statistics = statistics_in(&self.state)?;
+                let control =
+                    PathControl::new(&settings.path, target, humanml3d.root, statistics, key);
+                let networks = Networks {
+                    tracked: &tracked,
+                    plain: &plain,
+                };
+                let mut predict = |x: Tensor<3>, time: &[Time]| {
+                    let t = time[0].timestep();
+                    let x = control.noisy(x, t, &self.diffusion);
+                    let path = &settings.path;
+                    let guided = path.method.guides() && path.through_network && control.acts(t);
+                    let steering = Steering {
+                        guidance: guided.then_some(Guidance {
+                            objective: &control,
+                            scale: path.eta,
+                        }),
+                        imputation: None,
+                    };
+                    let mut prediction = steered_prediction(
+                        &self.diffusion,
+                        &networks,
+                        x,
+                        time,
+                        &cond,
+                        sampler.guidance(t),
+                        &ClipRange::None,
+                        steering,
+                    )?;
+                    prediction.x_start = control.clean(prediction.x_start, t);
+                    // What noise there is follows from the clean motion, not from the network's answer.
+                    prediction.clipped = true;
+                    Ok(prediction)
+                };
+                let diffusion = &self.diffusion;
+                control.last(draw(
+                    diffusion,
+                    &mut predict,
+                    start,
+                    &sampler,
+                    keys,
+                    &mut told,
+                )?)
+            }
+        };
+        let rows = self.space.to_motion(x).swap_dims(1, 2);
+        let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
+        if !values.iter().all(|value| value.is_finite()) {
+            let sample = "the motion".to_owned();
+            return Err(Error::SampleNotFinite { sample });
+        }
+        let layout = humanml3d.skeleton.skeleton().layout();
+        Ok(Features::new(values, layout, humanml3d.root)?)
+    }
+
+    /// What the lines are told, `[lines, text channels, 1]`; zeros where nothing is.
+    fn told(&self, lines: &[Line]) -> Result<Tensor<3>, Error> {
+        let channels = self.text.channels();
+        let mut values = Vec::with_capacity(lines.len() * channels);
+        for line in lines {
+            let said = line.text.as_ref().map(|text| self.text.values(text));
+            let said = said.transpose()?.flatten();
+            values.extend(said.unwrap_or_else(|| vec![0.0; channels]));
+        }
+        let data = TensorData::new(values, [lines.len(), channels, 1]);
+        Ok(Tensor::from_data(data, &self.device))
+    }
+}

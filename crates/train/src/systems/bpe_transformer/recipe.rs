@@ -1,0 +1,110 @@
+//! Denoising of clips with one text each (docs/sources.md, section 6.7):
+//!
+//! ```text
+//! L = mean over the batch of  sum over real frames and channels (x_start - f(x_t, t, text))^2
+//!                              / (channels * real frames)
+//! ```
+//!
+//! Each sample is in absolute or in relative mode, as drawn for it; padding is attended to in neither.
+//! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
+//! before it.
+
+use kinegrad_data::TEXT;
+use kinegrad_diffusion::GaussianDiffusion;
+use kinegrad_models::DropoutKey;
+use kinegrad_models::blended::{BlendedTransformer, Pass, Script, Switch};
+
+use super::BpeTables;
+use crate::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
+use crate::systems::gmd::recipes::weighted_masked_loss;
+
+/// Trains a [`BlendedTransformer`] on clips of `channels`, as `own` says, validated on `held_out` in
+/// the mode that a draw has at each timestep.
+pub(super) fn recipe(
+    diffusion: GaussianDiffusion,
+    channels: usize,
+    own: &BpeTables,
+    held_out: HeldOut,
+) -> DenoisingRecipe<BlendedTransformer> {
+    let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
+    let switch = Switch {
+        bpe_denoising_step: own.evaluation.bpe_denoising_step,
+        num_train_timesteps: own.diffusion.num_train_timesteps,
+    };
+    let channel_weights = vec![1.0; channels];
+    DenoisingRecipe::new(
+        diffusion,
+        held_out,
+        move |diffusion, network: &BlendedTransformer, inputs, draws, weighted| {
+            let [batch, _, time] = inputs.x_start.dims();
+            let lengths = match &inputs.lengths {
+                Some(lengths) => lengths.frames().to_vec(),
+                None => vec![time; batch],
+            };
+            let script = Script::single(lengths);
+            let is_relative = match modes(draws.dropout, batch, ratio) {
+                Some(drawn) => drawn,
+                None => {
+                    let timesteps = draws.timesteps.iter();
+                    timesteps.map(|&t| switch.is_relative(t)).collect()
+                }
+            };
+            let weights = (weighted && diffusion.config.snr_gamma.is_some())
+                .then(|| diffusion.loss_weights(&draws.timesteps));
+            denoising_loss(
+                diffusion,
+                inputs,
+                draws,
+                |x_t, time, cond, dropout| {
+                    let pass = Pass {
+                        script: &script,
+                        is_relative: &is_relative,
+                        dropout,
+                    };
+                    network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
+                },
+                |model_output, target, mask| {
+                    weighted_masked_loss(
+                        model_output,
+                        target,
+                        mask,
+                        &channel_weights,
+                        velocity,
+                        weights.as_deref(),
+                        diffusion.config.loss_type,
+                    )
+                },
+            )
+        },
+    )
+    .averaging_samples()
+}
+
+/// Whether each sample of a training step is in relative mode; none without a key.
+fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
+    let drawn = key?.named("mode").uniforms(batch);
+    Some(drawn.into_iter().map(|u| f64::from(u) < ratio).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::{Key, Purpose};
+
+    use super::*;
+
+    #[test]
+    fn samples_are_in_either_mode_as_often_as_asked() {
+        let share = |ratio| {
+            let drawn = (0..50).flat_map(|step| {
+                let key = Key::new(1, Purpose::Dropout).at(step);
+                modes(Some(key), 64, ratio).expect("a key")
+            });
+            let drawn: Vec<bool> = drawn.collect();
+            drawn.iter().filter(|relative| **relative).count() as f64 / drawn.len() as f64
+        };
+        assert!((share(0.5) - 0.5).abs() < 0.03);
+        assert!((share(0.2) - 0.2).abs() < 0.03);
+        assert_eq!((share(0.0), share(1.0)), (0.0, 1.0));
+        assert_eq!(modes(None, 3, 0.5), None);
+    }
+}

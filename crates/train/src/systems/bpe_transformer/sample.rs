@@ -1,0 +1,310 @@
+//! Sampling motion composed of texts.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use kinegrad_data::Dataset;
+use kinegrad_data::file::read_text;
+use kinegrad_data::humanml::Clip;
+use kinegrad_motion::humanml::Extraction;
+use kinegrad_motion::path::PathPlan;
+use kinegrad_random::{Key, Purpose};
+
+use super::{BpeTables, BpeTransformer, Composer, Line, PathMethod, PathTarget, RECIPE};
+use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
+use crate::clips::{clips_named, dataset_or};
+use crate::config::SystemTables;
+use crate::error::Error;
+use crate::memory::must_fit;
+use crate::sampling::{
+    BVH, CompositionRecord, Condition, Drawn, FEATURES, MOTION, Names, PathFile, PathRecord,
+    Receiver, Record, Remark, Request, SaidRecord, Subject, clip_files, item_seed,
+};
+use crate::system::System as _;
+use crate::text_plan::TextPlan;
+
+/// A motion that is asked for.
+struct Motion {
+    /// What stands for it among several.
+    stem: String,
+    /// Its clip's id, if it is for one.
+    item: Option<String>,
+    lines: Vec<Line>,
+    /// Seed of its noise.
+    seed: u64,
+}
+
+/// Generates the requested motions one after another: joints, features and BVH of each.
+///
+/// # Errors
+/// If a condition cannot be used, or a checkpoint cannot be read.
+pub(super) fn sample(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Option<Remark>, Error> {
+    let conditions = &request.conditions;
+    conditions.refuse(
+        &[
+            "--cond",
+            "--audio",
+            "--goal",
+            "--trajectory-run",
+            "--continue-from",
+            "--keep",
+            "--style",
+            "--history",
+        ],
+        "a run of recipe `bpe_motion`",
+        "its conditions are texts: `--text`, `--text-embedding FILE#KEY`, `--plan PLAN.toml` for several \
+         one after another, or `--phrase ID` for a clip's caption",
+    )?;
+    if request.post_processing.is_some() {
+        return Err(Error::usage(
+            format!("`--postprocess` with a run of recipe `{RECIPE}`"),
+            "its samples are not post-processed: leave it out",
+        ));
+    }
+    let own = BpeTables::of(&subject.config)?;
+    let motions = motions(subject, request, receiver)?;
+    let longest = motions.iter().map(Motion::frames).max().unwrap_or(0);
+    let networks = super::networks::footprint(&subject.config, longest)?;
+    must_fit(
+        &format!("drawing a motion of {longest} frames"),
+        networks.of_sampling(1, false, subject.on_host),
+        "ask for a shorter one",
+    )?;
+    let names = Names {
+        stems: motions.iter().map(|motion| motion.stem.clone()).collect(),
+        count: request.count,
+    };
+    if conditions.held_out.is_none() {
+        receiver.announced(&names, &[MOTION, FEATURES, BVH])?;
+    }
+    let path = conditions.path.as_ref().map(read_path).transpose()?;
+    if path.is_none() && own.evaluation.path.method != PathMethod::default() {
+        receiver.note("`evaluation.path.method` acts with `--path` alone");
+    }
+    let composer = Composer::load(&subject.checkpoint, subject.weights, &subject.device)?;
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+    let fps = skeleton.description().fps;
+    let fastest = composer.fastest()?;
+    let sampler = &subject.config.sampling.sampler;
+    let all = motions.len() * request.count;
+    let mut remarks = Vec::new();
+    for (number, motion) in motions.iter().enumerate() {
+        let target = path.as_ref().map(|(file, plan)| {
+            let target = PathTarget::new(plan, motion.frames(), fps)?;
+            let speed = target.speed(fps);
+            if let Some(fastest) = fastest.filter(|fastest| speed > *fastest) {
+                receiver.warning(&format!(
+                    "{} asks for {speed:.2} m/s, {:.2} m/s more than any training clip: give the \
+                     motion more time, or a shorter path",
+                    file.display(),
+                    speed - fastest
+                ));
+            }
+            Ok::<_, Error>(target)
+        });
+        let target = target.transpose()?;
+        for index in 0..request.count {
+            let key = Key::new(motion.seed, Purpose::Sampling).at(index as u64);
+            let before = number * request.count + index;
+            let features = composer.compose(
+                &motion.lines,
+                sampler,
+                &own.evaluation,
+                target.as_ref(),
+                key,
+                &mut |done, steps| receiver.advance("", before * steps + done, all * steps),
+            )?;
+            let settings = &own.evaluation.path;
+            let (features, joints) = match &target {
+                None => {
+                    let joints = features.joints();
+                    (features, joints)
+                }
+                Some(target) => {
+                    let joints = target.finish(&features, &skeleton, settings)?;
+                    let features = match settings.method {
+                        PathMethod::Warp => {
+                            unscaled().features_of_all_frames(&skeleton, &joints)?
+                        }
+                        _ => features,
+                    };
+                    (features, joints)
+                }
+            };
+            let followed = match (&path, &target) {
+                (Some((file, plan)), Some(target)) => {
+                    let report = target.report(&joints, &skeleton)?;
+                    remarks.push(format!(
+                        "{:.3} m from the path, at most {:.3} m; heading {:.0} degrees from it",
+                        report.mean_distance, report.largest_distance, report.heading_error
+                    ));
+                    Some(PathRecord {
+                        file: file.clone(),
+                        content: plan.clone(),
+                        settings: settings.clone(),
+                        report,
+                    })
+                }
+                _ => None,
+            };
+            let record = Record {
+                index,
+                frames: features.frames(),
+                fps: skeleton.description().fps,
+                composition: Some(CompositionRecord {
+                    bpe_denoising_step: own.evaluation.bpe_denoising_step,
+                    said: said(&motion.lines),
+                    path: followed,
+                }),
+                condition: Condition {
+                    item: motion.item.clone(),
+                    source: motion.item.as_ref().and_then(|_| {
+                        let given = conditions.source.clone();
+                        given.or_else(|| subject.config.data.source.clone())
+                    }),
+                    text: conditions.text.clone(),
+                    clip: conditions.clip.clone(),
+                    text_embedding: conditions.text_embedding.clone(),
+                    plan: conditions.plan.clone(),
+                    ..Condition::default()
+                },
+                ..Record::new(BpeTransformer.name(), subject, request.seed)
+            };
+            receiver.drawn(Drawn {
+                name: names.of(&motion.stem, index),
+                files: clip_files(features, joints, &skeleton),
+                record,
+            })?;
+        }
+    }
+    Ok((!remarks.is_empty()).then(|| Remark::Text(remarks.join("\n"))))
+}
+
+impl Motion {
+    fn frames(&self) -> usize {
+        self.lines.iter().map(|line| line.frames).sum()
+    }
+}
+
+/// Features of joints whose bones stay as they are.
+fn unscaled() -> Extraction {
+    Extraction {
+        rescale: false,
+        ..Extraction::default()
+    }
+}
+
+/// The path of a request, with its file.
+fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
+    let file = path.file.display().to_string();
+    let refused =
+        |reason: String| Error::usage(format!("{file}: {reason}"), "docs/paths.md describes paths");
+    let text = read_text(&path.file).map_err(|error| refused(error.to_string()))?;
+    let plan = PathPlan::read(&text, &file, path.metres_per_unit).map_err(refused)?;
+    Ok((path.file.clone(), plan))
+}
+
+/// Which text begins in which frame.
+fn said(lines: &[Line]) -> Vec<SaidRecord> {
+    let mut from = 0;
+    let of_line = |line: &Line| {
+        let begins = from;
+        from += line.frames;
+        SaidRecord {
+            from: begins,
+            text: line.text.as_ref().and_then(|text| text.caption.clone()),
+        }
+    };
+    lines.iter().map(of_line).collect()
+}
+
+/// What is asked for: a plan, one text, or the captions of clips.
+fn motions(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Vec<Motion>, Error> {
+    let conditions = &request.conditions;
+    let input = TextInput::of(&subject.config)?;
+    let one = |lines| {
+        vec![Motion {
+            stem: String::new(),
+            item: None,
+            lines,
+            seed: request.seed,
+        }]
+    };
+    if let Some(path) = &conditions.plan {
+        if request.frames.is_some() {
+            let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
+            return Err(Error::usage("`--plan` with a length", hint));
+        }
+        let plan = TextPlan::read(path)?;
+        let ends = plan.ends(BpeTransformer.fps(&subject.config))?;
+        let begins = [0].into_iter().chain(ends.iter().copied());
+        let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
+        let said = plan.said(path, &input)?.into_iter();
+        let lines = said.zip(lengths).map(|(text, frames)| Line {
+            text: (text != ClipText::default()).then_some(text),
+            frames,
+        });
+        return Ok(one(lines.collect()));
+    }
+    if conditions.item.is_some() || conditions.source.is_some() || conditions.held_out.is_some() {
+        return of_clips(subject, request, receiver);
+    }
+    if conditions.is_empty() {
+        receiver.note("no condition given: drawing without a text");
+    }
+    let text = text_of(conditions, &[input], &subject.device)?;
+    let frames = request.frames.unwrap_or(subject.config.data.target_frames);
+    Ok(one(vec![Line { text, frames }]))
+}
+
+/// A motion for each clip, of its caption and length.
+fn of_clips(
+    subject: &Subject,
+    request: &Request,
+    receiver: &mut dyn Receiver,
+) -> Result<Vec<Motion>, Error> {
+    let conditions = &request.conditions;
+    conditions.refuse(
+        &["--text", "--text-embedding"],
+        "`--phrase` and a run on clips of joint features",
+        "`--phrase` alone stands for the first caption of all of the clip",
+    )?;
+    let data = dataset_or(&subject.config.data, conditions.source.as_deref());
+    let dataset = Dataset::<Clip>::open_with_progress(&data, &*receiver.reading())?;
+    let chosen: Vec<Arc<Clip>> = match (&conditions.item, conditions.held_out) {
+        (Some(pattern), _) => clips_named(&dataset, pattern)?,
+        (None, Some(count)) => dataset.held_out().evenly(count)?,
+        (None, None) => {
+            let hint = "name a clip with `--phrase ID`; `kinegrad data inspect URI` lists them";
+            return Err(Error::usage("`--source` without `--phrase`", hint));
+        }
+    };
+    must_know_texts(&subject.config, &chosen)?;
+    let several = chosen.len() > 1;
+    let motion = |clip: &Arc<Clip>| {
+        let own = || clip.features.frames().min(data.target_frames);
+        let line = Line {
+            text: ClipText::of(clip),
+            frames: request.frames.unwrap_or_else(own),
+        };
+        Motion {
+            stem: match (conditions.held_out, several) {
+                (Some(_), _) => clip.id.clone(),
+                (None, true) => format!("-{}", clip.id),
+                (None, false) => String::new(),
+            },
+            item: Some(clip.id.clone()),
+            lines: vec![line],
+            seed: item_seed(request.seed, &clip.id),
+        }
+    };
+    Ok(chosen.iter().map(motion).collect())
+}

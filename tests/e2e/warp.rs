@@ -1,0 +1,135 @@
+//! Motions moved onto paths: what is written, and what is refused.
+
+use std::fs;
+
+use kinegrad_data::{read_array, write_values};
+use kinegrad_tests::sandbox::Sandbox;
+use serde_json::Value;
+
+/// A walk of the synthetic dataset as joints, 48 frames and more.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox
+        .run("data synth --walks --phrases 4 --frames 60 --out walks")
+        .succeeded();
+    let clips = fs::read_dir(sandbox.path("walks/new_joint_vecs")).expect("clips");
+    let mut clips: Vec<_> = clips.map(|entry| entry.expect("an entry").path()).collect();
+    clips.sort();
+    fs::copy(&clips[0], sandbox.path("walk.features.npy")).expect("copied");
+    sandbox.write("line.toml", "points = [[1, 1], [4, 5]]\ncurve = 'line'\n");
+    sandbox.write("corner.csv", "x,z\n0,0\n0,1.5\n2,1.5\n");
+    sandbox.write(
+        "circle.svg",
+        "<svg xmlns='http://www.w3.org/2000/svg'><path d='M0 0 A 100 100 0 1 1 0 -200'/></svg>",
+    );
+    sandbox
+}
+
+fn frames(sandbox: &Sandbox, name: &str) -> Vec<Vec<[f32; 3]>> {
+    let array = read_array(&sandbox.path(name)).expect("joints");
+    assert_eq!(array.shape[1..], [22, 3]);
+    let (places, _) = array.values.as_chunks::<3>();
+    places.chunks(22).map(<[_]>::to_vec).collect()
+}
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>().sqrt()
+}
+
+/// Ends of some bones: thighs, shins, spine, upper arms.
+const BONES: [[usize; 2]; 6] = [[1, 4], [4, 7], [2, 5], [5, 8], [0, 3], [16, 18]];
+
+#[test]
+fn a_walk_follows_paths_of_every_kind() {
+    let sandbox = sandbox();
+    let warp = |arguments: &str| {
+        sandbox.run(&format!("warp {arguments}")).succeeded();
+    };
+    warp("walk.features.npy --path line.toml --out line");
+    let walked = frames(&sandbox, "line.npy");
+    let (first, last) = (walked[0][0], walked[walked.len() - 1][0]);
+    assert!((first[0] - 1.0).abs() < 1e-4 && (first[2] - 1.0).abs() < 1e-4);
+    assert!((last[0] - 4.0).abs() < 1e-4 && (last[2] - 5.0).abs() < 1e-4);
+    for frame in &walked {
+        // On the line z = 1 + 4/3 (x - 1).
+        let [x, _, z] = frame[0];
+        assert!((z - 1.0 - 4.0 / 3.0 * (x - 1.0)).abs() < 1e-4);
+        for [a, b] in BONES {
+            let change = distance(frame[a], frame[b]) - distance(walked[0][a], walked[0][b]);
+            assert!(change.abs() < 1e-5, "{a} to {b}: {change}");
+        }
+    }
+    for name in ["line.features.npy", "line.bvh", "line.json"] {
+        assert!(sandbox.path(name).is_file(), "{name}");
+    }
+    // Results are motions themselves, positions and features.
+    sandbox.run("check line.features.npy").succeeded();
+    warp("line.npy --path corner.csv --out corner --fix-feet --heading face --along own");
+    let corner = frames(&sandbox, "corner.npy");
+    assert!(corner.len() <= walked.len());
+    for frame in &corner {
+        let [x, _, z] = frame[0];
+        assert!(x.abs() < 1e-4 || (z - 1.5).abs() < 1e-4, "{x} {z}");
+    }
+    let record = fs::read_to_string(sandbox.path("corner.json")).expect("a record");
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    assert!((record["speed_ratio"].as_f64().expect("a number") - 1.0).abs() < 1e-6);
+    assert_eq!(record["warp"]["turning"], "face");
+    assert!(
+        record["after"]["largest_distance"]
+            .as_f64()
+            .expect("metres")
+            < 1e-4
+    );
+    // A drawing: half a circle of a metre, ending two metres further up.
+    warp("walk.features.npy --path circle.svg --metres-per-unit 0.01 --out circle");
+    let circle = frames(&sandbox, "circle.npy");
+    let last = circle[circle.len() - 1][0];
+    assert!(
+        last[0].abs() < 1e-2 && (last[2] - 2.0).abs() < 1e-2,
+        "{last:?}"
+    );
+}
+
+#[test]
+fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
+    let sandbox = sandbox();
+    sandbox.write("one.toml", "points = [[0, 0]]\n");
+    sandbox.write("nan.toml", "points = [[0, 0], [nan, 1]]\n");
+    write_values(&sandbox.path("phrase.npy"), &[9, 25], &[0.1; 9 * 25]).expect("written");
+    write_values(&sandbox.path("single.npy"), &[1, 22, 3], &[0.1; 66]).expect("written");
+    let mut pickled = b"\x93NUMPY\x01\x00".to_vec();
+    let header = "{'descr': '|O', 'fortran_order': False, 'shape': (), }\n";
+    pickled.extend((header.len() as u16).to_le_bytes());
+    pickled.extend(header.as_bytes());
+    pickled.extend([0x80, 4, 0x95]);
+    sandbox.write("results.npy", pickled);
+    for (arguments, expected) in [
+        (
+            "walk.features.npy --path one.toml",
+            "one.toml: a path has 1 points",
+        ),
+        (
+            "walk.features.npy --path nan.toml",
+            "nan.toml: `points[1][0]`",
+        ),
+        ("walk.features.npy --path nowhere.toml", "nowhere.toml"),
+        ("walk.features.npy --path circle.svg", "--metres-per-unit"),
+        ("results.npy --path line.toml", "allow_pickle=True"),
+        ("single.npy --path line.toml", "single frame"),
+        ("phrase.npy --path line.toml", "has no body"),
+    ] {
+        let line = format!("warp {arguments} --out no");
+        sandbox.run(&line).failed(2, &[expected]);
+    }
+    let line = "warp walk.features.npy --path line.toml --out yes";
+    sandbox.run(line).succeeded();
+    sandbox
+        .run(line)
+        .failed(2, &["exists already", "--overwrite"]);
+    sandbox.run(&format!("{line} --overwrite")).succeeded();
+    let line = "warp yes.npy --path line.toml --out yes --overwrite";
+    sandbox.run(line).failed(2, &["is read itself"]);
+    let left = sandbox.list(".");
+    assert!(!left.iter().any(|name| name.starts_with("no.")), "{left:?}");
+}
