@@ -149,7 +149,7 @@ def networks(source: Path, folder: Path, seed: int) -> None:
 
 def copied(source: Path, folder: Path) -> None:
     """The files that stay whole."""
-    for family in ("ccmotion", "flow", "genmm", "gmd", "humanml"):
+    for family in ("ccmotion", "flow", "flowmdm", "genmm", "gmd", "humanml", "paths"):
         (folder / family).mkdir(parents=True, exist_ok=True)
         for path in sorted((source / family).iterdir()):
             if path.suffix != ".md" and f"{family}/{path.stem}" not in NETWORKS:

@@ -142,7 +142,12 @@ fn compositions_are_evaluated_beside_real_clips() {
     let output = sandbox.run(line).succeeded();
     let found: Value = serde_json::from_str(&output.stdout).expect("JSON");
     let text = found.to_string();
-    for name in ["peak jerk", "area under the jerk", "foot skating"] {
+    for name in [
+        "peak_jerk",
+        "area_under_jerk",
+        "foot_skating",
+        "frechet_distance",
+    ] {
         assert!(text.contains(name), "{name}: {text}");
     }
     for (line, expected) in [

@@ -215,3 +215,37 @@ fn crc32(bytes: &[u8]) -> u32 {
         })
     })
 }
+
+#[test]
+fn published_compositions_become_a_run_that_composes() {
+    let sandbox = published();
+    let weights = workspace().join("data_fixtures/flowmdm/checkpoint.pt");
+    sandbox.write("flowmdm.pt", fs::read(weights).expect("a fixture"));
+    let import = "import flowmdm.pt --arch flowmdm --mean m.npy --std s.npy";
+    let said = sandbox
+        .run(&format!("{import} --out runs/flowmdm"))
+        .succeeded();
+    assert!(said.stdout.contains("parameters"), "{}", said.stdout);
+    sandbox
+        .run("sample runs/flowmdm --frames 30 --steps 3 --out composed")
+        .succeeded();
+    assert_eq!(shape(&sandbox.path("composed.npy")), [30, 22, 3]);
+    let record = fs::read_to_string(sandbox.path("composed.json")).expect("a record");
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["composition"]["bpe_denoising_step"], 60);
+    // Other weights, and statistics that do not fit.
+    for (line, expected) in [
+        (
+            "import checkpoint_mdm.pt --arch flowmdm --mean m.npy --std s.npy --out no",
+            "these are not the weights of FlowMDM",
+        ),
+        ("import flowmdm.pt --arch flowmdm --out no", "statistics"),
+        (
+            "import flowmdm.pt --arch flowmdm --mean m.npy --std s.npy --projection m.npy --out no",
+            "`--projection`",
+        ),
+    ] {
+        sandbox.run(line).failed(2, &[expected]);
+    }
+    assert!(!sandbox.path("no").exists());
+}

@@ -289,7 +289,7 @@ pub struct ImportArguments {
     /// The PyTorch file
     #[arg(value_name = "WEIGHTS.pt")]
     pub weights: PathBuf,
-    /// Model architecture: gmd_motion, gmd_trajectory or mdm
+    /// Model architecture: gmd_motion, gmd_trajectory, mdm or flowmdm
     #[arg(long)]
     pub arch: String,
     /// Mean of the training data, one value per feature; all features are required, for a

@@ -2,6 +2,7 @@
 //! files of `flowmdm`. The tolerances are the reference data's own.
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -19,7 +20,7 @@ use kinegrad_models::rotary::Rotation;
 use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::humanml::{FeatureLayout, Features, Joints, Root};
 use kinegrad_motion::metrics::{BABEL_JERK, HUMANML3D_JERK, TransitionJerk, jerk_of_frames};
-use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, values, wide};
+use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors, compared, values, wide};
 use kinegrad_tests::stages::Noted;
 use kinegrad_tests::trials::GoldenTest;
 use kinegrad_tests::{gradients, trials, weights};
@@ -43,6 +44,7 @@ pub fn tests() -> Vec<GoldenTest> {
         golden_composition_decode("flowmdm/composition_decode.safetensors"),
         golden_transition_jerk("flowmdm/jerk.safetensors"),
         golden_blended_training("flowmdm/training.safetensors"),
+        golden_published_names("flowmdm/keys_humanml3d.csv"),
     ]
 }
 
@@ -1005,4 +1007,33 @@ fn compare_step(golden: &Golden, network: &BlendedTransformer, computed: &[Vec<f
         }
         golden.compare_lists(&format!("step of {name}"), &found, &expected, 3e-2);
     }
+}
+
+/// Names, shapes and order of the published weights.
+fn golden_published_names(path: PathBuf) {
+    let text = std::fs::read_to_string(path).expect("readable");
+    let rows = text
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').collect::<Vec<_>>());
+    let published: Vec<(String, Vec<usize>)> = rows
+        .filter(|row| row[3] == "parameter")
+        .map(|row| {
+            let shape = row[1].split('x').map(|size| size.parse().expect("a size"));
+            (row[0].to_owned(), shape.collect())
+        })
+        .collect();
+    let init = Initializer::new(0, &Device::flex());
+    let network = BlendedConfig::flowmdm()
+        .init(263, 512, &init)
+        .expect("a network");
+    let mut own: Vec<(String, Vec<usize>)> = parameters::infos(&network)
+        .into_iter()
+        .map(|info| (info.name, info.shape))
+        .collect();
+    let mut published = published;
+    own.sort();
+    published.sort();
+    assert_eq!(own, published);
+    compared(own.len());
 }

@@ -193,7 +193,7 @@ mod tests {
             }
             assert!(written.lines().all(|line| line.len() <= 110), "{written}");
             assert!(template.purpose().len() > 20, "{}", template.purpose());
-            if !matches!(template.name, "prepare" | "bodies" | "goal") {
+            if !matches!(template.name, "prepare" | "bodies" | "goal" | "compose") {
                 let read = BUILT_IN
                     .parse(&written, template.name, &[])
                     .expect("a config");

@@ -39,6 +39,9 @@ pub struct Guidance<'a> {
     pub objective: &'a dyn Objective,
     /// The guidance scale `s`; the gradient is also multiplied by the variance of the step.
     pub scale: f64,
+    /// Furthest that a frame is moved in one step, over all its channels, in standard deviations of the
+    /// step's noise.
+    pub max_shift: Option<f64>,
 }
 
 /// Guidance and imputation of one step.

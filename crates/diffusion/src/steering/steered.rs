@@ -11,6 +11,8 @@ use crate::{GaussianDiffusion, PredictionType};
 pub struct Steered<'a> {
     /// `s d(-L) / d x_t`, where the step is guided.
     pub scaled_gradient: Option<Tensor<3>>,
+    /// [`Guidance::max_shift`](super::Guidance::max_shift).
+    pub max_shift: Option<f64>,
     /// The values that are put in.
     pub imputation: Option<Imputation<'a>>,
 }
@@ -27,7 +29,12 @@ impl Steered<'_> {
     ) -> Tensor<3> {
         let guided = self.scaled_gradient.as_ref().map(|gradient| {
             let variance = per_sample(&posterior.variance, &x_t);
-            unguided.clone() + gradient.clone() * variance
+            let shift = gradient.clone() * variance.clone();
+            let shift = match self.max_shift {
+                Some(most) => limited(shift, variance.sqrt() * most),
+                None => shift,
+            };
+            unguided.clone() + shift
         });
         match &self.imputation {
             Some(imputation) if predicts_motion(diffusion) => {
@@ -70,6 +77,35 @@ impl Steered<'_> {
     }
 }
 
+/// `shift` with frames no longer than `most`, over their channels, `[batch, 1, 1]`.
+fn limited(shift: Tensor<3>, most: Tensor<3>) -> Tensor<3> {
+    let length = shift.clone().square().sum_dim(1).sqrt();
+    // A frame that is not moved stays so.
+    let factor = most / length.clamp_min(f32::MIN_POSITIVE);
+    shift * factor.clamp_max(1.0)
+}
+
 fn predicts_motion(diffusion: &GaussianDiffusion) -> bool {
     diffusion.config.prediction_type == PredictionType::Sample
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, TensorData};
+
+    use super::*;
+
+    #[test]
+    fn frames_that_are_moved_too_far_keep_their_direction() {
+        let tensor = |values: &[f32], shape: [usize; 3]| -> Tensor<3> {
+            Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
+        };
+        // Three frames of two channels: 5 long, 0.5 long, none.
+        let shift = tensor(&[3.0, 0.3, 0.0, 4.0, 0.4, 0.0], [1, 2, 3]);
+        let found = limited(shift, tensor(&[1.0], [1, 1, 1]));
+        let found = found.try_into_vec_as::<f32>().unwrap();
+        for (found, expected) in found.iter().zip([0.6, 0.3, 0.0, 0.8, 0.4, 0.0]) {
+            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+        }
+    }
 }

@@ -37,9 +37,10 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         let output = guided(network, x_t.clone(), time, cond, scales);
         Prediction::new(diffusion, output, x_t, &timesteps, clip)
     };
-    let Some(Guidance { objective, scale }) = steering.guidance else {
+    let Some(guidance) = steering.guidance else {
         let steered = Steered {
             scaled_gradient: None,
+            max_shift: None,
             imputation: steering.imputation,
         };
         return Ok(Prediction {
@@ -47,6 +48,11 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
             ..predict(networks.plain, x_t, cond)?
         });
     };
+    let Guidance {
+        objective,
+        scale,
+        max_shift,
+    } = guidance;
     let tracked = x_t.clone().autodiff().require_grad();
     let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
     let x_start = prediction.x_start.clone().without_autodiff();
@@ -64,6 +70,7 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
         clipped: prediction.clipped,
         steered: Some(Steered {
             scaled_gradient: Some(gradient * -scale),
+            max_shift,
             imputation: steering.imputation,
         }),
     })

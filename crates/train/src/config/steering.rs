@@ -2,7 +2,7 @@
 
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
-use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +12,10 @@ use serde::{Deserialize, Serialize};
 pub struct SteeringConfig {
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
     pub scale: f64,
+    /// Furthest that guidance moves a frame in one step, over all channels of the network's space, in
+    /// standard deviations of the step's noise; without it as far as the gradient says, which in few
+    /// steps and at a large scale makes some motions run away. Not in the paper.
+    pub max_shift: Option<f64>,
     /// Whether known positions are imputed.
     pub imputation: bool,
     /// Whether the second stage is guided along the path of the first, beside its imputation: the
@@ -32,6 +36,7 @@ impl Default for SteeringConfig {
     fn default() -> Self {
         Self {
             scale: 100.0,
+            max_shift: None,
             imputation: true,
             second_stage_guidance: true,
             first_stage_steps: None,
@@ -62,6 +67,8 @@ impl SteeringConfig {
     /// Names the first key with a bad value.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("scale", self.scale, 0.0..)?;
+        in_range("max_shift", self.max_shift.unwrap_or(1.0), ABOVE_ZERO)
+            .hint("standard deviations of a step's noise; leave it out for no limit")?;
         self.guidance.validate().within("guidance")?;
         self.schedule.validate().within("schedule")
     }

@@ -196,6 +196,7 @@ fn golden_gmd2_only_the_first_frames_guide(golden: Golden) {
             guidance: Some(Guidance {
                 objective: &objective,
                 scale: 100.0,
+                max_shift: None,
             }),
             imputation: None,
         };

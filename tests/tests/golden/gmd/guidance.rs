@@ -92,6 +92,7 @@ fn golden_gmd_guidance(golden: Golden) {
                     guidance: Some(Guidance {
                         objective: &goal as &dyn Objective,
                         scale: 100.0,
+                        max_shift: None,
                     }),
                     imputation: None,
                 };

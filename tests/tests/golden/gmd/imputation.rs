@@ -188,6 +188,7 @@ fn golden_gmd_guided_imputation(golden: Golden) {
                     guidance: Some(Guidance {
                         objective: &goal,
                         scale: 100.0,
+                        max_shift: None,
                     }),
                     imputation: Some(Imputation {
                         space: &space,

@@ -266,6 +266,7 @@ fn compare(golden: &Golden, variant: &Variant) {
         second_stage_guidance: variant.guided[1],
         first_stage_steps: None,
         first_stage_guidance_scale: None,
+        max_shift: None,
         guidance: GuidanceConfig {
             norm: variant.norm,
             frame_limit: None,

@@ -167,6 +167,7 @@ impl Composer {
                         guidance: guided.then_some(Guidance {
                             objective: &control,
                             scale: path.eta,
+                            max_shift: path.max_shift,
                         }),
                         imputation: None,
                     };

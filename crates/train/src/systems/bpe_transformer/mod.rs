@@ -7,6 +7,7 @@
 mod config;
 mod evaluate;
 mod generate;
+mod import;
 mod networks;
 mod path;
 mod recipe;
@@ -26,6 +27,7 @@ pub use report::ComposedReport;
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;
 use crate::evaluation::{Evaluate, EvaluationRequest};
+use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
 use crate::recipe::RecipeInfo;
@@ -81,6 +83,14 @@ impl System for BpeTransformer {
 
     fn footprint(&self, config: &Config) -> Result<Footprint, Error> {
         networks::footprint(config, config.data.target_frames)
+    }
+
+    fn architectures(&self) -> &'static [&'static str] {
+        &import::ARCHITECTURES
+    }
+
+    fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
+        import::import(request)
     }
 
     fn sample(

@@ -15,7 +15,7 @@ use kinegrad_motion::path::{
     Polyline, Turning, Warp, headings_of, placed, root_channels, savgol, unwrapped,
 };
 use kinegrad_random::Key;
-use kinegrad_settings::{InvalidSetting, in_range};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +42,9 @@ pub struct PathConfig {
     pub through_network: bool,
     /// For `guidance`: length of a step against the gradient; of the noisy motion itself some hundredths.
     pub eta: f64,
+    /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
+    /// channels, in standard deviations of the step's noise.
+    pub max_shift: Option<f64>,
     /// Last timestep at which the path acts; below it the model finishes the motion by itself.
     pub until: usize,
     /// For `guidance`: the loss.
@@ -57,6 +60,7 @@ impl Default for PathConfig {
             yaw: true,
             through_network: true,
             eta: 100.0,
+            max_shift: None,
             until: 0,
             loss: PathLossConfig::default(),
         }
@@ -109,6 +113,7 @@ impl PathConfig {
     /// Names the key that cannot work.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("eta", self.eta, 0.0..)?;
+        in_range("max_shift", self.max_shift.unwrap_or(1.0), ABOVE_ZERO)?;
         self.loss.validate()
     }
 }

@@ -123,6 +123,7 @@ impl<'a> StageSteering<'a> {
             guidance: guided.then_some(Guidance {
                 objective: &self.objective,
                 scale: self.scale,
+                max_shift: self.config.max_shift,
             }),
             imputation: known.map(|known| Imputation {
                 space: self.objective.space,

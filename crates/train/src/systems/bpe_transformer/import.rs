@@ -1,0 +1,172 @@
+//! Published PyTorch checkpoints as runs (docs/sources.md, section 6.1).
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use burn::tensor::Device;
+use kinegrad_data::humanml::SkeletonName;
+use kinegrad_models::blended::{BlendedConfig, HEAD_CHANNELS};
+use kinegrad_models::{NetworkConfig, parameters};
+use kinegrad_motion::humanml::{Root, TEXT_CHANNELS};
+use kinegrad_motion::{Representation, Statistics};
+use pytorch_reader::Tensor;
+
+use super::networks::network;
+use super::{BpeNetwork, BpeTables, BpeTransformer, RECIPE};
+use crate::checkpoint::{FORMAT, Progress, State, must_be_free, write_weights};
+use crate::config::{Config, SystemTables};
+use crate::error::Error;
+use crate::import::{ImportRequest, Imported};
+use crate::published::{self, mean_and_deviation, read_tensors};
+use crate::systems::Systems;
+
+/// Names of the architectures that [`import`] knows.
+pub(super) const ARCHITECTURES: [&str; 1] = ["flowmdm"];
+
+/// Names of the published program that are no weights of the network: the text encoder, and tables
+/// that are formulas.
+fn is_known_stranger(name: &str) -> bool {
+    let tables = [
+        "sequence_pos_encoder.pe",
+        "embed_timestep.sequence_pos_encoder.pe",
+        "t_pos_encoder.pe",
+        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq",
+        "seqTransEncoder.attn_layers.rotary_pos_emb.last_timestep",
+    ];
+    name.starts_with("clip_model.") || tables.contains(&name)
+}
+
+/// Reads published weights and writes them as the only checkpoint of a run, from which motion is
+/// drawn; it has no optimiser to resume with.
+///
+/// # Errors
+/// If a file cannot be read, a parameter is missing, superfluous, of another shape or not finite
+/// (all of them are listed), or statistics do not fit. Nothing is written then.
+pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
+    let (Some(mean), Some(std)) = (&request.mean, &request.std) else {
+        let message = "the statistics of the weights' training data are missing";
+        let hint =
+            "give `--mean Mean.npy --std Std.npy`, those of HumanML3D with its relative root";
+        return Err(Error::usage(message, hint));
+    };
+    if request.projection.is_some() {
+        let message = format!("`--projection` with `--arch {}`", request.architecture);
+        return Err(Error::usage(
+            message,
+            "it is of `--arch gmd_motion`: leave it out",
+        ));
+    }
+    must_be_free(&request.out)?;
+    let tensors = read_tensors(&request.weights)?;
+    let all = tensors.len();
+    let tensors: BTreeMap<String, Tensor> = tensors
+        .into_iter()
+        .filter(|(name, _)| !is_known_stranger(name))
+        .collect();
+    let skipped = all - tensors.len();
+    let sizes = sizes(&request.weights, &tensors)?;
+    let (config, statistics) = settings(request, [mean, std], &tensors, sizes)?;
+    let model = network(&config, &Device::flex())?;
+    let model = published::load(&request.weights, model, &tensors)?;
+    let (infos, values) = (parameters::infos(&model), parameters::values(&model));
+    let state = State {
+        format: FORMAT,
+        kinegrad: env!("CARGO_PKG_VERSION").to_string(),
+        step: 0,
+        config: config.clone(),
+        statistics,
+        network_statistics: None,
+        dataset_sha256: None,
+        progress: Progress::default(),
+        checksums: BTreeMap::new(),
+    };
+    Ok(Imported {
+        path: write_weights(&request.out, &state, &infos, &values, &values)?,
+        parameters: parameters::count(&model),
+        part: None,
+        skipped,
+        config,
+        warnings: Vec::new(),
+    })
+}
+
+/// The size of a tensor along an axis.
+fn size(
+    path: &Path,
+    tensors: &BTreeMap<String, Tensor>,
+    name: &str,
+    axis: usize,
+) -> Result<usize, Error> {
+    let shape = tensors.get(name).map(Tensor::shape);
+    let found = shape.and_then(|shape| shape.get(axis).copied());
+    found.ok_or_else(|| Error::Foreign {
+        path: path.to_path_buf(),
+        reason: format!("it has no `{name}`: these are not the weights of FlowMDM"),
+    })
+}
+
+/// What the shapes of the weights say of the network; the horizon and dropout are the published ones.
+fn sizes(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<BlendedConfig, Error> {
+    let size = |name: &str, axis| size(path, tensors, name, axis);
+    let layers = "seqTransEncoder.attn_layers.layers";
+    let count =
+        (0..).take_while(|layer| tensors.contains_key(&format!("{layers}.{layer}.0.0.weight")));
+    let config = BlendedConfig {
+        latent_dim: size("input_process.poseEmbedding.weight", 0)?,
+        num_layers: count.count() / 2,
+        num_heads: size(&format!("{layers}.0.1.to_q.weight"), 0)? / HEAD_CHANNELS,
+        ff_size: size(&format!("{layers}.1.1.ff.0.0.weight"), 0)?,
+        ..BlendedConfig::flowmdm()
+    };
+    config.validate()?;
+    Ok(config)
+}
+
+/// The config that describes the weights, and the statistics of their data.
+fn settings(
+    request: &ImportRequest,
+    [mean_path, std_path]: [&Path; 2],
+    tensors: &BTreeMap<String, Tensor>,
+    sizes: BlendedConfig,
+) -> Result<(Config, Statistics), Error> {
+    let text = format!("[train]\nrecipe = \"{RECIPE}\"\n");
+    let systems = Systems(&[&BpeTransformer]);
+    let mut config = systems.parse(&text, "the recipe's defaults", &request.overrides)?;
+    let [mean, std] = mean_and_deviation(mean_path, std_path)?;
+    config.data.humanml3d.skeleton =
+        SkeletonName::of_channels(mean.len()).ok_or_else(|| Error::Array {
+            path: mean_path.to_path_buf(),
+            found: format!("{} numbers", mean.len()),
+            allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
+        })?;
+    let foreign = |reason: String| Error::Foreign {
+        path: request.weights.clone(),
+        reason,
+    };
+    let channels = config.data.humanml3d.representation().channels();
+    let found = size(
+        &request.weights,
+        tensors,
+        "output_process.poseFinal.weight",
+        0,
+    )?;
+    if found != channels {
+        return Err(foreign(format!(
+            "it is a network of {found} channels, and these statistics are of {channels}; models of \
+             BABEL (135) need a licensed body to be of use and are not read"
+        )));
+    }
+    let told = size(&request.weights, tensors, "embed_text.weight", 1)?;
+    if told != TEXT_CHANNELS {
+        return Err(foreign(format!(
+            "it is told {told} numbers of a text, and embeddings have {TEXT_CHANNELS}"
+        )));
+    }
+    let name = request.out.file_name().unwrap_or_default();
+    config.run.name = name.to_string_lossy().into_owned();
+    let mut own = BpeTables::of(&config)?;
+    own.model.size = BlendedConfig::SIZES[0].0.into();
+    own.model.network = BpeNetwork::BpeTransformer(sizes);
+    config.system = own.to_table();
+    Ok((config, Statistics::new(mean, std, Some(Root::Relative))?))
+}
