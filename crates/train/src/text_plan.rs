@@ -67,23 +67,24 @@ impl TextPlan {
         Ok(plan)
     }
 
-    /// The frame that each step ends before, at so many frames a second.
+    /// The frame that each step ends before, at so many frames a second. `path` is the plan's file.
     ///
     /// # Errors
     /// [`Error::Usage`] for a step of no frame, and more frames than a motion may have.
-    pub fn ends(&self, fps: f64) -> Result<Vec<usize>, Error> {
+    pub fn ends(&self, path: &Path, fps: f64) -> Result<Vec<usize>, Error> {
+        let file = path.display();
         let mut seconds = 0.0;
         let mut ends = Vec::with_capacity(self.step.len());
         for (number, step) in self.step.iter().enumerate() {
             seconds += step.seconds;
             let end = (seconds * fps).round();
             if end > MAX_FRAMES as f64 {
-                let message = format!("the plan has more than {MAX_FRAMES} frames");
+                let message = format!("{file}: it has more than {MAX_FRAMES} frames");
                 return Err(Error::usage(message, "make it shorter"));
             }
             let end = end as usize;
             if end <= ends.last().copied().unwrap_or(0) {
-                let message = format!("step[{number}] of the plan is shorter than a frame");
+                let message = format!("{file}: step[{number}] is shorter than a frame");
                 return Err(Error::usage(message, format!("a second has {fps} frames")));
             }
             ends.push(end);

@@ -22,6 +22,9 @@ use crate::{folder, interrupt, output};
 /// Times its own speed beyond which a motion that is stretched is doubted.
 const USUAL: std::ops::RangeInclusive<f64> = 0.67..=1.5;
 
+/// What a leg may be too short by without a word, metres.
+const LEGS_SHORT: f64 = 0.02;
+
 /// How a motion was moved onto a path.
 #[derive(Serialize)]
 struct Record {
@@ -31,7 +34,9 @@ struct Record {
     path_sha256: String,
     path_content: PathPlan,
     warp: Warp,
-    fix_feet: bool,
+    /// None where feet are not held.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    feet: Option<Feet>,
     frames: usize,
     fps: f64,
     /// Metres of the path.
@@ -40,6 +45,18 @@ struct Record {
     speed_ratio: f64,
     before: Quality,
     after: PathReport,
+}
+
+/// Feet that are held.
+#[derive(Serialize)]
+struct Feet {
+    /// Part of the frames in which a foot stands, in the motion as it was given.
+    in_contact: f64,
+    /// Mean speed of standing feet on the path before and after, metres per second.
+    slid_before: f64,
+    slide_after: f64,
+    /// How far a foot is from where it should stand, at most, metres.
+    legs_short: f64,
 }
 
 /// How a motion looks.
@@ -60,6 +77,10 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         along: arguments.along,
         turning: arguments.heading,
         smooth: !arguments.sharp,
+        least_speed: match arguments.sharp {
+            true => 0.0,
+            false => Warp::STANDING,
+        },
     };
     let warped = warp.apply(&joints, &skeleton, &path).map_err(unusable)?;
     let frames = warped.course.frames();
@@ -75,10 +96,22 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         joints.as_slice()[..frames * joints.joints()].to_vec(),
         joints.joints(),
     )?;
-    let moved = match arguments.fix_feet {
-        true => hold(&warped.joints, &own, &skeleton, &ContactRule::default())?.joints,
-        false => warped.joints,
+    let held = match arguments.fix_feet {
+        true => Some(hold(
+            &warped.joints,
+            &own,
+            &skeleton,
+            &ContactRule::default(),
+        )?),
+        false => None,
     };
+    let feet = held.as_ref().map(|held| Feet {
+        in_contact: held.in_contact,
+        slid_before: held.before,
+        slide_after: held.after,
+        legs_short: held.missed,
+    });
+    let moved = held.map_or(warped.joints, |held| held.joints);
     let extraction = Extraction {
         rescale: false,
         ..Extraction::default()
@@ -90,7 +123,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         path: arguments.path.clone(),
         path_sha256: Digest::of(text.as_bytes()).to_string(),
         warp,
-        fix_feet: arguments.fix_feet,
+        feet,
         frames,
         fps: skeleton.description().fps,
         path_length: path.length(),
@@ -109,9 +142,10 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
             for path in &outputs {
                 say!("{}", path.display());
             }
-            record.summarize(joints.frames());
+            record.summarize();
         }
     }
+    record.doubt(joints.frames());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -197,16 +231,23 @@ fn write(
 ) -> Result<(), Error> {
     let bvh = files::bvh(joints, skeleton)?;
     note_deviation(figure, &bvh, joints, skeleton);
-    write_values(
+    let shape = [features.frames(), features.layout().channels()];
+    let text = serde_json::to_string_pretty(record).expect("plain data") + "\n";
+    let written = write_values(
         motion,
         &[joints.frames(), joints.joints(), 3],
         &joints.to_f32(),
-    )?;
-    let shape = [features.frames(), features.layout().channels()];
-    write_values(rows, &shape, features.as_slice())?;
-    write_whole(figure, bvh.to_text().as_bytes())?;
-    let text = serde_json::to_string_pretty(record).expect("plain data") + "\n";
-    Ok(write_whole(described, text.as_bytes())?)
+    )
+    .and_then(|()| write_values(rows, &shape, features.as_slice()))
+    .and_then(|()| write_whole(figure, bvh.to_text().as_bytes()))
+    .and_then(|()| write_whole(described, text.as_bytes()));
+    // All of them or none.
+    if written.is_err() {
+        for path in [motion, rows, figure, described] {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+    Ok(written?)
 }
 
 impl Quality {
@@ -221,7 +262,7 @@ impl Quality {
 }
 
 impl Record {
-    fn summarize(&self, given: usize) {
+    fn summarize(&self) {
         let number = |value: Option<f64>, digits: usize| match value {
             Some(value) => format!("{value:.digits$}"),
             None => "-".to_owned(),
@@ -251,6 +292,10 @@ impl Record {
         ];
         let rows = rows.map(|row| row.map(str::to_owned));
         tell!("{}", table(["", "before", "after"], rows));
+    }
+
+    /// Says what is doubtful.
+    fn doubt(&self, given: usize) {
         if self.frames < given {
             tell!(
                 "note: the path ends after {} of {given} frames, at {:.2} m",
@@ -258,12 +303,23 @@ impl Record {
                 self.path_length
             );
         }
-        if self.speed_ratio > 0.0 && !USUAL.contains(&self.speed_ratio) {
+        match self.speed_ratio {
+            0.0 => tell!("warning: the motion stands, and glides along the path"),
+            ratio if !USUAL.contains(&ratio) => tell!(
+                "warning: the root is {ratio:.2} times as fast as it was, and feet slide in proportion: \
+                 give a path as long as the motion's own way ({:.2} m), or `--along own`",
+                self.path_length / ratio
+            ),
+            _ => {}
+        }
+        let Some(feet) = &self.feet else { return };
+        if feet.in_contact == 0.0 {
+            tell!("warning: no foot stands in this motion: `--fix-feet` held none");
+        }
+        if feet.legs_short > LEGS_SHORT {
             tell!(
-                "warning: the root is {:.2} times as fast as it was, and feet slide in proportion: give \
-                 a path as long as the motion's own way ({:.2} m), or `--along own`",
-                self.speed_ratio,
-                self.path_length / self.speed_ratio
+                "warning: legs are up to {:.2} m too short to stand where they stood",
+                feet.legs_short
             );
         }
     }

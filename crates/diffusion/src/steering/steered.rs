@@ -79,10 +79,12 @@ impl Steered<'_> {
 
 /// `shift` with frames no longer than `most`, over their channels, `[batch, 1, 1]`.
 fn limited(shift: Tensor<3>, most: Tensor<3>) -> Tensor<3> {
-    let length = shift.clone().square().sum_dim(1).sqrt();
-    // A frame that is not moved stays so.
-    let factor = most / length.clamp_min(f32::MIN_POSITIVE);
-    shift * factor.clamp_max(1.0)
+    // Squares of what runs away would overflow; a frame that is not moved stays so.
+    let largest = shift.clone().abs().max_dim(1).clamp_min(f32::MIN_POSITIVE);
+    let direction = shift / largest.clone();
+    let length = direction.clone().square().sum_dim(1).sqrt();
+    let limit = most / length.clamp_min(f32::MIN_POSITIVE);
+    direction * largest.min_pair(limit)
 }
 
 fn predicts_motion(diffusion: &GaussianDiffusion) -> bool {
@@ -107,5 +109,8 @@ mod tests {
         for (found, expected) in found.iter().zip([0.6, 0.3, 0.0, 0.8, 0.4, 0.0]) {
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }
+        let away = limited(tensor(&[3e30, 4e30], [1, 2, 1]), tensor(&[1.0], [1, 1, 1]));
+        let away = away.try_into_vec_as::<f32>().unwrap();
+        assert!((away[0] - 0.6).abs() < 1e-6 && (away[1] - 0.8).abs() < 1e-6);
     }
 }

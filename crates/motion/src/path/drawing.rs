@@ -3,8 +3,16 @@
 use kurbo::{BezPath, PathEl};
 use roxmltree::{Document, Node};
 
+use super::polyline::MAX_METRES;
+
 /// How far straight pieces may be from a curve, metres.
 const TOLERANCE: f64 = 1e-3;
+
+/// Metres that a unit of a drawing may have.
+const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
+
+/// What of an SVG file is not drawn where it stands.
+const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
 
 /// What an SVG file holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,20 +29,52 @@ pub(super) struct Drawing {
 /// # Errors
 /// In words.
 pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
-    if !(scale.is_finite() && scale > 0.0) {
-        return Err(format!("a unit is {scale} metres, allowed: greater than 0"));
+    if !SCALES.contains(&scale) {
+        return Err(format!(
+            "a unit is {scale} metres, allowed: {} to {}",
+            SCALES.start(),
+            SCALES.end()
+        ));
     }
     let document = Document::parse(text).map_err(|error| format!("it is no SVG: {error}"))?;
     let names = ["path", "polyline", "polygon", "line"];
-    let drawn = |node: &Node| node.is_element() && names.contains(&node.tag_name().name());
+    let drawn = |node: &Node| {
+        let hidden = node
+            .ancestors()
+            .any(|node| HIDDEN.contains(&node.tag_name().name()));
+        node.is_element() && names.contains(&node.tag_name().name()) && !hidden
+    };
     let node = document.descendants().find(drawn);
     let node = node.ok_or("it holds no `path`, `polyline`, `polygon` or `line`")?;
-    if node.ancestors().any(|node| node.has_attribute("transform")) {
+    let turned = |node: Node| {
+        let style = node.attribute("style").unwrap_or_default();
+        node.has_attribute("transform") || style.contains("transform")
+    };
+    if node.ancestors().any(turned) {
         return Err(
             "its path has a `transform`, which is not read: apply it in the drawing program".into(),
         );
     }
     let outline = outline(&node)?;
+    let points = outline
+        .elements()
+        .iter()
+        .flat_map(|element| match *element {
+            PathEl::MoveTo(a) | PathEl::LineTo(a) => vec![a],
+            PathEl::QuadTo(a, b) => vec![a, b],
+            PathEl::CurveTo(a, b, c) => vec![a, b, c],
+            PathEl::ClosePath => Vec::new(),
+        });
+    let far = |value: f64| !(scale * value.abs() <= MAX_METRES);
+    if let Some(point) = points
+        .into_iter()
+        .find(|point| far(point.x) || far(point.y))
+    {
+        return Err(format!(
+            "a point of its path is ({}, {}) units, allowed: at most {MAX_METRES} metres",
+            point.x, point.y
+        ));
+    }
     let mut drawing = Drawing {
         points: Vec::new(),
         closed: false,
@@ -113,6 +153,27 @@ mod tests {
                 "`transform`",
             ),
             (&svg("<path d='M0 0L1 1'/>"), 0.0, "a unit is 0 metres"),
+            (&svg("<path d='M0 0L1 1'/>"), 1e200, "a unit is 1"),
+            (
+                &svg("<path d='M0 0 C 1e200 0 1 1 2 2'/>"),
+                1.0,
+                "a point of its path",
+            ),
+            (
+                &svg("<path d='M0 0 C 1e20 0 1 1 2 2'/>"),
+                1e-6,
+                "a point of its path",
+            ),
+            (
+                &svg("<path style='transform: scale(2)' d='M0 0L1 1'/>"),
+                1.0,
+                "`transform`",
+            ),
+            (
+                &svg("<defs><path d='M0 0L1 1'/></defs>"),
+                1.0,
+                "it holds no `path`",
+            ),
         ] {
             let found = read_drawing(text, scale).unwrap_err();
             assert!(found.contains(expected), "{found}");

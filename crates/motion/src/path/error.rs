@@ -17,7 +17,7 @@ pub enum PathError {
 
     /// A point that is nowhere.
     #[error("point {index} of the path (counted from 0) is [{x}, {z}]")]
-    #[diagnostic(help("points are `[x, z]` in metres, at most 100 km from the origin"))]
+    #[diagnostic(help("points are `[x, z]` in metres, at most 5 km from the origin"))]
     NotAPoint {
         /// The point.
         index: usize,

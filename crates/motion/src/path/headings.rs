@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::STILL;
+use super::{Edges, STILL, savgol};
 
 /// What a path says of each frame to a network (docs/sources.md, section 7, option C).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +46,28 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
     headings(&gradient(track))
 }
 
+/// Where somebody goes who is at `track`, frame by frame: headings of the track without its sway, held
+/// while the step is shorter than `least` metres.
+pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
+    let axis = |i: usize| {
+        let values: Vec<f64> = track.iter().map(|point| point[i]).collect();
+        savgol(&values, GAIT_WINDOW, 1, Edges::Fitted)
+    };
+    let (x, z) = (axis(0), axis(1));
+    let calm: Vec<[f64; 2]> = x.into_iter().zip(z).map(|(x, z)| [x, z]).collect();
+    headings_above(&gradient(&calm), least.max(STILL))
+}
+
+/// Frames that a gait is averaged over: about a step of a walk.
+const GAIT_WINDOW: usize = 13;
+
 fn headings(steps: &[[f64; 2]]) -> Vec<f64> {
-    let moving = |[dx, dz]: &[f64; 2]| dx.hypot(*dz) >= STILL;
+    headings_above(steps, STILL)
+}
+
+/// Directions of steps, held while they are shorter than `least`.
+fn headings_above(steps: &[[f64; 2]], least: f64) -> Vec<f64> {
+    let moving = |[dx, dz]: &[f64; 2]| dx.hypot(*dz) >= least;
     let heading = |[dx, dz]: &[f64; 2]| dx.atan2(*dz);
     let mut last = steps.iter().find(|step| moving(step)).map_or(0.0, heading);
     let of_frame = |step| {

@@ -27,7 +27,7 @@ mod warp;
 
 pub use course::{Along, Course};
 pub use error::PathError;
-pub use headings::{PathFeatures, headings_of, unwrapped, wrapped};
+pub use headings::{PathFeatures, headings_of, headings_of_gait, unwrapped, wrapped};
 pub use loss::{PathLoss, PathLossConfig, root_channels};
 pub use measures::{PathReport, distance_from, slide};
 pub use plan::{CurveKind, PathPlan};

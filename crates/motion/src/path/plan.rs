@@ -167,6 +167,12 @@ fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
             columns = [x, z];
             continue;
         }
+        if number == 0 && row.len() != 2 {
+            return Err(format!(
+                "line {line}: {} columns without names: name two of them `x` and `z` in a first line",
+                row.len()
+            ));
+        }
         let mut point = [0.0; 2];
         for (value, column) in point.iter_mut().zip(columns) {
             let cell = row.get(column).unwrap_or_default();
@@ -195,8 +201,9 @@ mod tests {
         let table = "# drawn by hand\nframe, z, x\n0, 0.0, 1.0\n1, 2.0, 1.0\n";
         let plan = PathPlan::read(table, "p.csv", None).unwrap();
         assert_eq!(plan.points, [[1.0, 0.0], [1.0, 2.0]]);
-        let plan = PathPlan::read("1;2\n", "p.csv", None);
-        assert!(plan.is_err());
+        for text in ["1;2\n", "1,2,3\n4,5,6\n"] {
+            assert!(PathPlan::read(text, "p.csv", None).is_err(), "{text}");
+        }
         let plan = PathPlan::read("1,2\n3,4\n", "p.csv", None).unwrap();
         assert_eq!(plan.points, [[1.0, 2.0], [3.0, 4.0]]);
     }

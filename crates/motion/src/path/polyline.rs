@@ -2,8 +2,9 @@
 
 use super::{PathError, STILL, between};
 
-/// Furthest point from the origin along each axis, metres.
-const MAX_METRES: f64 = 1e5;
+/// Furthest point from the origin along each axis, metres: single precision, in which motion is stored,
+/// knows half a millimetre there.
+pub(super) const MAX_METRES: f64 = 5e3;
 
 /// A line from point to point over the ground.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,13 +37,18 @@ impl Polyline {
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].
     pub fn new(points: Vec<[f64; 2]>) -> Result<Self, PathError> {
         must_be_points(&points)?;
+        Ok(Self::through(points))
+    }
+
+    /// The line through points that are finite; a curve may lead beyond what its points may be.
+    pub(super) fn through(points: Vec<[f64; 2]>) -> Self {
         let mut metres = 0.0;
         let mut cumulative = vec![0.0];
         for pair in points.windows(2) {
             metres += between(pair[0], pair[1]);
             cumulative.push(metres);
         }
-        Ok(Self { points, cumulative })
+        Self { points, cumulative }
     }
 
     /// Its points.
@@ -90,6 +96,19 @@ impl Polyline {
             point: [ax + part * (bx - ax), az + part * (bz - az)],
             tangent: [(bx - ax) / long, (bz - az) / long],
         }
+    }
+
+    /// Its part up to so many metres along it; all of it beyond its length.
+    #[must_use]
+    pub fn up_to(&self, metres: f64) -> Self {
+        if metres >= self.length() {
+            return self.clone();
+        }
+        let before = self.points.iter().zip(&self.cumulative);
+        let before = before.take_while(|(_, along)| **along < metres.max(STILL));
+        let mut points: Vec<[f64; 2]> = before.map(|(point, _)| *point).collect();
+        points.push(self.at_metres(metres).point);
+        Self::through(points)
     }
 
     /// Points at equal distances along the line, the ends among them.
@@ -147,6 +166,10 @@ mod tests {
             assert_eq!(line.at(share), PathPoint { point, tangent }, "{share}");
         }
         assert_eq!(line.resampled(4)[1], [0.0, 1.0]);
+        assert_eq!(line.up_to(2.5).length(), 2.5);
+        assert_eq!(line.up_to(2.5).at(1.0).point, [0.5, 2.0]);
+        assert_eq!(line.up_to(9.0), line);
+        assert_eq!(line.up_to(0.0).length(), 0.0);
     }
 
     #[test]

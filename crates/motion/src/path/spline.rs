@@ -75,7 +75,7 @@ impl CatmullRom {
         let mirrored = |end: [f64; 2], next: [f64; 2]| [0, 1].map(|i| 2.0 * end[i] - next[i]);
         let segments = match n {
             1 => vec![[apart[0]; 4]],
-            _ if closed && n > 2 => {
+            _ if closed => {
                 let at = |i: usize| apart[i % n];
                 (0..n)
                     .map(|i| [at(i + n - 1), at(i), at(i + 1), at(i + 2)])
@@ -138,7 +138,7 @@ impl CatmullRom {
         for segment in 0..self.segments() {
             points.extend((1..=STEPS).map(|i| self.at(segment, i as f64 / STEPS as f64).0));
         }
-        Polyline::new(points).expect("points between finite points")
+        Polyline::through(points)
     }
 }
 
@@ -172,6 +172,20 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn two_points_close_and_curves_may_lead_beyond_the_furthest_point() {
+        let kind = Parameterization::Centripetal;
+        let there_and_back = CatmullRom::new(&[[0.0, 0.0], [0.0, 2.0]], kind, true).unwrap();
+        let line = there_and_back.polyline();
+        assert!(
+            (line.length() - 4.0).abs() < 1e-9 && between(line.at(1.0).point, [0.0, 0.0]) < 1e-9
+        );
+        let far = 5e3;
+        let square = [[0.0, 0.0], [far, 0.0], [far, far], [0.0, far]];
+        let line = CatmullRom::new(&square, kind, false).unwrap().polyline();
+        assert!(line.points().iter().any(|point| point[0] > far));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::course::walked;
 use super::{
     Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL, headings_of,
-    savgol, unwrapped,
+    headings_of_gait, savgol, unwrapped,
 };
 use crate::humanml::kinematics::{Across, forward};
 use crate::humanml::{FeatureError, Joints, Skeleton};
@@ -32,6 +32,14 @@ pub struct Warp {
     pub turning: Turning,
     /// Whether turns are smoothed over time, by a Savitzky-Golay filter of 11 frames and order 3.
     pub smooth: bool,
+    /// For relative turns: slower than this the root has no direction of its own, metres per second; a
+    /// body that stands sways, and is not turned by that. At 0 every step has one.
+    pub least_speed: f64,
+}
+
+impl Warp {
+    /// A speed below which a person stands, metres per second.
+    pub const STANDING: f64 = 0.15;
 }
 
 /// A motion on a path.
@@ -88,6 +96,9 @@ impl Warp {
     ) -> Vec<f64> {
         let own = match self.turning {
             Turning::Free => return vec![0.0; track.len()],
+            Turning::Relative if self.least_speed > 0.0 => {
+                headings_of_gait(track, self.least_speed / skeleton.description().fps)
+            }
             Turning::Relative => headings_of(track),
             Turning::Face => facing(joints, skeleton)[..track.len()].to_vec(),
         };
@@ -225,6 +236,36 @@ mod tests {
             ..Warp::default()
         };
         assert!(wrapped(facing_of(&sideways, face)[30] - to_left).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_body_that_stands_and_sways_is_not_turned() {
+        let (joints, skeleton) = walking(60);
+        let still = joints.frame(0).to_vec();
+        // Two seconds of standing, swaying by millimetres, then the walk.
+        let mut places = Vec::new();
+        for t in 0..40 {
+            let (a, b) = (
+                3e-3 * (0.9 * f64::from(t)).sin(),
+                2e-3 * (1.3 * f64::from(t)).cos(),
+            );
+            places.extend(still.iter().map(|[x, y, z]| [x + a, *y, z + b]));
+        }
+        places.extend(joints.as_slice());
+        let standing = Joints::new(places, 22).unwrap();
+        let line = Polyline::new(vec![[0.0, 0.0], [5.0, 0.0]]).unwrap();
+        let turned = |least_speed: f64| {
+            let warp = Warp {
+                smooth: true,
+                least_speed,
+                ..Warp::default()
+            };
+            let warped = warp.apply(&standing, &skeleton, &line).unwrap();
+            let turns = warped.turned[..35].windows(2);
+            turns.map(|pair| (pair[1] - pair[0]).abs()).sum::<f64>()
+        };
+        assert!(turned(0.0) > 3.0, "{}", turned(0.0));
+        assert!(turned(Warp::STANDING) < 0.2, "{}", turned(Warp::STANDING));
     }
 
     #[test]

@@ -4,6 +4,7 @@ use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, PredictionType, SamplerKind, must_suit};
 use kinegrad_models::blended::BlendedConfig;
 use kinegrad_motion::MAX_FRAMES;
+use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -207,7 +208,11 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         format!("\"loss\" for recipe `{RECIPE}`"),
     )?;
     let evaluation = &own.evaluation;
-    evaluation.path.validate().within("evaluation.path")?;
+    let timesteps = own.diffusion.num_train_timesteps;
+    evaluation
+        .path
+        .validate(timesteps)
+        .within("evaluation.path")?;
     require(
         sampling.sampler.kind == SamplerKind::Ddpm
             || !evaluation.path.method.guides()
@@ -220,9 +225,24 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     in_range(
         "evaluation.compositions",
         evaluation.compositions,
-        1..=100_000,
+        1..=10_000,
     )?;
     in_range("evaluation.texts", evaluation.texts, 1..=10_000)?;
+    let absolute = data.humanml3d.root == Root::Absolute;
+    require(
+        evaluation.texts == 1 || !absolute,
+        "evaluation.texts",
+        evaluation.texts,
+        "1 with `data.humanml3d.root = \"absolute\"`",
+    )
+    .hint("every clip of training begins at the origin: an absolute root cannot go on to the next text")?;
+    require(
+        evaluation.transition_frames <= data.target_frames,
+        "evaluation.transition_frames",
+        evaluation.transition_frames,
+        format!("at most {}, `data.target_frames`", data.target_frames),
+    )
+    .hint("real clips are measured in windows of that length as well")?;
     in_range(
         "evaluation.transition_frames",
         evaluation.transition_frames,

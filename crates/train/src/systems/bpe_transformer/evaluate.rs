@@ -112,6 +112,7 @@ fn evaluate(
     on_step: &mut OnStep<'_>,
 ) -> Result<ComposeEvaluation, Error> {
     let sampler = &subject.config.sampling.sampler;
+    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     let key = Key::new(seed, Purpose::Sampling);
     let chosen = key
         .named("texts")
@@ -137,7 +138,8 @@ fn evaluate(
         )?;
         let mut begin = 0;
         for (index, line) in lines.iter().enumerate() {
-            segments.push(features.slice(begin..begin + line.frames));
+            let range = begin..begin + line.frames;
+            segments.push(features.crop(&skeleton, range)?);
             if index > 0
                 && let Some(first) = begin.checked_sub(window / 2)
                 && first + window <= features.frames()
@@ -168,7 +170,6 @@ fn evaluate(
     };
     let state = State::read(&subject.checkpoint)?;
     let statistics = statistics_in(&state)?;
-    let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
     let real_jerk = of_real.window_jerk();
     Ok(ComposeEvaluation {
         run: composer.config().run.name.clone(),

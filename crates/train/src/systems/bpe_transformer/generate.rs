@@ -166,7 +166,7 @@ impl Composer {
                     let steering = Steering {
                         guidance: guided.then_some(Guidance {
                             objective: &control,
-                            scale: path.eta,
+                            scale: path.eta(),
                             max_shift: path.max_shift,
                         }),
                         imputation: None,

@@ -9,6 +9,7 @@ use kinegrad_models::blended::{BlendedConfig, HEAD_CHANNELS};
 use kinegrad_models::{NetworkConfig, parameters};
 use kinegrad_motion::humanml::{Root, TEXT_CHANNELS};
 use kinegrad_motion::{Representation, Statistics};
+use kinegrad_settings::require;
 use pytorch_reader::Tensor;
 
 use super::networks::network;
@@ -56,6 +57,13 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
             "it is of `--arch gmd_motion`: leave it out",
         ));
     }
+    if request.last {
+        let message = format!("`--last` with `--arch {}`", request.architecture);
+        return Err(Error::usage(
+            message,
+            "its files have one set of weights: leave it out",
+        ));
+    }
     must_be_free(&request.out)?;
     let tensors = read_tensors(&request.weights)?;
     let all = tensors.len();
@@ -64,8 +72,7 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
         .filter(|(name, _)| !is_known_stranger(name))
         .collect();
     let skipped = all - tensors.len();
-    let sizes = sizes(&request.weights, &tensors)?;
-    let (config, statistics) = settings(request, [mean, std], &tensors, sizes)?;
+    let (config, statistics) = settings(request, [mean, std], &tensors)?;
     let model = network(&config, &Device::flex())?;
     let model = published::load(&request.weights, model, &tensors)?;
     let (infos, values) = (parameters::infos(&model), parameters::values(&model));
@@ -105,8 +112,13 @@ fn size(
     })
 }
 
-/// What the shapes of the weights say of the network; the horizon and dropout are the published ones.
-fn sizes(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<BlendedConfig, Error> {
+/// What the shapes of the weights say of the network; no shape tells horizon and dropout, which are those
+/// of `base`.
+fn sizes(
+    path: &Path,
+    tensors: &BTreeMap<String, Tensor>,
+    base: &BlendedConfig,
+) -> Result<BlendedConfig, Error> {
     let size = |name: &str, axis| size(path, tensors, name, axis);
     let layers = "seqTransEncoder.attn_layers.layers";
     let count =
@@ -116,7 +128,7 @@ fn sizes(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<BlendedConfi
         num_layers: count.count() / 2,
         num_heads: size(&format!("{layers}.0.1.to_q.weight"), 0)? / HEAD_CHANNELS,
         ff_size: size(&format!("{layers}.1.1.ff.0.0.weight"), 0)?,
-        ..BlendedConfig::flowmdm()
+        ..base.clone()
     };
     config.validate()?;
     Ok(config)
@@ -127,7 +139,6 @@ fn settings(
     request: &ImportRequest,
     [mean_path, std_path]: [&Path; 2],
     tensors: &BTreeMap<String, Tensor>,
-    sizes: BlendedConfig,
 ) -> Result<(Config, Statistics), Error> {
     let text = format!("[train]\nrecipe = \"{RECIPE}\"\n");
     let systems = Systems(&[&BpeTransformer]);
@@ -139,6 +150,12 @@ fn settings(
             found: format!("{} numbers", mean.len()),
             allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
         })?;
+    require(
+        config.data.humanml3d.root == Root::Relative,
+        "data.humanml3d.root",
+        "\"absolute\"",
+        "\"relative\", as the published models were trained",
+    )?;
     let foreign = |reason: String| Error::Foreign {
         path: request.weights.clone(),
         reason,
@@ -166,6 +183,7 @@ fn settings(
     config.run.name = name.to_string_lossy().into_owned();
     let mut own = BpeTables::of(&config)?;
     own.model.size = BlendedConfig::SIZES[0].0.into();
+    let sizes = sizes(&request.weights, tensors, own.model.network.sizes())?;
     own.model.network = BpeNetwork::BpeTransformer(sizes);
     config.system = own.to_table();
     Ok((config, Statistics::new(mean, std, Some(Root::Relative))?))

@@ -21,7 +21,7 @@ use toml::Table;
 
 pub use config::{BpeNetwork, BpeTables, ComposeEvaluationConfig, PositionsConfig};
 pub use generate::{Composer, Line};
-pub use path::{OverrideReading, PathConfig, PathMethod, PathTarget};
+pub use path::{Followed, OverrideReading, PathConfig, PathMethod, PathTarget};
 pub use report::ComposedReport;
 
 use crate::config::{Config, ConfigError, Place, SystemTables};

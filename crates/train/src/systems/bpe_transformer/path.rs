@@ -15,7 +15,7 @@ use kinegrad_motion::path::{
     Polyline, Turning, Warp, headings_of, placed, root_channels, savgol, unwrapped,
 };
 use kinegrad_random::Key;
-use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -40,12 +40,14 @@ pub struct PathConfig {
     /// For `guidance`: whether the gradient is that of the predicted clean motion through the network,
     /// multiplied by the variance of the step, and not of the noisy motion itself.
     pub through_network: bool,
-    /// For `guidance`: length of a step against the gradient; of the noisy motion itself some hundredths.
-    pub eta: f64,
+    /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network, 0.002 for
+    /// the noisy motion itself.
+    pub eta: Option<f64>,
     /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
     /// channels, in standard deviations of the step's noise.
     pub max_shift: Option<f64>,
-    /// Last timestep at which the path acts; below it the model finishes the motion by itself.
+    /// Last timestep at which the path acts; below it the model finishes the motion by itself. At 0 an
+    /// override holds to the end.
     pub until: usize,
     /// For `guidance`: the loss.
     pub loss: PathLossConfig,
@@ -59,7 +61,7 @@ impl Default for PathConfig {
             reading: OverrideReading::Sample,
             yaw: true,
             through_network: true,
-            eta: 100.0,
+            eta: None,
             max_shift: None,
             until: 0,
             loss: PathLossConfig::default(),
@@ -109,12 +111,19 @@ pub enum OverrideReading {
 }
 
 impl PathConfig {
+    /// Length of a step against the gradient.
+    pub fn eta(&self) -> f64 {
+        self.eta
+            .unwrap_or(if self.through_network { 100.0 } else { 0.002 })
+    }
+
     /// # Errors
-    /// Names the key that cannot work.
-    pub fn validate(&self) -> Result<(), InvalidSetting> {
-        in_range("eta", self.eta, 0.0..)?;
+    /// Names the key that cannot work with so many timesteps.
+    pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
+        in_range("eta", self.eta(), 0.0..)?;
+        in_range("until", self.until, 0..num_train_timesteps)?;
         in_range("max_shift", self.max_shift.unwrap_or(1.0), ABOVE_ZERO)?;
-        self.loss.validate()
+        self.loss.validate().within("loss")
     }
 }
 
@@ -190,43 +199,66 @@ impl PathTarget {
         Ok(placed(joints, &points, &vec![turn; points.len()])?)
     }
 
-    /// Where a motion that was drawn as `config` says is: its joints on the path.
+    /// A motion that was drawn as `config` says, on the path.
     ///
     /// # Errors
-    /// If they are not joints of the skeleton.
+    /// If it is not of the skeleton.
     pub fn finish(
         &self,
         features: &Features,
         skeleton: &Skeleton,
         config: &PathConfig,
-    ) -> Result<Joints, Error> {
+    ) -> Result<Followed, Error> {
         let joints = features.joints();
         if config.method != PathMethod::Warp {
-            return self.onto(&joints);
+            let joints = self.onto(&joints)?;
+            let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
+            return Ok(Followed {
+                joints,
+                report,
+                legs_short: 0.0,
+            });
         }
         let warp = Warp {
             turning: Turning::Relative,
             smooth: true,
+            least_speed: Warp::STANDING,
             ..Warp::default()
         };
-        let warped = warp.apply(&joints, skeleton, &self.line);
+        // As far as its speed leads in so many frames.
+        let line = self
+            .line
+            .up_to(self.course.metres.last().copied().unwrap_or(0.0));
+        let warped = warp.apply(&joints, skeleton, &line);
         let warped = warped.map_err(|error| {
             let message = format!("the motion cannot be moved onto the path: {error}");
             Error::usage(message, "docs/paths.md")
         })?;
-        Ok(match config.fix_feet {
-            true => hold(&warped.joints, &joints, skeleton, &ContactRule::default())?.joints,
-            false => warped.joints,
+        let (joints, legs_short) = match config.fix_feet {
+            true => {
+                let held = hold(&warped.joints, &joints, skeleton, &ContactRule::default())?;
+                (held.joints, held.missed)
+            }
+            false => (warped.joints, 0.0),
+        };
+        let report = PathReport::of(&joints, skeleton, &line, &warped.course)?;
+        Ok(Followed {
+            joints,
+            report,
+            legs_short,
         })
     }
+}
 
-    /// How a motion on the path follows it.
-    ///
-    /// # Errors
-    /// If it is of other joints or frames.
-    pub fn report(&self, joints: &Joints, skeleton: &Skeleton) -> Result<PathReport, Error> {
-        Ok(PathReport::of(joints, skeleton, &self.line, &self.course)?)
-    }
+/// A motion on its path.
+#[derive(Clone, Debug)]
+pub struct Followed {
+    /// Where its joints are.
+    pub joints: Joints,
+    /// How it follows.
+    pub report: PathReport,
+    /// How far a foot is from where it should stand, at most, as its leg does not reach so far, metres.
+    pub legs_short: f64,
 }
 
 /// What keeps one draw on its path.
@@ -277,7 +309,7 @@ impl<'a> PathControl<'a> {
         let config = self.config;
         if config.method.guides() && !config.through_network {
             let gradient = self.gradient(&x_t);
-            x_t = x_t - gradient * config.eta;
+            x_t = x_t - gradient * config.eta();
         }
         if !config.method.replaces() || config.reading == OverrideReading::Sample {
             return x_t;
@@ -314,9 +346,9 @@ impl<'a> PathControl<'a> {
         }
     }
 
-    /// The drawn motion: with the path itself where the root was replaced.
+    /// The drawn motion: with the path itself where the root was replaced to the end.
     pub fn last(&self, x: Tensor<3>) -> Tensor<3> {
-        if !self.config.method.replaces() {
+        if !self.config.method.replaces() || !self.acts(0) {
             return x;
         }
         let rotation = self.physical(&x).into_iter().map(|[a, ..]| a);

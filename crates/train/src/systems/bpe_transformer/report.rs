@@ -42,10 +42,10 @@ pub(super) struct Measured<'a> {
 }
 
 impl Measured<'_> {
-    /// The mean jerk of all windows, metres per frame cubed; 0 of none.
-    pub fn window_jerk(&self) -> f64 {
+    /// The mean jerk of all windows, metres per frame cubed; none of none.
+    pub fn window_jerk(&self) -> Option<f64> {
         let curves: Vec<f64> = self.windows.iter().flat_map(jerk_of_frames).collect();
-        curves.iter().sum::<f64>() / curves.len().max(1) as f64
+        (!curves.is_empty()).then(|| curves.iter().sum::<f64>() / curves.len() as f64)
     }
 
     /// The report beside `real` segments, where these are not they.
@@ -53,7 +53,7 @@ impl Measured<'_> {
         &self,
         skeleton: &Skeleton,
         statistics: &Statistics,
-        real_jerk: f64,
+        real_jerk: Option<f64>,
         real: Option<&[Features]>,
     ) -> ComposedReport {
         let fps = skeleton.description().fps;
@@ -63,7 +63,7 @@ impl Measured<'_> {
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
         let curves: Vec<Vec<f64>> = self.windows.iter().map(jerk_of_frames).collect();
-        let transition = TransitionJerk::of(&curves, real_jerk);
+        let transition = TransitionJerk::of(&curves, real_jerk.unwrap_or(0.0));
         let moments = |segments: &[Features]| {
             let rows = segments.iter().map(|segment| means(segment, statistics));
             FeatureMoments::compute(&rows.collect::<Vec<_>>())
@@ -87,7 +87,9 @@ impl Measured<'_> {
             }),
             transitions: self.windows.len(),
             peak_jerk: transition.map(|found| found.peak),
-            area_under_jerk: transition.map(|found| found.area),
+            area_under_jerk: transition
+                .filter(|_| real_jerk.is_some())
+                .map(|found| found.area),
             frechet_distance: real.and_then(|real| {
                 let pair = moments(self.segments).zip(moments(real));
                 pair.map(|(a, b)| frechet_distance(&a, &b))

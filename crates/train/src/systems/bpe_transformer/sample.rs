@@ -6,7 +6,7 @@ use std::sync::Arc;
 use kinegrad_data::Dataset;
 use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::Clip;
-use kinegrad_motion::humanml::Extraction;
+use kinegrad_motion::humanml::{Extraction, Root};
 use kinegrad_motion::path::PathPlan;
 use kinegrad_random::{Key, Purpose};
 
@@ -33,6 +33,9 @@ struct Motion {
     /// Seed of its noise.
     seed: u64,
 }
+
+/// What a leg may be too short by without a word, metres.
+const LEGS_SHORT: f64 = 0.02;
 
 /// Generates the requested motions one after another: joints, features and BVH of each.
 ///
@@ -68,10 +71,15 @@ pub(super) fn sample(
     let own = BpeTables::of(&subject.config)?;
     let motions = motions(subject, request, receiver)?;
     let longest = motions.iter().map(Motion::frames).max().unwrap_or(0);
-    let networks = super::networks::footprint(&subject.config, longest)?;
+    let mut networks = super::networks::footprint(&subject.config, longest)?;
+    let path = &own.evaluation.path;
+    let tracked = conditions.path.is_some() && path.method.guides() && path.through_network;
+    if subject.config.sampling.sampler.guidance_scale != 1.0 {
+        networks.passes = 2;
+    }
     must_fit(
         &format!("drawing a motion of {longest} frames"),
-        networks.of_sampling(1, false, subject.on_host),
+        networks.of_sampling(1, tracked, subject.on_host),
         "ask for a shorter one",
     )?;
     let names = Names {
@@ -119,37 +127,41 @@ pub(super) fn sample(
                 &mut |done, steps| receiver.advance("", before * steps + done, all * steps),
             )?;
             let settings = &own.evaluation.path;
-            let (features, joints) = match &target {
-                None => {
-                    let joints = features.joints();
-                    (features, joints)
-                }
-                Some(target) => {
-                    let joints = target.finish(&features, &skeleton, settings)?;
-                    let features = match settings.method {
-                        PathMethod::Warp => {
-                            unscaled().features_of_all_frames(&skeleton, &joints)?
-                        }
-                        _ => features,
-                    };
-                    (features, joints)
-                }
-            };
-            let followed = match (&path, &target) {
+            let (features, joints, followed) = match (&path, &target) {
                 (Some((file, plan)), Some(target)) => {
-                    let report = target.report(&joints, &skeleton)?;
+                    let found = target.finish(&features, &skeleton, settings)?;
+                    let report = &found.report;
                     remarks.push(format!(
                         "{:.3} m from the path, at most {:.3} m; heading {:.0} degrees from it",
                         report.mean_distance, report.largest_distance, report.heading_error
                     ));
-                    Some(PathRecord {
+                    if found.legs_short > LEGS_SHORT {
+                        receiver.warning(&format!(
+                            "legs are up to {:.2} m too short to stand where they stood: the path is \
+                             longer than the motion's own way, or turns more sharply",
+                            found.legs_short
+                        ));
+                    }
+                    let features = match settings.method {
+                        PathMethod::Warp => {
+                            let made =
+                                unscaled().features_of_all_frames(&skeleton, &found.joints)?;
+                            made.with_root(features.root())
+                        }
+                        _ => features,
+                    };
+                    let record = PathRecord {
                         file: file.clone(),
                         content: plan.clone(),
                         settings: settings.clone(),
-                        report,
-                    })
+                        report: found.report,
+                    };
+                    (features, found.joints, Some(record))
                 }
-                _ => None,
+                _ => {
+                    let joints = features.joints();
+                    (features, joints, None)
+                }
             };
             let record = Record {
                 index,
@@ -243,8 +255,20 @@ fn motions(
             let hint = "the plan says how long the motion is: leave `--frames` or `--seconds` out";
             return Err(Error::usage("`--plan` with a length", hint));
         }
+        conditions.refuse(
+            &["--phrase", "--source"],
+            "`--plan` and a run of recipe `bpe_motion`",
+            "the plan says what the texts are: leave out one of the two",
+        )?;
         let plan = TextPlan::read(path)?;
-        let ends = plan.ends(BpeTransformer.fps(&subject.config))?;
+        if plan.step.len() > 1 && subject.config.data.humanml3d.root == Root::Absolute {
+            let message =
+                "a plan of several texts, and a run with `data.humanml3d.root = \"absolute\"`";
+            let hint =
+                "every clip of its training begins at the origin: train with a relative root";
+            return Err(Error::usage(message, hint));
+        }
+        let ends = plan.ends(path, BpeTransformer.fps(&subject.config))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         let lengths = ends.iter().zip(begins).map(|(end, begin)| end - begin);
         let said = plan.said(path, &input)?.into_iter();

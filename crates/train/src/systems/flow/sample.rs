@@ -185,7 +185,7 @@ impl Script {
             .plan
             .as_deref()
             .unwrap_or(Path::new("the plan"));
-        let ends = plan.ends(Flow.fps(&subject.config))?;
+        let ends = plan.ends(path, Flow.fps(&subject.config))?;
         let begins = [0].into_iter().chain(ends.iter().copied());
         // A step that says nothing is no caption of a clip either.
         let said = plan.said(path, input)?.into_iter().map(Some);
