@@ -85,10 +85,10 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
     let sandbox = trained();
     let known = captions(&sandbox);
     let draw = |name: &str, steps: &[(f64, &str)]| {
-        sandbox.write(&format!("{name}.toml"), &plan(steps));
+        sandbox.write(&format!("{name}.toml"), plan(steps));
         let line = format!("sample runs/bpe --plan {name}.toml --seed 5 --out {name}");
         sandbox.run(&line).succeeded();
-        let array = read_array(&sandbox.path(&format!("{name}.features.npy"))).expect("features");
+        let array = read_array(&sandbox.path(format!("{name}.features.npy"))).expect("features");
         assert_eq!(array.shape[1], 263);
         array
     };
@@ -121,7 +121,7 @@ fn a_plan_is_drawn_as_one_motion_and_its_texts_matter() {
         sandbox.run(&line).succeeded();
     }
     let read = |name: &str| {
-        let path = sandbox.path(&format!("apart-{name}.features.npy"));
+        let path = sandbox.path(format!("apart-{name}.features.npy"));
         read_array(&path).expect("features").values
     };
     let (first, other) = (read("first"), read("other"));
@@ -171,7 +171,7 @@ fn compositions_are_evaluated_beside_real_clips() {
     ] {
         sandbox.run(line).failed(2, &[expected]);
     }
-    sandbox.write("long.toml", &plan(&[(1.0, "nothing"), (1.0, "nothing")]));
+    sandbox.write("long.toml", plan(&[(1.0, "nothing"), (1.0, "nothing")]));
     let line = "sample runs/bpe --plan long.toml --out x";
     sandbox
         .run(line)

@@ -58,7 +58,11 @@ fn main() {
     // Half of them absolute.
     let step = |number: usize| {
         let begin = Instant::now();
-        let t = if number % 2 == 0 { 990.0 } else { 500.0 };
+        let t = if number.is_multiple_of(2) {
+            990.0
+        } else {
+            500.0
+        };
         let y = guided(&composed, x.clone(), &[Time(t)], &cond, 2.5);
         let sum = y.sum().into_scalar::<f32>();
         assert!(sum.is_finite());

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use kinegrad_cli::{Existing, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_motion::PostProcessProfile;
 use kinegrad_train::sampling::{
-    self, Conditions, Contents, Given, GivenFrames, Receiver, Request, Style,
+    self, Conditions, Contents, Given, GivenFrames, PathFile, Receiver, Request, Style,
 };
 use kinegrad_train::song::KnownBeats;
 use kinegrad_train::systems::BUILT_IN;
@@ -34,6 +34,8 @@ pub struct Wanted {
     text_embedding: Option<String>,
     history: Option<PathBuf>,
     plan: Option<PathBuf>,
+    path: Option<PathBuf>,
+    metres_per_unit: Option<f64>,
     held_out: Option<usize>,
     count: usize,
     frames: Option<usize>,
@@ -95,6 +97,10 @@ impl Wanted {
                 text_embedding: self.text_embedding.clone(),
                 history: self.history.clone(),
                 plan: self.plan.clone(),
+                path: self.path.clone().map(|file| PathFile {
+                    file,
+                    metres_per_unit: self.metres_per_unit,
+                }),
                 given: self.given()?,
                 style: self.style.as_deref().map(Style::parse).transpose()?,
                 held_out: self.held_out,

@@ -89,7 +89,6 @@ pub(super) struct FeedForward {
 
 /// Attention or feed-forward, with the normalisation before it.
 #[derive(Module, Debug)]
-#[expect(clippy::large_enum_variant, reason = "as many of either exist")]
 pub(super) enum SubLayer {
     Attention(AttentionLayer),
     FeedForward(FeedForwardLayer),

@@ -65,7 +65,7 @@ pub(super) fn read_drawing(text: &str, scale: f64) -> Result<Drawing, String> {
             PathEl::CurveTo(a, b, c) => vec![a, b, c],
             PathEl::ClosePath => Vec::new(),
         });
-    let far = |value: f64| !(scale * value.abs() <= MAX_METRES);
+    let far = |value: f64| !value.is_finite() || scale * value.abs() > MAX_METRES;
     if let Some(point) = points
         .into_iter()
         .find(|point| far(point.x) || far(point.y))

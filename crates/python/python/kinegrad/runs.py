@@ -170,6 +170,8 @@ class Run:
         text_embedding: str | None = None,
         history: PathArgument | None = None,
         plan: PathArgument | None = None,
+        path: PathArgument | None = None,
+        metres_per_unit: float | None = None,
         trajectory_run: PathArgument | Run | None = None,
         held_out: int | None = None,
         source: str | None = None,
@@ -205,7 +207,11 @@ class Run:
             text_embedding: Text embedding to use as the condition, `FILE#KEY`.
             history: Joints that the motion goes on from, `[T, J, 3]` in metres, for runs of recipe
                 `flow`.
-            plan: File of texts one after another, each with its length, for runs of recipe `flow`.
+            plan: File of texts one after another, each with its length, for runs of recipe `flow` or
+                `bpe_motion`.
+            path: Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
+                `bpe_motion`; `settings` says how, as `{"evaluation.path.method": "override"}`.
+            metres_per_unit: Metres of a unit of a path that is a drawing.
             trajectory_run: Run of recipe `gmd_trajectory` that generates the ground path first.
             held_out: One sample for each of the first so many held-out items.
             source: Dataset that contains the phrase, instead of the run's own.
@@ -260,6 +266,8 @@ class Run:
             "text_embedding": text_embedding,
             "history": history,
             "plan": plan,
+            "path": path,
+            "metres_per_unit": None if metres_per_unit is None else float(metres_per_unit),
             "held_out": held_out,
             "count": count,
             "frames": frames,

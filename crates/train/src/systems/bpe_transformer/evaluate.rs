@@ -98,10 +98,6 @@ pub(super) fn prepare<'a>(
     }))
 }
 
-#[expect(
-    clippy::too_many_arguments,
-    reason = "each is another thing, named at the call"
-)]
 fn evaluate(
     subject: &Subject,
     composer: &Composer,

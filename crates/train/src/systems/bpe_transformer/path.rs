@@ -169,7 +169,7 @@ impl PathTarget {
     }
 
     /// The same as a draw sees it: from the origin, facing +z.
-    fn from_origin(&self) -> Self {
+    fn at_origin(&self) -> Self {
         let (start, turn) = (self.course.points[0], -self.headings[0]);
         let (sin, cos) = turn.sin_cos();
         let moved = |[x, z]: &[f64; 2]| {
@@ -285,7 +285,7 @@ impl<'a> PathControl<'a> {
     ) -> Self {
         Self {
             config,
-            target: target.from_origin(),
+            target: target.at_origin(),
             root,
             mean: statistics.mean[..ROOT].to_vec(),
             std: statistics.std[..ROOT].to_vec(),
