@@ -213,7 +213,7 @@ pub(crate) fn ranged_attention(
     num_heads: usize,
     ranges: &KeyRanges,
 ) -> Tensor<3> {
-    let [batch, channels, time] = queries.dims();
+    let [batch, _, time] = queries.dims();
     let length = match 2 * ranges.widest() < keys.dims()[2] {
         true => ranges.widest().max(SHORTEST_PART),
         false => time,
@@ -223,9 +223,8 @@ pub(crate) fn ranged_attention(
         let spans = (0..batch).map(|sample| ranges.span(sample, part.clone()));
         let spans = spans.filter(|span| !span.is_empty());
         let span = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
-        let Some(span) = span else {
-            return Tensor::zeros([batch, channels, part.len()], &queries.device());
-        };
+        // Without any, a key that none attends to: zeros that depend on all that went in.
+        let span = span.unwrap_or(0..1);
         let of =
             |x: &Tensor<3>, frames: &Range<usize>| x.clone().narrow(2, frames.start, frames.len());
         let mask = ranges.mask(part.clone(), span.clone(), &queries.device());

@@ -55,7 +55,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         "'<f4'" | "\"<f4\"" => false,
         "'<f8'" | "\"<f8\"" => true,
         _ if descr.contains('O') => {
-            let problem = format!("it holds Python objects (dtype {descr}), not numbers");
+            let problem = format!("dtype {descr} found: Python objects, not numbers");
             let hint = "results of other programs are often a dictionary; in Python:\n  \
                         found = numpy.load(path, allow_pickle=True).item()\n  \
                         numpy.save(\"clip.npy\", found[\"motion\"][0].transpose(2, 0, 1).astype(\"<f4\"))";

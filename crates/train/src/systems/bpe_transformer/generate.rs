@@ -167,7 +167,7 @@ impl Composer {
                         guidance: guided.then_some(Guidance {
                             objective: &control,
                             scale: path.eta(),
-                            max_shift: path.max_shift,
+                            max_shift: Some(path.max_shift),
                         }),
                         imputation: None,
                     };

@@ -44,8 +44,9 @@ pub struct PathConfig {
     /// the noisy motion itself.
     pub eta: Option<f64>,
     /// For `guidance` through the network: furthest that a frame is moved in one step, over all its
-    /// channels, in standard deviations of the step's noise.
-    pub max_shift: Option<f64>,
+    /// channels, in standard deviations of the step's noise. A relative root's early frames move all that
+    /// follow: without a limit their gradient breaks the motion.
+    pub max_shift: f64,
     /// Last timestep at which the path acts; below it the model finishes the motion by itself. At 0 an
     /// override holds to the end.
     pub until: usize,
@@ -62,7 +63,7 @@ impl Default for PathConfig {
             yaw: true,
             through_network: true,
             eta: None,
-            max_shift: None,
+            max_shift: 10.0,
             until: 0,
             loss: PathLossConfig::default(),
         }
@@ -122,7 +123,7 @@ impl PathConfig {
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
         in_range("eta", self.eta(), 0.0..)?;
         in_range("until", self.until, 0..num_train_timesteps)?;
-        in_range("max_shift", self.max_shift.unwrap_or(1.0), ABOVE_ZERO)?;
+        in_range("max_shift", self.max_shift, ABOVE_ZERO)?;
         self.loss.validate().within("loss")
     }
 }
