@@ -2,6 +2,8 @@
 
 mod config;
 mod data;
+#[cfg(test)]
+mod documented;
 mod matching;
 mod reading;
 mod reports;
