@@ -1,5 +1,6 @@
 //! The clips of a dataset that a request is about.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use kinegrad_data::humanml::Clip;
@@ -19,6 +20,25 @@ pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
             ..own.clone()
         },
     }
+}
+
+/// The dataset of an evaluation of `checkpoint`, some of whose clips are held out; `purpose` says what
+/// they are for.
+///
+/// # Errors
+/// [`Error::Usage`] if none is held out; if the dataset cannot be opened.
+pub(crate) fn with_held_out(
+    data: &DataConfig,
+    checkpoint: &Path,
+    purpose: &str,
+) -> Result<Dataset<Clip>, Error> {
+    let dataset = Dataset::<Clip>::open(data)?;
+    if dataset.validation.is_empty() {
+        let message = format!("no clip is held out for {}", checkpoint.display());
+        let hint = format!("{purpose}: give a dataset that holds out some with `--source URI`");
+        return Err(Error::usage(message, hint));
+    }
+    Ok(dataset)
 }
 
 /// The clips whose ids match `pattern`, those held out first.

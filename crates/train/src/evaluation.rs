@@ -1,7 +1,7 @@
 //! Evaluating trained models: requests, and results that reports show side by side.
 
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
@@ -19,6 +19,34 @@ pub struct EvaluationRequest {
     pub seed: u64,
     /// Whether models that hear music are held against music that says something else.
     pub listening: bool,
+}
+
+impl EvaluationRequest {
+    /// Rejects options that are set but listed in `unknown`, by their command-line names, for a run
+    /// that is `what`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for the first that is set.
+    pub(crate) fn refuse(
+        &self,
+        unknown: &[&str],
+        checkpoint: &Path,
+        what: &str,
+        hint: &str,
+    ) -> Result<(), Error> {
+        let given = [
+            ("--listening", self.listening),
+            ("--trajectory-run", self.trajectory.is_some()),
+        ];
+        let mut given = given.into_iter();
+        match given.find(|(name, given)| *given && unknown.contains(name)) {
+            Some((name, _)) => {
+                let message = format!("`{name}` with {}, {what}", checkpoint.display());
+                Err(Error::usage(message, hint))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
 /// A validated evaluation, to be called with a progress callback.

@@ -3,7 +3,6 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Features;
@@ -13,10 +12,10 @@ use serde_json::to_value;
 
 use super::networks::{footprint, statistics_in};
 use super::report::{ComposedReport, Measured};
-use super::{BpeTables, ComposeEvaluationConfig, Composer, Line, RECIPE};
+use super::{BpeTables, ComposeEvaluationConfig, Composer, Line};
 use crate::captions::{ClipText, must_know_texts};
 use crate::checkpoint::State;
-use crate::clips::dataset_or;
+use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
@@ -50,28 +49,20 @@ pub(super) fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    for (option, given) in [
-        ("--listening", request.listening),
-        ("--trajectory-run", request.trajectory.is_some()),
-    ] {
-        if given {
-            let message = format!(
-                "`{option}` with {}, a run of recipe `{RECIPE}`",
-                subject.checkpoint.display()
-            );
-            return Err(Error::usage(message, "leave it out"));
-        }
-    }
+    request.refuse(
+        &["--listening", "--trajectory-run"],
+        &subject.checkpoint,
+        "a run of recipe `bpe_motion`",
+        "leave it out",
+    )?;
     let own = BpeTables::of(&subject.config)?;
     let asked = own.evaluation;
     let data = dataset_or(&subject.config.data, request.source.as_deref());
-    let dataset = Dataset::<Clip>::open(&data)?;
-    if dataset.validation.is_empty() {
-        let message = format!("no clip is held out for {}", subject.checkpoint.display());
-        let hint = "texts and lengths are those of held-out clips: give a dataset that holds out some \
-                    with `--source URI`";
-        return Err(Error::usage(message, hint));
-    }
+    let dataset = with_held_out(
+        &data,
+        &subject.checkpoint,
+        "texts and lengths are those of held-out clips",
+    )?;
     let held_out = dataset.validation.evenly(dataset.validation.len())?;
     must_know_texts(&subject.config, &held_out)?;
     let longest = held_out.iter().map(|clip| clip.features.frames()).max();

@@ -3,7 +3,6 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
 use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
@@ -14,7 +13,7 @@ use serde_json::to_value;
 use super::report::RolloutReport;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use crate::captions::{ClipText, must_know_texts};
-use crate::clips::dataset_or;
+use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number, OnStep};
@@ -50,28 +49,20 @@ pub(super) fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    for (option, given) in [
-        ("--listening", request.listening),
-        ("--trajectory-run", request.trajectory.is_some()),
-    ] {
-        if given {
-            let message = format!(
-                "`{option}` with {}, a run of recipe `flow`",
-                subject.checkpoint.display()
-            );
-            return Err(Error::usage(message, "leave it out"));
-        }
-    }
+    request.refuse(
+        &["--listening", "--trajectory-run"],
+        &subject.checkpoint,
+        "a run of recipe `flow`",
+        "leave it out",
+    )?;
     let asked = FlowTables::of(&subject.config)?.evaluation;
     let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
     let data = dataset_or(&subject.config.data, request.source.as_deref());
-    let dataset = Dataset::<Clip>::open(&data)?;
-    if dataset.validation.is_empty() {
-        let message = format!("no clip is held out for {}", subject.checkpoint.display());
-        let hint = "motions go on from held-out clips: give a dataset that holds out some with \
-                    `--source URI`";
-        return Err(Error::usage(message, hint));
-    }
+    let dataset = with_held_out(
+        &data,
+        &subject.checkpoint,
+        "motions go on from held-out clips",
+    )?;
     let held_out = dataset.validation.evenly(asked.rollouts)?;
     let mut remarks = Vec::new();
     if held_out.len() < asked.rollouts {

@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use kinegrad_data::Dataset;
 use kinegrad_data::humanml::{Clip, labels_of};
 use kinegrad_motion::metrics::text_motion::TextMotionReport;
 use serde_json::json;
 
 use super::TextMotion;
-use crate::clips::dataset_or;
+use crate::clips::{dataset_or, with_held_out};
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
 use crate::sampling::Subject;
@@ -21,20 +20,18 @@ pub(super) fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    if request.trajectory.is_some() || request.listening {
-        let message = "`--trajectory-run` or `--listening` with a run of recipe `text_motion`";
-        return Err(Error::usage(
-            message,
-            "its encoders generate nothing: leave them out",
-        ));
-    }
+    request.refuse(
+        &["--listening", "--trajectory-run"],
+        &subject.checkpoint,
+        "a run of recipe `text_motion`",
+        "its encoders generate nothing: leave it out",
+    )?;
     let data = dataset_or(&subject.config.data, request.source.as_deref());
-    let dataset = Dataset::<Clip>::open(&data)?;
-    if dataset.validation.is_empty() {
-        let message = format!("no clip is held out for {}", subject.checkpoint.display());
-        let hint = "give a dataset that holds out some with `--source URI`";
-        return Err(Error::usage(message, hint));
-    }
+    let dataset = with_held_out(
+        &data,
+        &subject.checkpoint,
+        "texts are matched with held-out clips",
+    )?;
     let held_out = dataset.validation.load()?;
     let labels = labels_of(&data)?.unwrap_or_default();
     let (seed, frames) = (request.seed, data.target_frames);

@@ -32,14 +32,12 @@ pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    if request.trajectory.is_some() {
-        let message = format!(
-            "`--trajectory-run` with {}, a run on phrases",
-            subject.checkpoint.display()
-        );
-        let hint = "only models that follow goals take a path from a first stage";
-        return Err(Error::usage(message, hint));
-    }
+    request.refuse(
+        &["--trajectory-run"],
+        &subject.checkpoint,
+        "a run on phrases",
+        "only models that follow goals take a path from a first stage",
+    )?;
     let wanted = CcMotionConfig::of(&subject.config)?.evaluation;
     let mut data = subject.config.data.clone();
     if let Some(source) = &request.source {

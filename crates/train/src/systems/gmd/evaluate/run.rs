@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use kinegrad_data::humanml::{Clip, labels_of};
-use kinegrad_data::{Dataset, ValidationSplit};
+use kinegrad_data::ValidationSplit;
+use kinegrad_data::humanml::labels_of;
 use kinegrad_motion::metrics::GoalReport;
 use serde_json::to_value;
 
 use super::{GoalSettings, GoalTask, Replicated, VarietyReport, evaluate_goals};
 use crate::captions::must_know_texts;
 use crate::checkpoint::{Weights, resolve_checkpoint};
-use crate::clips::dataset_or;
+use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest, Group, Number};
@@ -30,27 +30,23 @@ pub fn prepare<'a>(
     subject: &'a Subject,
     request: &EvaluationRequest,
 ) -> Result<Evaluate<'a>, Error> {
-    if request.listening {
-        let message = format!(
-            "`--listening` with {}, a run on clips",
-            subject.checkpoint.display()
-        );
-        let hint = "only models of phrases hear music";
-        return Err(Error::usage(message, hint));
-    }
+    request.refuse(
+        &["--listening"],
+        &subject.checkpoint,
+        "a run on clips",
+        "only models of phrases hear music",
+    )?;
     let asked = GmdConfig::of(&subject.config)?.evaluation;
     let mut data = dataset_or(&subject.config.data, request.source.as_deref());
     if asked.split == EvaluationSplit::Test {
         data.humanml3d.validation_list = data.humanml3d.test_list.clone();
         data.validation = ValidationSplit::default();
     }
-    let dataset = Dataset::<Clip>::open(&data)?;
-    if dataset.validation.is_empty() {
-        let message = format!("no clip is held out for {}", subject.checkpoint.display());
-        let hint = "goals are taken from held-out clips: give a dataset that holds out some with \
-                    `--source URI`";
-        return Err(Error::usage(message, hint));
-    }
+    let dataset = with_held_out(
+        &data,
+        &subject.checkpoint,
+        "goals are taken from held-out clips",
+    )?;
     let wanted = asked.goals;
     let held_out = dataset.validation.evenly(wanted)?;
     let mut remarks = Vec::new();
