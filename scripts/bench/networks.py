@@ -36,9 +36,15 @@ def gmd_unet(model: dict[str, Any]) -> UNetDenoiser:
     return UNetDenoiser(config, model["padded_frames"])
 
 
+def matching(_: dict[str, Any]) -> nn.Module:
+    """Matching has no network."""
+    return nn.Module()
+
+
 DENOISERS: dict[str, Callable[[dict[str, Any]], nn.Module]] = {
     "unet1d": unet1d,
     "gmd_unet": gmd_unet,
+    "matching": matching,
 }
 """By `model.kind`."""
 

@@ -40,7 +40,7 @@ class Row:
     @property
     def trains(self) -> bool:
         """Whether there is a loss."""
-        return self.task["kind"] != "sample"
+        return self.task["kind"] not in ("sample", "match")
 
     @property
     def floor_bytes(self) -> int:
@@ -132,6 +132,9 @@ CC116M_PARAMETERS = 104_436_505
 GMD_TRAJECTORY = gmd_unet(4, 512, [0.125, 0.25, 0.5])
 GMD_MOTION_128 = gmd_unet(263, 128, [2, 2, 2, 2])
 GMD_MOTION = gmd_unet(263, 512, [2, 2, 2, 2])
+DANCES = {"gangnam": (371, 405, 92), "salsa": (648, 393, 118)}
+"""Frames and channels of the two dances that GenMM's figures are of, and how many of the channels never
+change."""
 DOCUMENT_CPU_SECONDS = {5: 5.2, 10: 9.8, 20: 18.5, 50: 45.3}
 
 ROWS: list[Row] = [
@@ -248,5 +251,18 @@ ROWS: list[Row] = [
         batch_size=1,
         frames=PADDED_FRAMES,
         rounds=5,
+    ),
+    *(
+        Row(
+            f"match_{name}",
+            f"new motion from {frames} frames of {channels} channels, to twice as many",
+            0,
+            {"kind": "matching", "frames": frames, "channels": channels, "still": still},
+            {"kind": "match"},
+            batch_size=1,
+            frames=2 * frames,
+            quick=True,
+        )
+        for name, (frames, channels, still) in DANCES.items()
     ),
 ]

@@ -16,6 +16,7 @@ import torch
 from ccmotion.denoising import DenoisingConfig, DenoisingTrainer
 from ccmotion.diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
 from ccmotion.e2e import Batch, EndToEndConfig, EndToEndModel, Trainer
+from genmm.matching import synthesized
 from gmd import training as gmd
 from networks import build, count
 from safetensors import safe_open
@@ -119,11 +120,25 @@ class Sampling:
             )
 
 
+class Matching:
+    """Makes a new motion of an example."""
+
+    def __init__(self, _: nn.Module, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
+        self.example, self.noise = inputs["example"][0], inputs["noise"][0]
+        self.frames = row["frames"]
+        self.last: Tensor | None = None
+
+    def step(self) -> None:
+        with torch.inference_mode():
+            self.last = synthesized(self.example, self.frames, self.noise)
+
+
 TASKS = {
     "train": Training,
     "train_gmd": GmdTraining,
     "end_to_end": EndToEnd,
     "sample": Sampling,
+    "match": Matching,
 }
 
 

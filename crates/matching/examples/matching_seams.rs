@@ -11,16 +11,11 @@
 //! second of the file, and the jerk as a part of that second's.
 
 use kinegrad_capture::Bvh;
-use kinegrad_matching::{
-    Example, Job, Keyframe, Length, Looping, Made, jerk_around, jerks, percentile_95,
-};
+use kinegrad_matching::{Example, Job, Keyframe, Length, Looping, Made, Seam, jerk_around, jerks};
 
 mod common;
 
 use common::read;
-
-/// Places of the joints, `[frames][joints]`.
-type Places = Vec<Vec<[f64; 3]>>;
 
 fn main() {
     let (mut seeds, mut files) = (3, Vec::new());
@@ -37,9 +32,17 @@ fn main() {
         for seed in 0..seeds {
             let mut job = job(seed);
             job.settings.looping = Looping::Even;
-            let motion = places(&job.make(&example).expect("a loop").bvh);
-            let [step, turn] = seam(&motion);
-            println!("{file} seed {seed}: loop step {step:.2}, velocity {turn:.2}");
+            let Seam { step, velocity } = seam(&job, &example);
+            println!("{file} seed {seed}: loop step {step:.2}, velocity {velocity:.2}");
+            for part in [0.25, 0.5, 0.75] {
+                let seconds = example[0].bvh.frames() as f64 * example[0].bvh.frame_time();
+                job.keyframes = vec![(keyframe(part * seconds), None)];
+                let Seam { step, velocity } = seam(&job, &example);
+                println!(
+                    "{file} seed {seed}: loop with a key frame of {part}, step {step:.2}, \
+                     velocity {velocity:.2}"
+                );
+            }
         }
         let seconds = example[0].bvh.frames() as f64 * example[0].bvh.frame_time();
         for part in [0.25, 0.5, 0.75] {
@@ -70,6 +73,11 @@ fn job(seed: u64) -> Job {
     }
 }
 
+fn seam(job: &Job, example: &[Example]) -> Seam {
+    let made = job.make(example).expect("a loop");
+    made.seam(job.settings.looping).expect("a loop")
+}
+
 fn keyframe(source_time: f64) -> Keyframe {
     Keyframe {
         time: 5.0,
@@ -81,48 +89,8 @@ fn keyframe(source_time: f64) -> Keyframe {
     }
 }
 
-/// Where the joints are, seen from above the body.
-fn places(bvh: &Bvh) -> Places {
-    let frames = (0..bvh.frames()).map(|t| {
-        let world = bvh.world(t);
-        let [x, _, z] = world[1].position;
-        let seen = world.iter().map(|pose| pose.position);
-        seen.map(|[a, b, c]| [a - x, b, c - z]).collect()
-    });
-    frames.collect()
-}
-
 /// An example with as many frames a second as what was made of it.
 fn thinned(example: &Example, made: &Made) -> Bvh {
     let frames = made.figure.frames(example).expect("an example");
     made.figure.bvh(&frames).expect("an example")
-}
-
-/// Mean distance of the joints' weighted sums of frames from the origin.
-fn mean(motion: &Places, terms: &[(usize, f64)]) -> f64 {
-    let joints = motion[0].len();
-    let of = |joint: usize| {
-        let sum = [0, 1, 2].map(|axis| {
-            let terms = terms.iter();
-            terms
-                .map(|(t, weight)| weight * motion[*t][joint][axis])
-                .sum::<f64>()
-        });
-        sum.iter().map(|value| value * value).sum::<f64>().sqrt()
-    };
-    (0..joints).map(of).sum::<f64>() / joints as f64
-}
-
-/// The seam's step and change of velocity, as parts of the 95th percentile of all others.
-fn seam(motion: &Places) -> [f64; 2] {
-    let n = motion.len();
-    let step = |t: usize| mean(motion, &[((t + 1) % n, 1.0), (t, -1.0)]);
-    let turn = |t: usize| mean(motion, &[((t + 2) % n, 1.0), ((t + 1) % n, -2.0), (t, 1.0)]);
-    let steps: Vec<f64> = (0..n - 1).map(step).collect();
-    let turns: Vec<f64> = (0..n - 2).map(turn).collect();
-    let over = turn(n - 2).max(turn(n - 1));
-    [
-        step(n - 1) / percentile_95(&steps),
-        over / percentile_95(&turns),
-    ]
 }

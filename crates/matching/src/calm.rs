@@ -27,6 +27,8 @@ const STRONGER: f64 = 3.0;
 const SHORTEST: usize = 8;
 /// Most smoothings one after the other.
 const MOST: usize = 14;
+/// How often all key frames are gone through.
+const ROUNDS: usize = 4;
 
 /// Jerk of each frame from the third on: the mean length of the joints' third differences, in the
 /// file's units, `[frames - 3]`.
@@ -81,13 +83,31 @@ pub(crate) fn around_keyframes(
     if n < SHORTEST {
         return Ok(());
     }
+    // What calms one may leave less of the rest for another to be measured by.
+    for _ in 0..ROUNDS {
+        if !around_each(figure, frames, held, around)? {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Smooths a motion around each of its key frames in turn, and says whether anything was.
+fn around_each(
+    figure: &Figure,
+    frames: &mut Frames,
+    held: &[Held],
+    around: bool,
+) -> Result<bool, Error> {
+    let n = frames.frames();
+    let mut changed = false;
     for held_frame in held {
         let Held::Keyframe { at, .. } = held_frame else {
             continue;
         };
         let key = Held::frame(*at, n);
         if !around {
-            around_one(figure, frames, held, key, false)?;
+            changed |= around_one(figure, frames, held, key, false)?;
             continue;
         }
         // A loop is the same from any frame on: with the key frame in its middle it has no end there.
@@ -118,19 +138,20 @@ pub(crate) fn around_keyframes(
         frames.values_mut().rotate_left(shift * channels);
         let smoothed = around_one(figure, frames, &moved, middle, true);
         frames.values_mut().rotate_right(shift * channels);
-        smoothed?;
+        changed |= smoothed?;
     }
-    Ok(())
+    Ok(changed)
 }
 
-/// Smooths a motion around the key frame at `key`; `keep_ends`: whether its ends stay as they are.
+/// Smooths a motion around the key frame at `key`, and says whether it was needed; `keep_ends`: whether
+/// its ends stay as they are.
 fn around_one(
     figure: &Figure,
     frames: &mut Frames,
     held: &[Held],
     key: usize,
     keep_ends: bool,
-) -> Result<(), Error> {
+) -> Result<bool, Error> {
     let (n, key) = (frames.frames(), key as f64);
     let rate = 1.0 / figure.frame_time();
     let fade = |t: usize| {
@@ -139,6 +160,7 @@ fn around_one(
     };
     let voted = frames.clone();
     let mut strength = FIRST;
+    let mut needed = false;
     for _ in 0..MOST {
         let [near, rest] = jerk_around(&jerks(&figure.bvh(frames)?), key, rate);
         if near <= AROUND * rest || rest == 0.0 {
@@ -149,11 +171,12 @@ fn around_one(
             t if keep_ends && (t == 0 || t == last) => 0.0,
             t => strength * fade(t),
         });
+        needed = true;
         *frames = voted.clone();
         smooth(frames, &strengths.collect::<Vec<_>>(), held);
         strength *= STRONGER;
     }
-    Ok(())
+    Ok(needed)
 }
 
 /// Smooths what is free of a motion with fixed parts where its jerk is above 1.25 times `usual`,

@@ -1,42 +1,130 @@
 //! Distances between frames: the sum of squared differences over all channels.
 
 use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
 
 use crate::Frames;
 
 /// Channels are filled up with zeros to a multiple of this: what the widest register holds.
 const LANES: usize = 16;
-/// Frames of both sides whose distances are summed at a time, so that each is loaded once for all.
+/// Frames of both sides whose distances are summed at a time, so that each is loaded once for all:
+/// as many sums as there are registers for.
 const ROWS: usize = 2;
+const MORE_ROWS: usize = 4;
 const COLUMNS: usize = 4;
+/// Bytes of `y` that stay in the fastest cache while all of `x` passes by.
+const BLOCK: usize = 16 << 10;
 
-/// Frames whose channels are filled up with zeros, so that registers are always full.
+/// How far a channel that stands still may stray, beside values of 1: what angles written as text lose.
+const STRAY: f32 = 1e-6;
+
+/// The channels of examples, by whether they move. Those that stand still, as fingers often do, add the
+/// same to the distances of a frame to all example frames, which is summed once.
+pub(crate) struct Moving {
+    moving: Vec<usize>,
+    /// With the value that the channel keeps to.
+    still: Vec<(usize, f32)>,
+}
+
+impl Moving {
+    /// The channels of `examples`.
+    pub(crate) fn of(examples: &Frames) -> Self {
+        let mut low = examples.frame(0).to_vec();
+        let mut high = low.clone();
+        for row in examples.values().chunks_exact(examples.channels()) {
+            for ((low, high), value) in low.iter_mut().zip(&mut high).zip(row) {
+                (*low, *high) = (low.min(*value), high.max(*value));
+            }
+        }
+        let stands = |&c: &usize| high[c] - low[c] <= STRAY * high[c].abs().max(1.0);
+        // At least one is compared, or there would be nothing to lay out.
+        let (still, moving): (Vec<usize>, Vec<usize>) =
+            (1..examples.channels()).partition(|c| stands(c));
+        Self {
+            moving: [0].into_iter().chain(moving).collect(),
+            still: still
+                .into_iter()
+                .map(|c| (c, 0.5 * (low[c] + high[c])))
+                .collect(),
+        }
+    }
+
+    /// Frames of the same channels, laid out for [`squared`].
+    pub(crate) fn padded(&self, frames: &Frames) -> Padded {
+        let stride = self.moving.len().next_multiple_of(LANES);
+        let length = frames.frames() * stride;
+        let mut values = vec![0.0; length + LANES];
+        // Registers that lie across two lines of a cache are read twice.
+        let first = values.as_ptr().align_offset(size_of::<f32>() * LANES);
+        let first = if first < LANES { first } else { 0 };
+        let rows = values[first..first + length]
+            .par_chunks_exact_mut(stride)
+            .enumerate();
+        let still = rows.map(|(t, row)| {
+            let frame = frames.frame(t);
+            for (value, &channel) in row.iter_mut().zip(&self.moving) {
+                *value = frame[channel];
+            }
+            let still = self.still.iter();
+            still.map(|&(c, kept)| (frame[c] - kept).powi(2)).sum()
+        });
+        let still = still.collect();
+        Padded {
+            stride,
+            values,
+            first,
+            still,
+        }
+    }
+}
+
+/// Frames whose moving channels are filled up with zeros, so that registers are always full.
 pub(crate) struct Padded {
     stride: usize,
     values: Vec<f32>,
+    /// Where the first frame begins.
+    first: usize,
+    /// Of each frame the squared distance in the channels that stand still.
+    still: Vec<f32>,
 }
 
 impl Padded {
-    pub(crate) fn new(frames: &Frames) -> Self {
-        let stride = frames.channels().next_multiple_of(LANES);
-        let mut values = vec![0.0; frames.frames() * stride];
-        for (t, row) in values.chunks_exact_mut(stride).enumerate() {
-            row[..frames.channels()].copy_from_slice(frames.frame(t));
-        }
-        Self { stride, values }
+    /// Frames of which all channels are compared.
+    pub(crate) fn whole(frames: &Frames) -> Self {
+        let all = Moving {
+            moving: (0..frames.channels()).collect(),
+            still: Vec::new(),
+        };
+        all.padded(frames)
     }
 
     pub(crate) fn frames(&self) -> usize {
-        self.values.len() / self.stride
+        self.still.len()
+    }
+
+    /// The squared distance of each frame to any example frame, in the channels that stand still there.
+    pub(crate) fn still(&self) -> &[f32] {
+        &self.still
+    }
+
+    /// Whether frame `t` is the same in another motion.
+    pub(crate) fn same(&self, other: &Self, t: usize) -> bool {
+        self.rows(t, 1) == other.rows(t, 1) && self.still[t] == other.still[t]
+    }
+
+    /// `frames` frames from number `first` on.
+    fn rows(&self, first: usize, frames: usize) -> &[f32] {
+        let begin = self.first + first * self.stride;
+        &self.values[begin..begin + frames * self.stride]
     }
 }
 
 /// Fills `out`, `[rows, y]`, with the squared distances of the frames of `x` from number `first` on
-/// to those of `y`. A distance is summed in the same order wherever it stands.
+/// to those of `y`, in the channels that move. A distance is summed in the same order wherever it stands.
 pub(crate) fn squared(x: &Padded, first: usize, y: &Padded, out: &mut [f32]) {
     assert_eq!(x.stride, y.stride);
     let rows = out.len() / y.frames();
-    let x = &x.values[first * x.stride..(first + rows) * x.stride];
+    let x = x.rows(first, rows);
     Arch::new().dispatch(Squared { x, y, out });
 }
 
@@ -51,26 +139,40 @@ impl WithSimd for Squared<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        // Sixteen sums, four frames and one difference need more registers than sixteen.
+        if S::REGISTER_COUNT >= 32 {
+            self.fill::<S, MORE_ROWS>(simd);
+        } else {
+            self.fill::<S, ROWS>(simd);
+        }
+    }
+}
+
+impl Squared<'_> {
+    #[inline(always)]
+    fn fill<S: Simd, const R: usize>(self, simd: S) {
         let Self { x, y, out } = self;
         let width = y.frames();
         let stride = y.stride;
-        // Blocks of `y` stay in the fastest cache while all of `x` passes by.
-        for (block, columns) in y.values.chunks(COLUMNS * stride).enumerate() {
-            let at = block * COLUMNS;
-            let whole = columns.len() == COLUMNS * stride;
-            for (pair, rows) in x.chunks(ROWS * stride).enumerate() {
-                let out = &mut out[pair * ROWS * width + at..];
-                if whole && rows.len() == ROWS * stride {
-                    let sums = tile::<S, ROWS, COLUMNS>(simd, rows, columns, stride);
-                    for (row, sums) in sums.iter().enumerate() {
-                        out[row * width..row * width + COLUMNS].copy_from_slice(sums);
+        let block = BLOCK / size_of::<f32>() / stride;
+        let block = block.next_multiple_of(COLUMNS).max(COLUMNS);
+        for (number, columns) in y.rows(0, width).chunks(block * stride).enumerate() {
+            for (group, rows) in x.chunks(R * stride).enumerate() {
+                for (part, columns) in columns.chunks(COLUMNS * stride).enumerate() {
+                    let at = number * block + part * COLUMNS;
+                    let out = &mut out[group * R * width + at..];
+                    if columns.len() == COLUMNS * stride && rows.len() == R * stride {
+                        let sums = tile::<S, R, COLUMNS>(simd, rows, columns, stride);
+                        for (row, sums) in sums.iter().enumerate() {
+                            out[row * width..row * width + COLUMNS].copy_from_slice(sums);
+                        }
+                        continue;
                     }
-                    continue;
-                }
-                for (row, a) in rows.chunks_exact(stride).enumerate() {
-                    for (column, b) in columns.chunks_exact(stride).enumerate() {
-                        let [[sum]] = tile::<S, 1, 1>(simd, a, b, stride);
-                        out[row * width + column] = sum;
+                    for (row, a) in rows.chunks_exact(stride).enumerate() {
+                        for (column, b) in columns.chunks_exact(stride).enumerate() {
+                            let [[sum]] = tile::<S, 1, 1>(simd, a, b, stride);
+                            out[row * width + column] = sum;
+                        }
                     }
                 }
             }
@@ -95,8 +197,16 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     for (c, column) in columns.chunks_exact(stride).enumerate() {
         b[c] = S::as_simd_f32s(column).0;
     }
+    // Of one length for the compiler too, which then checks no place.
+    let registers = a[0].len();
+    for r in 0..R {
+        a[r] = &a[r][..registers];
+    }
+    for c in 0..C {
+        b[c] = &b[c][..registers];
+    }
     let mut sums = [[simd.splat_f32s(0.0); C]; R];
-    for k in 0..a[0].len() {
+    for k in 0..registers {
         for r in 0..R {
             for c in 0..C {
                 let apart = simd.sub_f32s(a[r][k], b[c][k]);
@@ -132,14 +242,23 @@ mod tests {
                 let key = Key::new(seed, Purpose::Matching).at(side);
                 Frames::new(channels, key.normals(frames * channels))
             };
-            let (x, y) = (of(n, 0), of(m, 1));
+            let (x, mut y) = (of(n, 0), of(m, 1));
+            // Every third channel stands still in the example, but for the last bits.
+            for (at, value) in y.values_mut().iter_mut().enumerate() {
+                if (at % channels).is_multiple_of(3) {
+                    *value = 0.4 + 1e-7 * value.clamp(-1.0, 1.0);
+                }
+            }
             for first in 0..n {
                 let mut found = vec![f32::NAN; (n - first) * m];
-                squared(&Padded::new(&x), first, &Padded::new(&y), &mut found);
+                let moving = Moving::of(&y);
+                let x_padded = moving.padded(&x);
+                squared(&x_padded, first, &moving.padded(&y), &mut found);
                 for (index, found) in found.iter().enumerate() {
+                    let found = found + x_padded.still()[first + index / m];
                     let pairs = x.frame(first + index / m).iter().zip(y.frame(index % m));
                     let exact = pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
-                    prop_assert!((f64::from(*found) - exact).abs() < 1e-5 * exact.max(1.0));
+                    prop_assert!((f64::from(found) - exact).abs() < 1e-5 * exact.max(1.0));
                 }
             }
         }

@@ -211,7 +211,12 @@ impl Figure {
 
     /// The channel of the height of the joint that travels.
     pub fn height(&self) -> usize {
-        self.channels() - 3 + self.up as usize
+        self.channels() - 3 + self.up()
+    }
+
+    /// Which coordinate of a place is its height.
+    pub(crate) fn up(&self) -> usize {
+        self.up as usize
     }
 
     /// Indices of the joints that are in contact with the ground at times.

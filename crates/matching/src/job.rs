@@ -5,13 +5,19 @@ use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
 
 use crate::calm::{self, jerks, percentile_95};
-use crate::synthesis::{synthesize, synthesize_like};
+use crate::metrics::Seam;
+use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
     Channels, Error, Example, Figure, FigureOptions, Frames, Held, Keyframe, Length, Looping, Part,
     Request, Settings, Sliding, Synthesis, feet,
 };
 
 mod conflicts;
+
+/// Loops that are made until the seam of one is calm.
+const MOST_LOOPS: u64 = 8;
+/// A seam is calm if its jumps are at most this part of the 95th percentile of all.
+const CALM: f64 = 0.95;
 
 /// How the body is divided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -109,7 +115,7 @@ impl Job {
             .iter()
             .filter_map(|(_, source)| source.as_ref());
         let others: Vec<&Example> = fixed.chain(&self.content).chain(sources).collect();
-        let mut figure = Figure::with(examples, &others, options)?;
+        let figure = Figure::with(examples, &others, options)?;
         if self
             .keyframes
             .iter()
@@ -174,43 +180,45 @@ impl Job {
             groups: &groups,
             held: &held,
         };
-        let mut synthesis = match &content {
-            Some(content) => synthesize_like(&request, content)?,
-            None => synthesize(&request, self.seed)?,
+        let usual = match fixed.is_empty() {
+            true => None,
+            false => Some(usual_jerk(&figure, matrices.iter().chain(&fixed))?),
         };
         let around = self.settings.looping != Looping::Off;
-        if around && held.is_empty() {
-            synthesis.begin_where_calm();
+        // A loop that a key frame holds in its place cannot begin elsewhere: of several the first whose
+        // seam is calm, or the calmest.
+        let most = match around && !held.is_empty() && content.is_none() {
+            true => MOST_LOOPS,
+            false => 1,
+        };
+        let first = request.levels()?.synthesis[0];
+        let mut calmest: Option<(f64, Figure, Synthesis, Bvh)> = None;
+        for attempt in 0..most {
+            let mut synthesis = match &content {
+                Some(content) => synthesize_like(&request, content)?,
+                None => {
+                    let noise = start_noise(self.seed, attempt, first, figure.channels());
+                    synthesize_from(&request, &noise)?
+                }
+            };
+            if around && held.is_empty() && content.is_none() {
+                synthesis.begin_where_calm();
+            }
+            let mut figure = figure.clone();
+            let bvh = self.finished(&mut figure, &mut synthesis.frames, &held, usual)?;
+            let jump = match most {
+                1 => None,
+                _ => Seam::of(&figure, &bvh).map(|seam| seam.jump()),
+            };
+            let jump = jump.unwrap_or(0.0);
+            if calmest.as_ref().is_none_or(|(least, ..)| jump < *least) {
+                calmest = Some((jump, figure, synthesis, bvh));
+            }
+            if jump <= CALM {
+                break;
+            }
         }
-        if around {
-            figure.close(&mut synthesis.frames);
-        }
-        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
-            let frame = (keyframe.time / figure.frame_time()).round() as usize;
-            Some((frame, keyframe.place?))
-        });
-        let points: Vec<(usize, [f64; 2])> = points.collect();
-        let first = points.iter().min_by_key(|(frame, _)| *frame);
-        match first {
-            Some((0, place)) => figure.start_at(*place),
-            // A loop begins anywhere: its first place says where it is.
-            Some(point) if around => figure.start_for(&synthesis.frames, *point),
-            _ => {}
-        }
-        figure.lead(&mut synthesis.frames, &points, around);
-        calm::around_keyframes(&figure, &mut synthesis.frames, &held, around)?;
-        if !self.fixed.is_empty() {
-            let usual = matrices.iter().chain(&fixed).map(|motion| {
-                let jerks = jerks(&figure.bvh(motion)?);
-                Ok(percentile_95(&jerks))
-            });
-            let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
-            let most = usual.into_iter().fold(0.0, f64::max);
-            calm::over_fixed_parts(&figure, &mut synthesis.frames, &held, most)?;
-        }
-        // What was smoothed has moved the way a little.
-        figure.lead(&mut synthesis.frames, &points, around);
-        let mut bvh = figure.bvh(&synthesis.frames)?;
+        let (_, figure, synthesis, mut bvh) = calmest.expect("one motion or more");
         let mut sliding = None;
         if self.feet {
             let origins = &synthesis.origins;
@@ -225,6 +233,41 @@ impl Job {
             parts,
             sliding,
         })
+    }
+
+    /// Leads a motion where its key frames say, smooths it around them and over what is fixed, and says
+    /// it as BVH; `usual` is the jerk of the motions that it is made of, where something is fixed.
+    fn finished(
+        &self,
+        figure: &mut Figure,
+        frames: &mut Frames,
+        held: &[Held],
+        usual: Option<f64>,
+    ) -> Result<Bvh, Error> {
+        let around = self.settings.looping != Looping::Off;
+        if around {
+            figure.close(frames);
+        }
+        let points = self.keyframes.iter().filter_map(|(keyframe, _)| {
+            let frame = (keyframe.time / figure.frame_time()).round() as usize;
+            Some((frame, keyframe.place?))
+        });
+        let points: Vec<(usize, [f64; 2])> = points.collect();
+        let first = points.iter().min_by_key(|(frame, _)| *frame);
+        match first {
+            Some((0, place)) => figure.start_at(*place),
+            // A loop begins anywhere: its first place says where it is.
+            Some(point) if around => figure.start_for(frames, *point),
+            _ => {}
+        }
+        figure.lead(frames, &points, around);
+        calm::around_keyframes(figure, frames, held, around)?;
+        if let Some(usual) = usual {
+            calm::over_fixed_parts(figure, frames, held, usual)?;
+        }
+        // What was smoothed has moved the way a little.
+        figure.lead(frames, &points, around);
+        figure.bvh(frames)
     }
 
     fn must_have_a_patch(
@@ -272,6 +315,16 @@ impl Job {
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
         Ok(frames)
     }
+}
+
+/// The largest of the motions' 95th percentiles of jerk.
+fn usual_jerk<'a>(
+    figure: &Figure,
+    motions: impl Iterator<Item = &'a Frames>,
+) -> Result<f64, Error> {
+    let usual = motions.map(|motion| Ok(percentile_95(&jerks(&figure.bvh(motion)?))));
+    let usual: Vec<f64> = usual.collect::<Result<_, Error>>()?;
+    Ok(usual.into_iter().fold(0.0, f64::max))
 }
 
 #[cfg(test)]

@@ -52,7 +52,7 @@ pub use job::{Fixed, Job, Made, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;
 pub use length::Length;
-pub use metrics::{Measures, Novelty, Run, Sliding, Stillness};
+pub use metrics::{Measures, Novelty, Run, Seam, Sliding, Stillness};
 pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};
 pub use pool::Pool;

@@ -6,10 +6,12 @@
 //! lie close together. Rows are computed in tiles; where all tiles together are large, they are
 //! computed twice and never held.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::distance::{Padded, squared};
+use crate::distance::{Moving, Padded, squared};
 use crate::{Frames, Pool};
 
 /// What the distance of two patches is.
@@ -34,85 +36,129 @@ pub struct Matches {
     pub smallest: Vec<f32>,
 }
 
-/// Bytes of frame distances that are held from the first pass to the second.
+/// Bytes of distances that a search holds, from the first pass to the second and to the next search.
 const HELD: usize = 64 << 20;
 /// Bytes of a tile that is not held.
 const TILE: usize = 8 << 20;
+/// Frames of the synthesis that are compared before their distances are summed.
+const AT_A_TIME: usize = 32;
+/// Patches whose distances are summed in registers.
+const BLOCK: usize = 64;
 
 /// Example patches to compare with, prepared for any number of searches.
+///
+/// Distances of patches that did not change since the last search are not computed again: from step to
+/// step of a level most of a motion stays as it is.
 pub struct Search<'a> {
     pool: &'a Pool,
+    moving: Moving,
     padded: Padded,
     distance: Distance,
+    most_held: usize,
+    last: Option<Held>,
+}
+
+/// What a search leaves to the next one.
+struct Held {
+    synthesis: Padded,
+    /// Rows of a tile, but for the last.
+    rows: usize,
+    /// Distances of all patches.
+    tiles: Vec<Vec<f32>>,
 }
 
 impl<'a> Search<'a> {
     /// A search among the patches of `pool`.
     pub fn new(pool: &'a Pool, distance: Distance) -> Self {
+        let moving = Moving::of(pool.frames());
         Self {
             pool,
-            padded: Padded::new(pool.frames()),
+            padded: moving.padded(pool.frames()),
+            moving,
             distance,
+            most_held: HELD,
+            last: None,
+        }
+    }
+
+    /// One of `searches` that are held side by side, which together hold as much as one alone.
+    #[must_use]
+    pub fn among(self, searches: usize) -> Self {
+        Self {
+            most_held: HELD / searches.max(1),
+            ..self
         }
     }
 
     /// The nearest example patch of each patch of `synthesis`, `[frames, channels]`: the smallest
     /// D[i, j] / (`alpha` + min over i of D[i, j]) over j, or without `alpha` the smallest D[i, j].
-    /// The result is the same on any number of threads.
+    /// The result is the same on any number of threads, and whatever was searched for before.
     ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
-    pub fn nearest(&self, synthesis: &Frames, alpha: Option<f64>) -> Matches {
+    pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>) -> Matches {
         let p = self.pool.patch_size();
         assert!(synthesis.frames() >= p && self.pool.patches() > 0);
-        let synthesis = Padded::new(synthesis);
+        let synthesis = self.moving.padded(synthesis);
         let patches = synthesis.frames() - p + 1;
         let width = self.padded.frames();
-        let holds = synthesis.frames() * width * size_of::<f32>() <= HELD;
+        let holds = synthesis.frames() * width * size_of::<f32>() <= self.most_held;
         let share = patches.div_ceil(2 * rayon::current_num_threads());
         let most = match holds {
             true => patches,
             false => TILE / size_of::<f32>() / width,
         };
         let rows = share.clamp(32, most.max(32));
-        let tiles: Vec<usize> = (0..patches).step_by(rows).collect();
-        let tile = |first: usize| {
-            let rows = rows.min(patches - first);
-            let mut distances = vec![0.0; (rows + p - 1) * width];
-            squared(&synthesis, first, &self.padded, &mut distances);
-            distances
-        };
-        let first_pass = || {
-            tiles.par_iter().map(|&first| {
-                let distances = tile(first);
-                let smallest = alpha.map(|_| self.smallest(&distances));
-                (holds.then_some(distances), smallest.unwrap_or_default())
-            })
-        };
-        let (held, smallest): (Vec<Option<Vec<f32>>>, Vec<Vec<f32>>) = match (alpha, holds) {
-            (None, false) => (vec![None; tiles.len()], Vec::new()),
-            _ => first_pass().collect(),
-        };
-        let smallest = smallest.into_iter().reduce(|mut all, tile| {
-            for (all, value) in all.iter_mut().zip(tile) {
-                *all = all.min(value);
-            }
-            all
+        let last = self.last.take();
+        let search = &*self;
+        let firsts: Vec<usize> = (0..patches).step_by(rows).collect();
+        let tile = |first: usize| search.tile(&synthesis, first, rows.min(patches - first));
+        let held: Option<Vec<Vec<f32>>> = holds.then(|| {
+            let same =
+                |last: &Held| (last.synthesis.frames(), last.rows) == (synthesis.frames(), rows);
+            let Some(Held {
+                synthesis: old,
+                tiles,
+                ..
+            }) = last.filter(same)
+            else {
+                return firsts.par_iter().map(|&first| tile(first)).collect();
+            };
+            let changed: Vec<bool> = (0..synthesis.frames())
+                .map(|t| !old.same(&synthesis, t))
+                .collect();
+            let tiles = firsts.par_iter().zip(tiles);
+            let renewed = tiles.map(|(&first, mut tile)| {
+                search.renew(&mut tile, &synthesis, first, &changed);
+                tile
+            });
+            renewed.collect()
         });
-        let smallest = smallest.unwrap_or_default();
+        let tiles = firsts.par_iter().enumerate();
+        let tiles = tiles.map(|(index, &first)| match &held {
+            Some(held) => Cow::Borrowed(held[index].as_slice()),
+            None => Cow::Owned(tile(first)),
+        });
+        let smallest: Vec<f32> = match alpha {
+            Some(_) => tiles.clone().map(|tile| search.smallest(&tile)).reduce(
+                || vec![f32::INFINITY; search.pool.patches()],
+                |a, b| a.iter().zip(b).map(|(a, b)| a.min(b)).collect(),
+            ),
+            None => Vec::new(),
+        };
         let scale: Vec<f32> = match alpha {
             Some(alpha) => smallest.iter().map(|&min| alpha as f32 + min).collect(),
             None => vec![1.0; self.pool.patches()],
         };
         let found: Vec<(usize, f32)> = tiles
-            .par_iter()
-            .zip(held)
-            .flat_map_iter(|(&first, held)| {
-                let distances = held.unwrap_or_else(|| tile(first));
-                self.first_smallest(&distances, &scale)
-            })
+            .flat_map_iter(|tile| search.first_smallest(&tile, &scale))
             .collect();
         let (nearest, distances) = found.into_iter().unzip();
+        self.last = held.map(|tiles| Held {
+            synthesis,
+            rows,
+            tiles,
+        });
         Matches {
             nearest,
             distances,
@@ -120,43 +166,106 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The distances of the tile's patch `i` to all example patches, from those of its frames.
-    #[inline(always)]
-    fn row(&self, distances: &[f32], i: usize, row: &mut [f32]) {
+    /// Computes those rows of a tile again, whose patches have a frame that `changed`; the tile's first
+    /// patch has number `first`.
+    fn renew(&self, tile: &mut [f32], synthesis: &Padded, first: usize, changed: &[bool]) {
         let (p, width) = (self.pool.patch_size(), self.padded.frames());
-        row.fill(0.0);
-        for (first, start, patches) in self.pool.runs() {
-            let row = &mut row[first..first + patches];
-            for k in 0..p {
-                let from = (i + k) * width + start + k;
-                for (sum, value) in row.iter_mut().zip(&distances[from..from + patches]) {
-                    *sum += value;
+        let rows = tile.len() / width;
+        let stale = |row: usize| changed[first + row..first + row + p].contains(&true);
+        let mut row = 0;
+        while row < rows {
+            if !stale(row) {
+                row += 1;
+                continue;
+            }
+            // Up to a gap so long that the frames around it would not be compared twice.
+            let mut end = row + 1;
+            let mut ahead = end;
+            while ahead < rows.min(end + p) {
+                ahead += 1;
+                if stale(ahead - 1) {
+                    end = ahead;
                 }
             }
-        }
-        match self.distance {
-            Distance::MeanSquare => {
-                let values = (self.pool.frames().channels() * p) as f32;
-                row.iter_mut().for_each(|sum| *sum /= values);
-            }
-            Distance::L2 => row.iter_mut().for_each(|sum| *sum = sum.sqrt()),
+            let renewed = self.tile(synthesis, first + row, end - row);
+            tile[row * width..end * width].copy_from_slice(&renewed);
+            row = end;
         }
     }
 
-    fn rows(&self, distances: &[f32]) -> usize {
-        distances.len() / self.padded.frames() + 1 - self.pool.patch_size()
+    /// The distances of `rows` patches of the synthesis from number `first` on to all example patches,
+    /// `[rows, frames of the pool]`: a row has as many as there are patches, and what is behind them
+    /// means nothing.
+    fn tile(&self, synthesis: &Padded, first: usize, rows: usize) -> Vec<f32> {
+        let (p, width) = (self.pool.patch_size(), self.padded.frames());
+        let frames = rows + p - 1;
+        let mut distances = vec![0.0; frames * width];
+        let mut summed = 0;
+        // Frames' distances are summed while they are still in a cache.
+        for start in (0..frames).step_by(AT_A_TIME) {
+            let end = frames.min(start + AT_A_TIME);
+            let part = &mut distances[start * width..end * width];
+            squared(synthesis, first + start, &self.padded, part);
+            let ready = (end + 1).saturating_sub(p);
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for i in summed..ready {
+                        let still = synthesis.still()[first + i..first + i + p].iter().sum();
+                        self.sum_diagonals(&mut distances, i, still);
+                    }
+                },
+            );
+            summed = ready;
+        }
+        distances.truncate(rows * width);
+        distances
+    }
+
+    /// Puts patch `i`'s distances in place of its first frame's, which no later patch needs; `still` is
+    /// what the channels that stand still add to all of them.
+    #[inline(always)]
+    fn sum_diagonals(&self, distances: &mut [f32], i: usize, still: f32) {
+        let (p, width) = (self.pool.patch_size(), self.padded.frames());
+        let values = (self.pool.frames().channels() * p) as f32;
+        for (first, start, patches) in self.pool.runs() {
+            // A patch's number is at most that of its first frame: nothing is overwritten that is
+            // still to be read.
+            for block in (0..patches).step_by(BLOCK) {
+                let mut sums = [still; BLOCK];
+                let sums = &mut sums[..BLOCK.min(patches - block)];
+                for k in 0..p {
+                    let from = (i + k) * width + start + block + k;
+                    let frames = &distances[from..from + sums.len()];
+                    for (sum, value) in sums.iter_mut().zip(frames) {
+                        *sum += value;
+                    }
+                }
+                match self.distance {
+                    Distance::MeanSquare => sums.iter_mut().for_each(|sum| *sum /= values),
+                    Distance::L2 => sums.iter_mut().for_each(|sum| *sum = sum.sqrt()),
+                }
+                let to = i * width + first + block;
+                distances[to..to + sums.len()].copy_from_slice(sums);
+            }
+        }
+    }
+
+    /// The rows of a tile.
+    fn rows<'b>(&self, distances: &'b [f32]) -> impl Iterator<Item = &'b [f32]> + use<'b> {
+        let patches = self.pool.patches();
+        let rows = distances.chunks_exact(self.padded.frames());
+        rows.map(move |row| &row[..patches])
     }
 
     /// For each example patch its distance to the nearest patch of the tile.
     fn smallest(&self, distances: &[f32]) -> Vec<f32> {
-        let patches = self.pool.patches();
-        let (mut smallest, mut row) = (vec![f32::INFINITY; patches], vec![0.0; patches]);
+        let mut smallest = vec![f32::INFINITY; self.pool.patches()];
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                for i in 0..self.rows(distances) {
-                    self.row(distances, i, &mut row);
-                    for (smallest, value) in smallest.iter_mut().zip(&row) {
+                for row in self.rows(distances) {
+                    for (smallest, value) in smallest.iter_mut().zip(row) {
                         *smallest = smallest.min(*value);
                     }
                 }
@@ -167,18 +276,17 @@ impl<'a> Search<'a> {
 
     /// The first example patch of the smallest scaled distance, for each patch of the tile.
     fn first_smallest(&self, distances: &[f32], scale: &[f32]) -> Vec<(usize, f32)> {
-        let mut row = vec![0.0; self.pool.patches()];
-        let mut found = Vec::with_capacity(self.rows(distances));
+        let mut scaled = vec![0.0; self.pool.patches()];
+        let mut found = Vec::with_capacity(distances.len() / self.padded.frames());
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                for i in 0..self.rows(distances) {
-                    self.row(distances, i, &mut row);
-                    for (value, scale) in row.iter_mut().zip(scale) {
-                        *value /= scale;
+                for row in self.rows(distances) {
+                    for (scaled, (value, scale)) in scaled.iter_mut().zip(row.iter().zip(scale)) {
+                        *scaled = value / scale;
                     }
-                    let least = minimum(&row);
-                    let at = row.iter().position(|value| *value == least);
+                    let least = minimum(&scaled);
+                    let at = scaled.iter().position(|value| *value == least);
                     found.push((at.unwrap_or(0), least));
                 }
             },

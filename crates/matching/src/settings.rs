@@ -195,7 +195,7 @@ impl Settings {
         let (CoarseRatio::Patches(ratio) | CoarseRatio::Ratio(ratio)) = self.coarse_ratio;
         in_range("coarse_ratio", ratio, ABOVE_ZERO).hint("5x is the published program's")?;
         if let Some(alpha) = self.alpha {
-            in_range("alpha", alpha, ABOVE_ZERO).hint("0.01; `none` leaves completeness out")?;
+            in_range("alpha", alpha, 1e-9..=1e9).hint("0.01; `none` leaves completeness out")?;
         }
         in_range("sigma", self.sigma, 0.0..=1e6).hint("0 is no noise")?;
         in_range("num_steps", self.num_steps, 1..=1000).hint("3 to 5 are usual")

@@ -1,5 +1,7 @@
 //! The synthesis: from a coarse start, level by level, each frame voted for by matched patches.
 
+use std::borrow::Cow;
+
 use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 
@@ -13,6 +15,21 @@ pub struct Channels {
     pub name: String,
     /// Its channels, of which other groups may have some as well: those are averaged.
     pub channels: Vec<usize>,
+}
+
+impl Channels {
+    /// All channels of `frames` in their order?
+    fn whole(&self, channels: usize) -> bool {
+        self.channels.iter().copied().eq(0..channels)
+    }
+
+    /// Its channels of a motion.
+    fn of<'a>(&self, frames: &'a Frames) -> Cow<'a, Frames> {
+        match self.whole(frames.channels()) {
+            true => Cow::Borrowed(frames),
+            false => Cow::Owned(frames.columns(&self.channels)),
+        }
+    }
 }
 
 /// A new motion and where it comes from.
@@ -107,9 +124,11 @@ impl Request<'_> {
     }
 }
 
-/// The noise of a seed for a start of `frames` frames, standard normal.
-pub fn start_noise(seed: u64, frames: usize, channels: usize) -> Frames {
+/// The noise of a seed for a start of `frames` frames, standard normal; each `attempt` has its own, the
+/// first one 0.
+pub fn start_noise(seed: u64, attempt: u64, frames: usize, channels: usize) -> Frames {
     let key = Key::new(seed, Purpose::Matching);
+    let key = if attempt == 0 { key } else { key.at(attempt) };
     Frames::new(channels, key.normals(frames * channels))
 }
 
@@ -145,7 +164,7 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
 pub fn step(
     current: &Frames,
     pool: &Pool,
-    search: &Search<'_>,
+    search: &mut Search<'_>,
     alpha: Option<f64>,
     looping: Looping,
 ) -> (Frames, Matches) {
@@ -172,7 +191,7 @@ pub fn step(
 /// Panics if the channels of the examples, groups or held motions do not fit.
 pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, InvalidSetting> {
     let first = request.levels()?.synthesis[0];
-    let noise = start_noise(seed, first, request.examples[0].channels());
+    let noise = start_noise(seed, 0, first, request.examples[0].channels());
     synthesize_from(request, &noise)
 }
 
@@ -215,9 +234,19 @@ pub fn synthesize_like(
 /// every level.
 fn refined(
     request: &Request<'_>,
-    first: impl FnOnce(&[Frames], usize) -> Frames,
+    first: impl FnOnce(&[Frames], usize) -> Frames + Send,
 ) -> Result<Synthesis, InvalidSetting> {
     let levels = request.levels()?;
+    // On one of the pool's threads: from without, each of the many short loops would wait to be taken up.
+    Ok(rayon::scope(|_| refined_over(&levels, request, first)))
+}
+
+/// [`refined`] over `levels`.
+fn refined_over(
+    levels: &Levels,
+    request: &Request<'_>,
+    first: impl FnOnce(&[Frames], usize) -> Frames,
+) -> Synthesis {
     let mut first = Some(first);
     let Settings {
         patch_size,
@@ -254,56 +283,50 @@ fn refined(
             .map(|group| {
                 let own = examples
                     .iter()
-                    .map(|example| example.columns(&group.channels));
+                    .map(|example| group.of(example).into_owned());
                 Pool::new(&own.collect::<Vec<_>>(), patch_size)
             })
             .collect();
-        let searches: Vec<Search<'_>> = pools
+        let mut searches: Vec<Search<'_>> = pools
             .iter()
-            .map(|pool| Search::new(pool, distance))
+            .map(|pool| Search::new(pool, distance).among(pools.len()))
             .collect();
         for _ in 0..num_steps {
-            let voted = groups.iter().zip(pools.iter().zip(&searches));
-            let voted: Vec<(Frames, Matches)> = voted
+            let voted = groups.iter().zip(pools.iter().zip(&mut searches));
+            let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
                 .map(|(group, (pool, search))| {
-                    step(
-                        &frames.columns(&group.channels),
-                        pool,
-                        search,
-                        alpha,
-                        looping,
-                    )
+                    step(&group.of(&frames), pool, search, alpha, looping)
                 })
-                .collect();
-            frames = together(groups, &voted, channels);
+                .unzip();
+            frames = together(groups, voted, channels);
             Held::hold(request.held, &mut frames, looping != Looping::Off);
-            origins = voted
+            origins = matches
                 .iter()
                 .zip(&pools)
-                .map(|((_, matches), pool)| origins_of(matches, pool, length, looping))
+                .map(|(matches, pool)| origins_of(matches, pool, length, looping))
                 .collect();
         }
         current = Some(frames);
     }
-    Ok(Synthesis {
+    Synthesis {
         frames: current.expect("a level"),
         origins,
-    })
+    }
 }
 
 /// The groups' motions as one; channels that several have are their mean.
-fn together(groups: &[Channels], voted: &[(Frames, Matches)], channels: usize) -> Frames {
-    if let ([group], [(frames, _)]) = (groups, voted)
-        && group.channels.iter().copied().eq(0..channels)
+fn together(groups: &[Channels], mut voted: Vec<Frames>, channels: usize) -> Frames {
+    if let [group] = groups
+        && group.whole(channels)
     {
-        return frames.clone();
+        return voted.remove(0);
     }
     let mut counts = vec![0.0f32; channels];
     for channel in groups.iter().flat_map(|group| &group.channels) {
         counts[*channel] += 1.0;
     }
-    let mut whole = Frames::zeros(voted[0].0.frames(), channels);
-    for (group, (frames, _)) in groups.iter().zip(voted) {
+    let mut whole = Frames::zeros(voted[0].frames(), channels);
+    for (group, frames) in groups.iter().zip(voted) {
         for t in 0..frames.frames() {
             let row = whole.frame_mut(t);
             for (&channel, value) in group.channels.iter().zip(frames.frame(t)) {

@@ -18,14 +18,7 @@ pub fn vote(pool: &Pool, nearest: &[usize]) -> Frames {
     let frames = voted.values_mut().par_chunks_exact_mut(channels);
     frames.enumerate().for_each(|(t, frame)| {
         let covering = t.saturating_sub(p - 1)..(t + 1).min(starts.len());
-        let count = covering.len() as f32;
-        for i in covering {
-            let source = pool.frames().frame(starts[i] + t - i);
-            for (sum, value) in frame.iter_mut().zip(source) {
-                *sum += value;
-            }
-        }
-        frame.iter_mut().for_each(|sum| *sum /= count);
+        mean(pool, covering.map(|i| starts[i] + t - i), frame);
     });
     voted
 }
@@ -43,17 +36,31 @@ pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
     let mut voted = Frames::zeros(n, channels);
     let frames = voted.values_mut().par_chunks_exact_mut(channels);
     frames.enumerate().for_each(|(t, frame)| {
-        for within in 0..p {
-            // The patch that has this frame in its place `within`; a short motion goes around twice.
-            let patch = (t + p / 2 + (p / n + 1) * n - within) % n;
-            let source = pool.frames().frame(starts[patch] + within);
-            for (sum, value) in frame.iter_mut().zip(source) {
-                *sum += value;
-            }
-        }
-        frame.iter_mut().for_each(|sum| *sum /= p as f32);
+        // The patch that has this frame in its place `within`; a short motion goes around twice.
+        let patch = |within: usize| (t + p / 2 + (p / n + 1) * n - within) % n;
+        mean(
+            pool,
+            (0..p).map(|within| starts[patch(within)] + within),
+            frame,
+        );
     });
     voted
+}
+
+/// Puts the mean of the pool's frames `sources` into `frame`, which is zero.
+fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut [f32]) {
+    let count = sources.len() as f32;
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for source in sources {
+                for (sum, value) in frame.iter_mut().zip(pool.frames().frame(source)) {
+                    *sum += value;
+                }
+            }
+            frame.iter_mut().for_each(|sum| *sum /= count);
+        },
+    );
 }
 
 /// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go

@@ -27,7 +27,8 @@ impl NamedTensors {
             let data = TensorData::new(floats(view.data()), view.shape().to_vec());
             tensors.insert(name.to_string(), Tensor::from_data(data, device));
         }
-        let integers = file.tensor("timesteps")?.data().as_chunks::<8>().0;
+        let integers = file.tensor("timesteps");
+        let integers = integers.map_or(&[][..], |view| view.data().as_chunks::<8>().0);
         let timesteps = integers.iter().map(|&b| i64::from_le_bytes(b) as usize);
         Ok(Self {
             tensors,

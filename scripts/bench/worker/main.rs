@@ -4,7 +4,7 @@
 //! bench_worker FOLDER DEVICE
 //!
 //! FOLDER/row.json             what a step is: the type `Row` below
-//! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T
+//! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T; example and noise where patches are matched
 //! ```
 //!
 //! It answers each line of its input with one line of JSON, and says one when it has loaded all:
@@ -25,11 +25,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
+use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize_from};
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::parameters::{self, ParameterInfo};
@@ -75,6 +76,19 @@ enum Network {
     GmdUnet(Gmd),
     /// One of motion under audio.
     Unet1d(UNet1dConfig),
+    /// None: patches of an example are matched.
+    Matching(Example),
+}
+
+/// The size of an example.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Example {
+    frames: usize,
+    channels: usize,
+    /// Channels that never change.
+    #[serde(rename = "still")]
+    _still: usize,
 }
 
 /// The sizes of a network of Guided Motion Diffusion.
@@ -125,6 +139,8 @@ enum Task {
     },
     /// Draws one batch of motion.
     Sample { sampler: SamplerConfig },
+    /// Makes a motion of an example, with the settings of GenMM's published program.
+    Match,
 }
 
 /// A task with its networks.
@@ -262,6 +278,54 @@ impl Work for Sampling {
     }
 }
 
+/// An example, and the noise that a motion of twice its length starts from.
+struct Matching {
+    examples: [Frames; 1],
+    noise: Frames,
+    device: Device,
+}
+
+impl Matching {
+    fn load(example: &Example, inputs: &NamedTensors, device: Device) -> Result<Self> {
+        let matrix = |name| -> Result<Frames> {
+            let values = inputs.tensor(name)?.try_into_vec_as()?;
+            Ok(Frames::new(example.channels, values))
+        };
+        let (motion, noise) = (matrix("example")?, matrix("noise")?);
+        if motion.frames() != example.frames {
+            return Err("the example has another length".into());
+        }
+        Ok(Self {
+            examples: [motion],
+            noise,
+            device,
+        })
+    }
+}
+
+impl Work for Matching {
+    fn parameters(&self) -> usize {
+        0
+    }
+
+    fn step(&mut self) -> Result<Done> {
+        let request = Request {
+            examples: &self.examples,
+            frames: 2 * self.examples[0].frames(),
+            settings: &Settings::of(Preset::Published),
+            groups: &[],
+            held: &[],
+        };
+        let made = synthesize_from(&request, &self.noise)?.frames;
+        let shape = [1, made.frames(), made.channels()];
+        let data = TensorData::new(made.values().to_vec(), shape);
+        Ok(Done {
+            sample: Some(Tensor::from_data(data, &self.device)),
+            ..Done::default()
+        })
+    }
+}
+
 /// The task of `row`, everything it needs loaded onto `device`.
 fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     let diffusion = GaussianDiffusion::new(&DiffusionConfig {
@@ -275,7 +339,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
         Task::Train { .. } | Task::EndToEnd { .. } | Task::TrainGmd { .. } => {
             device.clone().autodiff()
         }
-        Task::Sample { .. } => device.clone(),
+        Task::Sample { .. } | Task::Match => device.clone(),
     };
     let unet = || -> Result<UNet1d> {
         let Network::Unet1d(config) = &row.model else {
@@ -285,6 +349,9 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
         Ok(config.init(CHANNELS, AUDIO_CHANNELS, &init)?)
     };
     let inputs = NamedTensors::read(&folder.join("inputs.safetensors"), &device)?;
+    if let Network::Matching(example) = &row.model {
+        return Ok(Box::new(Matching::load(example, &inputs, device)?));
+    }
     let weights = read_weights(&row.weights)?;
     let statistics = Arc::new(Statistics::unit(25));
     let held_out = HeldOut::nothing();
@@ -366,6 +433,7 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             start_noise: inputs.tensor("x_T")?,
             cond: inputs.tensor("cond")?,
         }),
+        Task::Match => return Err("the task is one of examples".into()),
     })
 }
 

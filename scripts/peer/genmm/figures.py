@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 import torch
-from matching import synthesized
+from matching import first_length, synthesized
 
 SETTINGS = {
     "K 5, E 3": {},
@@ -39,7 +39,11 @@ def main() -> int:
     for name, setting in SETTINGS.items():
         rows = []
         for seed in range(arguments.seeds):
-            new = synthesized(example, 2 * len(example), seed=seed, **setting).numpy()
+            frames = 2 * len(example)
+            first = first_length(len(example), frames, setting.get("patches_coarse", 5))
+            generator = torch.Generator().manual_seed(seed)
+            noise = torch.randn(first, motion.shape[1], generator=generator)
+            new = synthesized(example, frames, noise, **setting).numpy()
             rows.append(measures(new[:, columns], motion[:, columns]))
         columns_of = zip(*rows)
         cells = [f"{np.mean(column):.3f} ({np.std(column, ddof=1):.3f})" for column in columns_of]

@@ -101,7 +101,7 @@ const P: usize = 5;
 fn golden_patch_distances(golden: Golden) {
     let (x, y) = (frames(&golden, "x"), frames(&golden, "y"));
     let pool = Pool::new(std::slice::from_ref(&y), P);
-    let search = Search::new(&pool, Distance::MeanSquare);
+    let mut search = Search::new(&pool, Distance::MeanSquare);
     let dist = golden.get("dist");
     let [rows, patches] = dist.shape[..] else {
         panic!("{:?}", dist.shape)
@@ -261,11 +261,11 @@ fn run(golden: Golden) {
             golden.compare(&at("input"), &tensor(&started), TOLERANCE);
         }
         let pool = Pool::new(&own, settings.patch_size);
-        let search = Search::new(&pool, Distance::MeanSquare);
+        let mut search = Search::new(&pool, Distance::MeanSquare);
         let mut current = frames(&golden, &at("input"));
         for number in 0..settings.num_steps {
             let of = |name: &str| at(&format!("step_{number}_{name}"));
-            let (next, matches) = step(&current, &pool, &search, alpha, settings.looping);
+            let (next, matches) = step(&current, &pool, &mut search, alpha, settings.looping);
             indices_match(&golden, &of("nn"), &matches);
             let distances = golden.get(&of("mindist"));
             distances.assert_within_f32(&of("mindist"), &matches.distances, TOLERANCE, TOLERANCE);

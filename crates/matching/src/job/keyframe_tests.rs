@@ -66,6 +66,18 @@ fn key_frames_close_together_are_all_met() {
 }
 
 #[test]
+fn a_loop_with_a_key_frame_is_calm_at_its_seam() {
+    for (seed, time) in [(0, 1.0), (1, 2.0), (2, 0.0), (3, 3.3)] {
+        let mut job = with(&[key(time, 0.9)]);
+        job.settings.looping = Looping::Even;
+        job.seed = seed;
+        let made = job.make(&[walk(70)]).unwrap();
+        let seam = made.seam(Looping::Even).unwrap();
+        assert!(seam.jump() <= 1.0, "seed {seed}: {seam:?}");
+    }
+}
+
+#[test]
 fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
     // The same walk at thrice its pace.
     let text = crate::figure::tests::text(210, 1.0 / 10.0);

@@ -1,6 +1,7 @@
 //! What a new motion has of its examples: coverage, diversity and novelty.
 
 mod novelty;
+mod seam;
 mod sliding;
 mod stillness;
 mod windows;
@@ -10,6 +11,7 @@ use serde::Serialize;
 use crate::{Figure, Frames, Made};
 
 pub use novelty::{Novelty, Run};
+pub use seam::Seam;
 pub use sliding::Sliding;
 pub use stillness::Stillness;
 use windows::{cheapest, segmented};

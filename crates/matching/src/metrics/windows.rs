@@ -25,7 +25,7 @@ impl Targets {
         });
         Self {
             ranges: ranges.collect(),
-            frames: Padded::new(&Frames::joined(targets)),
+            frames: Padded::whole(&Frames::joined(targets)),
         }
     }
 
@@ -45,7 +45,7 @@ impl Targets {
 /// targets: the mean distance of their frames. Windows never span two targets.
 pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Vec<f64> {
     let targets = Targets::new(targets);
-    let motion = Padded::new(motion);
+    let motion = Padded::whole(motion);
     let windows = motion.frames() + 1 - window;
     let width = targets.frames.frames();
     let firsts: Vec<usize> = (0..windows).step_by(ROWS).collect();
@@ -74,7 +74,7 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
 /// G(e) = min over s <= e - shortest of G(s) + the cheapest sum for the frames from s to e.
 pub(super) fn segmented(motion: &Frames, targets: &[Frames], shortest: usize) -> f64 {
     let targets = Targets::new(targets);
-    let motion = Padded::new(motion);
+    let motion = Padded::whole(motion);
     let frames = motion.frames();
     // A segment of twice the shortest length is no cheaper than its halves.
     let longest = 2 * shortest - 1;

@@ -131,6 +131,34 @@ proptest! {
     }
 }
 
+proptest! {
+    #[test]
+    fn a_search_does_not_depend_on_the_one_before(
+        seed in 0..1000u64,
+        half in 0..4usize,
+        n in 40..120usize,
+        changed in proptest::collection::vec(0..40usize, 0..6),
+        still: bool,
+    ) {
+        let p = 2 * half + 1;
+        let mut example = motion(seed + 1, 30, 4);
+        if still {
+            (0..30).for_each(|t| example.frame_mut(t)[2] = 0.5);
+        }
+        let pool = Pool::new(&[example], p);
+        let mut search = Search::new(&pool, Distance::MeanSquare);
+        let mut x = motion(seed, n, 4);
+        search.nearest(&x, Some(0.01));
+        for (index, &t) in changed.iter().enumerate() {
+            x.frame_mut(t)[index % 4] += 0.25;
+        }
+        for x in [x, motion(seed, n - 3, 4)] {
+            let fresh = Search::new(&pool, Distance::MeanSquare).nearest(&x, Some(0.01));
+            prop_assert_eq!(search.nearest(&x, Some(0.01)), fresh);
+        }
+    }
+}
+
 #[test]
 fn the_first_of_equally_near_patches_is_taken() {
     let example = Frames::new(1, [0.0, 1.0, 2.0].repeat(6));
@@ -267,13 +295,10 @@ fn groups_are_matched_apart_and_shared_channels_averaged() {
     let new = synthesize(&request, 3).unwrap();
     assert_eq!(new.origins.len(), 2);
     assert_ne!(new.origins[0], new.origins[1]);
-    let voted: Vec<(Frames, Matches)> = [vec![1.0; 6], vec![3.0; 4]]
-        .into_iter()
-        .zip([3, 2])
-        .map(|(values, channels)| (Frames::new(channels, values), Matches::default()))
-        .collect();
+    let voted = [(3, vec![1.0; 6]), (2, vec![3.0; 4])];
+    let voted = voted.map(|(channels, values)| Frames::new(channels, values));
     assert_eq!(
-        together(&groups, &voted, 4).values(),
+        together(&groups, voted.to_vec(), 4).values(),
         [1.0, 1.0, 2.0, 3.0, 1.0, 1.0, 2.0, 3.0]
     );
 }

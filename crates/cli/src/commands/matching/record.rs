@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Settings, Sliding, Stillness};
+use kinegrad_matching::{Job, Made, Measures, Novelty, Preset, Seam, Settings, Sliding, Stillness};
 use serde::Serialize;
 
 use crate::args::MatchArguments;
@@ -35,6 +35,9 @@ pub struct Record {
     /// None where feet are not held.
     #[serde(skip_serializing_if = "Option::is_none")]
     sliding: Option<Sliding>,
+    /// None of motions that are no loops.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seam: Option<Seam>,
     /// None of motions of one frame.
     still: Option<Stillness>,
     /// None where the motions are too short, or too long to be compared.
@@ -95,6 +98,7 @@ impl Record {
                 .map(|(part, path)| format!("{part}={}", path.display()))
                 .collect(),
             sliding: made.sliding,
+            seam: made.seam(job.settings.looping),
             still: made.stillness(),
             measures: made.measures(&[]),
         }
@@ -123,6 +127,13 @@ impl Record {
                 "it stands still in {:.0} % of its frames, the examples in {:.0} %",
                 100.0 * still.motion,
                 100.0 * still.examples
+            );
+        }
+        if let Some(seam) = self.seam.filter(|seam| seam.jump() > 1.0) {
+            tell!(
+                "the loop's seam: a step of {:.2} and a change of velocity of {:.2} times the 95th percentile",
+                seam.step,
+                seam.velocity
             );
         }
         if let Some(sliding) = &self.sliding {

@@ -1,0 +1,85 @@
+//! How a loop goes over its seam.
+
+use kinegrad_capture::Bvh;
+use kinegrad_motion::rotation::length;
+use serde::Serialize;
+
+use crate::{Figure, Looping, Made, percentile_95};
+
+/// The step from a loop's last frame to its first, in parts of the 95th percentile of all other steps,
+/// and the change of velocity there in parts of that of all others: means over the joints, whose places
+/// are seen from above the joint that travels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Seam {
+    /// The step.
+    pub step: f64,
+    /// The change of velocity.
+    pub velocity: f64,
+}
+
+impl Seam {
+    /// The seam of a motion. None with fewer than four frames.
+    pub(crate) fn of(figure: &Figure, bvh: &Bvh) -> Option<Self> {
+        let n = bvh.frames();
+        if n < 4 {
+            return None;
+        }
+        // What carries the joint that travels may stay behind.
+        let mut travel = vec![false; figure.joints().len()];
+        for (joint, own) in figure.joints().iter().enumerate() {
+            let with = own.parent.is_some_and(|parent| travel[parent]);
+            travel[joint] = joint == figure.travelling() || with;
+        }
+        let places: Vec<Vec<[f64; 3]>> = (0..n)
+            .map(|t| {
+                let world = bvh.world(t);
+                let (x, y) = figure.from_above(world[figure.travelling()].position);
+                let seen = world.iter().zip(&travel).filter(|(_, travels)| **travels);
+                let seen = seen.map(|(pose, _)| {
+                    let (a, b) = figure.from_above(pose.position);
+                    [a - x, b - y, pose.position[figure.up()]]
+                });
+                seen.collect()
+            })
+            .collect();
+        let mean = |terms: &[(usize, f64)]| {
+            let joints = places[0].len();
+            let of = |joint: usize| {
+                length([0, 1, 2].map(|axis| {
+                    let terms = terms.iter();
+                    terms
+                        .map(|(t, weight)| weight * places[t % n][joint][axis])
+                        .sum::<f64>()
+                }))
+            };
+            (0..joints).map(of).sum::<f64>() / joints as f64
+        };
+        let step = |t: usize| mean(&[(t + 1, 1.0), (t, -1.0)]);
+        let turn = |t: usize| mean(&[(t + 2, 1.0), (t + 1, -2.0), (t, 1.0)]);
+        let steps: Vec<f64> = (0..n - 1).map(step).collect();
+        let turns: Vec<f64> = (0..n - 2).map(turn).collect();
+        let in_parts = |value: f64, of: &[f64]| match percentile_95(of) {
+            0.0 if value == 0.0 => 0.0,
+            usual => value / usual,
+        };
+        Some(Self {
+            step: in_parts(step(n - 1), &steps),
+            velocity: in_parts(turn(n - 2).max(turn(n - 1)), &turns),
+        })
+    }
+
+    /// The larger of both.
+    pub fn jump(&self) -> f64 {
+        self.step.max(self.velocity)
+    }
+}
+
+impl Made {
+    /// How a loop goes over its seam. None of other motions.
+    pub fn seam(&self, looping: Looping) -> Option<Seam> {
+        match looping {
+            Looping::Off => None,
+            _ => Seam::of(&self.figure, &self.bvh),
+        }
+    }
+}
