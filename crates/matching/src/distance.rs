@@ -199,11 +199,8 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     }
     // Of one length for the compiler too, which then checks no place.
     let registers = a[0].len();
-    for r in 0..R {
-        a[r] = &a[r][..registers];
-    }
-    for c in 0..C {
-        b[c] = &b[c][..registers];
+    for row in a.iter_mut().chain(&mut b) {
+        *row = &row[..registers];
     }
     let mut sums = [[simd.splat_f32s(0.0); C]; R];
     for k in 0..registers {
