@@ -1,5 +1,7 @@
 //! Matrices of motion, `[frames, channels]`, and their resampling.
 
+use rayon::prelude::*;
+
 /// A motion as a matrix `[frames, channels]`, one frame after the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frames {
@@ -68,8 +70,8 @@ impl Frames {
     pub fn joined(parts: &[Self]) -> Self {
         let channels = parts[0].channels;
         assert!(parts.iter().all(|part| part.channels == channels));
-        let values = parts.iter().flat_map(|part| part.values.iter().copied());
-        Self::new(channels, values.collect())
+        let values: Vec<&[f32]> = parts.iter().map(|part| part.values.as_slice()).collect();
+        Self::new(channels, values.concat())
     }
 
     /// The channels `columns` in that order, `[frames, columns]`.
@@ -116,18 +118,21 @@ impl Frames {
     }
 
     /// `frames` frames read at the positions that `position` gives.
-    fn read_at(&self, frames: usize, position: impl Fn(f64) -> f64) -> Self {
+    fn read_at(&self, frames: usize, position: impl Fn(f64) -> f64 + Sync) -> Self {
         let last = self.frames() - 1;
-        let mut values = Vec::with_capacity(frames * self.channels);
-        for i in 0..frames {
+        let mut read = Self::zeros(frames, self.channels);
+        let rows = read.values.par_chunks_exact_mut(self.channels);
+        rows.enumerate().for_each(|(i, row)| {
             let position = position(i as f64).min(last as f64);
             let left = position as usize;
             let part = (position - left as f64) as f32;
             let right = self.frame((left + 1).min(last));
             let pairs = self.frame(left).iter().zip(right);
-            values.extend(pairs.map(|(a, b)| (1.0 - part) * a + part * b));
-        }
-        Self::new(self.channels, values)
+            for (value, (a, b)) in row.iter_mut().zip(pairs) {
+                *value = (1.0 - part) * a + part * b;
+            }
+        });
+        read
     }
 }
 
