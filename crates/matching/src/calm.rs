@@ -25,8 +25,13 @@ const FIRST: f64 = 0.05;
 const STRONGER: f64 = 3.0;
 /// Frames of the shortest motion that is smoothed.
 const SHORTEST: usize = 8;
-/// Most smoothings one after the other.
+/// Most smoothings around a key frame, one after the other.
 const MOST: usize = 14;
+/// Most smoothings over fixed parts: what is calmed at one place moves to its edges, which are smoothed
+/// from the first strength on.
+const MOST_OVER: usize = 40;
+/// The strongest smoothing there.
+const STRONGEST: f64 = 1e6;
 /// How often all key frames are gone through.
 const ROUNDS: usize = 4;
 
@@ -195,7 +200,7 @@ pub(crate) fn over_fixed_parts(
     let mut voted = frames.clone();
     border.to_world(&mut voted);
     let mut strengths = vec![0.0; frames.frames() - 3];
-    for _ in 0..MOST {
+    for _ in 0..MOST_OVER {
         let jerks = jerks(&figure.bvh(frames)?);
         let above = |t: usize| jerks[t] > OVER * usual;
         let near = |t: usize| t.saturating_sub(3)..(t + 4).min(jerks.len());
@@ -205,7 +210,7 @@ pub(crate) fn over_fixed_parts(
             break;
         }
         for (strength, _) in strengths.iter_mut().zip(reached).filter(|(_, is)| *is) {
-            *strength = (STRONGER * *strength).max(FIRST);
+            *strength = (STRONGER * *strength).clamp(FIRST, STRONGEST);
         }
         *frames = voted.clone();
         smooth(frames, &strengths, held);
