@@ -52,29 +52,46 @@ impl Moving {
     /// Frames of the same channels, laid out for [`squared`].
     pub(crate) fn padded(&self, frames: &Frames) -> Padded {
         let stride = self.moving.len().next_multiple_of(LANES);
-        let length = frames.frames() * stride;
-        let mut values = vec![0.0; length + LANES];
+        let values = vec![0.0; frames.frames() * stride + LANES];
         // Registers that lie across two lines of a cache are read twice.
         let first = values.as_ptr().align_offset(size_of::<f32>() * LANES);
-        let first = if first < LANES { first } else { 0 };
-        let rows = values[first..first + length]
-            .par_chunks_exact_mut(stride)
-            .enumerate();
-        let still = rows.map(|(t, row)| {
-            let frame = frames.frame(t);
-            for (value, &channel) in row.iter_mut().zip(&self.moving) {
-                *value = frame[channel];
-            }
-            let still = self.still.iter();
-            still.map(|&(c, kept)| (frame[c] - kept).powi(2)).sum()
-        });
-        let still = still.collect();
-        Padded {
+        let mut padded = Padded {
             stride,
             values,
-            first,
-            still,
-        }
+            first: if first < LANES { first } else { 0 },
+            still: vec![0.0; frames.frames()],
+        };
+        self.renew(&mut padded, frames);
+        padded
+    }
+
+    /// Puts `frames`, as many as are there, in place of those of `padded`. Says of each whether it is
+    /// another one than before.
+    pub(crate) fn renew(&self, padded: &mut Padded, frames: &Frames) -> Vec<bool> {
+        let (stride, first) = (padded.stride, padded.first);
+        let values = &mut padded.values[first..first + frames.frames() * stride];
+        let rows = values
+            .par_chunks_exact_mut(stride)
+            .zip(&mut padded.still)
+            .enumerate();
+        let changed = rows.map(|(t, (row, still))| {
+            let frame = frames.frame(t);
+            let mut changed = 0;
+            for (value, &channel) in row.iter_mut().zip(&self.moving) {
+                let before = std::mem::replace(value, frame[channel]);
+                changed |= before.to_bits() ^ value.to_bits();
+            }
+            // Several sums, none of which waits for the one before.
+            let mut sums = [0.0; 8];
+            for still in self.still.chunks(sums.len()) {
+                for (sum, &(channel, kept)) in sums.iter_mut().zip(still) {
+                    *sum += (frame[channel] - kept).powi(2);
+                }
+            }
+            let before = std::mem::replace(still, sums.iter().sum());
+            changed != 0 || *still != before
+        });
+        changed.collect()
     }
 }
 
@@ -105,11 +122,6 @@ impl Padded {
     /// The squared distance of each frame to any example frame, in the channels that stand still there.
     pub(crate) fn still(&self) -> &[f32] {
         &self.still
-    }
-
-    /// Whether frame `t` is the same in another motion.
-    pub(crate) fn same(&self, other: &Self, t: usize) -> bool {
-        self.rows(t, 1) == other.rows(t, 1) && self.still[t] == other.still[t]
     }
 
     /// `frames` frames from number `first` on.

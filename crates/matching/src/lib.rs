@@ -22,6 +22,7 @@
 //! ```
 
 mod calm;
+mod diagonals;
 mod displacement;
 mod distance;
 mod error;

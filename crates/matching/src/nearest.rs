@@ -8,9 +8,11 @@
 
 use std::borrow::Cow;
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::diagonals::Diagonals;
 use crate::distance::{Moving, Padded, squared};
 use crate::{Frames, Pool};
 
@@ -42,8 +44,6 @@ const HELD: usize = 64 << 20;
 const TILE: usize = 8 << 20;
 /// Frames of the synthesis that are compared before their distances are summed.
 const AT_A_TIME: usize = 32;
-/// Patches whose distances are summed in registers.
-const BLOCK: usize = 64;
 
 /// Example patches to compare with, prepared for any number of searches.
 ///
@@ -99,45 +99,42 @@ impl<'a> Search<'a> {
     pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>) -> Matches {
         let p = self.pool.patch_size();
         assert!(synthesis.frames() >= p && self.pool.patches() > 0);
-        let synthesis = self.moving.padded(synthesis);
-        let patches = synthesis.frames() - p + 1;
-        let width = self.padded.frames();
-        let holds = synthesis.frames() * width * size_of::<f32>() <= self.most_held;
+        let (frames, width) = (synthesis.frames(), self.padded.frames());
+        let patches = frames - p + 1;
+        let holds = frames * width * size_of::<f32>() <= self.most_held;
         let share = patches.div_ceil(2 * rayon::current_num_threads());
         let most = match holds {
             true => patches,
             false => TILE / size_of::<f32>() / width,
         };
         let rows = share.clamp(32, most.max(32));
-        let last = self.last.take();
-        let search = &*self;
         let firsts: Vec<usize> = (0..patches).step_by(rows).collect();
-        let tile = |first: usize| search.tile(&synthesis, first, rows.min(patches - first));
-        let held: Option<Vec<Vec<f32>>> = holds.then(|| {
-            let same =
-                |last: &Held| (last.synthesis.frames(), last.rows) == (synthesis.frames(), rows);
-            let Some(Held {
-                synthesis: old,
-                tiles,
-                ..
-            }) = last.filter(same)
-            else {
-                return firsts.par_iter().map(|&first| tile(first)).collect();
-            };
-            let changed: Vec<bool> = (0..synthesis.frames())
-                .map(|t| !old.same(&synthesis, t))
-                .collect();
-            let tiles = firsts.par_iter().zip(tiles);
-            let renewed = tiles.map(|(&first, mut tile)| {
-                search.renew(&mut tile, &synthesis, first, &changed);
-                tile
-            });
-            renewed.collect()
-        });
+        let last = self.last.take();
+        let last = last.filter(|last| (last.synthesis.frames(), last.rows) == (frames, rows));
+        let search = &*self;
+        let tile = |synthesis: &Padded, first: usize| {
+            search.tile(synthesis, first, rows.min(patches - first))
+        };
+        let (synthesis, held) = match last {
+            Some(mut last) => {
+                let changed = self.moving.renew(&mut last.synthesis, synthesis);
+                let tiles = firsts.par_iter().zip(&mut last.tiles);
+                tiles.for_each(|(&first, tile)| {
+                    search.renew(tile, &last.synthesis, first, &changed);
+                });
+                (last.synthesis, Some(last.tiles))
+            }
+            None => {
+                let synthesis = self.moving.padded(synthesis);
+                let tiles = firsts.par_iter().map(|&first| tile(&synthesis, first));
+                let tiles = holds.then(|| tiles.collect::<Vec<_>>());
+                (synthesis, tiles)
+            }
+        };
         let tiles = firsts.par_iter().enumerate();
         let tiles = tiles.map(|(index, &first)| match &held {
             Some(held) => Cow::Borrowed(held[index].as_slice()),
-            None => Cow::Owned(tile(first)),
+            None => Cow::Owned(tile(&synthesis, first)),
         });
         let smallest: Vec<f32> = match alpha {
             Some(_) => tiles.clone().map(|tile| search.smallest(&tile)).reduce(
@@ -172,6 +169,7 @@ impl<'a> Search<'a> {
         let (p, width) = (self.pool.patch_size(), self.padded.frames());
         let rows = tile.len() / width;
         let stale = |row: usize| changed[first + row..first + row + p].contains(&true);
+        let mut renewed = Vec::new();
         let mut row = 0;
         while row < rows {
             if !stale(row) {
@@ -187,8 +185,8 @@ impl<'a> Search<'a> {
                     end = ahead;
                 }
             }
-            let renewed = self.tile(synthesis, first + row, end - row);
-            tile[row * width..end * width].copy_from_slice(&renewed);
+            self.fill(&mut renewed, synthesis, first + row, end - row);
+            tile[row * width..end * width].copy_from_slice(&renewed[..(end - row) * width]);
             row = end;
         }
     }
@@ -197,9 +195,17 @@ impl<'a> Search<'a> {
     /// `[rows, frames of the pool]`: a row has as many as there are patches, and what is behind them
     /// means nothing.
     fn tile(&self, synthesis: &Padded, first: usize, rows: usize) -> Vec<f32> {
+        let mut distances = Vec::new();
+        self.fill(&mut distances, synthesis, first, rows);
+        distances.truncate(rows * self.padded.frames());
+        distances
+    }
+
+    /// Puts a [`tile`](Self::tile) at the beginning of `distances`, whatever they were.
+    fn fill(&self, distances: &mut Vec<f32>, synthesis: &Padded, first: usize, rows: usize) {
         let (p, width) = (self.pool.patch_size(), self.padded.frames());
         let frames = rows + p - 1;
-        let mut distances = vec![0.0; frames * width];
+        distances.resize(frames * width, 0.0);
         let mut summed = 0;
         // Frames' distances are summed while they are still in a cache.
         for start in (0..frames).step_by(AT_A_TIME) {
@@ -207,47 +213,14 @@ impl<'a> Search<'a> {
             let part = &mut distances[start * width..end * width];
             squared(synthesis, first + start, &self.padded, part);
             let ready = (end + 1).saturating_sub(p);
-            pulp::Arch::new().dispatch(
-                #[inline(always)]
-                || {
-                    for i in summed..ready {
-                        let still = synthesis.still()[first + i..first + i + p].iter().sum();
-                        self.sum_diagonals(&mut distances, i, still);
-                    }
-                },
-            );
+            Arch::new().dispatch(Diagonals {
+                pool: self.pool,
+                distance: self.distance,
+                distances,
+                patches: summed..ready,
+                still: &synthesis.still()[first..],
+            });
             summed = ready;
-        }
-        distances.truncate(rows * width);
-        distances
-    }
-
-    /// Puts patch `i`'s distances in place of its first frame's, which no later patch needs; `still` is
-    /// what the channels that stand still add to all of them.
-    #[inline(always)]
-    fn sum_diagonals(&self, distances: &mut [f32], i: usize, still: f32) {
-        let (p, width) = (self.pool.patch_size(), self.padded.frames());
-        let values = (self.pool.frames().channels() * p) as f32;
-        for (first, start, patches) in self.pool.runs() {
-            // A patch's number is at most that of its first frame: nothing is overwritten that is
-            // still to be read.
-            for block in (0..patches).step_by(BLOCK) {
-                let mut sums = [still; BLOCK];
-                let sums = &mut sums[..BLOCK.min(patches - block)];
-                for k in 0..p {
-                    let from = (i + k) * width + start + block + k;
-                    let frames = &distances[from..from + sums.len()];
-                    for (sum, value) in sums.iter_mut().zip(frames) {
-                        *sum += value;
-                    }
-                }
-                match self.distance {
-                    Distance::MeanSquare => sums.iter_mut().for_each(|sum| *sum /= values),
-                    Distance::L2 => sums.iter_mut().for_each(|sum| *sum = sum.sqrt()),
-                }
-                let to = i * width + first + block;
-                distances[to..to + sums.len()].copy_from_slice(sums);
-            }
         }
     }
 
@@ -277,37 +250,55 @@ impl<'a> Search<'a> {
     /// The first example patch of the smallest scaled distance, for each patch of the tile.
     fn first_smallest(&self, distances: &[f32], scale: &[f32]) -> Vec<(usize, f32)> {
         let mut scaled = vec![0.0; self.pool.patches()];
-        let mut found = Vec::with_capacity(distances.len() / self.padded.frames());
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                for row in self.rows(distances) {
-                    for (scaled, (value, scale)) in scaled.iter_mut().zip(row.iter().zip(scale)) {
-                        *scaled = value / scale;
-                    }
-                    let least = minimum(&scaled);
-                    let at = scaled.iter().position(|value| *value == least);
-                    found.push((at.unwrap_or(0), least));
-                }
-            },
-        );
-        found
+        let rows = self.rows(distances);
+        let found = rows.map(|row| {
+            Arch::new().dispatch(Scaled {
+                row,
+                scale,
+                scaled: &mut scaled,
+            })
+        });
+        found.collect()
     }
 }
 
-/// The smallest value, in lanes.
-#[inline(always)]
-fn minimum(values: &[f32]) -> f32 {
-    let mut lanes = [f32::INFINITY; 16];
-    let (chunks, rest) = values.as_chunks::<16>();
-    for chunk in chunks {
-        for (lane, value) in lanes.iter_mut().zip(chunk) {
-            *lane = if *value < *lane { *value } else { *lane };
+/// Divides a row by `scale`, and gives the place of the first smallest quotient, and the quotient.
+struct Scaled<'a> {
+    row: &'a [f32],
+    scale: &'a [f32],
+    scaled: &'a mut [f32],
+}
+
+impl WithSimd for Scaled<'_> {
+    type Output = (usize, f32);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> (usize, f32) {
+        let values = self.row.iter().zip(self.scale);
+        for (scaled, (value, scale)) in self.scaled.iter_mut().zip(values) {
+            *scaled = value / scale;
         }
+        let mut lanes = [f32::INFINITY; 16];
+        let (chunks, rest) = self.scaled.as_chunks::<16>();
+        for chunk in chunks {
+            for (lane, value) in lanes.iter_mut().zip(chunk) {
+                *lane = if *value < *lane { *value } else { *lane };
+            }
+        }
+        let mut least = f32::INFINITY;
+        for value in lanes.iter().chain(rest) {
+            least = least.min(*value);
+        }
+        for (number, chunk) in self.scaled.chunks(64).enumerate() {
+            let mut there = false;
+            for value in chunk {
+                there |= *value == least;
+            }
+            if there {
+                let at = chunk.iter().position(|value| *value == least);
+                return (64 * number + at.unwrap_or(0), least);
+            }
+        }
+        (0, least)
     }
-    lanes
-        .iter()
-        .chain(rest)
-        .copied()
-        .fold(f32::INFINITY, f32::min)
 }

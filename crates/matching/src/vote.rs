@@ -1,5 +1,6 @@
 //! Voting: every frame becomes the mean of all selected patches that cover it.
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::{Frames, Pool};
@@ -50,17 +51,37 @@ pub fn vote_around(pool: &Pool, nearest: &[usize]) -> Frames {
 /// Puts the mean of the pool's frames `sources` into `frame`, which is zero.
 fn mean(pool: &Pool, sources: impl ExactSizeIterator<Item = usize>, frame: &mut [f32]) {
     let count = sources.len() as f32;
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            for source in sources {
-                for (sum, value) in frame.iter_mut().zip(pool.frames().frame(source)) {
-                    *sum += value;
-                }
-            }
-            frame.iter_mut().for_each(|sum| *sum /= count);
-        },
-    );
+    let mut sources = sources.peekable();
+    while let Some(source) = sources.next() {
+        // Patches that continue each other have the same frame here.
+        let mut same = 1.0;
+        while sources.next_if_eq(&source).is_some() {
+            same += 1.0;
+        }
+        Arch::new().dispatch(Add {
+            values: pool.frames().frame(source),
+            weight: same / count,
+            sums: frame,
+        });
+    }
+}
+
+/// Adds values times a weight.
+struct Add<'a> {
+    values: &'a [f32],
+    weight: f32,
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (sum, value) in self.sums.iter_mut().zip(self.values) {
+            *sum += self.weight * value;
+        }
+    }
 }
 
 /// The synthesis with `patch_size / 2` frames of the other end before and after it: its patches go
