@@ -6,6 +6,7 @@ from typing import Any
 from ccmotion.decoder import MotionDecoder
 from ccmotion.e2e import EndToEndModel
 from ccmotion.unet1d import UNet1d, UNetConfig
+from flow.network import FlowConfig, FlowModel
 from gmd.denoiser import UNetDenoiser
 from gmd.unet import UNetConfig as GmdUNetConfig
 from torch import nn
@@ -36,6 +37,11 @@ def gmd_unet(model: dict[str, Any]) -> UNetDenoiser:
     return UNetDenoiser(config, model["padded_frames"])
 
 
+def flow(model: dict[str, Any]) -> FlowModel:
+    """Motion that goes on."""
+    return FlowModel(FlowConfig(**{key: size for key, size in model.items() if key != "kind"}))
+
+
 def matching(_: dict[str, Any]) -> nn.Module:
     """Matching has no network."""
     return nn.Module()
@@ -44,6 +50,7 @@ def matching(_: dict[str, Any]) -> nn.Module:
 DENOISERS: dict[str, Callable[[dict[str, Any]], nn.Module]] = {
     "unet1d": unet1d,
     "gmd_unet": gmd_unet,
+    "flow": flow,
     "matching": matching,
 }
 """By `model.kind`."""

@@ -40,7 +40,7 @@ class Row:
     @property
     def trains(self) -> bool:
         """Whether there is a loss."""
-        return self.task["kind"] not in ("sample", "match")
+        return self.task["kind"] not in ("sample", "draw_flow", "match")
 
     @property
     def floor_bytes(self) -> int:
@@ -105,6 +105,31 @@ def train_gmd() -> dict[str, Any]:
     }
 
 
+def flow() -> dict[str, Any]:
+    """Motion that goes on, at the document's widths."""
+    return {
+        "kind": "flow",
+        "joint_dim": 128,
+        "context_dim": 64,
+        "gru_dim": 128,
+        "decoder_dim": 256,
+        "latent_dim": 128,
+        "num_layers": 4,
+        "num_heads": 4,
+        "ff_size": 512,
+    }
+
+
+def train_flow() -> dict[str, Any]:
+    """A training step on windows of clips, with the settings of `configs/flow.toml`."""
+    return {
+        "kind": "train_flow",
+        "optim": {"learning_rate": 5e-4, "weight_decay": 0.0},
+        "max_grad_norm": 1.0,
+        "ema": {"decay": 0.995, "update_every": 1, "inv_gamma": 0.0},
+    }
+
+
 def end_to_end(mode: str) -> dict[str, Any]:
     """A training step through 5 sampling steps, at CC-MotionGen's learning rates."""
     return {
@@ -132,6 +157,8 @@ CC116M_PARAMETERS = 104_436_505
 GMD_TRAJECTORY = gmd_unet(4, 512, [0.125, 0.25, 0.5])
 GMD_MOTION_128 = gmd_unet(263, 128, [2, 2, 2, 2])
 GMD_MOTION = gmd_unet(263, 512, [2, 2, 2, 2])
+FLOW_PARAMETERS = 2_459_779
+HISTORY_FRAMES = 15
 DANCES = {"gangnam": (371, 405, 92), "salsa": (648, 393, 118)}
 """Frames and channels of the two dances that GenMM's figures are of, and how many of the channels never
 change."""
@@ -251,6 +278,26 @@ ROWS: list[Row] = [
         batch_size=1,
         frames=PADDED_FRAMES,
         rounds=5,
+    ),
+    Row(
+        "train_flow",
+        "training step, motion that goes on, 64 windows of 15 frames",
+        FLOW_PARAMETERS,
+        flow(),
+        train_flow(),
+        batch_size=64,
+        frames=HISTORY_FRAMES,
+        quick=True,
+    ),
+    Row(
+        "draw_flow",
+        "20 poses one after the other, motion that goes on, 10 Euler steps each",
+        FLOW_PARAMETERS,
+        flow(),
+        {"kind": "draw_flow", "steps": 10},
+        batch_size=20,
+        frames=HISTORY_FRAMES,
+        quick=True,
     ),
     *(
         Row(

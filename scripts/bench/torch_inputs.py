@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from ccmotion.unet1d import AUDIO_CHANNELS, MOTION_CHANNELS
+from flow.network import FEATURES, JOINTS
 from genmm.matching import first_length
 from gmd.conditioning import TEXT_FEATURES
 from networks import build
@@ -66,7 +67,20 @@ def matching(row: dict[str, Any]) -> dict[str, Tensor]:
     }
 
 
-INPUTS = {"unet1d": unet1d, "gmd_unet": gmd_unet, "matching": matching}
+def flow(row: dict[str, Any]) -> dict[str, Tensor]:
+    """Histories with a text and a place in their motions, and the poses that follow."""
+    batch = row["batch_size"]
+    return {
+        "history": torch.randn(batch, FEATURES, row["frames"]),
+        "cond": torch.randn(batch, TEXT_FEATURES, 1),
+        "place": torch.rand(batch, 2, 1),
+        "motion": torch.randn(batch, 3 * JOINTS, 1),
+        "noise": torch.randn(batch, 3, JOINTS),
+        "times": torch.rand(batch, 1, 1),
+    }
+
+
+INPUTS = {"unet1d": unet1d, "gmd_unet": gmd_unet, "flow": flow, "matching": matching}
 """By `model.kind`."""
 
 

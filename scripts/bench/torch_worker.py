@@ -16,6 +16,9 @@ import torch
 from ccmotion.denoising import DenoisingConfig, DenoisingTrainer
 from ccmotion.diffusion import NoiseSchedule, PredictionType, RolloutMode, rollout
 from ccmotion.e2e import Batch, EndToEndConfig, EndToEndModel, Trainer
+from flow.network import JOINTS, FlowModel
+from flow.training import Trainer as FlowTrainer
+from flow.training import drawn
 from genmm.matching import synthesized
 from gmd import training as gmd
 from networks import build, count
@@ -120,6 +123,56 @@ class Sampling:
             )
 
 
+def windows(inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Histories and what goes with them, as the flow networks take them here."""
+    return {
+        "history": inputs["history"].transpose(1, 2),
+        "text": inputs["cond"].squeeze(2),
+        "place": inputs["place"].squeeze(2),
+        "noise": inputs["noise"].transpose(1, 2),
+    }
+
+
+class FlowTraining:
+    """Trains the networks of motion that goes on."""
+
+    def __init__(self, model: FlowModel, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
+        task = row["task"]
+        self.trainer = FlowTrainer(
+            model,
+            learning_rate=task["optim"]["learning_rate"],
+            weight_decay=task["optim"]["weight_decay"],
+            max_grad_norm=task["max_grad_norm"],
+            ema_decay=task["ema"]["decay"],
+        )
+        self.inputs = windows(inputs) | {
+            "pose": inputs["motion"].squeeze(2).unflatten(1, (JOINTS, 3)),
+            "times": inputs["times"].flatten(),
+        }
+
+    def step(self) -> float:
+        return self.trainer.step(**self.inputs)
+
+
+class FlowDrawing:
+    """Draws the next poses of histories, one after the other."""
+
+    def __init__(self, model: FlowModel, inputs: dict[str, Tensor], row: dict[str, Any]) -> None:
+        self.model = model.eval()
+        inputs = windows(inputs)
+        self.poses = [
+            {name: values[i : i + 1] for name, values in inputs.items()}
+            for i in range(row["batch_size"])
+        ]
+        self.steps = row["task"]["steps"]
+        self.last: Tensor | None = None
+
+    def step(self) -> None:
+        with torch.inference_mode():
+            poses = [drawn(self.model, steps=self.steps, **pose) for pose in self.poses]
+            self.last = torch.cat(poses)
+
+
 class Matching:
     """Makes a new motion of an example."""
 
@@ -137,6 +190,8 @@ TASKS = {
     "train": Training,
     "train_gmd": GmdTraining,
     "end_to_end": EndToEnd,
+    "train_flow": FlowTraining,
+    "draw_flow": FlowDrawing,
     "sample": Sampling,
     "match": Matching,
 }

@@ -4,7 +4,7 @@
 //! bench_worker FOLDER DEVICE
 //!
 //! FOLDER/row.json             what a step is: the type `Row` below
-//! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T; example and noise where patches are matched
+//! FOLDER/inputs.safetensors   motion, cond, noise, timesteps, x_T; those of flow.rs and matching.rs
 //! ```
 //!
 //! It answers each line of its input with one line of JSON, and says one when it has loaded all:
@@ -16,6 +16,8 @@
 //! ```
 
 mod files;
+mod flow;
+mod matching;
 
 use std::error::Error;
 use std::fs;
@@ -25,17 +27,17 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use kinegrad_data::AUDIO_CHANNELS;
 use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
-use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize_from};
 use kinegrad_models::decoder::{DecoderInit, Normalization};
 use kinegrad_models::gmd::GmdUnetConfig;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_models::{
-    Backbone, DecoderConfig, Initializer, MotionModel, TextDenoiser, UNet1d, UNet1dConfig,
+    Backbone, DecoderConfig, FlowConfig, Initializer, MotionModel, TextDenoiser, UNet1d,
+    UNet1dConfig,
 };
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::CHANNELS;
@@ -55,6 +57,7 @@ use serde::Deserialize;
 use serde_json::json;
 
 use files::{NamedTensors, read_weights};
+use matching::{Example, Matching};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -76,19 +79,10 @@ enum Network {
     GmdUnet(Gmd),
     /// One of motion under audio.
     Unet1d(UNet1dConfig),
+    /// One of motion that goes on.
+    Flow(FlowConfig),
     /// None: patches of an example are matched.
     Matching(Example),
-}
-
-/// The size of an example.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Example {
-    frames: usize,
-    channels: usize,
-    /// Channels that never change.
-    #[serde(rename = "still")]
-    _still: usize,
 }
 
 /// The sizes of a network of Guided Motion Diffusion.
@@ -137,6 +131,14 @@ enum Task {
         max_grad_norm: f64,
         ema: EmaConfig,
     },
+    /// Trains a network of motion that goes on.
+    TrainFlow {
+        optim: OptimConfig,
+        max_grad_norm: f64,
+        ema: EmaConfig,
+    },
+    /// Draws the next poses of histories, one after the other.
+    DrawFlow { steps: usize },
     /// Draws one batch of motion.
     Sample { sampler: SamplerConfig },
     /// Makes a motion of an example, with the settings of GenMM's published program.
@@ -278,54 +280,6 @@ impl Work for Sampling {
     }
 }
 
-/// An example, and the noise that a motion of twice its length starts from.
-struct Matching {
-    examples: [Frames; 1],
-    noise: Frames,
-    device: Device,
-}
-
-impl Matching {
-    fn load(example: &Example, inputs: &NamedTensors, device: Device) -> Result<Self> {
-        let matrix = |name| -> Result<Frames> {
-            let values = inputs.tensor(name)?.try_into_vec_as()?;
-            Ok(Frames::new(example.channels, values))
-        };
-        let (motion, noise) = (matrix("example")?, matrix("noise")?);
-        if motion.frames() != example.frames {
-            return Err("the example has another length".into());
-        }
-        Ok(Self {
-            examples: [motion],
-            noise,
-            device,
-        })
-    }
-}
-
-impl Work for Matching {
-    fn parameters(&self) -> usize {
-        0
-    }
-
-    fn step(&mut self) -> Result<Done> {
-        let request = Request {
-            examples: &self.examples,
-            frames: 2 * self.examples[0].frames(),
-            settings: &Settings::of(Preset::Published),
-            groups: &[],
-            held: &[],
-        };
-        let made = synthesize_from(&request, &self.noise)?.frames;
-        let shape = [1, made.frames(), made.channels()];
-        let data = TensorData::new(made.values().to_vec(), shape);
-        Ok(Done {
-            sample: Some(Tensor::from_data(data, &self.device)),
-            ..Done::default()
-        })
-    }
-}
-
 /// The task of `row`, everything it needs loaded onto `device`.
 fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
     let diffusion = GaussianDiffusion::new(&DiffusionConfig {
@@ -336,10 +290,8 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
         }
     })?;
     let device = match row.task {
-        Task::Train { .. } | Task::EndToEnd { .. } | Task::TrainGmd { .. } => {
-            device.clone().autodiff()
-        }
-        Task::Sample { .. } | Task::Match => device.clone(),
+        Task::Sample { .. } | Task::DrawFlow { .. } | Task::Match => device.clone(),
+        _ => device.clone().autodiff(),
     };
     let unet = || -> Result<UNet1d> {
         let Network::Unet1d(config) = &row.model else {
@@ -433,6 +385,20 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             start_noise: inputs.tensor("x_T")?,
             cond: inputs.tensor("cond")?,
         }),
+        Task::TrainFlow {
+            optim,
+            max_grad_norm,
+            ema,
+        } => {
+            let model = parameters::load(flow::model(&row.model, &device)?, weights)?;
+            let (recipe, loss) = flow::training(&inputs)?;
+            let training = Training::new(recipe, model, &optim, max_grad_norm, loss);
+            Box::new(training.with_ema(&ema))
+        }
+        Task::DrawFlow { steps } => {
+            let model = parameters::load(flow::model(&row.model, &device)?, weights)?;
+            Box::new(flow::Drawing::new(model, &inputs, steps)?)
+        }
         Task::Match => return Err("the task is one of examples".into()),
     })
 }

@@ -22,7 +22,7 @@ use toml::Table;
 pub use config::{FlowNetwork, FlowTables, PoseConfig, RolloutEvaluationConfig};
 pub use generate::FlowGenerator;
 pub use report::{RolloutReport, bone_lengths};
-pub use windows::{PoseSpace, PoseWindows};
+pub use windows::{HISTORY, PLACE, PoseSpace, PoseWindows};
 
 use crate::checkpoint::State;
 use crate::config::{Config, ConfigError, Place, SystemTables};

@@ -26,13 +26,14 @@ pub struct FlowRecipe {
 }
 
 /// What is random in the loss of one batch.
-struct Draws {
+#[derive(Clone, Debug)]
+pub struct FlowDraws {
     /// Flow time of each sample.
-    times: Vec<f64>,
+    pub times: Vec<f64>,
     /// Standard normal: `[batch, 3, J]`.
-    noise: Tensor<3>,
+    pub noise: Tensor<3>,
     /// 0 where the text is dropped, else 1: `[batch, 1, 1]`. None drops none.
-    keep_text: Option<Tensor<3>>,
+    pub keep_text: Option<Tensor<3>>,
 }
 
 impl FlowRecipe {
@@ -41,7 +42,12 @@ impl FlowRecipe {
         Self { pose, held_out }
     }
 
-    fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: Draws) -> Loss {
+    /// The loss of a batch of windows: poses as `x_start`, `[batch, 3 J, 1]`, joint by joint, and the
+    /// conditions [`HISTORY`], [`PLACE`] and `text`.
+    ///
+    /// # Panics
+    /// Panics without one of the conditions.
+    pub fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: FlowDraws) -> Loss {
         let Inputs { x_start, cond, .. } = inputs;
         let prediction_type = self.pose.prediction_type;
         let x_start = of_joints(x_start);
@@ -107,7 +113,7 @@ impl Recipe for FlowRecipe {
             Tensor::from_data(TensorData::new(keep.collect(), [size, 1, 1]), device)
         });
         let [_, numbers, _] = inputs.x_start.dims();
-        let draws = Draws {
+        let draws = FlowDraws {
             times: key
                 .of(Purpose::Timesteps)
                 .uniforms(size)
@@ -128,7 +134,7 @@ impl Recipe for FlowRecipe {
             for (range, inputs) in self.held_out.batches(device) {
                 let time = |p| ((draw * all + p) as f64 + 0.5) / (draws * all) as f64;
                 let like = of_joints(inputs.x_start.clone());
-                let given = Draws {
+                let given = FlowDraws {
                     times: range.clone().map(time).collect(),
                     noise: self.held_out.noise(range.clone(), draw as u64, &like),
                     keep_text: None,

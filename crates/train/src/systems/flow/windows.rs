@@ -14,12 +14,12 @@ use kinegrad_random::{Key, Purpose};
 use super::PoseConfig;
 
 /// Name of the condition on past frames, `[12 J - 1, history]`, normalised.
-pub(super) const HISTORY: &str = "history";
+pub const HISTORY: &str = "history";
 
 /// Name of the condition on where in the motion the next pose is, `[2, 1]`: progress, 1 at the first
 /// pose after the first history and 0 at the last, and the number of poses over those of the longest
 /// motion.
-pub(super) const PLACE: &str = "place";
+pub const PLACE: &str = "place";
 
 /// What the numbers of a sample mean.
 #[derive(Clone, Debug)]
