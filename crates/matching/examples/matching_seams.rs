@@ -86,6 +86,7 @@ fn keyframe(source_time: f64) -> Keyframe {
         part: None,
         place: None,
         reach: None,
+        name: String::new(),
     }
 }
 

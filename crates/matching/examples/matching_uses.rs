@@ -93,7 +93,9 @@ fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
         made.examples[0].clone(),
         figure.frames(second).expect("one skeleton"),
     ];
-    let legs = Part::named("legs", &[], figure).expect("legs").joints;
+    let legs = Part::named("legs", &[], figure, "--fix")
+        .expect("legs")
+        .joints;
     let columns = |of_legs: bool| -> Vec<usize> {
         let joints = (0..figure.joints().len()).filter(|joint| legs.contains(joint) == of_legs);
         joints.flat_map(|joint| figure.rotation_of(joint)).collect()

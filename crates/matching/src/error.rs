@@ -31,6 +31,24 @@ pub enum Error {
 }
 
 impl Error {
+    /// What a TOML file cannot be read for, and in which line.
+    pub(crate) fn toml(
+        file: &str,
+        text: &str,
+        error: &toml::de::Error,
+        hint: impl Into<String>,
+    ) -> Self {
+        let before = error.span().and_then(|span| text.get(..span.start));
+        let problem = match before {
+            Some(before) => {
+                let line = before.matches('\n').count() + 1;
+                format!("line {line}: {}", error.message())
+            }
+            None => error.message().to_string(),
+        };
+        Self::file(file, problem, hint)
+    }
+
     /// An [`Error::File`].
     pub(crate) fn file(file: &str, problem: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::File {

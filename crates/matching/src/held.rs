@@ -46,12 +46,13 @@ impl Held {
     /// frame of the same channel is nearer: so it is passed as the source passes it, and patches of the
     /// source match it at every level. Key frames that a coarse level has in one frame are averaged
     /// there. `around`: whether the last frame is followed by the first. Channels that follow a motion
-    /// are set after that.
+    /// are set after that. Says of each frame whether it bends towards a key frame; nothing where there
+    /// is none.
     ///
     /// # Panics
     /// Panics if the channels are not there.
-    pub fn hold(held: &[Self], frames: &mut Frames, around: bool) {
-        keys::hold(held, frames, around);
+    pub fn hold(held: &[Self], frames: &mut Frames, around: bool) -> Vec<bool> {
+        let bent = keys::hold(held, frames, around);
         for held in held {
             if let Self::Channels { channels, motion } = held {
                 let motion = motion.columns(channels).resampled(frames.frames());
@@ -63,6 +64,7 @@ impl Held {
                 }
             }
         }
+        bent
     }
 }
 

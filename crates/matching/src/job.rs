@@ -90,6 +90,9 @@ pub struct Made {
     pub parts: Vec<Part>,
     /// How far feet slid, if they were held; only `bvh` has them held.
     pub sliding: Option<Sliding>,
+    /// Where something is fixed: the 95th percentile of jerk, as a part of that of the motion among
+    /// examples and fixed ones that jerks most.
+    pub jerk: Option<f64>,
 }
 
 impl Job {
@@ -165,7 +168,7 @@ impl Job {
         }
         for (fixed, motion) in self.fixed.iter().zip(&fixed) {
             held.push(Held::Channels {
-                channels: Part::named(&fixed.part, &known, &figure)?
+                channels: Part::named(&fixed.part, &known, &figure, "--fix")?
                     .channels(&figure)
                     .channels,
                 motion: motion.clone(),
@@ -219,6 +222,7 @@ impl Job {
             }
         }
         let (_, figure, synthesis, mut bvh) = calmest.expect("one motion or more");
+        let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
         if self.feet {
             let origins = &synthesis.origins;
@@ -232,6 +236,7 @@ impl Job {
             examples: matrices,
             parts,
             sliding,
+            jerk,
         })
     }
 
@@ -303,10 +308,13 @@ impl Job {
             (Some((_, frames)), _) => *frames,
             (None, asked) => asked.unwrap_or(2 * all),
         };
-        let lengths = given.iter().map(|(_, frames)| *frames).chain(asked);
-        if let Some(other) = lengths.into_iter().find(|&length| length != frames) {
+        let others = given
+            .iter()
+            .map(|(other, frames)| (other.file.as_str(), *frames));
+        let mut others = others.chain(asked.map(|frames| ("`--length`", frames)));
+        if let Some((other, found)) = others.find(|(_, found)| *found != frames) {
             let file = &given[0].0.file;
-            let problem = format!("has {frames} frames, and another length asked for is {other}");
+            let problem = format!("has {frames} frames, and {other} {found}");
             let hint = "a part that is fixed and a content set the length: leave `--length` out, and \
                         give motions of one length";
             return Err(Error::file(file, problem, hint));

@@ -10,8 +10,11 @@ const REACH: f64 = 0.4;
 /// Largest coordinate of a place, in the file's units: beyond it, single precision knows no step.
 const FURTHEST: f64 = 1e6;
 
+/// The latest moment, in seconds.
+const LATEST: f64 = 1e6;
+
 /// A pose that the new motion takes at a moment.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Default, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframe {
     /// When, in seconds.
@@ -28,6 +31,9 @@ pub struct Keyframe {
     pub place: Option<[f64; 2]>,
     /// Seconds before and after it that bend towards the pose; without it 0.4.
     pub reach: Option<f64>,
+    /// What messages call it: the file that it is of, and its number there.
+    #[serde(skip)]
+    pub name: String,
 }
 
 #[derive(Debug, Deserialize)]
@@ -44,31 +50,41 @@ impl Keyframe {
     /// For a file that cannot be read so.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
-        let document: Document = toml::from_str(text)
-            .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
+        let mut document: Document =
+            toml::from_str(text).map_err(|error| Error::toml(file, text, &error, hint))?;
         if document.keyframe.is_empty() {
             return Err(Error::file(file, "holds no `[[keyframe]]`", hint));
         }
-        for keyframe in &document.keyframe {
+        for (index, keyframe) in document.keyframe.iter_mut().enumerate() {
+            keyframe.name = format!("{file}, key frame {}", index + 1);
+            let name = &keyframe.name;
             let is_near = |place: &[f64; 2]| place.iter().all(|v| v.abs() <= FURTHEST);
             if let Some(place) = keyframe.place.filter(|place| !is_near(place)) {
                 let problem =
                     format!("`place` is {place:?}, allowed: two numbers of at most {FURTHEST:e}");
-                return Err(Error::file(file, problem, hint));
+                return Err(Error::file(name, problem, hint));
             }
-            let seconds = [
-                Some(keyframe.time),
-                Some(keyframe.source_time),
-                keyframe.reach,
-            ];
-            for number in seconds.into_iter().flatten() {
-                if !(number.is_finite() && number >= 0.0) {
-                    let problem = format!("a time is {number}, allowed: seconds from 0");
-                    return Err(Error::file(file, problem, hint));
+            for (field, number) in [
+                ("time", Some(keyframe.time)),
+                ("source_time", Some(keyframe.source_time)),
+                ("reach", keyframe.reach),
+            ] {
+                if let Some(number) = number.filter(|number| !(0.0..=LATEST).contains(number)) {
+                    let problem =
+                        format!("`{field}` is {number:?}, allowed: 0 to {LATEST:e} seconds");
+                    return Err(Error::file(name, problem, hint));
                 }
             }
         }
         Ok(document.keyframe)
+    }
+
+    /// What messages call it.
+    pub(crate) fn called(&self) -> &str {
+        match self.name.as_str() {
+            "" => "key frame",
+            name => name,
+        }
     }
 
     /// What a motion of `frames` frames must keep to: the pose of `source`, whose matrix is
@@ -89,20 +105,21 @@ impl Keyframe {
         let end = |frames: usize| (frames - 1) as f64 * figure.frame_time();
         if from >= poses.frames() {
             let problem = format!(
-                "a key frame is taken at {} s, allowed: 0 to {:.2}",
+                "`source_time` is {}, allowed: 0 to {:.2}, where {} ends",
                 self.source_time,
-                end(poses.frames())
+                end(poses.frames()),
+                source.file
             );
-            let hint = "`source_time` is in seconds of that file";
-            return Err(Error::file(&source.file, problem, hint));
+            let hint = "`source_time` is in seconds of the motion that has the pose";
+            return Err(Error::file(self.called(), problem, hint));
         }
         if t >= frames {
             let problem = format!("`time` is {}, allowed: 0 to {:.2}", self.time, end(frames));
             let hint = "a longer `--length` has room for it";
-            return Err(Error::file("key frame", problem, hint));
+            return Err(Error::file(self.called(), problem, hint));
         }
         let part = match &self.part {
-            Some(name) => Part::named(name, parts, figure)?,
+            Some(name) => Part::named(name, parts, figure, self.called())?,
             None => Part::whole(figure),
         };
         let mut channels = part.channels(figure).channels;
@@ -155,7 +172,7 @@ mod tests {
             .held(&figure, &[], &walk, &poses, 50)
             .unwrap_err()
             .to_string();
-        assert_eq!(late, "key frame: `time` is 2, allowed: 0 to 1.63");
+        assert_eq!(late, "k.toml, key frame 1: `time` is 2, allowed: 0 to 1.63");
         let whole = Keyframe {
             part: None,
             ..key.clone()
@@ -168,7 +185,7 @@ mod tests {
         for (text, said) in [
             (
                 "[[keyframe]]\ntime = -1.0\nsource_time = 0.0",
-                "a time is -1",
+                "k.toml, key frame 1: `time` is -1.0, allowed: 0 to 1e6 seconds",
             ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\nplace = [nan, 1.0]",
@@ -179,7 +196,10 @@ mod tests {
                 "`place` is [1e300, 1.0]",
             ),
             ("keyframe = []", "holds no `[[keyframe]]`"),
-            ("[[keyframe]]\ntime = 1.0", "missing field `source_time`"),
+            (
+                "[[keyframe]]\ntime = 1.0",
+                "line 1: missing field `source_time`",
+            ),
             (
                 "[[keyframe]]\ntime = 1.0\nsource_time = 1.0\npose = 1",
                 "unknown field `pose`",

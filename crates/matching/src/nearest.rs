@@ -94,11 +94,20 @@ impl<'a> Search<'a> {
     /// D[i, j] / (`alpha` + min over i of D[i, j]) over j, or without `alpha` the smallest D[i, j].
     /// The result is the same on any number of threads, and whatever was searched for before.
     ///
+    /// `bent`, empty or of each frame: whether it bends towards a key frame. Patches with such frames do
+    /// not count for the minimum over i, if others are left: they are in the example as they are, from the
+    /// first step on, where the rest is noise, which would go around what the example does there.
+    ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
-    pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>) -> Matches {
+    pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>, bent: &[bool]) -> Matches {
         let p = self.pool.patch_size();
         assert!(synthesis.frames() >= p && self.pool.patches() > 0);
+        assert!(bent.is_empty() || bent.len() == synthesis.frames());
+        let mut counts: Vec<bool> = bent.windows(p).map(|bent| !bent.contains(&true)).collect();
+        if !counts.contains(&true) {
+            counts = vec![true; synthesis.frames() - p + 1];
+        }
         let (frames, width) = (synthesis.frames(), self.padded.frames());
         let patches = frames - p + 1;
         let holds = frames * width * size_of::<f32>() <= self.most_held;
@@ -137,10 +146,14 @@ impl<'a> Search<'a> {
             None => Cow::Owned(tile(&synthesis, first)),
         });
         let smallest: Vec<f32> = match alpha {
-            Some(_) => tiles.clone().map(|tile| search.smallest(&tile)).reduce(
-                || vec![f32::INFINITY; search.pool.patches()],
-                |a, b| a.iter().zip(b).map(|(a, b)| a.min(b)).collect(),
-            ),
+            Some(_) => tiles
+                .clone()
+                .zip(&firsts)
+                .map(|(tile, &first)| search.smallest(&tile, &counts[first..]))
+                .reduce(
+                    || vec![f32::INFINITY; search.pool.patches()],
+                    |a, b| a.iter().zip(b).map(|(a, b)| a.min(b)).collect(),
+                ),
             None => Vec::new(),
         };
         let scale: Vec<f32> = match alpha {
@@ -231,13 +244,14 @@ impl<'a> Search<'a> {
         rows.map(move |row| &row[..patches])
     }
 
-    /// For each example patch its distance to the nearest patch of the tile.
-    fn smallest(&self, distances: &[f32]) -> Vec<f32> {
+    /// For each example patch its distance to the nearest of the tile's patches that count.
+    fn smallest(&self, distances: &[f32], counts: &[bool]) -> Vec<f32> {
         let mut smallest = vec![f32::INFINITY; self.pool.patches()];
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                for row in self.rows(distances) {
+                let rows = self.rows(distances).zip(counts);
+                for (row, _) in rows.filter(|(_, counts)| **counts) {
                     for (smallest, value) in smallest.iter_mut().zip(row) {
                         *smallest = smallest.min(*value);
                     }

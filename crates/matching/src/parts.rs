@@ -131,8 +131,8 @@ impl Part {
     /// joints.
     pub fn read(text: &str, file: &str, figure: &Figure) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
-        let document: Document = toml::from_str(text)
-            .map_err(|error| Error::file(file, error.message().to_string(), hint))?;
+        let document: Document =
+            toml::from_str(text).map_err(|error| Error::toml(file, text, &error, hint))?;
         if document.part.is_empty() {
             return Err(Error::file(file, "holds no `[[part]]`", hint));
         }
@@ -183,11 +183,11 @@ impl Part {
     }
 
     /// The part that a name means: one of `parts`, `legs`, `arms` or `head` by the words in the
-    /// names of joints, or a joint with all that hangs on it.
+    /// names of joints, or a joint with all that hangs on it. `asks`: what names it, for messages.
     ///
     /// # Errors
     /// Names what there is.
-    pub fn named(name: &str, parts: &[Self], figure: &Figure) -> Result<Self, Error> {
+    pub fn named(name: &str, parts: &[Self], figure: &Figure, asks: &str) -> Result<Self, Error> {
         if let Some(part) = parts.iter().find(|part| part.name == name) {
             return Ok(part.clone());
         }
@@ -244,7 +244,7 @@ impl Part {
                      where joints are called so",
                     parts.join(", ")
                 );
-                Err(Error::file("parts", problem, hint))
+                Err(Error::file(asks, problem, hint))
             }
         }
     }
@@ -371,8 +371,9 @@ mod tests {
     fn names_mean_parts_words_or_joints() {
         let figure = walk();
         let parts = Part::automatic(&figure);
-        let of =
-            |name: &str| Part::named(name, &parts, &figure).map(|part| (part.joints, part.way));
+        let of = |name: &str| {
+            Part::named(name, &parts, &figure, "--fix").map(|part| (part.joints, part.way))
+        };
         assert_eq!(of("LeftLeg").unwrap(), (vec![1, 2, 3], true));
         assert_eq!(of("legs").unwrap(), (vec![1, 2, 3, 4, 5], true));
         assert_eq!(of("RightFoot").unwrap(), (vec![5], false));
@@ -394,7 +395,7 @@ mod tests {
         });
         walk.bvh = Bvh::parse(text.as_bytes(), "walk.bvh").unwrap();
         let figure = Figure::new(&[walk], FigureOptions::default()).unwrap();
-        let legs = Part::named("legs", &[], &figure).unwrap();
+        let legs = Part::named("legs", &[], &figure, "--fix").unwrap();
         assert_eq!((legs.joints, legs.way), (vec![1, 2, 3], true));
     }
 }

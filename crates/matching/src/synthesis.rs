@@ -157,7 +157,8 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
     first
 }
 
-/// One step: matching against `search`, which is among the patches of `pool`, and voting.
+/// One step: matching against `search`, which is among the patches of `pool`, and voting. `bent` are the
+/// frames that bend towards key frames, as of [`Held::hold`].
 ///
 /// # Panics
 /// As [`Search::nearest`].
@@ -167,13 +168,17 @@ pub fn step(
     search: &mut Search<'_>,
     alpha: Option<f64>,
     looping: Looping,
+    bent: &[bool],
 ) -> (Frames, Matches) {
     let p = pool.patch_size();
     if looping == Looping::Off {
-        let matches = search.nearest(current, alpha);
+        let matches = search.nearest(current, alpha, bent);
         return (vote(pool, &matches.nearest), matches);
     }
-    let matches = search.nearest(&with_ends(current, p), alpha);
+    let (n, half) = (bent.len(), p / 2);
+    let ends = if n > 0 { n + 2 * half } else { 0 };
+    let bent: Vec<bool> = (0..ends).map(|t| bent[(t + n - half % n) % n]).collect();
+    let matches = search.nearest(&with_ends(current, p), alpha, &bent);
     let voted = match looping {
         Looping::Even => vote_around(pool, &matches.nearest),
         _ => without_ends(&vote(pool, &matches.nearest), p),
@@ -277,7 +282,7 @@ fn refined_over(
             Some(coarser) if looping == Looping::Even => coarser.resampled_around(length),
             Some(coarser) => coarser.resampled(length),
         };
-        Held::hold(request.held, &mut frames, looping != Looping::Off);
+        let bent = Held::hold(request.held, &mut frames, looping != Looping::Off);
         let pools: Vec<Pool> = groups
             .iter()
             .map(|group| {
@@ -295,7 +300,7 @@ fn refined_over(
             let voted = groups.iter().zip(pools.iter().zip(&mut searches));
             let (voted, matches): (Vec<Frames>, Vec<Matches>) = voted
                 .map(|(group, (pool, search))| {
-                    step(&group.of(&frames), pool, search, alpha, looping)
+                    step(&group.of(&frames), pool, search, alpha, looping, &bent)
                 })
                 .unzip();
             frames = together(groups, voted, channels);

@@ -127,10 +127,14 @@ fn must_be_writable(arguments: &MatchArguments, record: &Path) -> Result<(), Err
 fn read_too(arguments: &MatchArguments, written: &Path) -> Option<&'static str> {
     let written = written.canonicalize().ok()?;
     let is_it = |path: &Path| path.canonicalize().is_ok_and(|path| path == written);
-    let fixed = arguments.fix.iter().map(|(_, path)| path);
-    let mut motions = arguments.examples.iter().chain(fixed);
-    if motions.any(|path| is_it(path)) || arguments.content.as_deref().is_some_and(is_it) {
+    if arguments.examples.iter().any(|path| is_it(path)) {
         return Some("is an example itself");
+    }
+    if arguments.fix.iter().any(|(_, path)| is_it(path)) {
+        return Some("is what a part follows");
+    }
+    if arguments.content.as_deref().is_some_and(is_it) {
+        return Some("is the content itself");
     }
     if [&arguments.parts, &arguments.keyframes]
         .into_iter()

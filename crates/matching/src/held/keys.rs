@@ -22,8 +22,8 @@ struct Key<'a> {
 }
 
 /// Makes a level's motion pass its key frames. What they weigh is summed up before any frame changes,
-/// so their order does not matter.
-pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) {
+/// so their order does not matter. Says of each frame whether it bends; nothing without key frames.
+pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) -> Vec<bool> {
     let n = frames.frames();
     let least = LEAST_REACH.min(n / FRAMES_PER_REACH);
     let keys = held.iter().filter_map(|held| match held {
@@ -49,7 +49,7 @@ pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) {
     });
     let keys: Vec<Key<'_>> = keys.collect();
     if keys.is_empty() {
-        return;
+        return Vec::new();
     }
     // The key frames of each channel, and how many there are in one frame.
     let mut moments: Vec<Vec<usize>> = vec![Vec::new(); frames.channels()];
@@ -99,6 +99,8 @@ pub(super) fn hold(held: &[Held], frames: &mut Frames, around: bool) {
             *value = (1.0 - weight) * *value + sum;
         }
     }
+    let weights = weights.values().chunks_exact(frames.channels());
+    weights.map(|row| row.iter().any(|&w| w > 0.0)).collect()
 }
 
 /// Frames from `t` to the next other of `moments`, ahead or behind; in a loop of `around` frames on

@@ -61,7 +61,7 @@ impl Job {
                         own.part
                     );
                     let hint = "give the key frame a `part` that nothing fixes";
-                    return Err(Error::file("key frame", problem, hint));
+                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
                 let way = figure.way();
                 if self.keyframes[index].0.place.is_some()
@@ -72,7 +72,7 @@ impl Job {
                         own.motion.file, own.part
                     );
                     let hint = "leave `place` out, or fix no part that brings the way";
-                    return Err(Error::file("key frame", problem, hint));
+                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
             }
             for (place, before) in keys[..index].iter().enumerate() {
@@ -83,11 +83,11 @@ impl Job {
                 let [own, other] = [index, place].map(|index| &self.keyframes[index].0);
                 if let Some(channel) = contradiction(key, before) {
                     let problem = format!("at {time} s {} has two poses", named(figure, channel));
-                    return Err(Error::file("key frame", problem, hint));
+                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
                 if own.place.is_some() && other.place.is_some() && own.place != other.place {
                     let problem = format!("at {time} s the body has two places");
-                    return Err(Error::file("key frame", problem, hint));
+                    return Err(Error::file(self.keyframes[index].0.called(), problem, hint));
                 }
             }
         }
@@ -158,6 +158,7 @@ mod tests {
             part: part.map(str::to_string),
             place,
             reach: None,
+            name: String::new(),
         }
     }
 

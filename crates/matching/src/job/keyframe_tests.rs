@@ -16,6 +16,7 @@ fn key(time: f64, source_time: f64) -> Keyframe {
         part: None,
         place: None,
         reach: None,
+        name: String::new(),
     }
 }
 
@@ -93,6 +94,24 @@ fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
         let jerks = jerks(&made.bvh);
         let [near, rest] = jerk_around(&jerks, f64::from(t), 30.0);
         assert!(near <= 1.5 * rest, "{t}: {near} {rest}");
+    }
+}
+
+#[test]
+fn a_key_frame_does_not_hold_up_the_rest() {
+    let still = |seed, keyframes: &[Keyframe]| {
+        let mut job = with(keyframes);
+        job.length = Some(Length::Seconds(6.0));
+        job.seed = seed;
+        let made = job.make(&[walk(75)]).unwrap();
+        made.stillness().unwrap().motion
+    };
+    for seed in [0, 1, 2] {
+        let without = still(seed, &[]);
+        for (time, source_time) in [(0.5, 2.0), (1.0, 0.3), (3.0, 1.0)] {
+            let held = still(seed, &[key(time, source_time)]);
+            assert!(held <= without + 0.05, "{seed} {time}: {held} {without}");
+        }
     }
 }
 

@@ -70,10 +70,7 @@ fn fixed_parts_are_those_of_their_motion() {
         ..job.clone()
     };
     let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(
-        said,
-        "legs.bvh: has 64 frames, and another length asked for is 80"
-    );
+    assert_eq!(said, "legs.bvh: has 64 frames, and `--length` 80");
     let unknown = Job {
         fixed: vec![Fixed {
             part: "wings".to_string(),
@@ -94,6 +91,7 @@ fn key_frames_are_met() {
         part: None,
         place: None,
         reach: None,
+        name: String::new(),
     };
     let job = Job {
         keyframes: vec![(keyframe, None)],
@@ -124,6 +122,7 @@ fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
         part: None,
         place: None,
         reach: None,
+        name: String::new(),
     };
     let job = Job {
         keyframes: vec![(keyframe, Some(wild.clone()))],
@@ -164,10 +163,7 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
         ..job
     };
     let said = longer.make(&[walk(70)]).unwrap_err().to_string();
-    assert_eq!(
-        said,
-        "content.bvh: has 120 frames, and another length asked for is 80"
-    );
+    assert_eq!(said, "content.bvh: has 120 frames, and `--length` 80");
 }
 
 #[test]
@@ -180,6 +176,7 @@ fn places_of_key_frames_are_passed() {
             part: None,
             place: Some(place),
             reach: None,
+            name: String::new(),
         };
         let (one, two) = (at(3.0, [50.0, -80.0]), at(1.0, [-20.0, 30.0]));
         let job = Job {

@@ -90,6 +90,7 @@ proptest! {
         lengths in proptest::collection::vec(3..30usize, 1..4),
         l2: bool,
         completeness: bool,
+        key in proptest::option::of(0..40usize),
     ) {
         let p = 2 * half + 1;
         let x = motion(seed, n, 4);
@@ -102,7 +103,9 @@ proptest! {
         prop_assume!(pool.patches() > 0);
         let distance = if l2 { Distance::L2 } else { Distance::MeanSquare };
         let alpha = completeness.then_some(0.01);
-        let found = Search::new(&pool, distance).nearest(&x, alpha);
+        let bent = key.map(|key| (0..n).map(|t| t.abs_diff(key) < 3).collect::<Vec<bool>>());
+        let bent = bent.unwrap_or_default();
+        let found = Search::new(&pool, distance).nearest(&x, alpha, &bent);
         let apart = |i: usize, j: usize| -> f64 {
             let (example, first) = pool.origin(j);
             let rows = (0..p).flat_map(|k| {
@@ -115,9 +118,12 @@ proptest! {
             }
         };
         let patches = n - p + 1;
+        let free = |i: &usize| bent.is_empty() || !bent[*i..i + p].contains(&true);
+        let all_bent = !(0..patches).any(|i| free(&i));
+        let counting = || (0..patches).filter(|i| all_bent || free(i));
         let scale = |j: usize| match alpha {
             Some(alpha) => {
-                alpha + (0..patches).map(|i| apart(i, j)).fold(f64::INFINITY, f64::min)
+                alpha + counting().map(|i| apart(i, j)).fold(f64::INFINITY, f64::min)
             }
             None => 1.0,
         };
@@ -148,13 +154,13 @@ proptest! {
         let pool = Pool::new(&[example], p);
         let mut search = Search::new(&pool, Distance::MeanSquare);
         let mut x = motion(seed, n, 4);
-        search.nearest(&x, Some(0.01));
+        search.nearest(&x, Some(0.01), &[]);
         for (index, &t) in changed.iter().enumerate() {
             x.frame_mut(t)[index % 4] += 0.25;
         }
         for x in [x, motion(seed, n - 3, 4)] {
-            let fresh = Search::new(&pool, Distance::MeanSquare).nearest(&x, Some(0.01));
-            prop_assert_eq!(search.nearest(&x, Some(0.01)), fresh);
+            let fresh = Search::new(&pool, Distance::MeanSquare).nearest(&x, Some(0.01), &[]);
+            prop_assert_eq!(search.nearest(&x, Some(0.01), &[]), fresh);
         }
     }
 }
@@ -163,7 +169,7 @@ proptest! {
 fn the_first_of_equally_near_patches_is_taken() {
     let example = Frames::new(1, [0.0, 1.0, 2.0].repeat(6));
     let pool = Pool::new(std::slice::from_ref(&example), 3);
-    let found = Search::new(&pool, Distance::MeanSquare).nearest(&example, None);
+    let found = Search::new(&pool, Distance::MeanSquare).nearest(&example, None, &[]);
     assert!(found.nearest.iter().all(|&patch| patch < 3), "{found:?}");
 }
 

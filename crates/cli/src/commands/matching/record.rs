@@ -10,6 +10,9 @@ use crate::args::MatchArguments;
 /// By how much more of its frames than of the examples' a motion stands still before that is said.
 const MORE_STILL: f64 = 0.03;
 
+/// Jerk over fixed parts above which that is said, as a part of that of the motions it is made of.
+const SHAKING: f64 = 1.3;
+
 /// How a motion was made, and what it has of its examples.
 #[derive(Serialize)]
 pub struct Record {
@@ -35,6 +38,9 @@ pub struct Record {
     /// None where feet are not held.
     #[serde(skip_serializing_if = "Option::is_none")]
     sliding: Option<Sliding>,
+    /// None where nothing is fixed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    jerk: Option<f64>,
     /// None of motions that are no loops.
     #[serde(skip_serializing_if = "Option::is_none")]
     seam: Option<Seam>,
@@ -98,6 +104,7 @@ impl Record {
                 .map(|(part, path)| format!("{part}={}", path.display()))
                 .collect(),
             sliding: made.sliding,
+            jerk: made.jerk,
             seam: made.seam(job.settings.looping),
             still: made.stillness(),
             measures: made.measures(&[]),
@@ -124,9 +131,16 @@ impl Record {
             .filter(|still| still.motion > still.examples + MORE_STILL)
         {
             tell!(
-                "it stands still in {:.0} % of its frames, the examples in {:.0} %",
+                "it stands still in {:.0} % of its frames, the examples in {:.0} %: another `--seed`, or \
+                 `--coherence 1`, can be better",
                 100.0 * still.motion,
                 100.0 * still.examples
+            );
+        }
+        if let Some(jerk) = self.jerk.filter(|jerk| *jerk > SHAKING) {
+            tell!(
+                "it shakes: its jerk is {jerk:.1} times that of the motions that it is put together of; fix \
+                 more of the body, with the hips that it hangs on"
             );
         }
         if let Some(seam) = self.seam.filter(|seam| seam.jump() > 1.0) {
