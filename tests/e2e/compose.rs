@@ -178,3 +178,60 @@ fn compositions_are_evaluated_beside_real_clips() {
         .failed(2, &["long.toml: step[0]: `nothing` is no caption"]);
     assert!(!sandbox.path("x.npy").exists());
 }
+
+#[test]
+fn a_trained_network_is_taught_to_follow_paths() {
+    let sandbox = trained();
+    for (name, points) in [
+        ("left", "[[0.0, 0.0], [1.0, 1.0], [3.0, 1.0]]"),
+        ("right", "[[0.0, 0.0], [-1.0, 1.0], [-3.0, 1.0]]"),
+    ] {
+        sandbox.write(&format!("{name}.toml"), format!("points = {points}\n"));
+    }
+    let features = |line: String, name: &str| {
+        let line = format!("sample {line} --frames 50 --seed 5 --out {name}");
+        sandbox.run(&line).succeeded();
+        let path = sandbox.path(format!("{name}.features.npy"));
+        read_array(&path).expect("features").values
+    };
+    // Learning at a rate of nothing: what reads the path stays at zero.
+    let adapt = "train c.toml --set train.recipe=path_adapter --set init.diffusion=runs/bpe";
+    let line = format!("{adapt} --set run.name=told --set optim.learning_rate=1e-30");
+    sandbox.run(&line).succeeded();
+    let free = features("runs/bpe".into(), "free");
+    assert_eq!(features("runs/told".into(), "untold"), free, "to the bit");
+    let told = |run: &str, path: &str| {
+        let line = format!("{run} --path {path}.toml --method tokens");
+        features(line, &format!("{}-{path}", run.replace('/', "-")))
+    };
+    assert_eq!(told("runs/told", "left"), told("runs/told", "right"));
+    // Taught, the two ways differ; without one it draws what its base draws.
+    let line = format!("{adapt} --set run.name=taught --set optim.learning_rate=1e-2");
+    sandbox.run(&line).succeeded();
+    let (left, right) = (told("runs/taught", "left"), told("runs/taught", "right"));
+    let apart = left.iter().zip(&right).map(|(a, b)| (a - b).abs());
+    assert!(apart.fold(0.0, f32::max) > 1e-3);
+    assert_eq!(features("runs/taught".into(), "taught"), free);
+    let line = "runs/taught --path left.toml --method tokens_guidance".to_owned();
+    assert_ne!(features(line, "guided"), left);
+    for (line, expected) in [
+        (
+            "sample runs/bpe --path left.toml --method tokens --out x".to_owned(),
+            "a run whose network is told no paths",
+        ),
+        (
+            format!("{adapt} --set run.name=x --set adapter.last_layers=3"),
+            "`adapter.last_layers` is 3, allowed: 0 to 2",
+        ),
+        (
+            "train c.toml --set run.name=x --set adapter.last_layers=1".to_owned(),
+            "`adapter.last_layers` is 1, allowed: 0 for recipe `bpe_motion`",
+        ),
+        (
+            format!("{adapt} --set run.name=x --set model.path=false"),
+            "`model.path` is false, allowed: true for recipe `path_adapter`",
+        ),
+    ] {
+        sandbox.run(&line).failed(2, &[expected]);
+    }
+}

@@ -37,9 +37,36 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     })
 }
 
+/// Whether a file has the name of one that [`write`] was killed before renaming.
+pub fn is_unfinished(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let Some((_, writer)) = name
+        .strip_suffix(".tmp")
+        .and_then(|name| name.rsplit_once('.'))
+    else {
+        return false;
+    };
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let parts = writer.split_once('-');
+    parts.is_some_and(|(process, number)| is_number(process) && is_number(number))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_what_a_write_leaves_is_unfinished() {
+        for (name, is) in [
+            ("a/b.txt.1996-149.tmp", true),
+            ("b.txt.tmp", false),
+            ("b.txt.1996-149", false),
+            ("b.txt.x-1.tmp", false),
+            ("1-2.tmp", false),
+        ] {
+            assert_eq!(is_unfinished(Path::new(name)), is, "{name}");
+        }
+    }
 
     #[test]
     fn a_failed_write_leaves_the_old_file_and_no_other() {

@@ -35,6 +35,7 @@ pub fn check_id(id: &str) -> Result<(), StoreError> {
     let reason = match id {
         _ if id.contains(['/', '\\']) => "an id has no slash in it",
         _ if id.len() > MAX_ID_BYTES => "an id has at most 200 bytes",
+        _ if id.trim() != id => "an id begins and ends with no blank: lists of ids would lose it",
         _ => return check_path(id),
     };
     Err(StoreError::Path {
@@ -80,6 +81,8 @@ mod tests {
             "a\\b",
             "a\0b",
             "a\nb",
+            " a",
+            "a ",
             &"a".repeat(201),
         ] {
             assert!(check_id(id).is_err(), "{id:?}");

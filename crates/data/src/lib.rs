@@ -62,7 +62,7 @@ pub mod synthetic;
 
 pub use kinegrad_motion::MAX_FRAMES;
 
-pub use atomic::write as write_whole;
+pub use atomic::{is_unfinished, write as write_whole};
 pub use audio_layout::{AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
 pub use config::{

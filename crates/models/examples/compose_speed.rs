@@ -45,6 +45,7 @@ fn main() {
     });
     let composed = Composed {
         network: &network,
+        path: None,
         script: Script::new([segments.collect()]),
         switch: Switch {
             bpe_denoising_step: 60,
@@ -61,6 +62,7 @@ fn main() {
     // Draws the weights.
     let short = Composed {
         network: &network,
+        path: None,
         script: Script::single([4]),
         switch: composed.switch,
     };

@@ -107,14 +107,14 @@ fn golden_patch_distances(golden: Golden) {
         panic!("{:?}", dist.shape)
     };
     let row = |i: usize| &dist.values[i * patches..(i + 1) * patches];
-    let plain = search.nearest(&x, None);
+    let plain = search.nearest(&x, None, &[]);
     indices_match(&golden, "nn_no_alpha", &plain);
     let least: Vec<f64> = (0..rows)
         .map(|i| row(i).iter().copied().fold(f64::INFINITY, f64::min))
         .collect();
     golden.compare_lists("dist", &wide(&plain.distances), &least, TOLERANCE);
     for alpha in golden.names_under("nn_alpha_") {
-        let found = search.nearest(&x, Some(alpha.parse().expect("a number")));
+        let found = search.nearest(&x, Some(alpha.parse().expect("a number")), &[]);
         indices_match(&golden, &format!("nn_alpha_{alpha}"), &found);
         golden.compare(
             &format!("mindist_alpha_{alpha}"),
@@ -126,7 +126,7 @@ fn golden_patch_distances(golden: Golden) {
             .collect();
         golden.compare_lists("smallest", &wide(&found.smallest), &smallest, TOLERANCE);
     }
-    let looped = search.nearest(&with_ends(&x, P), Some(0.01));
+    let looped = search.nearest(&with_ends(&x, P), Some(0.01), &[]);
     indices_match(&golden, "nn_loop_alpha_0.01", &looped);
 }
 
@@ -265,7 +265,7 @@ fn run(golden: Golden) {
         let mut current = frames(&golden, &at("input"));
         for number in 0..settings.num_steps {
             let of = |name: &str| at(&format!("step_{number}_{name}"));
-            let (next, matches) = step(&current, &pool, &mut search, alpha, settings.looping);
+            let (next, matches) = step(&current, &pool, &mut search, alpha, settings.looping, &[]);
             indices_match(&golden, &of("nn"), &matches);
             let distances = golden.get(&of("mindist"));
             distances.assert_within_f32(&of("mindist"), &matches.distances, TOLERANCE, TOLERANCE);

@@ -94,7 +94,7 @@ impl Body {
         units: Option<Units>,
         up: Option<UpAxis>,
     ) -> Result<Self, String> {
-        if rate < SLOWEST {
+        if rate < SLOWEST * (1.0 - 1e-4) {
             return Err(format!(
                 "it has {rate:.1} frames per second: at least {SLOWEST} are needed; where the file's frame \
                  time is wrong, state `fps`"
@@ -148,9 +148,10 @@ impl Body {
     /// frames of the capture. The last frame is the last that lies within the take.
     pub fn at_rate(&self, fps: f64) -> Joints {
         let (frames, count) = (self.joints.frames(), self.joints.joints());
-        // A last moment that rounding puts just beyond the end is still the end.
+        // A last moment that rounding puts just beyond the end is still the end: files say frame times with
+        // six digits.
         let last = (frames - 1) as f64;
-        let resampled = (last / self.rate * fps + 1e-6).floor() as usize + 1;
+        let resampled = (last / self.rate * fps + 0.01).floor() as usize + 1;
         let moments: Vec<f64> = (0..resampled)
             .map(|t| (t as f64 / fps * self.rate).min(last))
             .collect();

@@ -141,16 +141,31 @@ pub fn mirrored(text: &str) -> String {
             _ => exchanged.to_owned(),
         }
     };
-    for letter in text.chars() {
+    for letter in text.chars().chain(['\n']) {
         if letter.is_alphabetic() {
             word.push(letter);
-        } else {
-            result += &exchange(&word);
-            word.clear();
-            result.push(letter);
+            continue;
         }
+        match opposite(&result, &word) {
+            Some(begin) => {
+                result.truncate(begin);
+                result += &word;
+            }
+            None => result += &exchange(&word),
+        }
+        word.clear();
+        result.push(letter);
     }
-    result + &exchange(&word)
+    result.pop();
+    result
+}
+
+/// Where "counter-" or "anti-" before a "clockwise" begins.
+fn opposite(before: &str, word: &str) -> Option<usize> {
+    let before = before.to_lowercase();
+    let mut prefixes = ["counter-", "anti-"].into_iter();
+    let prefix = prefixes.find(|prefix| before.ends_with(prefix))?;
+    (word.to_lowercase() == "clockwise").then(|| before.len() - prefix.len())
 }
 
 #[cfg(test)]
@@ -209,6 +224,9 @@ mod tests {
             assert_eq!(mirrored(expected), text);
         }
         assert_eq!(mirrored("anticlockwise"), "clockwise");
+        assert_eq!(mirrored("turns counter-clockwise."), "turns clockwise.");
+        assert_eq!(mirrored("Anti-clockwise"), "clockwise");
+        assert_eq!(mirrored("left-handed"), "right-handed");
     }
 
     #[test]

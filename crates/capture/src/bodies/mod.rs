@@ -105,6 +105,12 @@ pub fn prepare_clips(
     finish(plan, plan_file, &output, options, journals).map(Some)
 }
 
+/// A motion file, by whatever path the plan names it.
+fn one_file(plan: &Plan, file: &str) -> String {
+    let path = plan.resolve(file).canonicalize();
+    path.map_or_else(|_| file.to_owned(), |path| path.display().to_string())
+}
+
 /// Divides the clips and writes what ends the preparation.
 fn finish(
     plan: &Plan,
@@ -120,7 +126,7 @@ fn finish(
             labels: &journal.report.labels,
             number: journal.report.number,
             // A take that gave clips has rows, each with the file.
-            file: &journal.rows[0].file,
+            file: one_file(plan, &journal.rows[0].file),
         })
         .collect();
     let parts = plan.split.parts(&takes);

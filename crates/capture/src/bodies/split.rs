@@ -52,7 +52,7 @@ pub struct SplitTake<'a> {
     /// Its number within the group.
     pub number: Option<u64>,
     /// The motion file: takes that are windows of one file are held out together.
-    pub file: &'a str,
+    pub file: String,
 }
 
 /// The lists of a plan's takes.
@@ -90,7 +90,7 @@ impl SplitPlan {
             // A file's windows are taken as one, where the last of them is.
             let mut group: Vec<usize> = group
                 .into_iter()
-                .filter(|&place| of_file[takes[place].file].last() == Some(&place))
+                .filter(|&place| of_file[takes[place].file.as_str()].last() == Some(&place))
                 .collect();
             if group.is_empty() {
                 continue;
@@ -108,7 +108,7 @@ impl SplitPlan {
                     _ if back < test + val => Part::Val,
                     _ => continue,
                 };
-                for &window in &of_file[takes[place].file] {
+                for &window in &of_file[takes[place].file.as_str()] {
                     if lists[window] == Part::Train {
                         lists[window] = part;
                     }
@@ -155,10 +155,10 @@ impl SplitPlan {
 }
 
 /// The takes of each file, by their places.
-fn files<'a>(takes: &[SplitTake<'a>]) -> BTreeMap<&'a str, Vec<usize>> {
+fn files<'a>(takes: &'a [SplitTake<'_>]) -> BTreeMap<&'a str, Vec<usize>> {
     let mut files: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (place, take) in takes.iter().enumerate() {
-        files.entry(take.file).or_default().push(place);
+        files.entry(take.file.as_str()).or_default().push(place);
     }
     files
 }
@@ -182,7 +182,7 @@ mod tests {
                 name,
                 labels,
                 number: *number,
-                file: name.split('@').next().expect("a part"),
+                file: name.split('@').next().expect("a part").to_owned(),
             })
             .collect();
         plan.parts(&takes)

@@ -259,6 +259,14 @@ fn another_rate_keeps_the_motion() {
     }
     // They are not simply in the middle: the way is curved.
     assert!(furthest > 1e-4, "{furthest}");
+    // Files say their frame time with six digits or so.
+    for rate in [1.0 / 0.0333333, 1.0 / 0.033333] {
+        let rounded = Body {
+            rate,
+            ..body.clone()
+        };
+        assert_eq!(rounded.at_rate(20.0).frames(), 41);
+    }
 }
 
 /// A folder with captures and a plan.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs::{self, File, TryLockError};
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
@@ -45,6 +46,30 @@ struct Begun {
     lock: Option<File>,
 }
 
+/// Removes what writes have left that were killed, in the folder of the dataset and those in it.
+fn remove_unfinished(store: &Store) -> Result<(), Error> {
+    let Some(prepared) = store.place(LOCK)? else {
+        return Ok(());
+    };
+    let Some(root) = prepared.parent().and_then(Path::parent) else {
+        return Ok(());
+    };
+    let entries = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect()
+    };
+    let inside = entries(root).into_iter();
+    let (folders, files): (Vec<_>, Vec<_>) = inside.partition(|path| path.is_dir());
+    let files = files.into_iter();
+    for file in files.chain(folders.iter().flat_map(|folder| entries(folder))) {
+        if kinegrad_data::is_unfinished(&file) {
+            // What another has removed meanwhile need not be.
+            let _ = fs::remove_file(file);
+        }
+    }
+    Ok(())
+}
+
 impl Output {
     /// The place that the plan names, with nothing written yet.
     ///
@@ -66,6 +91,7 @@ impl Output {
         // Where there is nothing yet, nothing is left behind if nothing can be made.
         if store.place(LOCK)?.is_some_and(|lock| lock.exists()) {
             begun.lock = lock(&store)?;
+            remove_unfinished(&store)?;
         }
         Ok(Self {
             present,

@@ -48,7 +48,17 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
         (name.as_str(), rows)
     });
     let tensors: Vec<_> = tensors.collect();
-    interrupt::not_during(|| write_embeddings(out, tensors))?;
+    // Of clips, the file says which captions it is of.
+    let mut rest = texts.iter().map(String::as_str);
+    let of = named.iter().map(|(name, texts)| {
+        let captions: Vec<&str> = rest.by_ref().take(*texts).collect();
+        (name.as_str(), captions)
+    });
+    let of: Vec<_> = match arguments.dataset {
+        Some(_) => of.collect(),
+        None => Vec::new(),
+    };
+    interrupt::not_during(|| write_embeddings(out, tensors, &of))?;
     say!(
         "{}: {} embeddings in {} tensor(s)",
         out.display(),

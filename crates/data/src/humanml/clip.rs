@@ -242,7 +242,11 @@ impl ClipFiles {
             ));
         }
         if let Some(embeddings) = self.embeddings.as_ref().filter(|_| !captions.is_empty()) {
-            let rows = embeddings.of(id, captions.len())?;
+            let said: Vec<&str> = captions
+                .iter()
+                .map(|caption| caption.text.as_str())
+                .collect();
+            let rows = embeddings.of(id, &said)?;
             for (caption, row) in captions.iter_mut().zip(rows) {
                 caption.embedding = Some(row.clone());
             }

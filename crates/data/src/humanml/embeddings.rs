@@ -21,6 +21,8 @@ const HINT: &str = "`kinegrad text embed` makes the file (docs/dataset.md); data
 pub(super) struct Embeddings {
     /// Those of each clip, in the order of its captions.
     clips: HashMap<String, Vec<Arc<[f32]>>>,
+    /// Checksums of the captions that were embedded, of those clips of which the file says it.
+    captions: HashMap<String, String>,
     file: String,
     pub digest: Digest,
 }
@@ -40,27 +42,40 @@ impl Embeddings {
             .iter()
             .map(|(id, tensor)| Ok((id.to_owned(), rows(id, &tensor, file)?)))
             .collect::<Result<_, FileError>>()?;
+        let captions = SafeTensors::read_metadata(bytes).ok();
+        let captions = captions.and_then(|(_, metadata)| metadata.metadata().clone());
         Ok(Self {
             clips,
+            captions: captions.unwrap_or_default(),
             file: file.to_owned(),
             digest,
         })
     }
 
-    /// The embeddings of the `captions` captions of clip `id`.
+    /// The embeddings of the captions of clip `id`.
     ///
     /// # Errors
-    /// [`FileError::Unusable`] where there are none or not so many.
-    pub fn of(&self, id: &str, captions: usize) -> Result<&[Arc<[f32]>], FileError> {
+    /// [`FileError::Unusable`] where there are none or not so many, or they are of other captions, if the
+    /// file says of which.
+    pub fn of(&self, id: &str, captions: &[&str]) -> Result<&[Arc<[f32]>], FileError> {
         let found = match self.clips.get(id) {
-            Some(rows) if rows.len() == captions => return Ok(rows),
+            Some(rows) if rows.len() == captions.len() => {
+                let known = self.captions.get(id);
+                match known.is_none_or(|known| *known == checksum(captions)) {
+                    true => return Ok(rows),
+                    false => "embeddings of other captions".to_owned(),
+                }
+            }
             Some(rows) => format!("{} rows", rows.len()),
             None => "no such tensor".to_owned(),
         };
         Err(FileError::unexpected(
             format!("{}, tensor `{id}`", self.file),
             found,
-            format!("{captions} rows, one for each line of texts/{id}.txt"),
+            format!(
+                "{} rows, one for each line of texts/{id}.txt",
+                captions.len()
+            ),
             HINT,
         ))
     }
@@ -141,19 +156,34 @@ pub(super) fn numbers(tensor: &TensorView) -> Option<Vec<f32>> {
     })
 }
 
-/// Writes a file of embeddings, whole or not at all: `[texts, 512]` float32 under each name.
+/// What tells captions from others.
+fn checksum(captions: &[&str]) -> String {
+    Digest::of(captions.join("\n").as_bytes()).to_string()
+}
+
+/// Writes a file of embeddings, whole or not at all: `[texts, 512]` float32 under each name. Of clips, `of`
+/// has the captions: the file is refused where they have changed.
 ///
 /// # Errors
 /// [`Error::Io`].
 ///
 /// # Panics
 /// Panics if a name comes up twice, or a row has another number of values.
-pub fn write_embeddings(path: &Path, texts: Vec<(&str, Vec<&[f32]>)>) -> Result<(), Error> {
-    atomic::write(path, &serialize(texts.into_iter()))
+pub fn write_embeddings(
+    path: &Path,
+    texts: Vec<(&str, Vec<&[f32]>)>,
+    of: &[(&str, Vec<&str>)],
+) -> Result<(), Error> {
+    let of = of.iter();
+    let of = of.map(|(id, captions)| ((*id).to_owned(), checksum(captions)));
+    atomic::write(path, &serialize(texts.into_iter(), of.collect()))
 }
 
 /// The bytes of a file of embeddings: `[captions, 512]` float32 for each clip.
-pub(super) fn serialize<'a>(clips: impl Iterator<Item = (&'a str, Vec<&'a [f32]>)>) -> Vec<u8> {
+pub(super) fn serialize<'a>(
+    clips: impl Iterator<Item = (&'a str, Vec<&'a [f32]>)>,
+    captions: HashMap<String, String>,
+) -> Vec<u8> {
     let clips: Vec<(&str, usize, Vec<u8>)> = clips
         .map(|(id, rows)| {
             let values = rows.iter().flat_map(|row| row.iter());
@@ -166,7 +196,8 @@ pub(super) fn serialize<'a>(clips: impl Iterator<Item = (&'a str, Vec<&'a [f32]>
         let view = TensorView::new(Dtype::F32, shape, bytes);
         (*id, view.expect("so many bytes"))
     });
-    safetensors::serialize(views, None).expect("ids are unique")
+    let captions = (!captions.is_empty()).then_some(captions);
+    safetensors::serialize(views, captions).expect("ids are unique")
 }
 
 #[cfg(test)]
@@ -182,16 +213,27 @@ mod tests {
     #[test]
     fn rows_are_read_and_counted() {
         let rows = [[0.5f32; 512], [-2.0; 512]];
-        let bytes = serialize([("a", vec![&rows[0][..], &rows[1]])].into_iter());
-        let read = Embeddings::parse(&bytes, "e.safetensors", Digest::of(&bytes)).unwrap();
-        assert_eq!(read.of("a", 2).unwrap()[1][..], rows[1]);
-        let message = read.of("a", 3).unwrap_err().to_string();
+        let two = || [("a", vec![&rows[0][..], &rows[1]])].into_iter();
+        let parsed =
+            |bytes: &[u8]| Embeddings::parse(bytes, "e.safetensors", Digest::of(bytes)).unwrap();
+        let read = parsed(&serialize(two(), HashMap::new()));
+        assert_eq!(read.of("a", &["x", "y"]).unwrap()[1][..], rows[1]);
+        // A file that says of which captions it is.
+        let of = HashMap::from([("a".to_owned(), checksum(&["x", "y"]))]);
+        let tied = parsed(&serialize(two(), of));
+        assert!(tied.of("a", &["x", "y"]).is_ok());
+        let message = tied.of("a", &["x", "z"]).unwrap_err().to_string();
+        assert!(
+            message.contains("embeddings of other captions"),
+            "{message}"
+        );
+        let message = read.of("a", &["x", "y", "z"]).unwrap_err().to_string();
         assert_eq!(
             message,
             "e.safetensors, tensor `a`: found 2 rows, expected 3 rows, one for each line of \
              texts/a.txt"
         );
-        let message = read.of("b", 1).unwrap_err().to_string();
+        let message = read.of("b", &["x"]).unwrap_err().to_string();
         assert!(message.contains("`b`: found no such tensor"), "{message}");
     }
 
@@ -199,7 +241,7 @@ mod tests {
     fn half_precision_is_understood() {
         let bytes: Vec<u8> = (0..512).flat_map(|_| 0x3800u16.to_le_bytes()).collect();
         let read = parse(Dtype::F16, &[1, 512], &bytes).unwrap();
-        assert_eq!(read.of("000021", 1).unwrap()[0][..], [0.5; 512]);
+        assert_eq!(read.of("000021", &["x"]).unwrap()[0][..], [0.5; 512]);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! Everything is a function of (seed, number of the walk).
 
+use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -282,7 +283,7 @@ pub fn write_walks(folder: &Path, clips: usize, frames: usize, seed: u64) -> Res
             let rows = rows.filter_map(|caption| caption.embedding.as_deref());
             (id.as_str(), rows.collect())
         });
-        let bytes = embeddings::serialize(rows);
+        let bytes = embeddings::serialize(rows, HashMap::new());
         atomic::write(&staging.join(&text_embeddings), &bytes)
     })
 }

@@ -27,6 +27,9 @@ pub struct BlendedConfig {
     /// Dropout of the tokens in training, and how often a layer's attention or feed-forward is left
     /// out (stochastic depth, Huang et al. 2016).
     pub dropout: f64,
+    /// Whether each frame is told where a path leads (docs/sources.md, section 7, option C). The published
+    /// network is told none.
+    pub path: bool,
 }
 
 impl Default for BlendedConfig {
@@ -55,6 +58,7 @@ impl BlendedConfig {
             ff_size: 1024,
             horizon: 150,
             dropout: 0.1,
+            path: false,
         }
     }
 
@@ -75,6 +79,7 @@ impl BlendedConfig {
             ff_size: 128,
             horizon: 40,
             dropout: 0.1,
+            path: false,
         }
     }
 

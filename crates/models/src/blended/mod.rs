@@ -40,6 +40,10 @@ pub const HEAD_CHANNELS: usize = 64;
 /// Channels of a head, from the first on, that turn in relative mode.
 pub const ROTATED_CHANNELS: usize = 32;
 
+/// What a frame is told of a path: place x and z, metres; velocity along both, metres per second; sine and
+/// cosine of the heading; curvature, 1 / metre.
+pub const PATH_CHANNELS: usize = 7;
+
 /// In which steps of a draw positions are relative: the published `bpe_denoising_step`, k. Of T
 /// timesteps t is relative if `t <= T - k`, so that `k - 1` steps are absolute; at -1 all are, at 0
 /// none.
@@ -71,6 +75,8 @@ pub struct Pass<'a> {
     pub is_relative: &'a [bool],
     /// The draw of dropout and stochastic depth, in training.
     pub dropout: DropoutKey,
+    /// Where a path leads, `[batch, PATH_CHANNELS, time]`; none for motion that goes where it likes.
+    pub path: Option<&'a Tensor<3>>,
 }
 
 /// The network. Should be created with [`BlendedConfig::init`].
@@ -81,6 +87,8 @@ pub struct BlendedTransformer {
     embed_timestep_at_time_embed_at_2: Linear,
     embed_text: Linear,
     input_process_at_poseEmbedding: Linear,
+    embed_path_at_0: Option<Linear>,
+    embed_path_at_2: Option<Linear>,
     seqTransEncoder_at_pos_emb_at_absolute_at_scale: Param<Tensor<1>>,
     seqTransEncoder_at_project_in: Linear,
     seqTransEncoder_at_attn_layers_at_layers: Vec<SubLayer>,
@@ -106,6 +114,7 @@ impl BlendedTransformer {
         let encoder = init.at("seqTransEncoder");
         let attention = encoder.at("attn_layers");
         let pose = init.at("input_process").at("poseEmbedding");
+        let path = init.at("embed_path");
         let last = init.at("output_process").at("poseFinal");
         let layers = attention.at("layers");
         let sub_layer = |index: usize| SubLayer::new(index, config, &layers.at(&index.to_string()));
@@ -115,6 +124,12 @@ impl BlendedTransformer {
             embed_timestep_at_time_embed_at_2: square(&time.at("2")),
             embed_text: Linear::new(text_channels, width, &init.at("embed_text")),
             input_process_at_poseEmbedding: Linear::new(in_channels, width, &pose),
+            embed_path_at_0: config
+                .path
+                .then(|| Linear::new(PATH_CHANNELS, width, &path.at("0"))),
+            embed_path_at_2: config
+                .path
+                .then(|| square(&path.at("2")).zeroed(&path.at("2"))),
             seqTransEncoder_at_pos_emb_at_absolute_at_scale: encoder
                 .constant([1], (width as f32).sqrt().recip()),
             seqTransEncoder_at_project_in: square(&encoder.at("project_in")),
@@ -179,6 +194,7 @@ impl BlendedTransformer {
             script,
             is_relative,
             dropout,
+            path,
         } = pass;
         assert_eq!(
             (script.len(), is_relative.len(), time.len()),
@@ -193,7 +209,10 @@ impl BlendedTransformer {
         stages.stage(format_args!("project_in"), || h.clone());
         let absolute = self.absolute(script, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
-        let h = h + absolute;
+        let h = match path.and_then(|path| self.told_path(path)) {
+            Some(told) => h + absolute + told,
+            None => h + absolute,
+        };
         stages.stage(format_args!("tokens"), || h.clone());
         let mut h = self.dropout.forward(h, dropout);
         let ranges = script.ranges(frames, self.horizon, is_relative);
@@ -216,6 +235,32 @@ impl BlendedTransformer {
         let h = self.seqTransEncoder_at_project_out.forward_frames(h);
         stages.stage(format_args!("project_out"), || h.clone());
         self.output_process_at_poseFinal.forward_frames(h)
+    }
+
+    /// What a path adds to the tokens, `[batch, width, time]`: nothing before the first step of training.
+    fn told_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
+        let inner = self.embed_path_at_0.as_ref()?.forward_frames(path.clone());
+        Some(self.embed_path_at_2.as_ref()?.forward_frames(silu(inner)))
+    }
+
+    /// Whether it can be told a path.
+    pub fn knows_paths(&self) -> bool {
+        self.embed_path_at_0.is_some()
+    }
+
+    /// The same network, of which training changes what reads the path, and the last layers.
+    #[must_use]
+    pub fn adapting(self, last_layers: usize) -> Self {
+        let (first, second) = (self.embed_path_at_0.clone(), self.embed_path_at_2.clone());
+        let layers = self.seqTransEncoder_at_attn_layers_at_layers.clone();
+        let mut adapting = self.no_grad();
+        (adapting.embed_path_at_0, adapting.embed_path_at_2) = (first, second);
+        let kept = layers.len().saturating_sub(2 * last_layers);
+        let last = layers.into_iter().enumerate().skip(kept);
+        for (index, layer) in last {
+            adapting.seqTransEncoder_at_attn_layers_at_layers[index] = layer;
+        }
+        adapting
     }
 
     /// What timesteps become: `[batch, width]`.
@@ -299,6 +344,8 @@ pub struct Composed<'a> {
     pub script: Script,
     /// In which steps positions are relative.
     pub switch: Switch,
+    /// Where a path leads, `[batch, PATH_CHANNELS, time]`.
+    pub path: Option<Tensor<3>>,
 }
 
 impl Denoiser for Composed<'_> {
@@ -313,6 +360,7 @@ impl Denoiser for Composed<'_> {
             script: &self.script,
             is_relative: &is_relative.collect::<Vec<_>>(),
             dropout: None,
+            path: self.path.as_ref(),
         };
         self.network
             .forward(x_t, time, cond.clone().squeeze_dim(2), pass)

@@ -21,9 +21,33 @@ fn network() -> BlendedTransformer {
         ff_size: 30,
         horizon: 4,
         dropout: 0.1,
+        path: false,
     };
     let init = Initializer::new(3, &Device::flex());
     config.init(CHANNELS, 7, &init).expect("a network")
+}
+
+/// The same with what reads a path, whose weights are as drawn or as nothing has trained them.
+fn told(drawn: bool) -> BlendedTransformer {
+    let config = BlendedConfig {
+        latent_dim: 24,
+        num_layers: 2,
+        num_heads: 2,
+        ff_size: 30,
+        horizon: 4,
+        dropout: 0.1,
+        path: true,
+    };
+    let init = Initializer::new(3, &Device::flex());
+    let network = config.init(CHANNELS, 7, &init).expect("a network");
+    let mut values = parameters::export(&network);
+    for parameter in values.iter_mut().filter(|_| drawn) {
+        if parameter.info.name == "embed_path.2.weight" {
+            let key = Key::new(9, Purpose::Noise);
+            parameter.values = key.normals(parameter.values.len());
+        }
+    }
+    parameters::load(network, values).expect("its own weights")
 }
 
 fn two() -> Script {
@@ -39,6 +63,7 @@ fn answer(x: Tensor<3>, texts: Tensor<2>, script: &Script, relative: [bool; 2]) 
         script,
         is_relative: &relative,
         dropout: None,
+        path: None,
     };
     network().forward(x, &[Time(30.0), Time(700.0)], texts, pass)
 }
@@ -128,6 +153,7 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
             script: &script,
             is_relative: &[true],
             dropout: None,
+            path: None,
         };
         network().forward(x, &[Time(5.0)], told.clone(), pass)
     };
@@ -140,6 +166,67 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
 }
 
 #[test]
+fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
+    let (x, script, texts) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let run = |network: &BlendedTransformer, path: Option<&Tensor<3>>| {
+        let pass = Pass {
+            script: &script,
+            is_relative: &[true, true],
+            dropout: None,
+            path,
+        };
+        network.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass)
+    };
+    let path = random([2, PATH_CHANNELS, FRAMES], 5);
+    let base = run(&network(), None).into_data();
+    assert_eq!(run(&told(false), Some(&path)).into_data(), base);
+    let drawn = told(true);
+    let whole = run(&drawn, Some(&path));
+    assert_ne!(whole.clone().into_data(), base);
+    assert_eq!(run(&drawn, None).into_data(), base);
+    // Another way in the last frame alone: seen by frames within twice the horizon, of that motion.
+    let last = path.clone().narrow(2, FRAMES - 1, 1);
+    let other = Tensor::cat(vec![path.narrow(2, 0, FRAMES - 1), last + 1.0], 2);
+    let other = Tensor::cat(
+        vec![other.clone().narrow(0, 0, 1), other.narrow(0, 1, 1)],
+        0,
+    );
+    let changed = apart(&whole, &run(&drawn, Some(&other)));
+    assert!(changed[1][FRAMES - 1] > 1e-5);
+    let far = FRAMES - 1 - 2 * 4;
+    assert!(
+        changed[1][..far]
+            .iter()
+            .all(|difference| *difference == 0.0)
+    );
+}
+
+#[test]
+fn adapting_trains_what_reads_the_path_and_the_last_layers() {
+    let trained = |last_layers: usize| -> Vec<String> {
+        let network = told(false).adapting(last_layers);
+        let infos = parameters::infos(&network).into_iter();
+        let trained = infos.zip(parameters::trainable(&network));
+        let trained = trained.filter(|(_, is)| *is).map(|(info, _)| info.name);
+        trained.collect()
+    };
+    assert!(
+        trained(0)
+            .iter()
+            .all(|name| name.starts_with("embed_path."))
+    );
+    assert_eq!(trained(0).len(), 4);
+    let last = trained(1);
+    assert!(last.len() > 4);
+    let of_last = |name: &&String| {
+        ["2.", "3."]
+            .iter()
+            .any(|index| name.starts_with(&format!("seqTransEncoder.attn_layers.layers.{index}")))
+    };
+    assert_eq!(last.iter().filter(of_last).count(), last.len() - 4);
+}
+
+#[test]
 fn training_leaves_sub_layers_out_by_its_key() {
     let (x, script, told) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
     let run = |seed: u64| {
@@ -147,6 +234,7 @@ fn training_leaves_sub_layers_out_by_its_key() {
             script: &script,
             is_relative: &[true, false],
             dropout: Some(Key::new(seed, Purpose::Dropout)),
+            path: None,
         };
         network()
             .forward(x.clone(), &[Time(3.0); 2], told.clone(), pass)

@@ -30,7 +30,9 @@ pub struct GuidanceSchedule {
     /// Last timestep at which keyframes act; below it the model finishes the motion by itself.
     pub points_until: usize,
     /// Last timestep at which positions are imputed into the motion model's samples, instead of
-    /// `points_until`, which still ends guidance. The published demonstration has 1.
+    /// `points_until`, which still ends guidance. The published demonstration has 1. Keyframes without a
+    /// first stage end at `points_until` at the latest: single frames that are put in their places to the
+    /// end are jumped to.
     pub motion_until: Option<usize>,
 }
 

@@ -39,6 +39,7 @@ fn golden_composition_decode(golden: Golden) {
     let device = Device::flex();
     let composed = Composed {
         network: &network,
+        path: None,
         script,
         switch: switch(&golden),
     };

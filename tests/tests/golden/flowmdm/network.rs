@@ -53,6 +53,7 @@ impl Case<'_> {
             script: self.script,
             is_relative: &self.is_relative,
             dropout: None,
+            path: None,
         };
         let mut stages = Noted::default();
         let told = texts.clone() * kept;
@@ -134,6 +135,7 @@ fn golden_blended_single_text(golden: Golden) {
         case.run("in.text_features", &weights, &device);
         let composed = Composed {
             network: &plain,
+            path: None,
             script: script.clone(),
             switch,
         };
@@ -157,6 +159,7 @@ fn golden_blended_single_text(golden: Golden) {
         .unsqueeze_dim(2);
     let composed = Composed {
         network: &plain,
+        path: None,
         script,
         switch,
     };

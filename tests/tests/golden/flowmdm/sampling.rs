@@ -90,6 +90,7 @@ fn golden_composition_sampling(golden: Golden) {
     let switch = switch(&golden);
     let composed = |bpe_denoising_step: i64| Composed {
         network: &network,
+        path: None,
         script: script.clone(),
         switch: Switch {
             bpe_denoising_step,

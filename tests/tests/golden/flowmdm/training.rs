@@ -68,6 +68,7 @@ fn golden_blended_training(golden: Golden) {
         script: &script,
         is_relative: &is_relative,
         dropout: None,
+        path: None,
     };
     let time = Time::of(&timesteps);
     let y = network.forward(

@@ -1,5 +1,7 @@
 //! The system's own config tables and their validation.
 
+use std::path::PathBuf;
+
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, PredictionType, SamplerKind, must_suit};
 use kinegrad_models::blended::BlendedConfig;
@@ -8,8 +10,9 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
 
-use super::{PathConfig, RECIPE};
+use super::{ADAPTER, PathConfig, RECIPE};
 use crate::captions::CaptionsConfig;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, SelectBy, SystemTables};
 use crate::error::Error;
@@ -45,10 +48,26 @@ num_inference_steps = 1000
 guidance_scale = 2.5
 "#;
 
+/// Those of recipe `path_adapter` besides.
+pub(super) const ADAPTER_DEFAULTS: &str = "
+[model]
+path = true
+";
+
+/// Tables of a run to start from, with a network that is told paths.
+pub(super) fn with_paths(mut tables: Table) -> Table {
+    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut) {
+        model.insert("path".to_string(), Value::Boolean(true));
+    }
+    tables
+}
+
 /// The tables of this system.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BpeTables {
+    /// The initial checkpoint.
+    pub init: BpeInitConfig,
     /// The denoiser.
     pub model: ModelTable<BpeNetwork>,
     /// What the model knows of captions.
@@ -57,6 +76,8 @@ pub struct BpeTables {
     pub diffusion: DiffusionConfig,
     /// Absolute and relative positions.
     pub positions: PositionsConfig,
+    /// What recipe `path_adapter` trains.
+    pub adapter: PathAdapterConfig,
     /// The loss.
     pub loss: BpeLossConfig,
     /// The evaluation.
@@ -99,6 +120,23 @@ impl Default for PositionsConfig {
             bpe_training_ratio: 0.5,
         }
     }
+}
+
+/// The table `init`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BpeInitConfig {
+    /// Run or checkpoint to start from, whose EMA weights, network, process and statistics are used. For
+    /// `path_adapter` it may be one that knows no paths.
+    pub diffusion: PathBuf,
+}
+
+/// The table `adapter`: what recipe `path_adapter` trains of a network that it has from elsewhere.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathAdapterConfig {
+    /// How many of the last layers are trained besides what reads the path.
+    pub last_layers: usize,
 }
 
 /// The table `loss`.
@@ -156,6 +194,21 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.model.network.sizes().validate()?;
     own.diffusion.validate()?;
     own.text.validate(data)?;
+    let adapts = config.train.recipe == ADAPTER;
+    require(
+        !adapts || own.model.network.sizes().path,
+        "model.path",
+        false,
+        format!("true for recipe `{ADAPTER}`, which trains what reads the path"),
+    )?;
+    let layers = own.model.network.sizes().num_layers;
+    in_range("adapter.last_layers", own.adapter.last_layers, 0..=layers)?;
+    require(
+        adapts || own.adapter.last_layers == 0,
+        "adapter.last_layers",
+        own.adapter.last_layers,
+        format!("0 for recipe `{RECIPE}`, which trains all layers"),
+    )?;
     require(
         matches!(data.kind, DataKind::Humanml3d | DataKind::SyntheticWalks),
         "data.kind",

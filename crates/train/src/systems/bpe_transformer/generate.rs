@@ -114,9 +114,19 @@ impl Composer {
             frames: line.frames,
         });
         let script = Script::new([segments.collect()]);
+        let humanml3d = &self.config().data.humanml3d;
+        let told = match target.filter(|_| settings.path.method.tells()) {
+            Some(target) => {
+                self.must_know_paths()?;
+                let fps = humanml3d.skeleton.skeleton().description().fps;
+                Some(target.told(fps, &self.device))
+            }
+            None => None,
+        };
         let composed = |network| Composed {
             network,
             script: script.clone(),
+            path: told.clone(),
             switch: Switch {
                 bpe_denoising_step: settings.bpe_denoising_step,
                 num_train_timesteps: self.diffusion.config.num_train_timesteps,
@@ -125,7 +135,6 @@ impl Composer {
         let (plain, tracked) = (composed(&self.plain), composed(&self.tracked));
         let cond = self.told(lines)?;
         let frames: usize = lines.iter().map(|line| line.frames).sum();
-        let humanml3d = &self.config().data.humanml3d;
         let channels = humanml3d.representation().channels();
         let start = key.named("start").normals(channels * frames);
         let start = TensorData::new(start, [1, channels, frames]);
@@ -205,6 +214,16 @@ impl Composer {
         }
         let layout = humanml3d.skeleton.skeleton().layout();
         Ok(Features::new(values, layout, humanml3d.root)?)
+    }
+
+    fn must_know_paths(&self) -> Result<(), Error> {
+        match self.plain.knows_paths() {
+            true => Ok(()),
+            false => Err(Error::usage(
+                "`--method tokens`, and a run whose network is told no paths",
+                "teach it with recipe `path_adapter`, or use another method (docs/compose.md)",
+            )),
+        }
     }
 
     /// What the lines are told, `[lines, text channels, 1]`; zeros where nothing is.

@@ -2,7 +2,8 @@
 //! section 6).
 //!
 //! Recipe `bpe_motion` trains it on clips with one text each, in absolute mode as often as in relative
-//! mode. [`Composer`] draws motion of any length from texts one after another.
+//! mode, and with `model.path` on where each clip goes; recipe `path_adapter` teaches that to a trained
+//! network, which stays as it is. [`Composer`] draws motion of any length from texts one after another.
 
 mod config;
 mod evaluate;
@@ -13,13 +14,17 @@ mod path;
 mod recipe;
 mod report;
 mod sample;
+mod told;
 mod train;
 
 use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
 use toml::Table;
 
-pub use config::{BpeNetwork, BpeTables, ComposeEvaluationConfig, PositionsConfig};
+pub use config::{
+    BpeInitConfig, BpeNetwork, BpeTables, ComposeEvaluationConfig, PathAdapterConfig,
+    PositionsConfig,
+};
 pub use generate::{Composer, Line};
 pub use path::{Followed, OverrideReading, PathConfig, PathMethod, PathTarget};
 pub use report::ComposedReport;
@@ -30,18 +35,32 @@ use crate::evaluation::{Evaluate, EvaluationRequest};
 use crate::import::{ImportRequest, Imported};
 use crate::memory::Footprint;
 use crate::observer::Observer;
+use crate::parameter_count::ParameterCount;
 use crate::recipe::RecipeInfo;
 use crate::run::{Outcome, Setup};
 use crate::sampling::{Receiver, Remark, Request, Subject};
+use crate::start::{Start, tables_of};
 use crate::system::System;
 
 /// Name of the recipe.
 pub(super) const RECIPE: &str = "bpe_motion";
 
-const RECIPES: [RecipeInfo; 1] = [RecipeInfo {
-    name: RECIPE,
-    groups: &["transformer"],
-}];
+/// Name of the recipe that teaches a trained network to follow paths.
+pub(super) const ADAPTER: &str = "path_adapter";
+
+const RECIPES: [RecipeInfo; 2] = [
+    RecipeInfo {
+        name: RECIPE,
+        groups: &["transformer"],
+    },
+    RecipeInfo {
+        name: ADAPTER,
+        groups: &["transformer"],
+    },
+];
+
+/// Tables that follow from what a run starts from.
+const INHERITED: [&str; 3] = ["model", "text", "diffusion"];
 
 /// The system.
 pub struct BpeTransformer;
@@ -60,8 +79,12 @@ impl System for BpeTransformer {
         Vec::new()
     }
 
-    fn defaults(&self, _: &RecipeInfo, _: &Table) -> Table {
-        config::DEFAULTS.parse().expect("text of a program")
+    fn defaults(&self, recipe: &RecipeInfo, _: &Table) -> Table {
+        let defaults = match recipe.name {
+            ADAPTER => format!("{}{}", config::DEFAULTS, config::ADAPTER_DEFAULTS),
+            _ => config::DEFAULTS.to_string(),
+        };
+        defaults.parse().expect("text of a program")
     }
 
     fn keys(&self) -> Vec<Key> {
@@ -75,6 +98,27 @@ impl System for BpeTransformer {
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error> {
         config::validate(config)?;
         Ok(Vec::new())
+    }
+
+    fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
+        let tables = match saved {
+            // A resumed run does not need its start any more.
+            Some(saved) => Some(tables_of::<BpeTables>(saved, &INHERITED)?),
+            None => {
+                let init = BpeTables::of(config)?.init;
+                let start = Start::named("init.diffusion", &init.diffusion)?;
+                let tables = |start: Start| start.tables::<BpeTables>(&INHERITED);
+                start.map(tables).transpose()?
+            }
+        };
+        Ok(tables.map(|tables| match config.train.recipe == ADAPTER {
+            true => config::with_paths(tables),
+            false => tables,
+        }))
+    }
+
+    fn parameters(&self, config: &Config) -> Result<ParameterCount, Error> {
+        networks::parameters(config)
     }
 
     fn parameter_count(&self, config: &Config) -> Result<usize, Error> {

@@ -1,5 +1,6 @@
 //! The network of a config.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use burn::tensor::Device;
@@ -8,12 +9,15 @@ use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 
-use super::BpeTables;
+use super::config::with_paths;
+use super::{ADAPTER, BpeTables, INHERITED};
 use crate::captions::TextInput;
 use crate::checkpoint::{State, Weights, read_weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::memory::Footprint;
+use crate::parameter_count::ParameterCount;
+use crate::start::{Start, must_agree};
 
 /// The network with fresh weights.
 ///
@@ -32,6 +36,54 @@ pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransfo
         Some(labels) => network.with_captions(labels.captions().len(), &init),
         None => network,
     })
+}
+
+/// The network that training begins with: with the weights of `start`, where there is one, and frozen
+/// where recipe `path_adapter` trains nothing.
+///
+/// # Errors
+/// Names the key in which the start differs from `config`.
+pub(super) fn begun(
+    config: &Config,
+    start: Option<&Start>,
+    device: &Device,
+) -> Result<BlendedTransformer, Error> {
+    let fresh = match start {
+        Some(start) => started(start, config, device)?,
+        None => network(config, device)?,
+    };
+    Ok(match config.train.recipe == ADAPTER {
+        true => fresh.adapting(BpeTables::of(config)?.adapter.last_layers),
+        false => fresh,
+    })
+}
+
+/// The network of a config with the weights of `start`; what the start does not have is fresh.
+fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
+    let (network, state) = start.load(device, trained)?;
+    let (given, found) = (&config.data.humanml3d, &state.config.data.humanml3d);
+    if (given.root, given.skeleton) != (found.root, found.skeleton) {
+        let reason = "its clips have another `data.humanml3d.root` or `skeleton`";
+        return Err(start.refused(&reason));
+    }
+    if given.text != found.text {
+        return Err(start.refused(&"it was trained with another `data.humanml3d.text`"));
+    }
+    let mut base = state.config.clone();
+    let known = BpeTables::of(&base)?.model.network.sizes().path;
+    if config.train.recipe == ADAPTER && !known {
+        base.system = with_paths(base.system);
+    }
+    must_agree::<BpeTables>(config, &base, &INHERITED)?;
+    let fresh = self::network(config, device)?;
+    let weights = parameters::export(&network).into_iter();
+    let mut weights: HashMap<String, Vec<f32>> = weights
+        .map(|parameter| (parameter.info.name, parameter.values))
+        .collect();
+    let values = parameters::export(&fresh).into_iter();
+    let values = values.map(|own| weights.remove(&own.info.name).unwrap_or(own.values));
+    let values = values.collect();
+    Ok(parameters::replace(fresh, values))
 }
 
 /// That of the checkpoint in `path`.
@@ -56,6 +108,17 @@ pub(super) fn trained(
 /// [`Error::OtherRepresentation`] for a run of another system.
 pub(super) fn statistics_in(state: &State) -> Result<&Statistics, Error> {
     state.statistics_of(&state.config.data.humanml3d.representation())
+}
+
+/// The parameters, and which of them are trained.
+///
+/// # Errors
+/// As [`network`].
+pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
+    let network = begun(config, None, &Device::flex())?;
+    let trained = parameters::trainable(&network);
+    let infos = parameters::infos(&network);
+    Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
 }
 
 /// Number of parameters.

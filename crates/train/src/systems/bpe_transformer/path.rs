@@ -5,7 +5,7 @@
 
 use std::cell::RefCell;
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Objective};
 use kinegrad_motion::Statistics;
 use kinegrad_motion::feet::{ContactRule, hold};
@@ -19,6 +19,7 @@ use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::told::of_path;
 use crate::error::Error;
 
 /// Channels of the root's rotation and place on the ground.
@@ -83,6 +84,10 @@ pub enum PathMethod {
     Guidance,
     /// Both: guided, and replaced.
     OverrideGuidance,
+    /// The network is told the path (options C and E).
+    Tokens,
+    /// Both: told and guided.
+    TokensGuidance,
 }
 
 impl PathMethod {
@@ -93,7 +98,15 @@ impl PathMethod {
 
     /// Whether a gradient guides.
     pub fn guides(self) -> bool {
-        matches!(self, Self::Guidance | Self::OverrideGuidance)
+        matches!(
+            self,
+            Self::Guidance | Self::OverrideGuidance | Self::TokensGuidance
+        )
+    }
+
+    /// Whether the network is told the path.
+    pub fn tells(self) -> bool {
+        matches!(self, Self::Tokens | Self::TokensGuidance)
     }
 }
 
@@ -186,6 +199,11 @@ impl PathTarget {
             },
             headings: self.headings.iter().map(|heading| heading + turn).collect(),
         }
+    }
+
+    /// What the network is told of it, `[1, PATH_CHANNELS, frames]`.
+    pub(super) fn told(&self, fps: f64, device: &Device) -> Tensor<3> {
+        of_path(&self.at_origin().course.points, fps, device)
     }
 
     /// A motion that was drawn along the path as seen from its start, on the path itself.

@@ -6,6 +6,8 @@
 //! ```
 //!
 //! Each sample is in absolute or in relative mode, as drawn for it; padding is attended to in neither.
+//! A network that is told paths is told where each clip goes.
+//!
 //! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
 //! before it.
 
@@ -15,6 +17,7 @@ use kinegrad_models::DropoutKey;
 use kinegrad_models::blended::{BlendedTransformer, Pass, Script, Switch};
 
 use super::BpeTables;
+use super::told::Ways;
 use crate::denoising::{DenoisingRecipe, HeldOut, denoising_loss};
 use crate::systems::gmd::recipes::weighted_masked_loss;
 
@@ -24,6 +27,7 @@ pub(super) fn recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
     own: &BpeTables,
+    ways: Ways,
     held_out: HeldOut,
 ) -> DenoisingRecipe<BlendedTransformer> {
     let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
@@ -41,6 +45,9 @@ pub(super) fn recipe(
                 Some(lengths) => lengths.frames().to_vec(),
                 None => vec![time; batch],
             };
+            let path = network
+                .knows_paths()
+                .then(|| ways.told(&inputs.x_start, &lengths));
             let script = Script::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
                 Some(drawn) => drawn,
@@ -60,6 +67,7 @@ pub(super) fn recipe(
                         script: &script,
                         is_relative: &is_relative,
                         dropout,
+                        path: path.as_ref(),
                     };
                     network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
                 },

@@ -8,13 +8,15 @@ use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::Representation;
 
 use super::BpeTables;
-use super::networks::{network, statistics_in};
+use super::networks::{begun, statistics_in};
 use super::recipe::recipe;
+use super::told::Ways;
 use crate::captions::{TextInput, with_captions};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Material, Outcome, Setup};
+use crate::start::Start;
 
 /// Trains as the setup's config says.
 pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome, Error> {
@@ -28,12 +30,20 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     setup.same_dataset(dataset.digest)?;
     let config = with_captions(setup.config.clone(), &dataset, observer)?;
     setup.config = config.clone();
-    let statistics = match &setup.checkpoint {
-        Some(checkpoint) => statistics_in(&checkpoint.state)?.clone(),
-        None => dataset.statistics_with_progress(&*observer.reading())?,
+    let start = match &setup.checkpoint {
+        Some(_) => None,
+        None => Start::named("init.diffusion", &own.init.diffusion)?,
     };
+    let statistics = match (&setup.checkpoint, &start) {
+        (Some(checkpoint), _) => statistics_in(&checkpoint.state)?.clone(),
+        (None, Some(start)) => statistics_in(&start.state()?)?.clone(),
+        (None, None) => dataset.statistics_with_progress(&*observer.reading())?,
+    };
+    let humanml3d = &config.data.humanml3d;
+    let fps = humanml3d.skeleton.skeleton().description().fps;
+    let ways = Ways::new(humanml3d.root, &statistics, fps);
     let channels = config.data.humanml3d.representation().channels();
-    let network = network(&config, &setup.device)?;
+    let network = begun(&config, start.as_ref(), &setup.device)?;
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let text = TextInput::of(&config)?;
     let (representation, shared) = (dataset.representation.clone(), Arc::new(statistics.clone()));
@@ -49,7 +59,8 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
     setup.train(
         material,
-        recipe(diffusion, channels, &own, held_out),
+        recipe(diffusion, channels, &own, ways, held_out)
+            .measuring_first(!own.init.diffusion.as_os_str().is_empty()),
         network,
         observer,
     )

@@ -276,6 +276,14 @@ fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
     ground < PLACES_TO_STEPS * step && ground < LARGEST_STEP * mean[3].abs()
 }
 
+/// Whether the deviation is that of features with absolute root: its place varies far more than its
+/// displacement to the next frame does, which of a relative root is the same thing.
+fn is_absolute(std: &[f64], layout: FeatureLayout) -> bool {
+    let displacement = layout.velocities().start;
+    let step = std[displacement].max(std[displacement + 2]);
+    std[1].max(std[2]) > PLACES_TO_STEPS * step
+}
+
 /// The config that describes the weights, and the statistics of their data.
 fn settings(
     request: &ImportRequest,
@@ -295,6 +303,17 @@ fn settings(
         allowed: "one for each feature: 263 of HumanML3D, 251 of KIT-ML".into(),
     })?;
     let layout = skeleton.skeleton().layout();
+    if architecture.root() == Root::Relative && is_absolute(&std, layout) {
+        return Err(Error::Array {
+            path: std_path.to_path_buf(),
+            found: "deviations of features with absolute root: the root's x and z (channels 1 and 2) vary \
+                    much more than its displacement to the next frame does"
+                .into(),
+            allowed: "those of features with relative root, as the Human Motion Diffusion Model was trained \
+                      on: Mean.npy and Std.npy, not Mean_abs_3d.npy and Std_abs_3d.npy"
+                .into(),
+        });
+    }
     if architecture.root() == Root::Absolute && is_relative(&mean, &std, layout) {
         return Err(Error::Array {
             path: std_path.to_path_buf(),
@@ -376,6 +395,9 @@ mod tests {
             assert!(told(&relative), "{factor}: {:?}", &relative.std[..4]);
             assert!(!told(&absolute), "{factor}: {:?}", &absolute.std[..4]);
         }
+        assert!(is_absolute(&absolute.std, layout));
+        assert!(!is_absolute(&relative.std, layout));
+        assert!(!is_absolute(&[1.0; 263], layout));
         // Of no body.
         assert!(!is_relative(&[0.0; 263], &[1.0; 263], layout));
         assert!(!is_relative(&[1.0; 263], &[1.0; 263], layout));

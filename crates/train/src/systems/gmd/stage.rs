@@ -31,6 +31,8 @@ pub struct StageSteering<'a> {
     objective: GroundObjective<'a>,
     scale: f64,
     of_motion: bool,
+    /// Whether single frames are asked for: what is not drawn towards them to the end would jump there.
+    of_points: bool,
     dense: Known,
     points: Known,
 }
@@ -61,6 +63,7 @@ impl<'a> StageSteering<'a> {
             config,
             scale: config.scale,
             of_motion: model.of_motion,
+            of_points: goals.iter().any(|goal| goal.trajectory.is_none()),
             dense: known(Phase::Dense),
             points: known(Phase::Points),
             objective: GroundObjective {
@@ -96,6 +99,7 @@ impl<'a> StageSteering<'a> {
                 false => 0.0,
             },
             of_motion: model.of_motion,
+            of_points: false,
             dense: known.clone(),
             points: known,
             objective: GroundObjective {
@@ -110,6 +114,7 @@ impl<'a> StageSteering<'a> {
         let schedule = &self.config.schedule;
         let guided = self.scale > 0.0 && schedule.phase(t) != Phase::Off;
         let imputed = match self.of_motion {
+            true if self.of_points && schedule.phase(t) == Phase::Off => Phase::Off,
             true => schedule.phase_of_motion(t),
             false => schedule.phase(t),
         };
@@ -150,5 +155,54 @@ impl Known {
             target: tensor(targets),
             mask: tensor(masks),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::goal::{Keyframe, Trajectory};
+
+    use super::*;
+
+    #[test]
+    fn single_frames_are_not_put_in_their_places_to_the_end() {
+        let device = Device::flex();
+        let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
+        let model = StageModel {
+            space: &space,
+            channels: 4,
+            of_motion: true,
+            frames: 8,
+            device: &device,
+        };
+        let mut config = SteeringConfig::default();
+        config.schedule.motion_until = Some(0);
+        let points = Goal {
+            keyframes: vec![Keyframe {
+                frame: 5,
+                x: 1.0,
+                z: 2.0,
+            }],
+            ..Goal::new(8)
+        };
+        let path = Goal {
+            trajectory: Some(Trajectory {
+                first_frame: 0,
+                points: vec![[0.0, 0.1]; 8],
+            }),
+            ..Goal::new(8)
+        };
+        let imputes = |steering: StageSteering<'_>| {
+            [50, 20, 19, 0].map(|t| steering.at(t).imputation.is_some())
+        };
+        let of_goals = |goal: &Goal| {
+            let goals = std::slice::from_ref(goal);
+            imputes(StageSteering::of_goals(&config, goals, model).unwrap())
+        };
+        assert_eq!(of_goals(&points), [true, true, false, false]);
+        assert_eq!(of_goals(&path), [true; 4]);
+        let (goals, drawn) = ([points], [vec![[0.0, 0.1]; 8]]);
+        let along = StageSteering::along(&config, &goals, &drawn, model).unwrap();
+        assert_eq!(imputes(along), [true; 4]);
     }
 }

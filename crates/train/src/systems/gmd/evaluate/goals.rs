@@ -188,7 +188,11 @@ fn replicate(
         Ok::<_, Error>(samples)
     };
     let samples = draw(&clips, 1, on_step)?;
-    let varied = &clips[..settings.variety_clips.min(clips.len())];
+    // Evenly from all: clips beside each other are of one kind.
+    let taken = settings.variety_clips.min(clips.len());
+    let varied = (0..taken).map(|index| clips[index * clips.len() / taken]);
+    let varied: Vec<_> = varied.collect();
+    let varied = &varied[..];
     let variety = match varied.is_empty() {
         true => None,
         false => {
