@@ -208,6 +208,19 @@ fn a_trained_network_is_taught_to_follow_paths() {
     // Taught, the two ways differ; without one it draws what its base draws.
     let line = format!("{adapt} --set run.name=taught --set optim.learning_rate=1e-2");
     sandbox.run(&line).succeeded();
+    // Stopped half way and resumed it is the same, to the bit.
+    let line = line.replace("=taught", "=halves");
+    let half = format!("{line} --set train.max_steps=20 --set optim.lr_schedule=constant");
+    let whole = half.replace("=halves", "=whole").replace("=20", "=40");
+    sandbox.run(&half).succeeded();
+    sandbox.run(&whole).succeeded();
+    let on = "train runs/halves/config.toml --resume --set train.max_steps=40";
+    sandbox.run(on).succeeded();
+    let weights = |run: &str| {
+        let path = format!("runs/{run}/checkpoints/step-00000040/model.safetensors");
+        fs::read(sandbox.path(path)).expect("weights")
+    };
+    assert_eq!(weights("halves"), weights("whole"));
     let (left, right) = (told("runs/taught", "left"), told("runs/taught", "right"));
     let apart = left.iter().zip(&right).map(|(a, b)| (a - b).abs());
     assert!(apart.fold(0.0, f32::max) > 1e-3);

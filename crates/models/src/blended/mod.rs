@@ -32,7 +32,7 @@ use sublayers::SubLayer;
 
 use crate::gmd::interleaved_sinusoidal;
 use crate::layers::{Embedding, LayerNorm, Linear};
-use crate::{Dropout, DropoutKey, Initializer, Stages};
+use crate::{Dropout, DropoutKey, Initializer, Stages, parameters};
 
 /// Channels of an attention head.
 pub const HEAD_CHANNELS: usize = 64;
@@ -251,9 +251,12 @@ impl BlendedTransformer {
     /// The same network, of which training changes what reads the path, and the last layers.
     #[must_use]
     pub fn adapting(self, last_layers: usize) -> Self {
-        let (first, second) = (self.embed_path_at_0.clone(), self.embed_path_at_2.clone());
-        let layers = self.seqTransEncoder_at_attn_layers_at_layers.clone();
-        let mut adapting = self.no_grad();
+        // Of parameters that are not drawn yet a copy would not say that it is trained.
+        let values = parameters::values(&self);
+        let this = parameters::replace(self, values);
+        let (first, second) = (this.embed_path_at_0.clone(), this.embed_path_at_2.clone());
+        let layers = this.seqTransEncoder_at_attn_layers_at_layers.clone();
+        let mut adapting = this.no_grad();
         (adapting.embed_path_at_0, adapting.embed_path_at_2) = (first, second);
         let kept = layers.len().saturating_sub(2 * last_layers);
         let last = layers.into_iter().enumerate().skip(kept);

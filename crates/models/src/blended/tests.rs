@@ -13,33 +13,27 @@ fn random(shape: [usize; 3], stream: u64) -> Tensor<3> {
     Tensor::from_data(TensorData::new(values, shape), &Device::flex())
 }
 
-fn network() -> BlendedTransformer {
-    let config = BlendedConfig {
+fn config(path: bool) -> BlendedConfig {
+    BlendedConfig {
         latent_dim: 24,
         num_layers: 2,
         num_heads: 2,
         ff_size: 30,
         horizon: 4,
         dropout: 0.1,
-        path: false,
-    };
+        path,
+    }
+}
+
+fn network() -> BlendedTransformer {
     let init = Initializer::new(3, &Device::flex());
-    config.init(CHANNELS, 7, &init).expect("a network")
+    config(false).init(CHANNELS, 7, &init).expect("a network")
 }
 
 /// The same with what reads a path, whose weights are as drawn or as nothing has trained them.
 fn told(drawn: bool) -> BlendedTransformer {
-    let config = BlendedConfig {
-        latent_dim: 24,
-        num_layers: 2,
-        num_heads: 2,
-        ff_size: 30,
-        horizon: 4,
-        dropout: 0.1,
-        path: true,
-    };
     let init = Initializer::new(3, &Device::flex());
-    let network = config.init(CHANNELS, 7, &init).expect("a network");
+    let network = config(true).init(CHANNELS, 7, &init).expect("a network");
     let mut values = parameters::export(&network);
     for parameter in values.iter_mut().filter(|_| drawn) {
         if parameter.info.name == "embed_path.2.weight" {
@@ -204,7 +198,10 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
 #[test]
 fn adapting_trains_what_reads_the_path_and_the_last_layers() {
     let trained = |last_layers: usize| -> Vec<String> {
-        let network = told(false).adapting(last_layers);
+        // On a device that tracks gradients, with parameters that nobody has asked for yet.
+        let init = Initializer::new(3, &Device::flex().autodiff());
+        let network = config(true).init(CHANNELS, 7, &init).expect("a network");
+        let network = network.adapting(last_layers);
         let infos = parameters::infos(&network).into_iter();
         let trained = infos.zip(parameters::trainable(&network));
         let trained = trained.filter(|(_, is)| *is).map(|(info, _)| info.name);
