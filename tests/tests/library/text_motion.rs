@@ -3,6 +3,7 @@
 //! `data_fixtures/gmd/README.md` says what the file holds and how it was made.
 
 use burn::tensor::Device;
+use kinegrad_data::humanml::{Caption, Clip};
 use kinegrad_golden::{Golden, bound, differences, workspace};
 use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, HostParameter};
@@ -161,6 +162,40 @@ fn fixture_metrics_are_those_of_pytorch() {
     compare("distance", &distance, &expected("multimodal_distance"));
     let frechet = [number(report.frechet_distance)];
     compare("FID", &frechet, &expected("frechet_distance"));
+}
+
+#[test]
+fn pools_are_drawn_at_random() {
+    let fixture = Fixture::open();
+    let evaluator = fixture.evaluator();
+    let (features, captions) = (fixture.clips(), fixture.strings("captions"));
+    // Two kinds of clips, one behind the other: in pools of neighbours all captions are equal, and every
+    // motion is right whichever caption it has.
+    let top = |of_caption: [usize; 2], seed| {
+        let motions = [0, 1].map(|kind| vec![features[of_caption[kind]].clone(); 32]);
+        let clips = [0, 1].map(|kind| {
+            let clip = |number| Clip {
+                id: format!("{kind}_{number}"),
+                features: features[kind].clone(),
+                captions: vec![Caption {
+                    text: captions[kind].clone(),
+                    tokens: Token::parse_all(&captions[kind]),
+                    seconds: None,
+                    embedding: None,
+                }],
+            };
+            (0..32).map(clip).collect::<Vec<Clip>>()
+        });
+        let (motions, clips) = (motions.concat(), clips.concat());
+        let clips: Vec<&Clip> = clips.iter().collect();
+        let reports = evaluator.reports(&motions, &motions, &clips, seed);
+        let report = reports.expect("clips are encoded").drawn;
+        report.r_precision_top1.expect("two pools")
+    };
+    for seed in 0..3 {
+        let (one, other) = (top([0, 1], seed), top([1, 0], seed));
+        assert!(one.min(other) < 1.0, "{one}, {other}");
+    }
 }
 
 #[test]

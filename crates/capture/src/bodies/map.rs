@@ -9,9 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::{Bvh, RootPose};
 
 /// The built-in maps by their names.
-const BUILT_IN: [(&str, &str); 5] = [
+const BUILT_IN: [(&str, &str); 6] = [
     ("bandai", include_str!("maps/bandai.toml")),
     ("cmu", include_str!("maps/cmu.toml")),
+    ("forefoot", include_str!("maps/forefoot.toml")),
     ("humanml3d", include_str!("maps/humanml3d.toml")),
     ("mixamo", include_str!("maps/mixamo.toml")),
     ("xsens", include_str!("maps/xsens.toml")),
@@ -36,14 +37,17 @@ enum Source {
     Joint(String),
     /// On the line from one joint to another, at this part of the way: what the capture lacks.
     Between { from: String, to: String, at: f64 },
+    /// On the last bone of a chain, from the joint that has an End Site to it, at this part of the way.
+    EndSite { end_site: String, at: f64 },
 }
 
 impl TryFrom<toml::Value> for Source {
     type Error = String;
 
     fn try_from(value: toml::Value) -> Result<Self, String> {
-        let allowed = "the name of a joint, or { from = \"JOINT\", to = \"JOINT\", at = PART }";
-        let (mut from, mut to, mut at) = (None, None, None);
+        let allowed = "the name of a joint, { from = \"JOINT\", to = \"JOINT\", at = PART }, or \
+                       { end_site = \"JOINT\", at = PART }";
+        let (mut from, mut to, mut end_site, mut at) = (None, None, None, None);
         let table = match value {
             toml::Value::String(joint) => return Ok(Self::Joint(joint)),
             toml::Value::Table(table) => table,
@@ -53,13 +57,19 @@ impl TryFrom<toml::Value> for Source {
             match (key.as_str(), value) {
                 ("from", toml::Value::String(joint)) => from = Some(joint),
                 ("to", toml::Value::String(joint)) => to = Some(joint),
+                ("end_site", toml::Value::String(joint)) => end_site = Some(joint),
                 ("at", toml::Value::Float(part)) if part.is_finite() => at = Some(part),
                 ("at", toml::Value::Integer(part)) => at = Some(part as f64),
                 (key, value) => return Err(format!("found {key} = {value}, allowed: {allowed}")),
             }
         }
-        match (from, to, at) {
-            (Some(from), Some(to), Some(at)) => Ok(Self::Between { from, to, at }),
+        match (from, to, end_site, at) {
+            (Some(from), Some(to), None, Some(at)) => Ok(Self::Between { from, to, at }),
+            (None, None, Some(end_site), Some(at)) => Ok(Self::EndSite { end_site, at }),
+            (_, _, Some(_), Some(_)) => {
+                let odd = "found end_site together with from or to";
+                Err(format!("{odd}, allowed: {allowed}"))
+            }
             _ => Err(format!(
                 "found a table without one of its keys, allowed: {allowed}"
             )),
@@ -68,12 +78,41 @@ impl TryFrom<toml::Value> for Source {
 }
 
 impl Source {
-    /// The joints of the capture that it needs.
-    fn needs(&self) -> Vec<&str> {
+    /// The joints of the capture that it names.
+    fn names(&self) -> Vec<&str> {
         match self {
             Self::Joint(joint) => vec![joint],
             Self::Between { from, to, .. } => vec![from, to],
+            Self::EndSite { end_site, .. } => vec![end_site],
         }
+    }
+
+    /// What the capture lacks of it, in words.
+    fn lacks(&self, bvh: &Bvh) -> Option<String> {
+        let mut names = self.names().into_iter();
+        if let Some(absent) = names.find(|name| bvh.joint(name).is_none()) {
+            return Some(absent.to_owned());
+        }
+        let without = self.place(bvh).is_none();
+        without.then(|| format!("the End Site of {}", self.names()[0]))
+    }
+
+    /// Where it is in a capture, unless that lacks it.
+    fn place(&self, bvh: &Bvh) -> Option<Place> {
+        Some(match self {
+            Self::Joint(joint) => Place::on(bvh.joint(joint)?, [0.0; 3]),
+            Self::Between { from, to, at } => Place {
+                from: bvh.joint(from)?,
+                to: bvh.joint(to)?,
+                at: *at,
+                offset: [0.0; 3],
+            },
+            Self::EndSite { end_site, at } => {
+                let joint = bvh.joint(end_site)?;
+                let end = bvh.joints()[joint].end_sites.first()?;
+                Place::on(joint, end.map(|value| at * value))
+            }
+        })
     }
 }
 
@@ -87,17 +126,43 @@ struct MapFile {
 /// A map whose joints were found in a capture.
 #[derive(Clone, Debug)]
 pub struct FoundJoints {
-    /// For each joint of the skeleton two joints of the capture, and the part of the way from the
-    /// first to the second.
-    places: Vec<(usize, usize, f64)>,
+    /// Where each joint of the skeleton is.
+    places: Vec<Place>,
+}
+
+/// A place on a body of a capture.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    /// The joint that it moves with.
+    from: usize,
+    /// Another joint, and the part of the way towards it.
+    to: usize,
+    at: f64,
+    /// Offset from the first joint, which turns with it, in file units.
+    offset: [f64; 3],
+}
+
+impl Place {
+    fn on(joint: usize, offset: [f64; 3]) -> Self {
+        Self {
+            from: joint,
+            to: joint,
+            at: 0.0,
+            offset,
+        }
+    }
 }
 
 impl FoundJoints {
     /// The skeleton's joints, `[J]`, where the capture has its joints at `world`.
     pub fn of(&self, world: &[RootPose]) -> impl Iterator<Item = [f64; 3]> {
-        self.places.iter().map(|&(from, to, at)| {
-            let (from, to) = (world[from].position, world[to].position);
-            [0, 1, 2].map(|axis| from[axis] + at * (to[axis] - from[axis]))
+        self.places.iter().map(|place| {
+            let (from, to) = (&world[place.from], &world[place.to]);
+            let turned = from.orientation.rotate(place.offset);
+            [0, 1, 2].map(|axis| {
+                let way = to.position[axis] - from.position[axis];
+                from.position[axis] + place.at * way + turned[axis]
+            })
         })
     }
 }
@@ -161,7 +226,7 @@ impl JointMap {
     /// In words, which joints the capture lacks of the map that fits best.
     pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
         let named = |map: &Self| {
-            let mut joints: Vec<&str> = map.needs().collect();
+            let mut joints: Vec<&str> = map.names().collect();
             joints.sort_unstable();
             joints.dedup();
             joints.len()
@@ -189,19 +254,15 @@ impl JointMap {
         format!("{:?}", self.joints)
     }
 
-    fn needs(&self) -> impl Iterator<Item = &str> {
-        self.joints.iter().flat_map(|(_, source)| source.needs())
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.joints.iter().flat_map(|(_, source)| source.names())
     }
 
-    /// The joints of the skeleton that cannot be found in a capture, each with the first name that
-    /// it lacks.
-    fn missing<'a>(&'a self, bvh: &Bvh) -> Vec<(&'a str, &'a str)> {
+    /// The joints of the skeleton that cannot be found in a capture, each with what that lacks first.
+    fn missing(&self, bvh: &Bvh) -> Vec<(&str, String)> {
         let joints = self.joints.iter();
-        let lacking = joints.filter_map(|(joint, source)| {
-            let mut needs = source.needs().into_iter();
-            let absent = needs.find(|name| bvh.joint(name).is_none())?;
-            Some((joint.as_str(), absent))
-        });
+        let lacking =
+            joints.filter_map(|(joint, source)| Some((joint.as_str(), source.lacks(bvh)?)));
         lacking.collect()
     }
 
@@ -229,11 +290,7 @@ impl JointMap {
     /// # Errors
     /// In words, which joints the capture lacks.
     pub fn find(&self, bvh: &Bvh) -> Result<FoundJoints, String> {
-        let place = |source: &Source| match source {
-            Source::Joint(joint) => bvh.joint(joint).map(|joint| (joint, joint, 0.0)),
-            Source::Between { from, to, at } => Some((bvh.joint(from)?, bvh.joint(to)?, *at)),
-        };
-        let places = self.joints.iter().map(|(_, source)| place(source));
+        let places = self.joints.iter().map(|(_, source)| source.place(bvh));
         match places.collect() {
             Some(places) => Ok(FoundJoints { places }),
             None => Err(self.lacking(bvh)),

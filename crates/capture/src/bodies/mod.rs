@@ -14,6 +14,8 @@ mod cut;
 mod dataset;
 mod labels;
 mod map;
+#[cfg(test)]
+mod map_tests;
 mod plan;
 mod report;
 mod split;

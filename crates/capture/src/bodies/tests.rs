@@ -51,7 +51,7 @@ fn named_as(map: &str, joint: &str) -> String {
 
 /// The BVH text of joints, in centimetres, with the names of the captures of `map`, at `rate` frames
 /// per second.
-fn capture(joints: &Joints, map: &str, rate: f64) -> String {
+pub(super) fn capture(joints: &Joints, map: &str, rate: f64) -> String {
     let skeleton = Skeleton::humanml3d();
     let text = Bvh::from_joints(joints, &skeleton, 100.0)
         .unwrap()
@@ -72,7 +72,7 @@ fn capture(joints: &Joints, map: &str, rate: f64) -> String {
     lines.join("\n") + "\n"
 }
 
-fn body_of(text: &str, map: &JointMap) -> Result<Body, String> {
+pub(super) fn body_of(text: &str, map: &JointMap) -> Result<Body, String> {
     let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
     let rate = 1.0 / bvh.frame_time();
     Body::of_bvh(&bvh, map, &Skeleton::humanml3d(), rate, None, None)
@@ -190,49 +190,6 @@ fn what_lacks_joints_or_has_its_sides_exchanged_is_refused() {
     let slow = capture(&joints, "mixamo", 1.0);
     let message = body_of(&slow, &stated).unwrap_err();
     assert!(message.contains("state `fps`"), "{message}");
-}
-
-#[test]
-fn joints_that_are_lacking_lie_between_others() {
-    let text = include_str!("maps/mixamo.toml").replace(
-        "spine2 = \"Spine1\"",
-        "spine2 = { from = \"Spine\", to = \"Spine2\", at = 0.25 }",
-    );
-    let skeleton = Skeleton::humanml3d();
-    let map = JointMap::parse("own", &text, &skeleton).unwrap();
-    let capture = capture(&walking(3, 30.0, 1.0), "mixamo", 30.0);
-    let body = body_of(&capture, &map).unwrap();
-    for t in 0..3 {
-        let frame = body.joints.frame(t);
-        let between = [0, 1, 2].map(|axis| 0.75 * frame[3][axis] + 0.25 * frame[9][axis]);
-        let apart = [0, 1, 2].map(|axis| frame[6][axis] - between[axis]);
-        assert!(length(apart) < 1e-9, "{apart:?}");
-    }
-    for (broken, part) in [
-        (
-            text.replace("head = \"Head\"\n", ""),
-            "joints.head is missing",
-        ),
-        (
-            text.replace("head = ", "nose = \"Head\"\nhead = "),
-            "joints.nose",
-        ),
-        (
-            text.replace("head = \"Head\"", "head = 3"),
-            "the name of a joint",
-        ),
-        (text.replace(", at = 0.25", ""), "without one of its keys"),
-        (
-            text.replace("at = 0.25", "part = 0.25"),
-            "found part = 0.25",
-        ),
-        (text + "\n[odd]\n", "unknown key `odd`"),
-    ] {
-        let message = JointMap::parse("own", &broken, &skeleton).unwrap_err();
-        assert!(message.contains(part), "{part}: {message}");
-    }
-    let message = JointMap::built_in("dragon").unwrap_err();
-    assert!(message.contains("bandai, cmu, humanml3d"), "{message}");
 }
 
 #[test]

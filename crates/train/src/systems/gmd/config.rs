@@ -105,6 +105,9 @@ pub struct GmdEvaluationConfig {
     pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
+    /// Clearance around obstacles that guidance keeps, metres: the margin of the goals. Frames count as
+    /// inside without it.
+    pub margin: f64,
     /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published one.
     pub evaluator: EvaluatorFiles,
 }
@@ -121,6 +124,7 @@ impl Default for GmdEvaluationConfig {
             keyframes: 5,
             keyframe_placement: KeyframePlacement::Random,
             obstacles: 0,
+            margin: 0.0,
             evaluator: EvaluatorFiles::default(),
         }
     }
@@ -289,6 +293,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     )?;
     in_range("evaluation.keyframes", evaluation.keyframes, 0..=MAX_FRAMES)?;
     in_range("evaluation.obstacles", evaluation.obstacles, 0..=MAX_FRAMES)?;
+    in_range("evaluation.margin", evaluation.margin, 0.0..=10.0)?;
     let files = evaluation.evaluator.named();
     let missing = files.iter().find(|(_, path)| path.as_os_str().is_empty());
     if let (true, Some((name, _))) = (evaluation.evaluator.is_given(), missing) {

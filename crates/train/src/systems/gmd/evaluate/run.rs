@@ -97,6 +97,7 @@ pub fn prepare<'a>(
             keyframes: asked.keyframes,
             keyframe_placement: asked.keyframe_placement,
             obstacles: asked.obstacles,
+            margin: asked.margin,
             frames: data.target_frames,
         },
         sampling: subject.config.sampling.clone(),

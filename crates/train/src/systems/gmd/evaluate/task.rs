@@ -34,6 +34,8 @@ pub struct GoalTask {
     /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
     /// start or end are left out. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
+    /// Clearance around the obstacles that guidance keeps, metres.
+    pub margin: f64,
     /// Maximum number of frames.
     pub frames: usize,
 }
@@ -66,6 +68,7 @@ impl GoalTask {
             return goal;
         }
         goal.keyframes = vec![keyframe(last)];
+        goal.margin = self.margin;
         let ends = [path[0], path[last]];
         let clear = |[x, _, z]: &[f64; 3]| {
             let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > OBSTACLE_RADIUS + CLEARANCE;
@@ -81,5 +84,78 @@ impl GoalTask {
             })
             .collect();
         goal
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_motion::humanml::{FeatureLayout, Features, Root};
+
+    use super::*;
+
+    const FRAMES: usize = 80;
+
+    /// A straight way of 4 cm per frame.
+    fn clip(id: &str) -> Clip {
+        let layout = FeatureLayout::of_joints(22).unwrap();
+        let mut values = vec![0.0; FRAMES * layout.channels()];
+        let frames = values.chunks_exact_mut(layout.channels());
+        frames.for_each(|frame| frame[2] = 0.04);
+        Clip {
+            id: id.to_owned(),
+            features: Features::new(values, layout, Root::Relative).unwrap(),
+            captions: Vec::new(),
+        }
+    }
+
+    const TASK: GoalTask = GoalTask {
+        keyframes: 5,
+        keyframe_placement: KeyframePlacement::Random,
+        obstacles: 0,
+        margin: 0.2,
+        frames: 60,
+    };
+
+    fn places(goal: &Goal) -> Vec<usize> {
+        goal.keyframes.iter().map(|each| each.frame).collect()
+    }
+
+    #[test]
+    fn keyframes_are_drawn_from_all_frames() {
+        let of = |id: &str, seed| places(&TASK.goal(&clip(id), seed));
+        assert_eq!(of("a", 1), of("a", 1));
+        assert_ne!(of("a", 1), of("b", 1));
+        assert_ne!(of("a", 1), of("a", 2));
+        // Each frame of the goal is among them now and then, and no other.
+        let mut counts = [0; 60];
+        for seed in 0..400 {
+            let found = of("a", seed);
+            assert!(found.is_sorted_by(|a, b| a < b), "{found:?}");
+            found.iter().for_each(|&frame| counts[frame] += 1);
+        }
+        assert!(counts.iter().all(|&count| count > 10), "{counts:?}");
+        let even = GoalTask {
+            keyframe_placement: KeyframePlacement::Even,
+            ..TASK
+        };
+        for seed in 0..3 {
+            assert_eq!(places(&even.goal(&clip("a"), seed)), [11, 23, 35, 47, 59]);
+        }
+    }
+
+    #[test]
+    fn obstacles_stand_in_the_way_and_guidance_keeps_the_margin() {
+        let task = GoalTask {
+            obstacles: 2,
+            ..TASK
+        };
+        let goal = task.goal(&clip("a"), 1);
+        assert_eq!(places(&goal), [59]);
+        assert_eq!(goal.margin, 0.2);
+        assert_eq!(goal.obstacles.len(), 2);
+        for (obstacle, frame) in goal.obstacles.iter().zip([19.0, 39.0]) {
+            let depth = obstacle.signed_distance([0.0, 0.04 * frame]);
+            assert!((depth + OBSTACLE_RADIUS).abs() < 1e-5, "{depth}");
+        }
     }
 }
