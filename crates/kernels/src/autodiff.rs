@@ -12,9 +12,10 @@ use crate::backend::{
     FusedOps, Given, HostNorm, attend_backward, convolution, cross_heads, group_norm, mapped,
     norm_gradients, recur, self_attend_backward, self_heads,
 };
-use crate::flex::{HostRows, contiguous, from_rows, tensor};
+use crate::flex::{HostRows, contiguous, from_rows, of_pairs, tensor};
 use crate::host::convolution::{ConvolutionPlan, Input, Wanted};
 use crate::host::gelu;
+use crate::host::layer_norm::LayerNormRows;
 use crate::host::norm::{self, GroupNormPlan, Statistics};
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::linear_map::SharedMap;
@@ -158,6 +159,36 @@ impl Backward<Flex, 4> for GroupNorm {
 }
 
 #[derive(Debug)]
+struct LayerNorm;
+
+impl Backward<Flex, 3> for LayerNorm {
+    /// Rows and scales, and what is added to the variance.
+    type State = (FlexTensor, FlexTensor, f64);
+
+    fn backward(self, ops: Ops<Self::State, 3>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        let (x, weight, eps) = ops.state;
+        let gradient = gradients.consume::<Flex>(&ops.node);
+        let rows = LayerNormRows {
+            x: &contiguous(&x),
+            weight: &contiguous(&weight),
+            eps,
+        };
+        let computed = rows.backward(&contiguous(&gradient));
+        let of_feature = weight.layout().shape().clone();
+        let values = [
+            (computed.x, x.layout().shape().clone()),
+            (computed.weight, of_feature.clone()),
+            (computed.bias, of_feature),
+        ];
+        for (node, (values, shape)) in ops.parents.into_iter().zip(values) {
+            if let Some(node) = node {
+                gradients.register::<Flex>(node.id, tensor(values, shape));
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
 struct CrossAttention;
 
 impl Backward<Flex, 2> for CrossAttention {
@@ -281,8 +312,7 @@ impl Backward<Flex, 1> for Gelu {
         let gradient = gradients.consume::<Flex>(&ops.node);
         if let [Some(node)] = ops.parents {
             let x = ops.state;
-            let values = gelu::backward(&contiguous(&x), &contiguous(&gradient));
-            gradients.register::<Flex>(node.id, tensor(values, x.layout().shape().clone()));
+            gradients.register::<Flex>(node.id, of_pairs(&x, &gradient, gelu::backward));
         }
     }
 }
@@ -478,6 +508,21 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
                 states,
             ),
             OpsKind::UnTracked(prep) => prep.finish(states),
+        }
+    }
+
+    fn fused_layer_norm(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        eps: f64,
+    ) -> FloatTensor<Self> {
+        let nodes = [&x, &weight, &bias].map(|tensor| tensor.node());
+        let [x, weight, bias] = [x, weight, bias].map(|tensor| tensor.into_primitive());
+        let output = Flex::fused_layer_norm(x.clone(), weight.clone(), bias, eps);
+        match LayerNorm.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((x, weight, eps), output),
+            OpsKind::UnTracked(prep) => prep.finish(output),
         }
     }
 

@@ -7,10 +7,11 @@ use burn::backend::flex::FlexTensor;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, backend_extension};
 
-use crate::flex::{HostRows, contiguous, from_rows, tensor};
+use crate::flex::{HostRows, contiguous, from_rows, of_elements, tensor};
 use crate::host::attention::{Attended, Columns, HeadGradients, Heads};
 use crate::host::convolution::{ConvolutionPlan, Input};
 use crate::host::gelu;
+use crate::host::layer_norm::LayerNormRows;
 use crate::host::norm::{self, GroupNormPlan, NormGradients, NormParameters, Statistics};
 use crate::host::recurrence::{GruPlan, GruValues};
 use crate::host::rows::{Rows, SharedRows, rows_written_by};
@@ -108,6 +109,14 @@ pub trait FusedOps: Backend {
         initial: FloatTensor<Self>,
         plan: GruPlan,
         given: Given,
+    ) -> FloatTensor<Self>;
+
+    /// Normalisation of each row of `x`, `[rows, features]`.
+    fn fused_layer_norm(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        eps: f64,
     ) -> FloatTensor<Self>;
 
     /// GELU of each element.
@@ -422,8 +431,23 @@ impl FusedOps for Flex {
         tensor(states, [plan.time, plan.batch, plan.width])
     }
 
+    fn fused_layer_norm(
+        x: FlexTensor,
+        weight: FlexTensor,
+        bias: FlexTensor,
+        eps: f64,
+    ) -> FlexTensor {
+        let rows = LayerNormRows {
+            x: &contiguous(&x),
+            weight: &contiguous(&weight),
+            eps,
+        };
+        let values = rows.forward(&contiguous(&bias));
+        tensor(values, x.layout().shape().clone())
+    }
+
     fn fused_gelu(x: FlexTensor) -> FlexTensor {
-        tensor(gelu::forward(&contiguous(&x)), x.layout().shape().clone())
+        of_elements(&x, gelu::forward)
     }
 
     fn fused_linear_map(x: FlexTensor, map: SharedMap) -> FlexTensor {

@@ -106,6 +106,69 @@ pub(crate) fn contiguous(tensor: &FlexTensor) -> Cow<'_, [f32]> {
     }
 }
 
+/// The elements in the order in which they lie in memory, if there are no gaps between them and none
+/// stands for several.
+pub(crate) fn in_memory_order(tensor: &FlexTensor) -> Option<&[f32]> {
+    let layout = tensor.layout();
+    let mut axes: Vec<(isize, usize)> = layout
+        .strides()
+        .iter()
+        .copied()
+        .zip(layout.shape().iter().copied())
+        .filter(|(_, size)| *size != 1)
+        .collect();
+    axes.sort_unstable();
+    let mut elements = 1;
+    for (stride, size) in axes {
+        if usize::try_from(stride) != Ok(elements) {
+            return None;
+        }
+        elements *= size;
+    }
+    Some(&tensor.storage::<f32>()[layout.start_offset()..][..elements])
+}
+
+/// What `of` makes of each element of `x`, which lie in memory as those of `x` do where that has no
+/// gaps.
+pub(crate) fn of_elements(x: &FlexTensor, of: impl Fn(&[f32]) -> Vec<f32>) -> FlexTensor {
+    let shape = x.layout().shape().clone();
+    match in_memory_order(x) {
+        Some(values) => laid_out(of(values), x),
+        None => tensor(of(&contiguous(x)), shape),
+    }
+}
+
+/// [`of_elements`] of two tensors of one shape.
+pub(crate) fn of_pairs(
+    x: &FlexTensor,
+    other: &FlexTensor,
+    of: impl Fn(&[f32], &[f32]) -> Vec<f32>,
+) -> FlexTensor {
+    let shape = x.layout().shape().clone();
+    match (in_memory_order(x), in_memory_order(other)) {
+        (Some(a), Some(b)) if same_order(x, other) => laid_out(of(a, b), x),
+        _ => tensor(of(&contiguous(x), &contiguous(other)), shape),
+    }
+}
+
+fn same_order(a: &FlexTensor, b: &FlexTensor) -> bool {
+    let (a, b) = (a.layout(), b.layout());
+    let strides = a.strides().iter().zip(b.strides());
+    let mut axes = a.shape().iter().zip(strides);
+    a.shape() == b.shape() && axes.all(|(&size, (a, b))| size == 1 || a == b)
+}
+
+/// A tensor of elements that lie as those of `like` do.
+fn laid_out(values: Vec<f32>, like: &FlexTensor) -> FlexTensor {
+    let layout = like.layout();
+    let strides = layout.strides().to_vec();
+    FlexTensor::new(
+        Bytes::from_elems(values),
+        Layout::new(layout.shape().clone(), strides, 0),
+        DType::F32,
+    )
+}
+
 /// A tensor of row-major elements.
 pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FlexTensor {
     FlexTensor::new(

@@ -136,16 +136,26 @@ impl GroupNorm {
     }
 }
 
-/// Normalises each row over its features (biased variance), then scales and shifts each feature: a
-/// group normalisation of rows of one frame in one group.
+/// Normalises each row over its features (biased variance), then scales and shifts each feature.
 ///
 /// # Shapes
 /// - x, output: `[rows, features]`
 /// - weight, bias: `[features]`
 pub fn layer_norm(x: Tensor<2>, weight: Tensor<1>, bias: Tensor<1>, eps: f64) -> Tensor<2> {
-    GroupNorm::new(weight, bias, 1, eps)
-        .forward(x.unsqueeze_dim(2))
-        .squeeze_dim(2)
+    let features = x.dims()[1];
+    assert_eq!(weight.dims(), [features], "weight of a normalisation");
+    assert_eq!(bias.dims(), [features], "bias of a normalisation");
+    if !fuses(&x) {
+        // Rows of one frame in one group.
+        let norm = GroupNorm::new(weight, bias, 1, eps);
+        return composed::group_norm(x.unsqueeze_dim(2), norm).squeeze_dim(2);
+    }
+    Tensor::from_dispatch(Dispatch::fused_layer_norm(
+        x.into_dispatch(),
+        weight.into_dispatch(),
+        bias.into_dispatch(),
+        eps,
+    ))
 }
 
 /// `x (1 + erf(x / sqrt 2)) / 2` of each element.

@@ -6,7 +6,7 @@
 //!
 //! prints how many frames a second a rollout draws by solver and steps, and the milliseconds of one
 //! forward and backward pass of both networks over 64 windows of fifteen rows, with the kernels and
-//! with composed operations.
+//! with composed operations. With a number of Euler steps as argument, the rollout with so many alone.
 
 use std::time::Instant;
 
@@ -26,6 +26,11 @@ use kinegrad_random::{Key, Purpose};
 const HISTORY: usize = 15;
 
 fn main() {
+    if let Some(steps) = std::env::args().nth(1) {
+        let steps = steps.parse().expect("a number of steps");
+        let speed = rollout(FlowSolver::Euler, steps, 1.0);
+        return println!("euler {steps}: {speed:.1}");
+    }
     println!("rollout, frames a second:");
     for (kind, steps) in [
         (FlowSolver::Euler, 1),

@@ -23,6 +23,11 @@ impl Dropout {
         Self { prob, layer }
     }
 
+    /// Whether anything is dropped with `key`.
+    pub fn drops(&self, key: DropoutKey) -> bool {
+        key.is_some() && self.prob > 0.0
+    }
+
     /// Applies the mask of `key`, or returns `x` as it is without a key.
     ///
     /// # Shapes
@@ -41,7 +46,7 @@ impl Dropout {
         device: &Device,
         key: DropoutKey,
     ) -> Option<Tensor<D>> {
-        let key = key.filter(|_| self.prob > 0.0)?;
+        let key = key.filter(|_| self.drops(key))?;
         let mask = key
             .at(self.layer as u64)
             .dropout_mask(shape.iter().product(), self.prob);

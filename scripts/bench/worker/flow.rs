@@ -108,7 +108,7 @@ impl Work for Drawing {
             let flowed = sample_flow(
                 &self.model.predictor,
                 noise,
-                &cond,
+                &self.model.predictor.prepare(&cond),
                 FlowPrediction::Velocity,
                 &self.sampler,
                 &mut |_, _| std::ops::ControlFlow::Continue(()),

@@ -274,7 +274,7 @@ fn golden_flow_sampling(golden: Golden) {
         let flowed = sample_flow(
             &predictor,
             noise,
-            &cond,
+            &predictor.prepare(&cond),
             FlowPrediction::Velocity,
             &config,
             &mut |_, x| {

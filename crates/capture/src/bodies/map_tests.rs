@@ -55,7 +55,10 @@ fn joints_that_are_lacking_lie_between_others() {
         assert!(message.contains(part), "{part}: {message}");
     }
     let message = JointMap::built_in("dragon").unwrap_err();
-    assert!(message.contains("bandai, cmu, forefoot, humanml3d"), "{message}");
+    assert!(
+        message.contains("bandai, cmu, forefoot, humanml3d"),
+        "{message}"
+    );
 }
 
 #[test]

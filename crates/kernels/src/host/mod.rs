@@ -2,9 +2,11 @@
 
 pub(crate) mod activation;
 pub(crate) mod attention;
+pub(crate) mod columns;
 pub(crate) mod convolution;
 pub(crate) mod gelu;
 pub(crate) mod geometry;
+pub(crate) mod layer_norm;
 pub(crate) mod narrow;
 pub(crate) mod norm;
 pub(crate) mod outer;

@@ -1,6 +1,6 @@
 //! Products of few windows with many weights, as those of a coarse level or of one sample.
 //!
-//! To pack the weights would cost more than to multiply them. Here the windows are turned into
+//! To pack the weights would cost as much as to multiply them. Here the windows are turned into
 //! panels instead, and the weights are read once, where they stand.
 
 use pulp::{Arch, Simd, WithSimd};
@@ -10,7 +10,7 @@ use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, tile, vect
 use super::team;
 
 /// Windows up to which this way can be the faster one.
-const MOST_ROWS: usize = 32;
+const MOST_ROWS: usize = 16;
 
 /// Output channels that one task takes at least.
 const LEAST_CHANNELS: usize = 4 * TILE_ROWS;

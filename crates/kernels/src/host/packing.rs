@@ -1,5 +1,6 @@
 //! A convolution's weights, packed into the panels that products read.
 
+use super::columns::{LINES, write_columns};
 use super::simd::vectorized;
 
 /// How a product reads a weight `[outer, inner, kernel]`.
@@ -21,9 +22,6 @@ pub(crate) struct Weight<'a> {
     pub shape: [usize; 3],
     pub direction: Direction<'a>,
 }
-
-/// Lines that are turned at once: what they write fills a cache line.
-const LINES: usize = 16;
 
 impl Weight<'_> {
     /// Output channels.
@@ -83,7 +81,11 @@ impl Weight<'_> {
                 for (block, lines) in (&mut blocks).enumerate() {
                     let lines: [&[f32]; LINES] =
                         std::array::from_fn(|i| &lines[i * line..(i + 1) * line]);
-                    turn::<K, LINES>(lines, inner, width, &mut panel[block * LINES..]);
+                    let panel = &mut panel[block * LINES..];
+                    match K {
+                        1 => write_columns(lines, width, panel),
+                        _ => turn::<K, LINES>(lines, inner, width, panel),
+                    }
                 }
                 let done = columns - columns % LINES;
                 for (i, line) in blocks.remainder().chunks_exact(line).enumerate() {
@@ -163,14 +165,8 @@ pub(crate) fn turn_windows(
                         None => &[],
                     });
                     if windows.len() == LINES {
-                        let lines = lines.map(|line| &line[..inner]);
-                        for c in 0..inner {
-                            let out =
-                                &mut panel[(c * kernel + k) * width + block * LINES..][..LINES];
-                            for (out, line) in out.iter_mut().zip(&lines) {
-                                *out = line[c];
-                            }
-                        }
+                        let panel = &mut panel[k * width + block * LINES..];
+                        write_columns(lines, kernel * width, panel);
                     } else {
                         for (i, line) in lines.iter().enumerate() {
                             for (c, value) in line.iter().enumerate() {

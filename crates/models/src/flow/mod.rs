@@ -32,7 +32,7 @@ pub use config::FlowConfig;
 pub use features::{PREVIOUS_STATE, previous_state};
 pub use hierarchy::Hierarchy;
 pub use history::{History, HistoryEncoder};
-pub use predictor::{FlowCondition, FlowPredictor};
+pub use predictor::{FlowCondition, FlowPredictor, PreparedCondition};
 pub use rollout::{FlowRollout, FlowSpace, RolloutError, RolloutSettings};
 
 use crate::Initializer;

@@ -1,7 +1,7 @@
 use burn::module::Module;
 use burn::tensor::{Int, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
-use kinegrad_kernels::gelu;
+use kinegrad_kernels::{Convolution, gelu};
 use kinegrad_motion::humanml::Skeleton;
 
 use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
@@ -28,6 +28,17 @@ pub struct FlowCondition {
     pub previous: Tensor<3>,
     /// Frames that remain over frames of the clip, 1 at its start and 0 at its end: `[batch]`.
     pub progress: Tensor<1>,
+}
+
+/// A condition as far as it goes into the joints' tokens: what does not change while a pose is drawn
+/// is computed once ([`FlowPredictor::prepare`]).
+#[derive(Clone, Debug)]
+pub struct PreparedCondition {
+    /// Tokens without noisy position and flow time: `[batch, latent_dim, J]`.
+    tokens: Tensor<3>,
+    null_tokens: Option<Tensor<3>>,
+    /// What noisy position and flow time are multiplied by: `[latent_dim, 4, 1]`.
+    weight: Tensor<3>,
 }
 
 /// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (the document, section
@@ -102,21 +113,53 @@ impl FlowPredictor {
         cond: &FlowCondition,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
-        let [batch, _, joints] = x_t.dims();
-        let whole = |value: Tensor<1>| value.reshape([batch, 1, 1]).expand([batch, 1, joints]);
-        let inputs = Tensor::cat(
-            vec![
-                self.ctx_proj.forward_frames(cond.context.clone()),
-                cond.previous.clone(),
-                x_t,
-                whole(cond.progress.clone()),
-                whole(t),
-            ],
-            1,
-        );
+        let inputs = self.inputs(&cond.context, cond, x_t, t);
         stages.stage(format_args!("inputs49"), || inputs.clone());
-        let place = self.place(&inputs).transpose().unsqueeze::<3>();
-        let mut h = self.in_proj.forward_frames(inputs) + place;
+        let place = self.place(&inputs);
+        let h = self.in_proj.forward_frames(inputs) + place;
+        self.velocity(h, stages)
+    }
+
+    /// What [`Denoiser::predict`] takes: the condition's share of the tokens.
+    pub fn prepare(&self, cond: &FlowCondition) -> PreparedCondition {
+        let tokens = |context: &Tensor<3>| {
+            let [batch, _, joints] = context.dims();
+            let device = context.device();
+            let pose = Tensor::zeros([batch, POSITION, joints], &device);
+            let inputs = self.inputs(context, cond, pose, Tensor::zeros([batch], &device));
+            let place = self.place(&inputs);
+            self.in_proj.forward_frames(inputs) + place
+        };
+        let columns = [INPUTS - 2 - POSITION..INPUTS - 2, INPUTS - 1..INPUTS];
+        let columns = columns.map(|columns| self.in_proj.columns(columns));
+        PreparedCondition {
+            tokens: tokens(&cond.context),
+            null_tokens: cond.null_context.as_ref().map(tokens),
+            weight: Tensor::cat(columns.to_vec(), 1).unsqueeze_dim(2),
+        }
+    }
+
+    /// `[batch, 49, J]`.
+    fn inputs(
+        &self,
+        context: &Tensor<3>,
+        cond: &FlowCondition,
+        x_t: Tensor<3>,
+        t: Tensor<1>,
+    ) -> Tensor<3> {
+        let [batch, _, joints] = x_t.dims();
+        let parts = vec![
+            self.ctx_proj.forward_frames(context.clone()),
+            cond.previous.clone(),
+            x_t,
+            of_joints(cond.progress.clone(), batch, joints),
+            of_joints(t, batch, joints),
+        ];
+        Tensor::cat(parts, 1)
+    }
+
+    /// What the transformer makes of tokens `[batch, latent_dim, J]`.
+    fn velocity(&self, mut h: Tensor<3>, stages: &mut impl Stages) -> Tensor<3> {
         stages.stage(format_args!("tokens"), || h.clone());
         for layer in &self.transformer_at_layers {
             h = layer.forward(h, None);
@@ -129,8 +172,8 @@ impl FlowPredictor {
             .forward_frames(gelu(self.head_at_0.forward_frames(h)))
     }
 
-    /// What each joint's place in the tree adds: `[J, latent_dim]`.
-    fn place(&self, like: &Tensor<3>) -> Tensor<2> {
+    /// What each joint's place in the tree adds: `[1, latent_dim, J]`.
+    fn place(&self, like: &Tensor<3>) -> Tensor<3> {
         let of = |places: &[usize], embedding: &Embedding| {
             let places = places.iter().map(|&place| place as i64).collect();
             let count = self.hierarchy.chains.len();
@@ -138,28 +181,40 @@ impl FlowPredictor {
                 Tensor::from_data(TensorData::new(places, [count]), &like.device());
             embedding.forward(indices)
         };
-        of(&self.hierarchy.chains, &self.chain_emb) + of(&self.hierarchy.depths, &self.depth_emb)
+        let place = of(&self.hierarchy.chains, &self.chain_emb)
+            + of(&self.hierarchy.depths, &self.depth_emb);
+        place.transpose().unsqueeze()
     }
 }
 
+/// A number of each sample for each of its joints: `[batch, 1, J]`.
+fn of_joints(value: Tensor<1>, batch: usize, joints: usize) -> Tensor<3> {
+    value.reshape([batch, 1, 1]).expand([batch, 1, joints])
+}
+
 impl Denoiser for FlowPredictor {
-    type Cond = FlowCondition;
+    type Cond = PreparedCondition;
 
     /// At flow times from 0 to 1.
-    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &FlowCondition) -> Tensor<3> {
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &PreparedCondition) -> Tensor<3> {
+        let [batch, _, joints] = x_t.dims();
         let times: Vec<f32> = time.iter().map(|time| time.0 as f32).collect();
-        let t = Tensor::from_data(TensorData::new(times, [time.len()]), &x_t.device());
-        self.forward(x_t, t, cond)
+        let t = Tensor::from_data(TensorData::new(times, [batch]), &x_t.device());
+        let inputs = Tensor::cat(vec![x_t, of_joints(t, batch, joints)], 1);
+        let tokens = Convolution::new(cond.weight.clone(), 1)
+            .residual(cond.tokens.clone())
+            .forward(inputs);
+        self.velocity(tokens, &mut ())
     }
 
     /// The condition of the same history without its text.
     ///
     /// # Panics
-    /// Panics if the condition has no [`null_context`](FlowCondition::null_context).
-    fn null_cond(&self, cond: &FlowCondition) -> FlowCondition {
-        let context = cond.null_context.clone();
-        FlowCondition {
-            context: context.expect("a context without text"),
+    /// Panics if the condition was prepared without a [`null_context`](FlowCondition::null_context).
+    fn null_cond(&self, cond: &PreparedCondition) -> PreparedCondition {
+        let tokens = cond.null_tokens.clone();
+        PreparedCondition {
+            tokens: tokens.expect("a context without text"),
             ..cond.clone()
         }
     }

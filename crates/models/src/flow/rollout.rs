@@ -231,7 +231,7 @@ impl FlowRollout {
     /// The next target, `[J, 3]` in metres.
     fn draw(&mut self) -> Result<Vec<f32>, RolloutError> {
         let joints = self.space.skeleton.joints();
-        let cond = self.condition();
+        let cond = self.model.predictor.prepare(&self.condition());
         let number = match self.settings.same_noise {
             true => 0,
             false => self.drawn as u64,

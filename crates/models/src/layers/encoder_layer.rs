@@ -83,20 +83,21 @@ struct SelfAttention {
 }
 
 impl SelfAttention {
+    /// What `out_proj` takes.
+    ///
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
-    fn forward(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+    fn heads(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
             .bias(self.in_proj_bias.val())
             .forward(x);
         let [batch, _, tokens] = projected.dims();
         let shape = [batch, self.num_heads, tokens, tokens];
         let mask = self.dropout.mask(shape, &projected.device(), dropout);
-        let attended = match mask {
+        match mask {
             Some(mask) => masked_attention(projected, self.num_heads, mask),
             None => self_attention(projected, self.num_heads, None),
-        };
-        self.out_proj.forward_frames(attended)
+        }
     }
 }
 
@@ -149,29 +150,47 @@ impl EncoderLayer {
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
     pub fn forward(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
-        let attention = |x| {
-            let attended = self.self_attn.forward(x, dropout);
-            self.attended.forward(attended, dropout)
-        };
         match self.norm {
             NormOrder::Post => {
-                let h = self.norm1.forward_tokens(attention(x.clone()) + x);
+                let h = self
+                    .norm1
+                    .forward_tokens(self.attended(x.clone(), x, dropout));
                 self.norm2
-                    .forward_tokens(self.inner(h.clone(), dropout) + h)
+                    .forward_tokens(self.mapped(h.clone(), h, dropout))
             }
             NormOrder::Pre => {
-                let h = attention(self.norm1.forward_tokens(x.clone())) + x;
-                self.inner(self.norm2.forward_tokens(h.clone()), dropout) + h
+                let h = self.attended(x.clone(), self.norm1.forward_tokens(x), dropout);
+                self.mapped(h.clone(), self.norm2.forward_tokens(h), dropout)
             }
         }
     }
 
-    fn inner(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+    /// `residual + attention(x)`.
+    fn attended(&self, residual: Tensor<3>, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        let heads = self.self_attn.heads(x, dropout);
+        let map = &self.self_attn.out_proj;
+        added(residual, map, heads, &self.attended, dropout)
+    }
+
+    /// `residual + linear2(gelu(linear1(x)))`.
+    fn mapped(&self, residual: Tensor<3>, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let h = gelu(self.linear1.forward_frames(x));
-        let h = self
-            .linear2
-            .forward_frames(self.between.forward(h, dropout));
-        self.mapped.forward(h, dropout)
+        let h = self.between.forward(h, dropout);
+        added(residual, &self.linear2, h, &self.mapped, dropout)
+    }
+}
+
+/// `residual` and the map of `x`, of which some elements are dropped in training.
+fn added(
+    residual: Tensor<3>,
+    map: &Linear,
+    x: Tensor<3>,
+    dropout: &Dropout,
+    key: DropoutKey,
+) -> Tensor<3> {
+    match dropout.drops(key) {
+        true => dropout.forward(map.forward_frames(x), key) + residual,
+        false => map.forward_frames_onto(residual, x),
     }
 }
 

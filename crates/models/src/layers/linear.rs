@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use kinegrad_kernels::{Convolution, linear};
@@ -57,6 +59,20 @@ impl Linear {
         Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
             .bias(self.bias.val())
             .forward(x)
+    }
+
+    /// [`forward_frames`](Self::forward_frames), added to `residual`, `[batch, out, time]`.
+    pub fn forward_frames_onto(&self, residual: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
+        Convolution::new(self.effective_weight().unsqueeze_dim(2), 1)
+            .bias(self.bias.val())
+            .residual(residual)
+            .forward(x)
+    }
+
+    /// The weight of some inputs: `[out, inputs]`.
+    pub fn columns(&self, inputs: Range<usize>) -> Tensor<2> {
+        let count = inputs.len();
+        self.effective_weight().narrow(1, inputs.start, count)
     }
 
     fn effective_weight(&self) -> Tensor<2> {
