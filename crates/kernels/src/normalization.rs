@@ -141,8 +141,12 @@ impl GroupNorm {
 /// # Shapes
 /// - x, output: `[rows, features]`
 /// - weight, bias: `[features]`
+///
+/// # Panics
+/// Panics if there are no features, or weight and bias have others.
 pub fn layer_norm(x: Tensor<2>, weight: Tensor<1>, bias: Tensor<1>, eps: f64) -> Tensor<2> {
     let features = x.dims()[1];
+    assert!(features > 0, "rows to normalise without features");
     assert_eq!(weight.dims(), [features], "weight of a normalisation");
     assert_eq!(bias.dims(), [features], "bias of a normalisation");
     if !fuses(&x) {

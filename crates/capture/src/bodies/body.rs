@@ -128,12 +128,19 @@ impl Body {
         let places = raw.as_slice().iter();
         let places = places.map(|place| up.to_y_up(place.map(|value| value * metres_per_unit)));
         let joints = Joints::new(places.collect(), skeleton.joints()).map_err(|e| e.to_string())?;
-        if toes_ahead(&joints, skeleton) < 0.0 {
+        let [left, right] = toes_ahead(&joints, skeleton);
+        if left + right < 0.0 {
             return Err(
                 "its toes point backwards: left and right joints are exchanged, in the map or in \
                  the file"
                     .to_owned(),
             );
+        }
+        if left.min(right) < 0.0 {
+            let side = if left < 0.0 { "left" } else { "right" };
+            notes.push(format!(
+                "its {side} toes point backwards where the foot stands: is `{side}_foot` of its map right?"
+            ));
         }
         Ok(Self {
             joints,
@@ -207,9 +214,9 @@ fn usual_legs(skeleton: &Skeleton) -> f64 {
     bones.map(|joint| length(rest[joint])).iter().sum()
 }
 
-/// How far the toes are ahead of the ankles, towards where hips and shoulders face, on average over
+/// How far the toes of each foot are ahead of the ankle, towards where hips and shoulders face, on average over
 /// the quarter of the frames in which a foot is lowest: a foot in the air may trail.
-fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> f64 {
+fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> [f64; 2] {
     let [left_ankle, left_toes, right_ankle, right_toes] = skeleton.contact_joints();
     let of_foot = |ankle: usize, toes: usize| {
         let mut feet: Vec<(f64, f64)> = (0..joints.frames())
@@ -225,7 +232,10 @@ fn toes_ahead(joints: &Joints, skeleton: &Skeleton) -> f64 {
         let standing = &feet[..feet.len().div_ceil(4)];
         standing.iter().map(|(_, ahead)| ahead).sum::<f64>() / standing.len() as f64
     };
-    of_foot(left_ankle, left_toes) + of_foot(right_ankle, right_toes)
+    [
+        of_foot(left_ankle, left_toes),
+        of_foot(right_ankle, right_toes),
+    ]
 }
 
 /// The index of a joint of the skeleton.

@@ -3,20 +3,24 @@
 use std::collections::BTreeMap;
 
 use kinegrad_motion::humanml::Skeleton;
-use kinegrad_settings::in_words;
 use serde::{Deserialize, Serialize};
 
+use crate::prepare::with_line;
 use crate::{Bvh, RootPose};
 
 /// The built-in maps by their names.
 const BUILT_IN: [(&str, &str); 6] = [
     ("bandai", include_str!("maps/bandai.toml")),
     ("cmu", include_str!("maps/cmu.toml")),
-    ("forefoot", include_str!("maps/forefoot.toml")),
     ("humanml3d", include_str!("maps/humanml3d.toml")),
     ("mixamo", include_str!("maps/mixamo.toml")),
     ("xsens", include_str!("maps/xsens.toml")),
+    // Behind those with joints at the toes: of maps that fit as well the first is taken.
+    ("forefoot", include_str!("maps/forefoot.toml")),
 ];
+
+/// Parts of the way from one place to another: somewhat beyond its ends too.
+const PARTS: std::ops::RangeInclusive<f64> = -1.0..=2.0;
 
 /// Missing joints that a message names.
 const SHOWN: usize = 8;
@@ -37,7 +41,8 @@ enum Source {
     Joint(String),
     /// On the line from one joint to another, at this part of the way: what the capture lacks.
     Between { from: String, to: String, at: f64 },
-    /// On the last bone of a chain, from the joint that has an End Site to it, at this part of the way.
+    /// On the last bone of a chain, from the joint that has an End Site to it, at this part of the way;
+    /// of several the first that is not at the joint.
     EndSite { end_site: String, at: f64 },
 }
 
@@ -63,10 +68,16 @@ impl TryFrom<toml::Value> for Source {
                 (key, value) => return Err(format!("found {key} = {value}, allowed: {allowed}")),
             }
         }
+        if let Some(at) = at
+            && !PARTS.contains(&at)
+        {
+            let (least, most) = (PARTS.start(), PARTS.end());
+            return Err(format!("found at = {at}, allowed: {least} to {most}"));
+        }
         match (from, to, end_site, at) {
             (Some(from), Some(to), None, Some(at)) => Ok(Self::Between { from, to, at }),
             (None, None, Some(end_site), Some(at)) => Ok(Self::EndSite { end_site, at }),
-            (_, _, Some(_), Some(_)) => {
+            (from, to, Some(_), _) if from.is_some() || to.is_some() => {
                 let odd = "found end_site together with from or to";
                 Err(format!("{odd}, allowed: {allowed}"))
             }
@@ -94,7 +105,12 @@ impl Source {
             return Some(absent.to_owned());
         }
         let without = self.place(bvh).is_none();
-        without.then(|| format!("the End Site of {}", self.names()[0]))
+        without.then(|| {
+            format!(
+                "an End Site of {} that is not at the joint",
+                self.names()[0]
+            )
+        })
     }
 
     /// Where it is in a capture, unless that lacks it.
@@ -109,7 +125,11 @@ impl Source {
             },
             Self::EndSite { end_site, at } => {
                 let joint = bvh.joint(end_site)?;
-                let end = bvh.joints()[joint].end_sites.first()?;
+                let ends = &bvh.joints()[joint].end_sites;
+                // One without a length says nothing of where the bone goes.
+                let end = ends
+                    .iter()
+                    .find(|end| end.iter().any(|&value| value != 0.0))?;
                 Place::on(joint, end.map(|value| at * value))
             }
         })
@@ -173,8 +193,7 @@ impl JointMap {
     /// # Errors
     /// What is wrong with it, with what is allowed.
     pub fn parse(name: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
-        let file: MapFile =
-            toml::from_str(text).map_err(|error| in_words(error.message()).to_string())?;
+        let file: MapFile = toml::from_str(text).map_err(|error| with_line(text, &error))?;
         let names = &skeleton.description().joint_names;
         let mut sources = file.joints;
         let joints = names.iter().map(|joint| {

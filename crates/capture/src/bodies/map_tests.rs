@@ -49,6 +49,14 @@ fn joints_that_are_lacking_lie_between_others() {
             text.replace("{ from =", "{ end_site = \"Head\", from ="),
             "end_site together with from",
         ),
+        (
+            text.replace(
+                "head = \"Head\"",
+                "head = { end_site = \"Head\", at = 1e9 }",
+            ),
+            "found at = 1000000000, allowed: -1 to 2",
+        ),
+        (text.replace("head = \"Head\"", "head = true"), "line 18: "),
         (text + "\n[odd]\n", "unknown key `odd`"),
     ] {
         let message = JointMap::parse("own", &broken, &skeleton).unwrap_err();
@@ -56,7 +64,7 @@ fn joints_that_are_lacking_lie_between_others() {
     }
     let message = JointMap::built_in("dragon").unwrap_err();
     assert!(
-        message.contains("bandai, cmu, forefoot, humanml3d"),
+        message.contains("bandai, cmu, humanml3d, mixamo, xsens, forefoot"),
         "{message}"
     );
 }
@@ -150,7 +158,10 @@ fn toes_that_are_end_sites_lie_on_the_last_bone() {
     }
     // A joint without an End Site, and one that is not there.
     for (joint, part) in [
-        ("LeftLeg", "the End Site of LeftLeg (left_foot)"),
+        (
+            "LeftLeg",
+            "an End Site of LeftLeg that is not at the joint (left_foot)",
+        ),
         ("Paw", "Paw (left_foot)"),
     ] {
         let map = include_str!("maps/mixamo.toml");

@@ -70,8 +70,8 @@ pub struct CapturePlan {
     /// Begins the ids of its clips; `{name}` stands for the motion file's name without ending,
     /// which is also the default.
     pub name: Option<String>,
-    /// The joint map of BVH files: `bandai`, `cmu`, `humanml3d`, `mixamo`, `xsens`, or a TOML file; found by the names of the
-    /// joints unless stated.
+    /// The joint map of BVH files: `bandai`, `cmu`, `humanml3d`, `mixamo`, `xsens`, `forefoot`, or a TOML
+    /// file; found by the names of the joints unless stated.
     pub map: Option<String>,
     /// Metres of one unit of a BVH file, or its name; found by the length of the legs unless stated.
     pub units: Option<Units>,

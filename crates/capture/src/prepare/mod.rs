@@ -37,6 +37,7 @@ use serde::Serialize;
 pub use grid::{Grid, GridReport};
 pub use plan::Plan;
 pub(crate) use plan::SplitPlan;
+pub(crate) use plan::with_line;
 pub use report::{Rejection, TakeReport};
 pub use units::Units;
 

@@ -211,6 +211,17 @@ fn waltz() -> Vec<String> {
     vec!["W".to_owned()]
 }
 
+/// What is wrong with a file's `text`, and in which line.
+pub(crate) fn with_line(text: &str, error: &toml::de::Error) -> String {
+    let place = error.span().map(|span| {
+        let before = &text.as_bytes()[..span.start.min(text.len())];
+        let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+        format!("line {line}: ")
+    });
+    let place = place.unwrap_or_default();
+    format!("{place}{}", in_words(error.message()))
+}
+
 impl Plan {
     /// Reads the plan at `path` and checks what can be checked without opening another file.
     ///
@@ -218,15 +229,7 @@ impl Plan {
     /// [`Error::Plan`] with the line or key, what was found and what is allowed.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
-        let wrong = |error: toml::de::Error| {
-            let place = error.span().map(|span| {
-                let before = &text.as_bytes()[..span.start.min(text.len())];
-                let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
-                format!("line {line}: ")
-            });
-            let place = place.unwrap_or_default();
-            Error::plan(path, format!("{place}{}", in_words(error.message())))
-        };
+        let wrong = |error: toml::de::Error| Error::plan(path, with_line(&text, &error));
         let given: Table = text.parse().map_err(wrong)?;
         let mut plan: Self = toml::from_str(&text).map_err(wrong)?;
         let read = Table::try_from(&plan).expect("a plan is plain data");

@@ -4,10 +4,10 @@
 /// Lines that are turned at once: what they write fills a cache line.
 pub(crate) const LINES: usize = 16;
 
-/// Writes lines of one length as columns: `panel[c stride + i] = lines[i][c]`.
+/// Writes lines of the first one's length as columns: `panel[c stride + i] = lines[i][c]`.
 ///
 /// # Panics
-/// Panics if the lines' lengths differ, or the panel is too short.
+/// Panics if a line is shorter than the first, or the panel too short.
 #[inline(always)]
 pub(crate) fn write_columns(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32]) {
     let length = lines[0].len();

@@ -340,7 +340,8 @@ fn multiply_phases(
                     step: phase.step,
                 };
                 let windows = source.windows(phase);
-                if weight.gathers() && is_narrow(windows.len() / samples(), columns) {
+                let taps = weight.shape[2];
+                if weight.gathers() && is_narrow(windows.len() / samples(), columns, taps) {
                     multiply_narrow(windows, weight.data, weight.shape, addends, output);
                 } else {
                     multiply(windows, weight, addends, output);

@@ -4,7 +4,7 @@ use super::team;
 /// Elements that one thread handles at a time.
 const CHUNK: usize = 1 << 13;
 
-/// `erf(x)` to within 4e-7: a quotient of polynomials on [-4, 4], beyond which it is 1 in single
+/// `erf(x)` to within 4e-7: a quotient of polynomials on [-4, 4], at whose ends it is 1 in single
 /// precision.
 #[inline(always)]
 fn erf(x: f32) -> f32 {
@@ -22,7 +22,7 @@ fn erf(x: f32) -> f32 {
     let q = q * square - 1.682_827e-3;
     let q = q * square - 7.373_329e-3;
     let q = q * square - 1.426_474e-2;
-    x * p / q
+    if square < 16.0 { x * p / q } else { x / 4.0 }
 }
 
 /// The share of `x` that the unit lets through: `(1 + erf(x / sqrt 2)) / 2`.
@@ -69,4 +69,18 @@ pub(crate) fn backward(x: &[f32], gradient: &[f32]) -> Vec<f32> {
         },
     );
     dx
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_far_from_0_passes_or_does_not() {
+        let x = [-1e30, -40.0, -6.0, 6.0, 1e30];
+        assert_eq!(forward(&x), [0.0, 0.0, 0.0, 6.0, 1e30]);
+        assert_eq!(backward(&x, &[1.0; 5])[..2], [0.0; 2]);
+        assert_eq!(backward(&x, &[1.0; 5])[4], 1.0);
+        assert!(forward(&[f32::NAN])[0].is_nan());
+    }
 }

@@ -7,6 +7,9 @@ use super::team;
 /// of threads, so that the sums over rows do not either.
 const CHUNK: usize = 1 << 13;
 
+/// Rows of a chunk at least: each chunk has sums of its own over them.
+const LEAST_ROWS: usize = 8;
+
 /// Partial sums side by side, as vector code wants them.
 const LANES: usize = 16;
 
@@ -38,7 +41,7 @@ impl LayerNormRows<'_> {
 
     /// Elements of the rows that one thread handles at a time.
     fn chunk(&self) -> usize {
-        (CHUNK / self.features()).max(1) * self.features()
+        (CHUNK / self.features()).max(LEAST_ROWS) * self.features()
     }
 
     /// `(x - mean) / sqrt(variance + eps) weight + bias` of each row.
@@ -147,7 +150,7 @@ impl LayerNormRows<'_> {
 }
 
 /// Mean and reciprocal deviation of a row: the mean first, then distances from it, so that a large
-/// mean costs no digits.
+/// mean costs few digits.
 #[inline(always)]
 fn moments(x: &[f32], eps: f64) -> [f32; 2] {
     let count = x.len() as f32;

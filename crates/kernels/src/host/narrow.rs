@@ -9,15 +9,22 @@ use super::packing::turn_windows;
 use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, tile, vectors};
 use super::team;
 
-/// Windows up to which this way can be the faster one.
-const MOST_ROWS: usize = 16;
+/// Windows of several taps up to which this way can be the faster one.
+const MOST_ROWS: usize = 32;
+
+/// The same of a single tap, whose weights are quick to pack.
+const MOST_ROWS_OF_ONE_TAP: usize = 16;
 
 /// Output channels that one task takes at least.
 const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
 
-/// Whether few enough windows meet enough output channels.
-pub(crate) fn is_narrow(rows: usize, channels: usize) -> bool {
-    (1..=MOST_ROWS).contains(&rows) && 2 * rows <= channels
+/// Whether few enough windows of so many taps meet enough output channels.
+pub(crate) fn is_narrow(rows: usize, channels: usize, taps: usize) -> bool {
+    let most = match taps {
+        1 => MOST_ROWS_OF_ONE_TAP,
+        _ => MOST_ROWS,
+    };
+    (1..=most).contains(&rows) && 2 * rows <= channels
 }
 
 /// `output = windows weight^T + addends` for a weight `[channels, inner, kernel]` whose windows run

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 /// Radius of the obstacles, metres: a person with some room.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
-/// Distance of an obstacle's edge from where the way begins and ends, metres.
+/// Least distance of an obstacle's edge from where the way begins and ends, metres; the margin if that is
+/// more, or neither could be reached.
 const CLEARANCE: f64 = 0.1;
 
 /// Which frames are keyframes.
@@ -71,7 +72,8 @@ impl GoalTask {
         goal.margin = self.margin;
         let ends = [path[0], path[last]];
         let clear = |[x, _, z]: &[f64; 3]| {
-            let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > OBSTACLE_RADIUS + CLEARANCE;
+            let least = OBSTACLE_RADIUS + CLEARANCE.max(self.margin);
+            let far = |[ex, _, ez]: &[f64; 3]| (x - ex).hypot(z - ez) > least;
             ends.iter().all(far)
         };
         goal.obstacles = (1..=self.obstacles)
@@ -157,5 +159,16 @@ mod tests {
             let depth = obstacle.signed_distance([0.0, 0.04 * frame]);
             assert!((depth + OBSTACLE_RADIUS).abs() < 1e-5, "{depth}");
         }
+        // 76 and 80 cm from the ends of the way.
+        let wide = GoalTask {
+            margin: 0.42,
+            ..task
+        };
+        assert_eq!(wide.goal(&clip("a"), 1).obstacles.len(), 1);
+        let wide = GoalTask {
+            margin: 0.46,
+            ..task
+        };
+        assert_eq!(wide.goal(&clip("a"), 1).obstacles.len(), 0);
     }
 }
