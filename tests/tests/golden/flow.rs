@@ -68,6 +68,7 @@ fn model(golden: &Golden, encoder: &str, predictor: &str, device: &Device) -> Fl
             Some(_) => NormOrder::Pre,
             None => NormOrder::Post,
         },
+        ..FlowConfig::document()
     };
     let init = Initializer::new(0, device);
     config

@@ -28,6 +28,12 @@ pub struct FlowConfig {
     pub ff_size: usize,
     /// Where the predictor's layers normalise: `post` or `pre`.
     pub norm: NormOrder,
+    /// Whether the history is read backwards too.
+    pub bidirectional: bool,
+    /// Whether each joint is told its chain and its depth.
+    pub hierarchy: bool,
+    /// Whether the predictor is told how much of the motion remains.
+    pub progress: bool,
 }
 
 impl Default for FlowConfig {
@@ -56,6 +62,9 @@ impl FlowConfig {
             num_heads: 4,
             ff_size: 512,
             norm: NormOrder::Post,
+            bidirectional: true,
+            hierarchy: true,
+            progress: true,
         }
     }
 
@@ -71,6 +80,9 @@ impl FlowConfig {
             num_heads: 4,
             ff_size: 64,
             norm: NormOrder::Post,
+            bidirectional: true,
+            hierarchy: true,
+            progress: true,
         }
     }
 

@@ -33,8 +33,8 @@ pub struct History {
 /// ```text
 /// joint and frame:  position, velocity, body, duration, text_proj(text)
 ///   -> joint_mlp    linear, GELU, linear
-///   -> gru          over frames, all joints side by side, both directions
-///   -> decoder      from the two last states: linear, GELU, linear
+///   -> gru          over frames, all joints side by side, in both directions or forwards
+///   -> decoder      from the last state of each direction: linear, GELU, linear
 /// ```
 ///
 /// Rotations are not read.
@@ -62,12 +62,17 @@ impl HistoryEncoder {
         } = *config;
         let (mlp, decoder) = (init.at("joint_mlp"), init.at("decoder"));
         let all = joints * context_dim;
+        let gru = BiGru::new(all, gru_dim, &init.at("gru"));
+        let summary = gru_dim * if config.bidirectional { 2 } else { 1 };
         Self {
             text_proj: Linear::new(TEXT_CHANNELS, TEXT, &init.at("text_proj")),
             joint_mlp_at_0: Linear::new(INPUTS, joint_dim, &mlp.at("0")),
             joint_mlp_at_2: Linear::new(joint_dim, context_dim, &mlp.at("2")),
-            gru: BiGru::new(all, gru_dim, &init.at("gru")),
-            decoder_at_0: Linear::new(2 * gru_dim, decoder_dim, &decoder.at("0")),
+            gru: match config.bidirectional {
+                true => gru,
+                false => gru.forwards(),
+            },
+            decoder_at_0: Linear::new(summary, decoder_dim, &decoder.at("0")),
             decoder_at_2: Linear::new(decoder_dim, all, &decoder.at("2")),
             joints,
             gru_dim,
@@ -129,8 +134,9 @@ impl HistoryEncoder {
         let initial = Tensor::zeros([2, 1, self.gru_dim], &sequence.device());
         let states = self.gru.forward(sequence, &lengths, initial);
         stages.stage(format_args!("gru_sequence"), || {
-            let both = vec![states.forward.clone(), states.backward.clone()];
-            Tensor::cat(both, 2).swap_dims(0, 1)
+            let mut all = vec![states.forward.clone()];
+            all.extend(states.backward.clone());
+            Tensor::cat(all, 2).swap_dims(0, 1)
         });
         stages.stage(format_args!("summary"), || states.last.clone());
 

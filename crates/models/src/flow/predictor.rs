@@ -55,14 +55,15 @@ pub struct PreparedCondition {
 pub struct FlowPredictor {
     ctx_proj: Linear,
     in_proj: Linear,
-    chain_emb: Embedding,
-    depth_emb: Embedding,
+    chain_emb: Option<Embedding>,
+    depth_emb: Option<Embedding>,
     transformer_at_layers: Vec<EncoderLayer>,
     transformer_at_norm: Option<LayerNorm>,
     head_at_0: Linear,
     head_at_2: Linear,
     #[module(skip)]
     hierarchy: Hierarchy,
+    progress: bool,
 }
 
 impl FlowPredictor {
@@ -81,7 +82,10 @@ impl FlowPredictor {
         };
         let final_norm =
             (config.norm == NormOrder::Pre).then(|| LayerNorm::new(width, &transformer.at("norm")));
-        let embedding = |things, name| Embedding::new(things, width, &init.at(name));
+        let embedding = |things, name| {
+            let embedding = || Embedding::new(things, width, &init.at(name));
+            config.hierarchy.then(embedding)
+        };
         Self {
             ctx_proj: Linear::new(config.context_dim, CONTEXT, &init.at("ctx_proj")),
             in_proj: Linear::new(INPUTS, width, &init.at("in_proj")),
@@ -94,6 +98,7 @@ impl FlowPredictor {
             head_at_0: Linear::new(width, width, &head.at("0")),
             head_at_2: Linear::new(width, POSITION, &head.at("2")),
             hierarchy,
+            progress: config.progress,
         }
     }
 
@@ -115,8 +120,7 @@ impl FlowPredictor {
     ) -> Tensor<3> {
         let inputs = self.inputs(&cond.context, cond, x_t, t);
         stages.stage(format_args!("inputs49"), || inputs.clone());
-        let place = self.place(&inputs);
-        let h = self.in_proj.forward_frames(inputs) + place;
+        let h = self.tokens(inputs);
         self.velocity(h, stages)
     }
 
@@ -126,9 +130,7 @@ impl FlowPredictor {
             let [batch, _, joints] = context.dims();
             let device = context.device();
             let pose = Tensor::zeros([batch, POSITION, joints], &device);
-            let inputs = self.inputs(context, cond, pose, Tensor::zeros([batch], &device));
-            let place = self.place(&inputs);
-            self.in_proj.forward_frames(inputs) + place
+            self.tokens(self.inputs(context, cond, pose, Tensor::zeros([batch], &device)))
         };
         let columns = [INPUTS - 2 - POSITION..INPUTS - 2, INPUTS - 1..INPUTS];
         let columns = columns.map(|columns| self.in_proj.columns(columns));
@@ -148,11 +150,15 @@ impl FlowPredictor {
         t: Tensor<1>,
     ) -> Tensor<3> {
         let [batch, _, joints] = x_t.dims();
+        let progress = match self.progress {
+            true => cond.progress.clone(),
+            false => cond.progress.zeros_like(),
+        };
         let parts = vec![
             self.ctx_proj.forward_frames(context.clone()),
             cond.previous.clone(),
             x_t,
-            of_joints(cond.progress.clone(), batch, joints),
+            of_joints(progress, batch, joints),
             of_joints(t, batch, joints),
         ];
         Tensor::cat(parts, 1)
@@ -172,18 +178,22 @@ impl FlowPredictor {
             .forward_frames(gelu(self.head_at_0.forward_frames(h)))
     }
 
-    /// What each joint's place in the tree adds: `[1, latent_dim, J]`.
-    fn place(&self, like: &Tensor<3>) -> Tensor<3> {
+    /// `[batch, latent_dim, J]` of `[batch, 49, J]`: with each joint's place in the tree.
+    fn tokens(&self, inputs: Tensor<3>) -> Tensor<3> {
+        let device = inputs.device();
+        let tokens = self.in_proj.forward_frames(inputs);
+        let (Some(chains), Some(depths)) = (&self.chain_emb, &self.depth_emb) else {
+            return tokens;
+        };
         let of = |places: &[usize], embedding: &Embedding| {
             let places = places.iter().map(|&place| place as i64).collect();
             let count = self.hierarchy.chains.len();
             let indices: Tensor<1, Int> =
-                Tensor::from_data(TensorData::new(places, [count]), &like.device());
+                Tensor::from_data(TensorData::new(places, [count]), &device);
             embedding.forward(indices)
         };
-        let place = of(&self.hierarchy.chains, &self.chain_emb)
-            + of(&self.hierarchy.depths, &self.depth_emb);
-        place.transpose().unsqueeze()
+        let place = of(&self.hierarchy.chains, chains) + of(&self.hierarchy.depths, depths);
+        tokens + place.transpose().unsqueeze::<3>()
     }
 }
 

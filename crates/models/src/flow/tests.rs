@@ -191,3 +191,55 @@ fn the_state_before_has_the_root_at_its_height_unturned() {
     ];
     assert_eq!(of(1, 3), expected.concat());
 }
+
+#[test]
+fn parts_of_the_document_can_be_left_out() {
+    let (x_t, t) = (normal(1, [2, 3, 22]), normal::<1>(2, [2]));
+    let tiny = FlowConfig::tiny();
+    let whole = model(&tiny);
+    let of = |config: FlowConfig| {
+        let model = model(&config);
+        let counts = [
+            parameters::count(&model.encoder),
+            parameters::count(&model.predictor),
+        ];
+        let cond = |progress| FlowCondition {
+            context: normal(4, [2, tiny.context_dim, 22]),
+            null_context: None,
+            previous: normal(5, [2, 12, 22]),
+            progress: Tensor::full([2], progress, &Device::flex()),
+        };
+        let forward = |progress| {
+            model
+                .predictor
+                .forward(x_t.clone(), t.clone(), &cond(progress))
+        };
+        let told = apart(forward(0.25), forward(0.75)) > 0.0;
+        let context = model.encoder.forward(history());
+        assert_eq!(context.dims(), [3, tiny.context_dim, 22]);
+        (counts, told)
+    };
+    let [encoder, predictor] = [
+        parameters::count(&whole.encoder),
+        parameters::count(&whole.predictor),
+    ];
+    assert_eq!(of(tiny.clone()), ([encoder, predictor], true));
+    // 5 chains and 8 depths.
+    let found = of(FlowConfig {
+        hierarchy: false,
+        ..tiny.clone()
+    });
+    assert_eq!(found, ([encoder, predictor - 13 * tiny.latent_dim], true));
+    let found = of(FlowConfig {
+        progress: false,
+        ..tiny.clone()
+    });
+    assert_eq!(found, ([encoder, predictor], false));
+    let of_direction = 3 * tiny.gru_dim * (22 * tiny.context_dim + tiny.gru_dim + 2);
+    let found = of(FlowConfig {
+        bidirectional: false,
+        ..tiny.clone()
+    });
+    let less = of_direction + tiny.gru_dim * tiny.decoder_dim;
+    assert_eq!(found, ([encoder - less, predictor], true));
+}

@@ -4,7 +4,8 @@ use kinegrad_kernels::{Direction, Lengths, gru, linear};
 
 use crate::Initializer;
 
-/// A gated recurrent unit ([`gru`]) that runs over sequences in both directions, with `input` and
+/// A gated recurrent unit ([`gru`]) that runs over sequences, in both directions unless it is
+/// [`forwards`](Self::forwards), with `input` and
 /// `state` the three parts (reset, update, new) of `weight_ih x + bias_ih` and `weight_hh h +
 /// bias_hh`.
 ///
@@ -16,10 +17,10 @@ pub struct BiGru {
     weight_hh_l0: Param<Tensor<2>>,
     bias_ih_l0: Param<Tensor<1>>,
     bias_hh_l0: Param<Tensor<1>>,
-    weight_ih_l0_reverse: Param<Tensor<2>>,
-    weight_hh_l0_reverse: Param<Tensor<2>>,
-    bias_ih_l0_reverse: Param<Tensor<1>>,
-    bias_hh_l0_reverse: Param<Tensor<1>>,
+    weight_ih_l0_reverse: Option<Param<Tensor<2>>>,
+    weight_hh_l0_reverse: Option<Param<Tensor<2>>>,
+    bias_ih_l0_reverse: Option<Param<Tensor<1>>>,
+    bias_hh_l0_reverse: Option<Param<Tensor<1>>>,
 }
 
 impl BiGru {
@@ -32,10 +33,22 @@ impl BiGru {
             weight_hh_l0: weight("weight_hh_l0", state),
             bias_ih_l0: bias("bias_ih_l0"),
             bias_hh_l0: bias("bias_hh_l0"),
-            weight_ih_l0_reverse: weight("weight_ih_l0_reverse", inputs),
-            weight_hh_l0_reverse: weight("weight_hh_l0_reverse", state),
-            bias_ih_l0_reverse: bias("bias_ih_l0_reverse"),
-            bias_hh_l0_reverse: bias("bias_hh_l0_reverse"),
+            weight_ih_l0_reverse: Some(weight("weight_ih_l0_reverse", inputs)),
+            weight_hh_l0_reverse: Some(weight("weight_hh_l0_reverse", state)),
+            bias_ih_l0_reverse: Some(bias("bias_ih_l0_reverse")),
+            bias_hh_l0_reverse: Some(bias("bias_hh_l0_reverse")),
+        }
+    }
+
+    /// The same layer without its backward direction.
+    #[must_use]
+    pub fn forwards(self) -> Self {
+        Self {
+            weight_ih_l0_reverse: None,
+            weight_hh_l0_reverse: None,
+            bias_ih_l0_reverse: None,
+            bias_hh_l0_reverse: None,
+            ..self
         }
     }
 
@@ -74,24 +87,29 @@ impl BiGru {
             [&self.weight_ih_l0, &self.weight_hh_l0],
             [&self.bias_ih_l0, &self.bias_hh_l0],
         );
-        let backward = states(
-            1,
-            Direction::Backward,
-            [&self.weight_ih_l0_reverse, &self.weight_hh_l0_reverse],
-            [&self.bias_ih_l0_reverse, &self.bias_hh_l0_reverse],
-        );
+        let reverse = self
+            .weight_ih_l0_reverse
+            .as_ref()
+            .zip(self.weight_hh_l0_reverse.as_ref());
+        let biases = self
+            .bias_ih_l0_reverse
+            .as_ref()
+            .zip(self.bias_hh_l0_reverse.as_ref());
+        let backward = reverse
+            .zip(biases)
+            .map(|(weights, biases)| states(1, Direction::Backward, weights.into(), biases.into()));
         let last = |states: &Tensor<3>, direction: Direction| {
             let step = states.clone().narrow(0, direction.last(time), 1);
             step.squeeze_dim::<2>(0)
         };
+        let mut ends = vec![last(&forward, Direction::Forward)];
+        ends.extend(
+            backward
+                .as_ref()
+                .map(|states| last(states, Direction::Backward)),
+        );
         GruStates {
-            last: Tensor::cat(
-                vec![
-                    last(&forward, Direction::Forward),
-                    last(&backward, Direction::Backward),
-                ],
-                1,
-            ),
+            last: Tensor::cat(ends, 1),
             forward,
             backward,
         }
@@ -103,10 +121,10 @@ impl BiGru {
 pub struct GruStates {
     /// After each step forward: `[time, batch, state]`.
     pub forward: Tensor<3>,
-    /// After each step backward: `[time, batch, state]`.
-    pub backward: Tensor<3>,
+    /// After each step backward, of a layer that has this direction: `[time, batch, state]`.
+    pub backward: Option<Tensor<3>>,
     /// After the last step of each sequence forward, then after its first step backward: `[batch, 2
-    /// state]`.
+    /// state]`, or `[batch, state]` without that direction.
     pub last: Tensor<2>,
 }
 
