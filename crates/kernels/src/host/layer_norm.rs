@@ -24,6 +24,12 @@ pub(crate) struct LayerNormRows<'a> {
     pub eps: f64,
 }
 
+/// The gradient of a chunk's rows, and its sums for scales and shifts.
+type Outputs<'a> = (&'a mut [f32], &'a mut [f32]);
+
+/// A chunk's rows, and the gradient of what they become.
+type Inputs<'a> = (&'a [f32], &'a [f32]);
+
 /// Gradients of a layer normalisation.
 pub(crate) struct LayerNormGradients {
     /// Of the rows.
@@ -79,7 +85,7 @@ impl LayerNormRows<'_> {
         let chunks = outputs.zip(inputs).collect();
         team::for_each_item(
             chunks,
-            |((dx, sums), (x, gradient)): ((&mut [f32], &mut [f32]), (&[f32], &[f32]))| {
+            |((dx, sums), (x, gradient)): (Outputs<'_>, Inputs<'_>)| {
                 let (weight, bias) = sums.split_at_mut(features);
                 vectorized(
                     #[inline(always)]
