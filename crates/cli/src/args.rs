@@ -203,8 +203,8 @@ pub struct SampleArguments {
     /// `bpe_motion`
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// How the motion follows the path: `warp`, `override`, `guidance`, `override_guidance`, `tokens` or
-    /// `tokens_guidance`
+    /// How the motion follows the path: `none`, `warp`, `override`, `guidance`, `override_guidance`,
+    /// `tokens` or `tokens_guidance`
     /// [default: from the run's config, `warp`]
     #[arg(long, value_name = "METHOD", requires = "path")]
     pub method: Option<String>,

@@ -71,6 +71,7 @@ impl Augmentation {
             audio_replace_prob,
             bar_drop_prob,
             speed: _,
+            path_warp_prob: _,
         } = self.augment;
         let key = Key::new(self.seed, Purpose::Augment).at(n);
         let speed = self.speed(key.at(SPEED));

@@ -274,6 +274,9 @@ pub struct AugmentConfig {
     /// Play motion and music together faster or slower: 0.25 draws a speed between 1 / 1.25 and 1.25
     /// for each sample. Style numbers stay those of the recorded speed.
     pub speed: f64,
+    /// Probability of bending the way of a clip of joint features at random: turns of the whole way and
+    /// waves, the body turned along and feet held (docs/sources.md, section 7, option E).
+    pub path_warp_prob: f64,
 }
 
 /// Size and seed of the synthetic dataset.
@@ -344,6 +347,15 @@ impl DataConfig {
         }
         if matches!(self.kind, DataKind::Humanml3d | DataKind::SyntheticWalks) {
             clips::validate(self)?;
+        } else {
+            let prob = self.augment.path_warp_prob;
+            require(
+                prob == 0.0,
+                "data.augment.path_warp_prob",
+                prob,
+                "0 with phrases",
+            )
+            .hint("it is for clips of joint features")?;
         }
         check_patterns(&self.labels)?;
         self.validation.validate()?;
@@ -430,6 +442,12 @@ impl AugmentConfig {
             .hint("0.5 trains for songs with and without a known downbeat")?;
         in_range("data.augment.speed", self.speed, 0.0..=1.0)
             .hint("0.25 plays at 0.8 to 1.25 times the recorded speed")?;
+        in_range(
+            "data.augment.path_warp_prob",
+            self.path_warp_prob,
+            0.0..=1.0,
+        )
+        .hint("0.5 bends every second way")?;
         in_range("data.augment.audio_masks", self.audio_masks, 0..=16).hint("1 or 2 are usual")
     }
 }

@@ -46,10 +46,13 @@ fn unknown_keys_and_wrong_types_are_refused() {
 #[test]
 fn values_out_of_range_are_refused_by_their_key() {
     type Change = fn(&mut DataConfig);
-    let cases: [(&str, Change); 19] = [
+    let cases: [(&str, Change); 20] = [
         ("data.target_frames", |c| c.target_frames = 3),
         ("data.audio_features", |c| c.audio_features.clear()),
         ("data.batch_size", |c| c.batch_size = 0),
+        ("data.augment.path_warp_prob", |c| {
+            c.augment.path_warp_prob = 0.5
+        }),
         ("data.num_workers", |c| c.num_workers = 1000),
         ("data.num_phrases", |c| c.num_phrases = Some(0)),
         ("data.source", |c| c.source = None),

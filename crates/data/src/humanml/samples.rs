@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, PartOfSpeech, WordVectors};
+use kinegrad_motion::path::Bend;
 use kinegrad_motion::{JointFeatures, Representation, Statistics};
 use kinegrad_random::{Key, Purpose};
 
@@ -26,6 +27,7 @@ pub struct ClipSamples {
     target_frames: usize,
     unit_frames: usize,
     crop: Crop,
+    path_warp_prob: f64,
     labels: Option<CaptionLabels>,
     seed: u64,
     words: Option<Arc<WordVectors>>,
@@ -60,6 +62,7 @@ impl ClipSamples {
             target_frames: config.target_frames,
             unit_frames: config.humanml3d.unit_frames,
             crop: config.crop,
+            path_warp_prob: config.augment.path_warp_prob,
             labels: None,
             seed,
             words: None,
@@ -84,6 +87,13 @@ impl ClipSamples {
             labels: Some(labels),
             ..self
         }
+    }
+
+    /// How the way of training sample `n` is bent, if it is.
+    fn bend(&self, n: u64) -> Option<Bend> {
+        let key = Key::new(self.seed, Purpose::Augment).at(n);
+        let bends = key.named("path_warp").uniform() < self.path_warp_prob;
+        bends.then(|| Bend::drawn(key.named("bend")))
     }
 
     /// Channels of the condition on a caption.
@@ -150,6 +160,10 @@ impl Samples for ClipSamples {
         let skeleton = &self.representation.skeleton;
         let features = clip.features.crop(skeleton, first..first + length);
         let features = features.expect("the reader takes features of this skeleton alone");
+        let bend = number.and_then(|n| self.bend(n));
+        // A single frame has no way to bend.
+        let bent = bend.and_then(|bend| bend.of_features(&features, skeleton).ok());
+        let features = bent.unwrap_or(features);
         let features = features.with_root(self.representation.root);
         let values;
         let same = [self.words.as_ref().map_or(0.0, |_| captions_number(clip))];
@@ -325,6 +339,65 @@ mod tests {
                 }
             }
             assert!(starts.len() > 8, "{starts:?}");
+        }
+    }
+
+    #[test]
+    fn ways_are_bent_as_often_as_asked_and_nothing_else_is() {
+        for root in [Root::Absolute, Root::Relative] {
+            let with = |path_warp_prob| {
+                let mut config = config();
+                config.humanml3d.root = root;
+                config.augment.path_warp_prob = path_warp_prob;
+                config
+            };
+            let (plain, half) = (with(0.0), with(0.5));
+            let dataset = Dataset::<Clip>::open(&plain).unwrap();
+            let statistics = dataset.statistics().unwrap();
+            let skeleton = dataset.representation.skeleton;
+            let pairs = batches(&plain, 263, 0, 20).into_iter();
+            let pairs = pairs.zip(batches(&half, 263, 0, 20));
+            let (mut bent, mut turned) = (0, 0);
+            for (plain, half) in pairs {
+                assert_eq!(
+                    (&plain.mask, &plain.conditions),
+                    (&half.mask, &half.conditions)
+                );
+                for sample in 0..3 {
+                    let valid = plain.mask[50 * sample..][..50].iter().sum::<f32>() as usize;
+                    let features = |batch: &Batch| {
+                        let rows = &batch.x_start[sample * 263 * 50..][..263 * 50];
+                        let values = rows.chunks(50).flat_map(|row| &row[..valid]).copied();
+                        let values = statistics.denormalize(&values.collect::<Vec<_>>());
+                        Features::new(values, skeleton.layout(), root).unwrap()
+                    };
+                    let (before, after) = (features(&plain), features(&half));
+                    if before.as_slice() == after.as_slice() {
+                        continue;
+                    }
+                    bent += 1;
+                    let heading = |features: &Features| {
+                        let facing = features.root_quaternions();
+                        let last = facing[valid - 1];
+                        2.0 * last.y.atan2(last.w)
+                    };
+                    turned += usize::from((heading(&before) - heading(&after)).abs() > 0.2);
+                    let first = after.joints().frame(0)[0];
+                    assert!(first[0].hypot(first[2]) < 1e-4, "{first:?}");
+                    let (a, b) = (after.joints_from_rotations(&skeleton), after.joints());
+                    let pairs = a.unwrap().to_f32().into_iter().zip(b.to_f32());
+                    let apart = pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()));
+                    assert!(apart < 2e-3, "{root}: rotations lead {apart} m elsewhere");
+                }
+            }
+            assert!((18..42).contains(&bent), "{bent} of 60");
+            assert!(turned * 2 > bent, "{turned} of {bent} turn");
+            let held = |config: &DataConfig| {
+                let all = samples(config, 263);
+                let count = all.clips.load().unwrap().len();
+                all.collate(0..count).unwrap()
+            };
+            assert_eq!(held(&plain), held(&half));
         }
     }
 

@@ -77,6 +77,8 @@ pub struct Pass<'a> {
     pub dropout: DropoutKey,
     /// Where a path leads, `[batch, PATH_CHANNELS, time]`; none for motion that goes where it likes.
     pub path: Option<&'a Tensor<3>>,
+    /// 0 for motions that are not told it, else 1, `[batch, 1, 1]`; all are without.
+    pub keep_path: Option<&'a Tensor<3>>,
 }
 
 /// The network. Should be created with [`BlendedConfig::init`].
@@ -195,6 +197,7 @@ impl BlendedTransformer {
             is_relative,
             dropout,
             path,
+            keep_path,
         } = pass;
         assert_eq!(
             (script.len(), is_relative.len(), time.len()),
@@ -209,9 +212,11 @@ impl BlendedTransformer {
         stages.stage(format_args!("project_in"), || h.clone());
         let absolute = self.absolute(script, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
-        let h = match path.and_then(|path| self.told_path(path)) {
-            Some(told) => h + absolute + told,
-            None => h + absolute,
+        let told = path.and_then(|path| self.told_path(path));
+        let h = match (told, keep_path) {
+            (Some(told), Some(keep)) => h + absolute + told * keep.clone(),
+            (Some(told), None) => h + absolute + told,
+            (None, _) => h + absolute,
         };
         stages.stage(format_args!("tokens"), || h.clone());
         let mut h = self.dropout.forward(h, dropout);
@@ -364,6 +369,7 @@ impl Denoiser for Composed<'_> {
             is_relative: &is_relative.collect::<Vec<_>>(),
             dropout: None,
             path: self.path.as_ref(),
+            keep_path: None,
         };
         self.network
             .forward(x_t, time, cond.clone().squeeze_dim(2), pass)

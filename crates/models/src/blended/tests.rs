@@ -58,6 +58,7 @@ fn answer(x: Tensor<3>, texts: Tensor<2>, script: &Script, relative: [bool; 2]) 
         is_relative: &relative,
         dropout: None,
         path: None,
+        keep_path: None,
     };
     network().forward(x, &[Time(30.0), Time(700.0)], texts, pass)
 }
@@ -148,6 +149,7 @@ fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
             is_relative: &[true],
             dropout: None,
             path: None,
+            keep_path: None,
         };
         network().forward(x, &[Time(5.0)], told.clone(), pass)
     };
@@ -168,6 +170,7 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
             is_relative: &[true, true],
             dropout: None,
             path,
+            keep_path: None,
         };
         network.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass)
     };
@@ -178,6 +181,19 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     let whole = run(&drawn, Some(&path));
     assert_ne!(whole.clone().into_data(), base);
     assert_eq!(run(&drawn, None).into_data(), base);
+    // Of two motions, the one that is not told is drawn as without a path.
+    let keep = Tensor::from_data(TensorData::new(vec![1.0f32, 0.0], [2, 1, 1]), &x.device());
+    let pass = Pass {
+        script: &script,
+        is_relative: &[true, true],
+        dropout: None,
+        path: Some(&path),
+        keep_path: Some(&keep),
+    };
+    let kept = drawn.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass);
+    let part = |of: &Tensor<3>, motion: usize| of.clone().narrow(0, motion, 1).into_data();
+    assert_eq!(part(&kept, 0), part(&whole, 0));
+    assert_eq!(part(&kept, 1), part(&run(&drawn, None), 1));
     // Another way in the last frame alone: seen by frames within twice the horizon, of that motion.
     let last = path.clone().narrow(2, FRAMES - 1, 1);
     let other = Tensor::cat(vec![path.narrow(2, 0, FRAMES - 1), last + 1.0], 2);
@@ -232,6 +248,7 @@ fn training_leaves_sub_layers_out_by_its_key() {
             is_relative: &[true, false],
             dropout: Some(Key::new(seed, Purpose::Dropout)),
             path: None,
+            keep_path: None,
         };
         network()
             .forward(x.clone(), &[Time(3.0); 2], told.clone(), pass)

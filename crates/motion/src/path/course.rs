@@ -68,6 +68,14 @@ impl Course {
         Self::at(path, metres.collect())
     }
 
+    /// The course that is at `points`, one for each frame.
+    pub fn through(points: Vec<[f64; 2]>) -> Self {
+        Self {
+            metres: walked(&points),
+            points,
+        }
+    }
+
     fn at(path: &Polyline, metres: Vec<f64>) -> Self {
         let points = metres.iter().map(|&metres| path.at_metres(metres).point);
         Self {

@@ -13,6 +13,7 @@
 //! # Ok::<(), kinegrad_motion::path::PathError>(())
 //! ```
 
+mod bend;
 mod course;
 mod drawing;
 mod error;
@@ -25,6 +26,7 @@ mod smoothing;
 mod spline;
 mod warp;
 
+pub use bend::Bend;
 pub use course::{Along, Course};
 pub use error::PathError;
 pub use headings::{PathFeatures, headings_of, headings_of_gait, unwrapped, wrapped};

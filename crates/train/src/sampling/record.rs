@@ -54,6 +54,9 @@ pub struct Record {
     /// How a motion was composed, for models of recipe `bpe_motion`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub composition: Option<CompositionRecord>,
+    /// The path that it follows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<PathRecord>,
     /// What the sample is conditioned on.
     pub condition: Condition,
     /// What it was drawn together with; left out where that does not matter.
@@ -79,9 +82,6 @@ pub struct CompositionRecord {
     pub bpe_denoising_step: i64,
     /// The texts, in order.
     pub said: Vec<SaidRecord>,
-    /// The path that it follows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub path: Option<PathRecord>,
 }
 
 /// A path, how a motion follows it, and how well.
@@ -91,8 +91,9 @@ pub struct PathRecord {
     pub file: PathBuf,
     /// What that says.
     pub content: PathPlan,
-    /// How the motion was drawn.
-    pub settings: PathConfig,
+    /// How the motion was drawn; none for models that follow it as a goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<PathConfig>,
     /// How it follows.
     pub report: PathReport,
 }
@@ -249,6 +250,7 @@ impl Record {
             windows: None,
             rollout: None,
             composition: None,
+            path: None,
             condition: Condition::default(),
             batch: None,
         }

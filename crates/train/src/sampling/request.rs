@@ -220,7 +220,7 @@ impl Conditions {
 }
 
 /// Conditions that exclude each other, with what they are conditions on.
-const CONTRADICTORY: [(&str, &str, &str); 8] = [
+const CONTRADICTORY: [(&str, &str, &str); 9] = [
     ("audio", "--cond", "--phrase"),
     ("audio", "--cond", "--source"),
     ("audio", "--audio", "--cond"),
@@ -229,6 +229,7 @@ const CONTRADICTORY: [(&str, &str, &str); 8] = [
     ("text", "--text", "--text-embedding"),
     ("text", "--text", "--plan"),
     ("text", "--text-embedding", "--plan"),
+    ("position", "--goal", "--path"),
 ];
 
 #[cfg(test)]

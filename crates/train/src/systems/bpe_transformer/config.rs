@@ -76,6 +76,8 @@ pub struct BpeTables {
     pub diffusion: DiffusionConfig,
     /// Absolute and relative positions.
     pub positions: PositionsConfig,
+    /// How a network that is told paths is trained.
+    pub paths: PathTrainingConfig,
     /// What recipe `path_adapter` trains.
     pub adapter: PathAdapterConfig,
     /// The loss.
@@ -122,6 +124,15 @@ impl Default for PositionsConfig {
     }
 }
 
+/// The table `paths`: how a network that is told paths (`model.path`) is trained.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathTrainingConfig {
+    /// Probability of not telling a training sample its path. 0.1 lets the network go where it likes as
+    /// well; recipe `path_adapter` needs none, as its base does.
+    pub drop_prob: f64,
+}
+
 /// The table `init`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -164,6 +175,9 @@ pub struct ComposeEvaluationConfig {
     /// absolute positions always, 0 for relative ones. 60 in the published model of HumanML3D, 125 in
     /// that of BABEL.
     pub bpe_denoising_step: i64,
+    /// Number of held-out clips whose own ways are followed as paths, as `path` says, to measure how
+    /// near motion comes to them; 0 measures none.
+    pub num_paths: usize,
     /// How motion follows a path.
     pub path: PathConfig,
 }
@@ -175,6 +189,7 @@ impl Default for ComposeEvaluationConfig {
             texts: 4,
             transition_frames: 60,
             bpe_denoising_step: 60,
+            num_paths: 0,
             path: PathConfig::default(),
         }
     }
@@ -214,6 +229,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "data.kind",
         "a kind of phrases",
         format!("\"humanml3d\" or \"synthetic_walks\" for recipe `{RECIPE}`"),
+    )?;
+    in_range("paths.drop_prob", own.paths.drop_prob, 0.0..=1.0)?;
+    require(
+        own.paths.drop_prob == 0.0 || own.model.network.sizes().path,
+        "paths.drop_prob",
+        own.paths.drop_prob,
+        "0 without `model.path`",
     )?;
     let positions = &own.positions;
     in_range(
@@ -280,6 +302,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         evaluation.compositions,
         1..=10_000,
     )?;
+    in_range("evaluation.num_paths", evaluation.num_paths, 0..=10_000)?;
     in_range("evaluation.texts", evaluation.texts, 1..=10_000)?;
     let absolute = data.humanml3d.root == Root::Absolute;
     require(

@@ -12,6 +12,7 @@ use serde_json::to_value;
 
 use super::networks::{footprint, statistics_in};
 use super::report::{ComposedReport, Measured};
+use super::ways::{self, WaysEvaluation, WaysReport};
 use super::{BpeTables, ComposeEvaluationConfig, Composer, Line};
 use crate::captions::{ClipText, must_know_texts};
 use crate::checkpoint::State;
@@ -39,6 +40,9 @@ struct ComposeEvaluation {
     drawn: ComposedReport,
     /// Held-out clips.
     real: ComposedReport,
+    /// Motion along the ways of held-out clips, where that is asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    paths: Option<WaysEvaluation>,
 }
 
 /// An evaluation of compositions.
@@ -81,8 +85,16 @@ pub(super) fn prepare<'a>(
         Ok(Evaluated {
             run: evaluation.run.clone(),
             report: "eval-compositions",
-            drawn: column(Some(evaluation.step), &evaluation.drawn),
-            real: column(None, &evaluation.real),
+            drawn: column(
+                Some(evaluation.step),
+                &evaluation.drawn,
+                evaluation.paths.as_ref().map(|paths| &paths.drawn),
+            ),
+            real: column(
+                None,
+                &evaluation.real,
+                evaluation.paths.as_ref().map(|paths| &paths.real),
+            ),
             json: to_value(&evaluation).expect("plain data"),
             remarks: Vec::new(),
         })
@@ -158,6 +170,13 @@ fn evaluate(
     let state = State::read(&subject.checkpoint)?;
     let statistics = statistics_in(&state)?;
     let real_jerk = of_real.window_jerk();
+    let paths = (asked.num_paths > 0)
+        .then(|| {
+            ways::evaluate(
+                composer, held_out, asked, sampler, statistics, most, seed, on_step,
+            )
+        })
+        .transpose()?;
     Ok(ComposeEvaluation {
         run: composer.config().run.name.clone(),
         step: composer.step(),
@@ -166,25 +185,35 @@ fn evaluate(
         sampler: sampler.clone(),
         drawn: of_drawn.report(&skeleton, statistics, real_jerk, Some(&real)),
         real: of_real.report(&skeleton, statistics, real_jerk, None),
+        paths,
     })
 }
 
-fn column(step: Option<u64>, report: &ComposedReport) -> Column {
-    let rows = report.rows().into_iter();
-    let numbers = rows.map(|(name, value, unit)| Number {
-        name: name.to_string(),
-        value,
+fn column(step: Option<u64>, report: &ComposedReport, paths: Option<&WaysReport>) -> Column {
+    let composed = group("compositions", "", &report.rows());
+    let paths = paths.map(|paths| group("paths", "along paths", &paths.rows()));
+    Column {
+        facts: vec![("step", step)],
+        groups: [composed].into_iter().chain(paths).collect(),
+    }
+}
+
+fn group(
+    key: &'static str,
+    title: &'static str,
+    rows: &[(&'static str, Option<f64>, &'static str)],
+) -> Group {
+    let numbers = rows.iter().map(|(name, value, unit)| Number {
+        name: (*name).to_string(),
+        value: *value,
         line: Some((
             format!("{name}{unit}"),
             value.map(|value| format!("{value:.4}")),
         )),
     });
-    Column {
-        facts: vec![("step", step)],
-        groups: vec![Group {
-            key: "compositions",
-            title: "",
-            numbers: numbers.collect(),
-        }],
+    Group {
+        key,
+        title,
+        numbers: numbers.collect(),
     }
 }

@@ -15,12 +15,13 @@ use kinegrad_motion::humanml::Features;
 use kinegrad_random::Key;
 
 use super::networks::{statistics_in, trained};
-use super::path::PathControl;
-use super::{BpeTables, ComposeEvaluationConfig, PathMethod, PathTarget};
+use super::path::{PathControl, told};
+use super::{BpeTables, ComposeEvaluationConfig};
 use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
+use crate::path_target::PathTarget;
 use crate::systems::gmd::FeatureSpace;
 
 /// A text for some frames.
@@ -92,7 +93,7 @@ impl Composer {
 
     /// One motion of all `lines`, without overlaps or transitions of its own: a following line begins
     /// where the one before ends. With a `target` it is drawn along that, as `settings.path` says, and has
-    /// still to be [finished](PathTarget::finish). `on_step` is called with the steps done and in total.
+    /// still to be moved onto it. `on_step` is called with the steps done and in total.
     ///
     /// # Errors
     /// If the model does not know a text, the sampler's settings cannot work, or the result is not
@@ -119,7 +120,7 @@ impl Composer {
             Some(target) => {
                 self.must_know_paths()?;
                 let fps = humanml3d.skeleton.skeleton().description().fps;
-                Some(target.told(fps, &self.device))
+                Some(told(target, fps, &self.device))
             }
             None => None,
         };
@@ -148,7 +149,7 @@ impl Composer {
         let numbered = [(key, 0)];
         let keys = NoiseKeys::Numbered(&numbered);
         let mut told = |done, all, _: &Tensor<3>| on_step(done, all);
-        let x = match target.filter(|_| settings.path.method != PathMethod::Warp) {
+        let x = match target.filter(|_| settings.path.method.acts()) {
             None => sample(
                 &self.diffusion,
                 &plain,

@@ -16,6 +16,7 @@ mod report;
 mod sample;
 mod told;
 mod train;
+mod ways;
 
 use kinegrad_motion::Representation;
 use kinegrad_settings::Key;
@@ -23,11 +24,12 @@ use toml::Table;
 
 pub use config::{
     BpeInitConfig, BpeNetwork, BpeTables, ComposeEvaluationConfig, PathAdapterConfig,
-    PositionsConfig,
+    PathTrainingConfig, PositionsConfig,
 };
 pub use generate::{Composer, Line};
-pub use path::{Followed, OverrideReading, PathConfig, PathMethod, PathTarget};
+pub use path::{OverrideReading, PathConfig, PathMethod};
 pub use report::ComposedReport;
+pub use ways::WaysReport;
 
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;

@@ -1,19 +1,12 @@
 //! A draw that follows a path over the ground (docs/sources.md, section 7).
-//!
-//! Clips begin at the origin and face +z: the path is moved there for the draw, and the motion to the
-//! path afterwards.
 
 use std::cell::RefCell;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{GaussianDiffusion, Objective};
 use kinegrad_motion::Statistics;
-use kinegrad_motion::feet::{ContactRule, hold};
-use kinegrad_motion::humanml::{Features, Joints, Root, Skeleton};
-use kinegrad_motion::path::{
-    Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathLoss, PathLossConfig, PathPlan, PathReport,
-    Polyline, Turning, Warp, headings_of, placed, root_channels, savgol, unwrapped,
-};
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
+use kinegrad_motion::path::{PathLoss, PathLossConfig, root_channels};
 use kinegrad_random::Key;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use schemars::JsonSchema;
@@ -21,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::told::of_path;
 use crate::error::Error;
+use crate::path_target::{Followed, PathTarget};
 
 /// Channels of the root's rotation and place on the ground.
 const ROOT: usize = 3;
@@ -75,6 +69,8 @@ impl Default for PathConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathMethod {
+    /// Drawn freely from the beginning of the path: what the others are compared with.
+    None,
     /// Drawn freely, and moved onto the path afterwards (option A).
     #[default]
     Warp,
@@ -102,6 +98,11 @@ impl PathMethod {
             self,
             Self::Guidance | Self::OverrideGuidance | Self::TokensGuidance
         )
+    }
+
+    /// Whether it acts while motion is drawn.
+    pub fn acts(self) -> bool {
+        !matches!(self, Self::None | Self::Warp)
     }
 
     /// Whether the network is told the path.
@@ -141,143 +142,26 @@ impl PathConfig {
     }
 }
 
-/// Where a motion of so many frames is to be.
-#[derive(Clone, Debug)]
-pub struct PathTarget {
-    /// The path.
-    pub line: Polyline,
-    /// Its place in each frame.
-    pub course: Course,
-    /// Where it leads in each frame, smoothed, without jumps, radians.
-    pub headings: Vec<f64>,
+/// What the network is told of a path, `[1, PATH_CHANNELS, frames]`.
+pub(super) fn told(target: &PathTarget, fps: f64, device: &Device) -> Tensor<3> {
+    of_path(&target.at_origin().course.points, fps, device)
 }
 
-impl PathTarget {
-    /// The target of a plan for `frames` frames at `fps` frames per second.
-    ///
-    /// # Errors
-    /// If the plan is no path.
-    pub fn new(plan: &PathPlan, frames: usize, fps: f64) -> Result<Self, Error> {
-        let unusable = |error: &dyn std::fmt::Display| {
-            Error::usage(
-                format!("the path cannot be followed: {error}"),
-                "docs/paths.md",
-            )
-        };
-        plan.validate().map_err(|error| unusable(&error))?;
-        let line = plan.polyline().map_err(|error| unusable(&error))?;
-        let course = Course::at_speed(&line, frames, plan.speed, fps);
-        let headings = unwrapped(&headings_of(&course.points));
-        let headings = savgol(&headings, HEADING_WINDOW, HEADING_ORDER, Edges::Fitted);
-        Ok(Self {
-            line,
-            course,
-            headings,
-        })
+/// A motion that was drawn as `config` says, on the path.
+///
+/// # Errors
+/// If it is not of the skeleton.
+pub(super) fn finish(
+    target: &PathTarget,
+    features: &Features,
+    skeleton: &Skeleton,
+    config: &PathConfig,
+) -> Result<Followed, Error> {
+    let joints = features.joints();
+    match config.method {
+        PathMethod::Warp => target.warped(&joints, skeleton, config.fix_feet),
+        _ => target.placed(&joints, skeleton),
     }
-
-    /// The largest speed that it asks for, metres per second.
-    pub fn speed(&self, fps: f64) -> f64 {
-        let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
-        steps.fold(0.0, f64::max) * fps
-    }
-
-    /// The same as a draw sees it: from the origin, facing +z.
-    fn at_origin(&self) -> Self {
-        let (start, turn) = (self.course.points[0], -self.headings[0]);
-        let (sin, cos) = turn.sin_cos();
-        let moved = |[x, z]: &[f64; 2]| {
-            let (dx, dz) = (x - start[0], z - start[1]);
-            [dx * cos + dz * sin, dz * cos - dx * sin]
-        };
-        let points: Vec<[f64; 2]> = self.course.points.iter().map(moved).collect();
-        Self {
-            line: self.line.clone(),
-            course: Course {
-                metres: self.course.metres.clone(),
-                points,
-            },
-            headings: self.headings.iter().map(|heading| heading + turn).collect(),
-        }
-    }
-
-    /// What the network is told of it, `[1, PATH_CHANNELS, frames]`.
-    pub(super) fn told(&self, fps: f64, device: &Device) -> Tensor<3> {
-        of_path(&self.at_origin().course.points, fps, device)
-    }
-
-    /// A motion that was drawn along the path as seen from its start, on the path itself.
-    fn onto(&self, joints: &Joints) -> Result<Joints, Error> {
-        let (start, turn) = (self.course.points[0], self.headings[0]);
-        let (sin, cos) = turn.sin_cos();
-        let track = joints.track(0);
-        let points = track
-            .iter()
-            .map(|[x, _, z]| [start[0] + x * cos + z * sin, start[1] - x * sin + z * cos]);
-        let points: Vec<[f64; 2]> = points.collect();
-        Ok(placed(joints, &points, &vec![turn; points.len()])?)
-    }
-
-    /// A motion that was drawn as `config` says, on the path.
-    ///
-    /// # Errors
-    /// If it is not of the skeleton.
-    pub fn finish(
-        &self,
-        features: &Features,
-        skeleton: &Skeleton,
-        config: &PathConfig,
-    ) -> Result<Followed, Error> {
-        let joints = features.joints();
-        if config.method != PathMethod::Warp {
-            let joints = self.onto(&joints)?;
-            let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
-            return Ok(Followed {
-                joints,
-                report,
-                legs_short: 0.0,
-            });
-        }
-        let warp = Warp {
-            turning: Turning::Relative,
-            smooth: true,
-            least_speed: Warp::STANDING,
-            ..Warp::default()
-        };
-        // As far as its speed leads in so many frames.
-        let line = self
-            .line
-            .up_to(self.course.metres.last().copied().unwrap_or(0.0));
-        let warped = warp.apply(&joints, skeleton, &line);
-        let warped = warped.map_err(|error| {
-            let message = format!("the motion cannot be moved onto the path: {error}");
-            Error::usage(message, "docs/paths.md")
-        })?;
-        let (joints, legs_short) = match config.fix_feet {
-            true => {
-                let held = hold(&warped.joints, &joints, skeleton, &ContactRule::default())?;
-                (held.joints, held.missed)
-            }
-            false => (warped.joints, 0.0),
-        };
-        let report = PathReport::of(&joints, skeleton, &line, &warped.course)?;
-        Ok(Followed {
-            joints,
-            report,
-            legs_short,
-        })
-    }
-}
-
-/// A motion on its path.
-#[derive(Clone, Debug)]
-pub struct Followed {
-    /// Where its joints are.
-    pub joints: Joints,
-    /// How it follows.
-    pub report: PathReport,
-    /// How far a foot is from where it should stand, at most, as its leg does not reach so far, metres.
-    pub legs_short: f64,
 }
 
 /// What keeps one draw on its path.

@@ -11,6 +11,7 @@
 //! To the sum of a frame comes `loss.velocity` times the squared error of its difference from the frame
 //! before it.
 
+use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::DropoutKey;
@@ -31,6 +32,7 @@ pub(super) fn recipe(
     held_out: HeldOut,
 ) -> DenoisingRecipe<BlendedTransformer> {
     let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
+    let drop_path = own.paths.drop_prob;
     let switch = Switch {
         bpe_denoising_step: own.evaluation.bpe_denoising_step,
         num_train_timesteps: own.diffusion.num_train_timesteps,
@@ -48,6 +50,7 @@ pub(super) fn recipe(
             let path = network
                 .knows_paths()
                 .then(|| ways.told(&inputs.x_start, &lengths));
+            let keep_path = keep(draws.dropout, batch, drop_path, &inputs.x_start.device());
             let script = Script::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
                 Some(drawn) => drawn,
@@ -68,6 +71,7 @@ pub(super) fn recipe(
                         is_relative: &is_relative,
                         dropout,
                         path: path.as_ref(),
+                        keep_path: keep_path.as_ref(),
                     };
                     network.forward(x_t, time, cond.get(TEXT).clone().squeeze_dim(2), pass)
                 },
@@ -94,11 +98,37 @@ fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
     Some(drawn.into_iter().map(|u| f64::from(u) < ratio).collect())
 }
 
+/// 0 for the samples of a training step that are not told their path, else 1, `[batch, 1, 1]`; none
+/// where all are.
+fn keep(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
+    let drawn = key
+        .filter(|_| drop_prob > 0.0)?
+        .named("path")
+        .uniforms(batch);
+    let keep = drawn
+        .into_iter()
+        .map(|u| f32::from(f64::from(u) >= drop_prob));
+    let data = TensorData::new(keep.collect(), [batch, 1, 1]);
+    Some(Tensor::from_data(data, device))
+}
+
 #[cfg(test)]
 mod tests {
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
+
+    #[test]
+    fn paths_are_dropped_as_often_as_asked() {
+        let kept = |key, drop_prob| {
+            let keep = keep(key, 64, drop_prob, &Device::flex())?;
+            Some(keep.mean().into_scalar::<f32>())
+        };
+        let key = Key::new(1, Purpose::Dropout);
+        let mean = (0..50).map(|step| kept(Some(key.at(step)), 0.1).expect("a key"));
+        assert!((mean.sum::<f32>() / 50.0 - 0.9).abs() < 0.02);
+        assert_eq!((kept(Some(key), 0.0), kept(None, 0.1)), (None, None));
+    }
 
     #[test]
     fn samples_are_in_either_mode_as_often_as_asked() {

@@ -64,10 +64,6 @@ impl Measured<'_> {
         };
         let curves: Vec<Vec<f64>> = self.windows.iter().map(jerk_of_frames).collect();
         let transition = TransitionJerk::of(&curves, real_jerk.unwrap_or(0.0));
-        let moments = |segments: &[Features]| {
-            let rows = segments.iter().map(|segment| means(segment, statistics));
-            FeatureMoments::compute(&rows.collect::<Vec<_>>())
-        };
         ComposedReport {
             motions: self.motions.len(),
             jerk: each(&|joints| mean_jerk(joints, fps)),
@@ -90,12 +86,22 @@ impl Measured<'_> {
             area_under_jerk: transition
                 .filter(|_| real_jerk.is_some())
                 .map(|found| found.area),
-            frechet_distance: real.and_then(|real| {
-                let pair = moments(self.segments).zip(moments(real));
-                pair.map(|(a, b)| frechet_distance(&a, &b))
-            }),
+            frechet_distance: real.and_then(|real| distance(self.segments, real, statistics)),
         }
     }
+}
+
+/// Fréchet distance of the mean normalised features of clips from those of real ones.
+pub(super) fn distance(
+    clips: &[Features],
+    real: &[Features],
+    statistics: &Statistics,
+) -> Option<f64> {
+    let moments = |clips: &[Features]| {
+        let rows = clips.iter().map(|clip| means(clip, statistics));
+        FeatureMoments::compute(&rows.collect::<Vec<_>>())
+    };
+    Some(frechet_distance(&moments(clips)?, &moments(real)?))
 }
 
 /// The mean over frames of each normalised channel.

@@ -1,24 +1,23 @@
 //! Sampling motion composed of texts.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use kinegrad_data::Dataset;
-use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::Clip;
-use kinegrad_motion::humanml::{Extraction, Root};
-use kinegrad_motion::path::PathPlan;
+use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
 
-use super::{BpeTables, BpeTransformer, Composer, Line, PathMethod, PathTarget, RECIPE};
+use super::path::finish;
+use super::{BpeTables, BpeTransformer, Composer, Line, PathMethod, RECIPE};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
 use crate::clips::{clips_named, dataset_or};
 use crate::config::SystemTables;
 use crate::error::Error;
 use crate::memory::must_fit;
+use crate::path_target::{PathTarget, features_of, in_words, read_path};
 use crate::sampling::{
-    BVH, CompositionRecord, Condition, Drawn, FEATURES, MOTION, Names, PathFile, PathRecord,
-    Receiver, Record, Remark, Request, SaidRecord, Subject, clip_files, item_seed,
+    BVH, CompositionRecord, Condition, Drawn, FEATURES, MOTION, Names, PathRecord, Receiver,
+    Record, Remark, Request, SaidRecord, Subject, clip_files, item_seed,
 };
 use crate::system::System as _;
 use crate::text_plan::TextPlan;
@@ -129,12 +128,8 @@ pub(super) fn sample(
             let settings = &own.evaluation.path;
             let (features, joints, followed) = match (&path, &target) {
                 (Some((file, plan)), Some(target)) => {
-                    let found = target.finish(&features, &skeleton, settings)?;
-                    let report = &found.report;
-                    remarks.push(format!(
-                        "{:.3} m from the path, at most {:.3} m; heading {:.0} degrees from it",
-                        report.mean_distance, report.largest_distance, report.heading_error
-                    ));
+                    let found = finish(target, &features, &skeleton, settings)?;
+                    remarks.push(in_words(&found.report));
                     if found.legs_short > LEGS_SHORT {
                         receiver.warning(&format!(
                             "legs are up to {:.2} m too short to stand where they stood: the path is \
@@ -143,17 +138,13 @@ pub(super) fn sample(
                         ));
                     }
                     let features = match settings.method {
-                        PathMethod::Warp => {
-                            let made =
-                                unscaled().features_of_all_frames(&skeleton, &found.joints)?;
-                            made.with_root(features.root())
-                        }
+                        PathMethod::Warp => features_of(&found.joints, &skeleton, features.root())?,
                         _ => features,
                     };
                     let record = PathRecord {
                         file: file.clone(),
                         content: plan.clone(),
-                        settings: settings.clone(),
+                        settings: Some(settings.clone()),
                         report: found.report,
                     };
                     (features, found.joints, Some(record))
@@ -170,8 +161,8 @@ pub(super) fn sample(
                 composition: Some(CompositionRecord {
                     bpe_denoising_step: own.evaluation.bpe_denoising_step,
                     said: said(&motion.lines),
-                    path: followed,
                 }),
+                path: followed,
                 condition: Condition {
                     item: motion.item.clone(),
                     source: motion.item.as_ref().and_then(|_| {
@@ -200,24 +191,6 @@ impl Motion {
     fn frames(&self) -> usize {
         self.lines.iter().map(|line| line.frames).sum()
     }
-}
-
-/// Features of joints whose bones stay as they are.
-fn unscaled() -> Extraction {
-    Extraction {
-        rescale: false,
-        ..Extraction::default()
-    }
-}
-
-/// The path of a request, with its file.
-fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
-    let file = path.file.display().to_string();
-    let refused =
-        |reason: String| Error::usage(format!("{file}: {reason}"), "docs/paths.md describes paths");
-    let text = read_text(&path.file).map_err(|error| refused(error.to_string()))?;
-    let plan = PathPlan::read(&text, &file, path.metres_per_unit).map_err(refused)?;
-    Ok((path.file.clone(), plan))
 }
 
 /// Which text begins in which frame.

@@ -48,23 +48,26 @@ impl Ways {
                 [0, 1, 2, 3].map(|c| f64::from(clip[c * time + t]) * self.std[c] + self.mean[c])
             };
             let rows: Vec<[f64; ROOT]> = (0..length).map(frame).collect();
-            let places = self.root.positions(&rows);
-            let axis = |axis: usize| {
-                let values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
-                savgol(&values, self.window(), 3, Edges::Fitted)
-            };
-            let (x, z) = (axis(0), axis(2));
-            let track: Vec<[f64; 2]> = x.into_iter().zip(z).map(|(x, z)| [x, z]).collect();
-            told.extend(numbers(&track, self.fps, time));
+            let way = way(&self.root.positions(&rows), self.fps);
+            told.extend(numbers(&way, self.fps, time));
         }
         let data = TensorData::new(told, [batch, PATH_CHANNELS, time]);
         Tensor::from_data(data, &x_start.device())
     }
+}
 
-    /// An odd number of frames.
-    fn window(&self) -> usize {
-        2 * (SMOOTH * self.fps / 2.0) as usize + 1
-    }
+/// The way over the ground of a root that is at `places`, a point for each frame, smoothed.
+pub(super) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
+    let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
+    let axis = |axis: usize| {
+        let values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        savgol(&values, window, 3, Edges::Fitted)
+    };
+    axis(0)
+        .into_iter()
+        .zip(axis(2))
+        .map(|(x, z)| [x, z])
+        .collect()
 }
 
 /// What is told of one path, a point for each frame: `[1, PATH_CHANNELS, frames]`.

@@ -162,6 +162,13 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         "\"leading\"",
         format!("\"random\" for recipe `{RECIPE}`, which draws windows anywhere in a clip"),
     )?;
+    let prob = data.augment.path_warp_prob;
+    require(
+        prob == 0.0,
+        "data.augment.path_warp_prob",
+        prob,
+        format!("0 for recipe `{RECIPE}`, which follows no path"),
+    )?;
     let pose = &own.pose;
     in_range("pose.history_frames", pose.history_frames, 1..=1000)?;
     in_range("pose.cond_drop_prob", pose.cond_drop_prob, 0.0..=1.0)?;

@@ -1,13 +1,15 @@
 //! Sampling clips conditioned on text, with or without goals.
 
+mod along;
 mod items;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use kinegrad_motion::goal::Goal;
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::metrics::{GoalReport, GoalSample};
 
+use self::along::Along;
 use super::Gmd;
 use super::generate::{
     ClipGenerator, ClipRequest, GeneratedClip, drawn_frames, read_goal_and_digest,
@@ -47,7 +49,6 @@ pub(super) fn sample(
             "--style",
             "--history",
             "--plan",
-            "--path",
         ],
         "a run on clips of joint features",
         "its condition is a text: `--text`, `--text-embedding FILE#KEY`, or `--phrase ID` for a clip's \
@@ -75,7 +76,14 @@ pub(super) fn sample(
             sha256: digest.to_string(),
         });
     }
-    if goals.is_empty() && conditions.trajectory.is_some() {
+    let along = match &conditions.path {
+        Some(file) => {
+            let frames = request.frames.unwrap_or(subject.config.data.target_frames);
+            Some(Along::read(file, subject, frames)?)
+        }
+        None => None,
+    };
+    if goals.is_empty() && along.is_none() && conditions.trajectory.is_some() {
         let hint = "the first stage generates a path for a goal: pass `--goal GOAL.toml` too";
         return Err(Error::usage("`--trajectory-run` without `--goal`", hint));
     }
@@ -89,6 +97,12 @@ pub(super) fn sample(
             hint,
         ));
     }
+    let sources = conditions
+        .goals
+        .iter()
+        .chain(along.as_ref().map(Along::file));
+    let sources: Vec<PathBuf> = sources.cloned().collect();
+    goals.extend(along.as_ref().map(Along::goal));
     if conditions.is_empty() {
         receiver.note("no condition given: drawing without a text and without a goal");
     }
@@ -103,7 +117,7 @@ pub(super) fn sample(
         None => request.frames.unwrap_or(subject.config.data.target_frames),
     };
     let clips = request.count.saturating_mul(goals.len().max(1));
-    for (path, goal) in conditions.goals.iter().zip(&goals) {
+    for (path, goal) in sources.iter().zip(&goals) {
         for doubt in goal.doubts(skeleton.description().fps) {
             receiver.warning(&format!("{}: {doubt}", path.display()));
         }
@@ -136,6 +150,7 @@ pub(super) fn sample(
         request.seed,
         &mut |stage, done, all| receiver.advance(stage, done, all),
     )?;
+    let mut remarks = Vec::new();
     for (index, (sample, clip)) in samples.iter().zip(&requests).enumerate() {
         let name = names.of("", index);
         let frames = clip.goal.as_ref().map_or(frames, |goal| goal.frames);
@@ -163,9 +178,16 @@ pub(super) fn sample(
             }),
             ..record
         };
-        receiver.drawn(drawn(name, sample, &skeleton, record))?;
+        let mut drawn = drawn(name, sample, &skeleton, record);
+        if let Some(along) = &along {
+            remarks.push(along.place(&mut drawn, sample, &skeleton)?);
+        }
+        receiver.drawn(drawn)?;
     }
-    Ok(report(&samples, &requests, &skeleton).map(Remark::Text))
+    Ok(match along {
+        Some(_) => Some(Remark::Text(remarks.join("\n"))),
+        None => report(&samples, &requests, &skeleton).map(Remark::Text),
+    })
 }
 
 /// Rejects clips that take more memory than is free as one batch.
@@ -248,17 +270,14 @@ fn record(
 /// The files of a clip, cut to the record's length.
 fn drawn(name: String, sample: &GeneratedClip, skeleton: &Skeleton, record: Record) -> Drawn {
     let frames = record.frames;
-    let Some(features) = &sample.features else {
-        let files = vec![(MOTION, path(&sample.ground[..frames]))];
-        return Drawn {
-            name,
-            files,
-            record,
-        };
+    let mut files = match &sample.features {
+        None => vec![(MOTION, path(&sample.ground[..frames]))],
+        Some(features) => {
+            let features = features.slice(0..frames);
+            let joints = features.joints();
+            clip_files(features, joints, skeleton)
+        }
     };
-    let features = features.slice(0..frames);
-    let joints = features.joints();
-    let mut files = clip_files(features, joints, skeleton);
     if let Some(drawn) = &sample.path {
         files.push((PATH, path(&drawn[..frames])));
     }

@@ -48,7 +48,13 @@ pub(super) fn for_items(
 ) -> Result<Option<Remark>, Error> {
     let conditions = &request.conditions;
     conditions.refuse(
-        &["--goal", "--trajectory-run", "--text", "--text-embedding"],
+        &[
+            "--goal",
+            "--path",
+            "--trajectory-run",
+            "--text",
+            "--text-embedding",
+        ],
         "`--phrase` and a run on clips of joint features",
         "`--phrase` alone stands for the first caption of all of the clip; beside a goal, name the \
          caption with `--text` or `--text-embedding FILE#KEY`",

@@ -1,0 +1,179 @@
+//! Ways that are bent at random: paths for training (docs/sources.md, section 7, option E).
+
+use std::f64::consts::TAU;
+
+use kinegrad_random::Key;
+
+use super::course::walked;
+use super::placed;
+use crate::feet::{ContactRule, hold};
+use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
+
+/// Largest curvature of the whole way, radians a metre: a circle of 1.25 m.
+const CURVATURE: f64 = 0.8;
+/// Largest amplitude of a wave, radians.
+const AMPLITUDE: f64 = 0.5;
+/// Shortest and longest wave, metres.
+const WAVES: [f64; 2] = [2.0, 6.0];
+
+/// How a way is bent: its direction turns by an angle that depends on the metres walked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bend {
+    /// Turn of the whole way, radians a metre.
+    pub curvature: f64,
+    /// Waves of the direction: amplitude in radians, length in metres, phase in radians.
+    pub waves: [[f64; 3]; 2],
+}
+
+impl Bend {
+    /// A bend at random: part of a circle and two waves.
+    pub fn drawn(key: Key) -> Self {
+        let drawn = key.uniforms(7);
+        let mut drawn = drawn.into_iter().map(f64::from);
+        let mut between = |low: f64, high: f64| {
+            let share = drawn.next().expect("seven numbers");
+            low + (high - low) * share
+        };
+        let curvature = between(-CURVATURE, CURVATURE);
+        let waves = [(); 2].map(|()| {
+            let amplitude = between(0.0, AMPLITUDE);
+            [amplitude, between(WAVES[0], WAVES[1]), between(0.0, TAU)]
+        });
+        Self { curvature, waves }
+    }
+
+    /// What the direction is turned by after so many metres, radians: nothing at first.
+    pub fn turn(&self, metres: f64) -> f64 {
+        let wave = |[amplitude, length, phase]: [f64; 3]| {
+            amplitude * ((TAU * metres / length + phase).sin() - phase.sin())
+        };
+        self.curvature * metres + self.waves.map(wave).iter().sum::<f64>()
+    }
+
+    /// `joints` on the bent way: each step and the body turned by the angle of its place. The way keeps
+    /// its length, steps and heights stay what they are.
+    pub fn apply(&self, joints: &Joints) -> Joints {
+        let track = joints.track(0).into_iter();
+        let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
+        let turns = walked(&track).into_iter().map(|metres| self.turn(metres));
+        let turns: Vec<f64> = turns.collect();
+        let mut points = track.clone();
+        for t in 1..track.len() {
+            let (sin, cos) = (0.5 * (turns[t - 1] + turns[t])).sin_cos();
+            let [dx, dz] = [0, 1].map(|axis| track[t][axis] - track[t - 1][axis]);
+            let [x, z] = points[t - 1];
+            points[t] = [x + dx * cos + dz * sin, z - dx * sin + dz * cos];
+        }
+        placed(joints, &points, &turns).expect("a point and a turn for each frame")
+    }
+
+    /// The features of a clip on the bent way, its feet held where they stand; with relative root.
+    ///
+    /// # Errors
+    /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] unless they
+    /// are features of `skeleton`.
+    pub fn of_features(
+        &self,
+        features: &Features,
+        skeleton: &Skeleton,
+    ) -> Result<Features, FeatureError> {
+        let joints = features.joints();
+        let rule = ContactRule::default();
+        let held = hold(&self.apply(&joints), &joints, skeleton, &rule)?;
+        let extraction = Extraction {
+            rescale: false,
+            ..Extraction::default()
+        };
+        extraction.features_of_all_frames(skeleton, &held.joints)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use kinegrad_random::Purpose;
+
+    use super::*;
+    use crate::humanml::kinematics::minus;
+    use crate::humanml::walk::{Course, joints as walk};
+    use crate::metrics::skating_ratio;
+    use crate::path::{headings_of_gait, unwrapped};
+    use crate::rotation::length;
+
+    fn straight(frames: usize) -> (Joints, Skeleton) {
+        let skeleton = Skeleton::humanml3d();
+        let course = Course {
+            speed: Box::new(|_| 1.2),
+            turning: Box::new(|_| 0.0),
+        };
+        let places = walk(&course, &skeleton, frames);
+        (Joints::new(places, 22).unwrap(), skeleton)
+    }
+
+    fn heading_at(joints: &Joints, t: usize) -> f64 {
+        let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
+        unwrapped(&headings_of_gait(&track, 0.0))[t]
+    }
+
+    #[test]
+    fn a_straight_walk_becomes_part_of_a_circle_of_the_same_length() {
+        let (joints, _) = straight(81);
+        let bend = Bend {
+            curvature: -0.5,
+            waves: [[0.0, 2.0, 0.0]; 2],
+        };
+        let bent = bend.apply(&joints);
+        let metres = |joints: &Joints| {
+            let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
+            walked(&track)[80]
+        };
+        assert!((metres(&bent) - metres(&joints)).abs() < 1e-9);
+        let turned = heading_at(&bent, 70) - heading_at(&bent, 10);
+        let expected = -0.5 * metres(&joints) * 60.0 / 80.0;
+        assert!((turned - expected).abs() < 0.05, "{turned} {expected}");
+    }
+
+    #[test]
+    fn bones_and_heights_stay_and_draws_differ() {
+        let (joints, skeleton) = straight(60);
+        let key = Key::new(3, Purpose::Augment);
+        let bent: Vec<Joints> = (0..20)
+            .map(|n| Bend::drawn(key.at(n)).apply(&joints))
+            .collect();
+        let ends: Vec<f64> = bent.iter().map(|bent| heading_at(bent, 59)).collect();
+        let most = ends.iter().copied().fold(f64::MIN, f64::max);
+        let least = ends.iter().copied().fold(f64::MAX, f64::min);
+        assert!(most > 0.5 && least < -0.5, "{least} to {most}");
+        for bent in &bent {
+            for t in 0..60 {
+                let (old, new) = (joints.frame(t), bent.frame(t));
+                for (joint, parent) in skeleton.parents().iter().enumerate() {
+                    assert_eq!(old[joint][1], new[joint][1]);
+                    let Some(parent) = *parent else { continue };
+                    let bone = |frame: &[[f64; 3]]| length(minus(frame[joint], frame[parent]));
+                    assert!((bone(old) - bone(new)).abs() < 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn features_say_the_bent_way_and_its_feet_do_not_slide_more() {
+        let (joints, skeleton) = straight(70);
+        let features = Extraction::default();
+        let features = features.features_of_all_frames(&skeleton, &joints).unwrap();
+        let feet = skeleton.contact_joints();
+        let skates =
+            |joints: &Joints| skating_ratio(joints, 20.0, &[feet[1], feet[3]]).unwrap_or(0.0);
+        let before = skates(&features.joints());
+        for n in 0..5 {
+            let bend = Bend::drawn(Key::new(8, Purpose::Augment).at(n));
+            let made = bend.of_features(&features, &skeleton).unwrap();
+            assert_eq!(made.frames(), features.frames());
+            let (found, asked) = (made.joints(), bend.apply(&features.joints()));
+            let turned = |joints: &Joints| heading_at(joints, 65) - heading_at(joints, 5);
+            let apart = turned(&found) - turned(&asked);
+            assert!(apart.abs() < 0.05, "{apart}");
+            assert!(skates(&found) <= before + 0.05, "{}", skates(&found));
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Paths that generated motion follows, whatever generates it (docs/sources.md, section 7).
+//!
+//! Clips begin at the origin and face +z: the path is moved there for the draw, and the motion to the
+//! path afterwards.
+
+use std::path::PathBuf;
+
+use kinegrad_data::file::read_text;
+use kinegrad_motion::feet::{ContactRule, hold};
+use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
+use kinegrad_motion::path::{
+    Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, PathPlan, PathReport, Polyline,
+    Turning, Warp, headings_of, placed, savgol, unwrapped,
+};
+
+use crate::error::Error;
+use crate::sampling::PathFile;
+
+/// Where a motion of so many frames is to be.
+#[derive(Clone, Debug)]
+pub struct PathTarget {
+    /// The path.
+    pub line: Polyline,
+    /// Its place in each frame.
+    pub course: Course,
+    /// Where it leads in each frame, smoothed, without jumps, radians.
+    pub headings: Vec<f64>,
+}
+
+impl PathTarget {
+    /// The target of a plan for `frames` frames at `fps` frames per second.
+    ///
+    /// # Errors
+    /// If the plan is no path.
+    pub fn new(plan: &PathPlan, frames: usize, fps: f64) -> Result<Self, Error> {
+        let unusable = |error: &dyn std::fmt::Display| {
+            Error::usage(
+                format!("the path cannot be followed: {error}"),
+                "docs/paths.md",
+            )
+        };
+        plan.validate().map_err(|error| unusable(&error))?;
+        let line = plan.polyline().map_err(|error| unusable(&error))?;
+        let course = Course::at_speed(&line, frames, plan.speed, fps);
+        Ok(Self::of(line, course))
+    }
+
+    /// The target that is at `points`, one for each frame.
+    ///
+    /// # Errors
+    /// [`PathError`] for fewer than two of them.
+    pub fn through(points: Vec<[f64; 2]>) -> Result<Self, PathError> {
+        let line = Polyline::new(points.clone())?;
+        Ok(Self::of(line, Course::through(points)))
+    }
+
+    fn of(line: Polyline, course: Course) -> Self {
+        let headings = unwrapped(&headings_of(&course.points));
+        let headings = savgol(&headings, HEADING_WINDOW, HEADING_ORDER, Edges::Fitted);
+        Self {
+            line,
+            course,
+            headings,
+        }
+    }
+
+    /// The largest speed that it asks for, metres per second.
+    pub fn speed(&self, fps: f64) -> f64 {
+        let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
+        steps.fold(0.0, f64::max) * fps
+    }
+
+    /// The same as a draw sees it: from the origin, facing +z.
+    #[must_use]
+    pub(crate) fn at_origin(&self) -> Self {
+        let (start, turn) = (self.course.points[0], -self.headings[0]);
+        let (sin, cos) = turn.sin_cos();
+        let moved = |[x, z]: &[f64; 2]| {
+            let (dx, dz) = (x - start[0], z - start[1]);
+            [dx * cos + dz * sin, dz * cos - dx * sin]
+        };
+        let points: Vec<[f64; 2]> = self.course.points.iter().map(moved).collect();
+        Self {
+            line: self.line.clone(),
+            course: Course {
+                metres: self.course.metres.clone(),
+                points,
+            },
+            headings: self.headings.iter().map(|heading| heading + turn).collect(),
+        }
+    }
+
+    /// Ground positions as they are seen from the path's start, on the path itself.
+    pub(crate) fn from_origin(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let ([x0, z0], (sin, cos)) = (self.course.points[0], self.headings[0].sin_cos());
+        let moved = |[x, z]: &[f64; 2]| [x0 + x * cos + z * sin, z0 - x * sin + z * cos];
+        points.iter().map(moved).collect()
+    }
+
+    /// A motion that was drawn along the path as seen from its start, on the path itself.
+    ///
+    /// # Errors
+    /// If it is not of the skeleton.
+    pub fn placed(&self, joints: &Joints, skeleton: &Skeleton) -> Result<Followed, Error> {
+        let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
+        let turns = vec![self.headings[0]; track.len()];
+        let joints = placed(joints, &self.from_origin(&track), &turns)?;
+        let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
+        Ok(Followed {
+            joints,
+            report,
+            legs_short: 0.0,
+        })
+    }
+
+    /// A motion that was drawn freely, moved onto the path; its feet held where they stand with
+    /// `fix_feet`.
+    ///
+    /// # Errors
+    /// If it is not of the skeleton.
+    pub fn warped(
+        &self,
+        joints: &Joints,
+        skeleton: &Skeleton,
+        fix_feet: bool,
+    ) -> Result<Followed, Error> {
+        let warp = Warp {
+            turning: Turning::Relative,
+            smooth: true,
+            least_speed: Warp::STANDING,
+            ..Warp::default()
+        };
+        // As far as its speed leads in so many frames.
+        let line = self
+            .line
+            .up_to(self.course.metres.last().copied().unwrap_or(0.0));
+        let warped = warp.apply(joints, skeleton, &line);
+        let warped = warped.map_err(|error| {
+            let message = format!("the motion cannot be moved onto the path: {error}");
+            Error::usage(message, "docs/paths.md")
+        })?;
+        let (moved, legs_short) = match fix_feet {
+            true => {
+                let held = hold(&warped.joints, joints, skeleton, &ContactRule::default())?;
+                (held.joints, held.missed)
+            }
+            false => (warped.joints, 0.0),
+        };
+        let report = PathReport::of(&moved, skeleton, &line, &warped.course)?;
+        Ok(Followed {
+            joints: moved,
+            report,
+            legs_short,
+        })
+    }
+}
+
+/// How a motion follows its path, in words.
+pub(crate) fn in_words(report: &PathReport) -> String {
+    format!(
+        "{:.3} m from the path, at most {:.3} m; heading {:.0} degrees from it",
+        report.mean_distance, report.largest_distance, report.heading_error
+    )
+}
+
+/// A motion on its path.
+#[derive(Clone, Debug)]
+pub struct Followed {
+    /// Where its joints are.
+    pub joints: Joints,
+    /// How it follows.
+    pub report: PathReport,
+    /// How far a foot is from where it should stand, at most, as its leg does not reach so far, metres.
+    pub legs_short: f64,
+}
+
+/// The features of joints on a path, whose bones stay as they are.
+///
+/// # Errors
+/// If they are not joints of `skeleton`, or of a single frame.
+pub(crate) fn features_of(
+    joints: &Joints,
+    skeleton: &Skeleton,
+    root: Root,
+) -> Result<Features, Error> {
+    let unscaled = Extraction {
+        rescale: false,
+        ..Extraction::default()
+    };
+    Ok(unscaled
+        .features_of_all_frames(skeleton, joints)?
+        .with_root(root))
+}
+
+/// The path of a request, with its file.
+pub(crate) fn read_path(path: &PathFile) -> Result<(PathBuf, PathPlan), Error> {
+    let file = path.file.display().to_string();
+    let refused =
+        |reason: String| Error::usage(format!("{file}: {reason}"), "docs/paths.md describes paths");
+    let text = read_text(&path.file).map_err(|error| refused(error.to_string()))?;
+    let plan = PathPlan::read(&text, &file, path.metres_per_unit).map_err(refused)?;
+    Ok((path.file.clone(), plan))
+}
