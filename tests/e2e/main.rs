@@ -23,6 +23,7 @@ mod matching;
 mod movement;
 mod newcomer;
 mod own_system;
+mod paths;
 mod planned_memory;
 mod plans;
 mod preparation;

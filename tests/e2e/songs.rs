@@ -153,6 +153,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
                 audio: &audio,
                 windows: Windows::new(95, 24),
                 given: None,
+                path: None,
                 in_flight,
             };
             let mut last = (0, 0);
@@ -181,6 +182,7 @@ fn windows_in_flight_change_nothing_and_ddpm_shares_its_noise() {
             audio: &audio,
             windows: Windows::new(95, 24),
             given: None,
+            path: None,
             in_flight: 2,
         },
         &generator.config().sampling,

@@ -199,13 +199,12 @@ pub struct SampleArguments {
         conflicts_with_all = ["text", "text_embedding"]
     )]
     pub plan: Option<PathBuf>,
-    /// Path over the ground that the motion follows (.toml, .csv or .svg), for runs of recipe
-    /// `bpe_motion`
+    /// Path over the ground that the motion follows (.toml, .csv or .svg)
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// How the motion follows the path: `none`, `warp`, `override`, `guidance`, `override_guidance`,
-    /// `tokens` or `tokens_guidance`
-    /// [default: from the run's config, `warp`]
+    /// `tokens` or `tokens_guidance` in runs of recipe `bpe_motion`; `override` or `guidance` in runs on
+    /// phrases [default: from the run's config]
     #[arg(long, value_name = "METHOD", requires = "path")]
     pub method: Option<String>,
     /// Metres of a unit of a path that is a drawing

@@ -3,9 +3,10 @@
 //! Clips begin at the origin and face +z: the path is moved there for the draw, and the motion to the
 //! path afterwards.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
+use kinegrad_motion::Statistics;
 use kinegrad_motion::feet::{ContactRule, hold};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
@@ -68,6 +69,19 @@ impl PathTarget {
     pub fn speed(&self, fps: f64) -> f64 {
         let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
         steps.fold(0.0, f64::max) * fps
+    }
+
+    /// What to say of a path in `file` that asks for more than the [`fastest`] that training saw.
+    pub(crate) fn too_fast(&self, file: &Path, fps: f64, fastest: Option<f64>) -> Option<String> {
+        let (speed, fastest) = (self.speed(fps), fastest?);
+        (speed > fastest).then(|| {
+            format!(
+                "{} asks for {speed:.2} m/s, {:.2} m/s more than any motion of training: give the \
+                 motion more time, or a shorter path",
+                file.display(),
+                speed - fastest
+            )
+        })
     }
 
     /// The same as a draw sees it: from the origin, facing +z.
@@ -155,11 +169,24 @@ impl PathTarget {
     }
 }
 
+/// The fastest that a root was in training along either axis of the ground, of channels of velocity
+/// that begin with `first`, `scale` times their values; none where that is not known.
+pub(crate) fn fastest(statistics: &Statistics, first: usize, scale: f64) -> Option<f64> {
+    let [min, max] = statistics.range.as_ref()?;
+    let of = |channel: usize| min[channel].abs().max(max[channel].abs());
+    Some(of(first).max(of(first + 2)) * scale)
+}
+
 /// How a motion follows its path, in words.
 pub(crate) fn in_words(report: &PathReport) -> String {
+    let heading = report
+        .heading_error
+        .map(|degrees| format!("; heading {degrees:.0} degrees from it"));
     format!(
-        "{:.3} m from the path, at most {:.3} m; heading {:.0} degrees from it",
-        report.mean_distance, report.largest_distance, report.heading_error
+        "{:.3} m from the path, at most {:.3} m{}",
+        report.mean_distance,
+        report.largest_distance,
+        heading.unwrap_or_default()
     )
 }
 

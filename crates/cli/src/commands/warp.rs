@@ -282,7 +282,7 @@ impl Record {
             [
                 "heading from the path, degrees",
                 "",
-                &number(Some(after.heading_error), 1),
+                &number(after.heading_error, 1),
             ],
             [
                 "root from the path, m",

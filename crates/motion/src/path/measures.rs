@@ -18,10 +18,11 @@ pub struct PathReport {
     pub largest_distance: f64,
     /// Mean distance of the root from where it should be in that frame, metres.
     pub mean_error: f64,
-    /// Mean angle between where the body faces and where the path leads, degrees.
-    pub heading_error: f64,
+    /// Mean angle between where the body faces and where the path leads, degrees; this and what follows
+    /// none for a root without a body.
+    pub heading_error: Option<f64>,
     /// Mean horizontal way per frame of ankles and toes that are low and slow, metres.
-    pub slide: f64,
+    pub slide: Option<f64>,
     /// [`skating_ratio`] of the toes; none for a single frame.
     pub foot_skating: Option<f64>,
     /// [`mean_jerk`], metres per second cubed; none for fewer than four frames.
@@ -43,12 +44,6 @@ impl PathReport {
         joints.must_be_of(skeleton)?;
         FeatureError::unless_equal("frames", course.frames(), joints.frames())?;
         let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
-        let distances: Vec<f64> = track
-            .iter()
-            .map(|root| distance_from(path, *root))
-            .collect();
-        let errors = track.iter().zip(&course.points);
-        let errors = errors.map(|(root, target)| super::between(*root, *target));
         let headings = facing(joints, skeleton)
             .into_iter()
             .zip(headings_of(&course.points));
@@ -56,14 +51,34 @@ impl PathReport {
         let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
         let toes = [feet[1], feet[3]];
         Ok(Self {
+            heading_error: Some(mean(angles)),
+            slide: Some(slide(joints, &feet)),
+            foot_skating: skating_ratio(joints, fps, &toes),
+            jerk: mean_jerk(joints, fps),
+            ..Self::of_root(&track, path, course)
+        })
+    }
+
+    /// Measures where a root without a body is, `track`, a position for each frame of the course.
+    ///
+    /// # Panics
+    /// Panics without a frame.
+    pub fn of_root(track: &[[f64; 2]], path: &Polyline, course: &Course) -> Self {
+        let distances: Vec<f64> = track
+            .iter()
+            .map(|root| distance_from(path, *root))
+            .collect();
+        let errors = track.iter().zip(&course.points);
+        let errors = errors.map(|(root, target)| super::between(*root, *target));
+        Self {
             mean_distance: mean(distances.iter().copied()),
             largest_distance: distances.iter().copied().fold(0.0, f64::max),
             mean_error: mean(errors),
-            heading_error: mean(angles),
-            slide: slide(joints, &feet),
-            foot_skating: skating_ratio(joints, fps, &toes),
-            jerk: mean_jerk(joints, fps),
-        })
+            heading_error: None,
+            slide: None,
+            foot_skating: None,
+            jerk: None,
+        }
     }
 }
 
@@ -138,7 +153,7 @@ mod tests {
         };
         let on = report(&ahead(0.0, false), 1.0);
         assert!(on.mean_distance < 0.05 && on.mean_error < 0.1, "{on:?}");
-        assert!(on.heading_error < 8.0, "{on:?}");
+        assert!(on.heading_error.unwrap() < 8.0, "{on:?}");
         let beside = report(&ahead(0.3, false), 1.0);
         assert!((beside.mean_distance - 0.3).abs() < 0.05, "{beside:?}");
         // On the path, but elsewhere on it.
@@ -150,7 +165,7 @@ mod tests {
         // A path to the left.
         let across = report(&ahead(0.0, true), 1.0);
         assert!(
-            across.largest_distance > 2.0 && across.heading_error > 80.0,
+            across.largest_distance > 2.0 && across.heading_error.unwrap() > 80.0,
             "{across:?}"
         );
         let short = Course::at_speed(&ahead(0.0, false), 59, None, 20.0);

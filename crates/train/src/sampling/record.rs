@@ -7,12 +7,12 @@ use kinegrad_motion::goal::Goal;
 use kinegrad_motion::path::{PathPlan, PathReport};
 use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::{Style, Subject};
 use crate::checkpoint::Weights;
 use crate::config::{ClipSample, Padding, SteeringConfig};
 use crate::song::KnownBeats;
-use crate::systems::bpe_transformer::PathConfig;
 
 /// How a sample was made: enough to draw it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,9 +91,9 @@ pub struct PathRecord {
     pub file: PathBuf,
     /// What that says.
     pub content: PathPlan,
-    /// How the motion was drawn; none for models that follow it as a goal.
+    /// The table `evaluation.path`: how the motion was drawn. None for models that follow it as a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub settings: Option<PathConfig>,
+    pub settings: Option<Value>,
     /// How it follows.
     pub report: PathReport,
 }

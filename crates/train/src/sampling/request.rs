@@ -220,7 +220,7 @@ impl Conditions {
 }
 
 /// Conditions that exclude each other, with what they are conditions on.
-const CONTRADICTORY: [(&str, &str, &str); 9] = [
+const CONTRADICTORY: [(&str, &str, &str); 11] = [
     ("audio", "--cond", "--phrase"),
     ("audio", "--cond", "--source"),
     ("audio", "--audio", "--cond"),
@@ -230,6 +230,8 @@ const CONTRADICTORY: [(&str, &str, &str); 9] = [
     ("text", "--text", "--plan"),
     ("text", "--text-embedding", "--plan"),
     ("position", "--goal", "--path"),
+    ("position", "--keep", "--path"),
+    ("position", "--continue-from", "--path"),
 ];
 
 #[cfg(test)]

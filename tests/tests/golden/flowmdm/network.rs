@@ -54,6 +54,7 @@ impl Case<'_> {
             is_relative: &self.is_relative,
             dropout: None,
             path: None,
+            keep_path: None,
         };
         let mut stages = Noted::default();
         let told = texts.clone() * kept;

@@ -69,6 +69,7 @@ fn golden_blended_training(golden: Golden) {
         is_relative: &is_relative,
         dropout: None,
         path: None,
+        keep_path: None,
     };
     let time = Time::of(&timesteps);
     let y = network.forward(

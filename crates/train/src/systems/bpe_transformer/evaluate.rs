@@ -10,12 +10,11 @@ use kinegrad_random::{Key, Purpose};
 use serde::Serialize;
 use serde_json::to_value;
 
-use super::networks::{footprint, statistics_in};
+use super::networks::footprint;
 use super::report::{ComposedReport, Measured};
 use super::ways::{self, WaysEvaluation, WaysReport};
 use super::{BpeTables, ComposeEvaluationConfig, Composer, Line};
 use crate::captions::{ClipText, must_know_texts};
-use crate::checkpoint::State;
 use crate::clips::{dataset_or, with_held_out};
 use crate::config::SystemTables;
 use crate::error::Error;
@@ -167,15 +166,10 @@ fn evaluate(
         windows: &windows,
         segments: &segments,
     };
-    let state = State::read(&subject.checkpoint)?;
-    let statistics = statistics_in(&state)?;
+    let statistics = composer.statistics()?;
     let real_jerk = of_real.window_jerk();
     let paths = (asked.num_paths > 0)
-        .then(|| {
-            ways::evaluate(
-                composer, held_out, asked, sampler, statistics, most, seed, on_step,
-            )
-        })
+        .then(|| ways::evaluate(composer, held_out, asked, sampler, most, seed, on_step))
         .transpose()?;
     Ok(ComposeEvaluation {
         run: composer.config().run.name.clone(),

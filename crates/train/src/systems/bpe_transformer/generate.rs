@@ -10,8 +10,8 @@ use kinegrad_diffusion::{
     Steering, Time, draw, sample, steered_prediction,
 };
 use kinegrad_models::blended::{BlendedTransformer, Composed, Script, Segment, Switch};
-use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::Features;
+use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 
 use super::networks::{statistics_in, trained};
@@ -21,7 +21,7 @@ use crate::captions::{ClipText, TextInput};
 use crate::checkpoint::{State, Weights};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
-use crate::path_target::PathTarget;
+use crate::path_target::{PathTarget, fastest};
 use crate::systems::gmd::FeatureSpace;
 
 /// A text for some frames.
@@ -74,6 +74,14 @@ impl Composer {
         self.state.step
     }
 
+    /// What its features are normalised by.
+    ///
+    /// # Errors
+    /// If the run is of another system.
+    pub(super) fn statistics(&self) -> Result<&Statistics, Error> {
+        statistics_in(&self.state)
+    }
+
     /// The fastest that the root of a training clip was along either axis of the ground, metres per
     /// second; none where the run does not know.
     ///
@@ -83,12 +91,11 @@ impl Composer {
         let skeleton = self.config().data.humanml3d.skeleton.skeleton();
         // Displacements of joint 0, in the facing frame, metres per frame.
         let first = skeleton.layout().velocities().start;
-        let statistics = statistics_in(&self.state)?;
-        let largest = statistics.range.as_ref().map(|[min, max]| {
-            let of = |channel: usize| min[channel].abs().max(max[channel].abs());
-            of(first).max(of(first + 2)) * skeleton.description().fps
-        });
-        Ok(largest)
+        Ok(fastest(
+            statistics_in(&self.state)?,
+            first,
+            skeleton.description().fps,
+        ))
     }
 
     /// One motion of all `lines`, without overlaps or transitions of its own: a following line begins
@@ -161,7 +168,7 @@ impl Composer {
                 &mut told,
             )?,
             Some(target) => {
-                let statistics = statistics_in(&self.state)?;
+                let statistics = self.statistics()?;
                 let control =
                     PathControl::new(&settings.path, target, humanml3d.root, statistics, key);
                 let networks = Networks {

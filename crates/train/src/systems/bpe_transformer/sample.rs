@@ -7,6 +7,8 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
 
+use serde_json::to_value;
+
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, Line, PathMethod, RECIPE};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
@@ -102,14 +104,8 @@ pub(super) fn sample(
     for (number, motion) in motions.iter().enumerate() {
         let target = path.as_ref().map(|(file, plan)| {
             let target = PathTarget::new(plan, motion.frames(), fps)?;
-            let speed = target.speed(fps);
-            if let Some(fastest) = fastest.filter(|fastest| speed > *fastest) {
-                receiver.warning(&format!(
-                    "{} asks for {speed:.2} m/s, {:.2} m/s more than any training clip: give the \
-                     motion more time, or a shorter path",
-                    file.display(),
-                    speed - fastest
-                ));
+            if let Some(warning) = target.too_fast(file, fps, fastest) {
+                receiver.warning(&warning);
             }
             Ok::<_, Error>(target)
         });
@@ -144,7 +140,7 @@ pub(super) fn sample(
                     let record = PathRecord {
                         file: file.clone(),
                         content: plan.clone(),
-                        settings: Some(settings.clone()),
+                        settings: Some(to_value(settings).expect("plain data")),
                         report: found.report,
                     };
                     (features, found.joints, Some(record))

@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use kinegrad_data::humanml::Clip;
 use kinegrad_diffusion::SamplerConfig;
-use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Joints, Root, Skeleton};
 use kinegrad_motion::metrics::mean;
 use kinegrad_motion::path::PathReport;
@@ -60,8 +59,8 @@ impl WaysReport {
             mean_distance: each(&|report| Some(report.mean_distance)),
             largest_distance: each(&|report| Some(report.largest_distance)),
             mean_error: each(&|report| Some(report.mean_error)),
-            heading_error: each(&|report| Some(report.heading_error)),
-            slide: each(&|report| Some(report.slide)),
+            heading_error: each(&|report| report.heading_error),
+            slide: each(&|report| report.slide),
             foot_skating: each(&|report| report.foot_skating),
             jerk: each(&|report| report.jerk),
             frechet_distance,
@@ -125,7 +124,6 @@ pub(super) fn evaluate(
     held_out: &[Arc<Clip>],
     settings: &ComposeEvaluationConfig,
     sampler: &SamplerConfig,
-    statistics: &Statistics,
     most: usize,
     seed: u64,
     on_step: &mut OnStep<'_>,
@@ -173,7 +171,7 @@ pub(super) fn evaluate(
         let report = PathReport::of(&clip.joints, &skeleton, line, course)?;
         real.push(report, &clip.joints, &skeleton, root)?;
     }
-    let apart = distance(&drawn.features, &real.features, statistics);
+    let apart = distance(&drawn.features, &real.features, composer.statistics()?);
     Ok(WaysEvaluation {
         drawn: WaysReport::of(&drawn.reports, apart, Some(seconds / count as f64)),
         real: WaysReport::of(&real.reports, None, None),

@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
+use super::PhrasePathConfig;
 use super::losses::{SignMatching, TemporalLossConfig};
 use super::recipe_name::RecipeName;
 use crate::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
@@ -289,6 +290,8 @@ pub struct EvaluationConfig {
     /// dataset's manifest or its beat features say, else 4.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<usize>,
+    /// How a phrase follows a path.
+    pub path: PhrasePathConfig,
 }
 
 impl Default for EvaluationConfig {
@@ -299,6 +302,7 @@ impl Default for EvaluationConfig {
             cond: CondSource::default(),
             guidance_scales: Vec::new(),
             beats_per_bar: None,
+            path: PhrasePathConfig::default(),
         }
     }
 }
@@ -342,6 +346,10 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         )
         .hint("leave the key out, or train with `model.style`")?;
     }
+    own.evaluation
+        .path
+        .validate(own.diffusion.num_train_timesteps)
+        .within("evaluation.path")?;
     in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)

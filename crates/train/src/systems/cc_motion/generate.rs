@@ -256,6 +256,7 @@ impl Generator {
                         audio,
                         windows: windows.clone(),
                         given: None,
+                        path: None,
                         in_flight: WINDOWS_IN_FLIGHT,
                     };
                     let before = done.saturating_mul(BATCH).saturating_add(number);

@@ -11,6 +11,7 @@ mod lengths;
 pub mod losses;
 mod merge;
 mod networks;
+mod path;
 mod pretrain;
 mod recipe_name;
 pub mod recipes;
@@ -34,6 +35,7 @@ pub use config::{
     PretrainConfig, ReconstructionWeighting, RolloutConfig, RolloutMode, RolloutStart,
 };
 pub use networks::Trained;
+pub use path::{PhrasePath, PhrasePathConfig, PhrasePathMethod};
 
 use crate::config::{Config, ConfigError, Place, SystemTables};
 use crate::error::Error;

@@ -3,10 +3,11 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::iter::repeat_n;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use kinegrad_data::{AudioFeatures, DataConfig, DataKind, Dataset, Phrase, load_audio};
 use kinegrad_models::Beats;
+use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::phrase::FPS;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
@@ -16,11 +17,13 @@ use kinegrad_random::{Key, Purpose};
 use super::generate::{Generator, Sample, keys, must_fit};
 use super::lengths::{untrained, windows};
 use super::networks::targets;
+use super::path::Asked;
 use super::style::must_know;
 use super::whole::{WINDOWS_IN_FLIGHT, Whole};
 use super::{CcMotion, CcMotionConfig, CcMotionNetwork};
 use crate::config::{Config, SystemTables};
 use crate::error::Error;
+use crate::path_target::{in_words, read_path};
 use crate::sampling::{
     Condition, Conditions, Contents, Drawn, GivenFrames, GivenMotion, Kept, Names, Receiver,
     Record, Remark, Request, Subject, WindowsRecord, item_seed,
@@ -61,7 +64,6 @@ pub(super) fn sample(
             "--text-embedding",
             "--history",
             "--plan",
-            "--path",
         ],
         "a run on phrases",
         "goals and texts are conditions of recipes `gmd_motion` and `gmd_trajectory`, histories and \
@@ -74,11 +76,17 @@ pub(super) fn sample(
     if let Some(style) = style {
         must_know(style, &subject.config)?;
     }
+    let path = request
+        .conditions
+        .path
+        .as_ref()
+        .map(read_path)
+        .transpose()?;
     let conditions = conditions(request, &subject.config, receiver)?;
     let mut drawings = Vec::with_capacity(conditions.len());
     for mut heard in conditions {
         heard.condition.style = style.cloned();
-        drawings.push(drawing(heard, request, &subject.config)?);
+        drawings.push(drawing(heard, request, &subject.config, path.as_ref())?);
     }
     let lengths = drawings.iter().map(|drawing| match &drawing.whole {
         Some((windows, _)) => windows.length(),
@@ -111,7 +119,12 @@ pub(super) fn sample(
     let generator = Generator::load(&subject.checkpoint, subject.weights, &subject.device)?
         .with_post_processing(post_processing)
         .with_style(style)?;
-    for Drawing { heard, whole } in drawings {
+    let mut remarks = Vec::new();
+    for Drawing { heard, whole, path } in drawings {
+        let too_fast = |path: &Asked| path.too_fast(generator.statistics());
+        if let Some(warning) = path.as_ref().and_then(too_fast) {
+            receiver.warning(&warning);
+        }
         let seed = item_seed(request.seed, &heard.name);
         let stem = stem(&heard);
         if let Some((windows, given)) = &whole {
@@ -119,6 +132,7 @@ pub(super) fn sample(
                 audio: &heard.audio,
                 windows: windows.clone(),
                 given: given.as_ref(),
+                path: path.as_ref().map(|path| &path.followed),
                 in_flight: WINDOWS_IN_FLIGHT,
             };
             let key = Key::new(seed, Purpose::Sampling);
@@ -133,8 +147,11 @@ pub(super) fn sample(
                         receiver.advance("windows", before.saturating_add(done), wanted)
                     },
                 )?;
+                let path = path.as_ref().map(|path| path.record(&sample.motion));
+                remarks.extend(path.as_ref().map(|path| in_words(&path.report)));
                 let record = Record {
                     index,
+                    path,
                     windows: Some(windows_record(windows)),
                     condition: heard.condition.clone(),
                     ..record(subject, request, &sample)
@@ -161,7 +178,7 @@ pub(super) fn sample(
             },
         )?;
     }
-    Ok(None)
+    Ok((!remarks.is_empty()).then(|| Remark::Text(remarks.join("\n"))))
 }
 
 /// Generates one sample for each of the first `count` held-out phrases, or training phrases if none
@@ -300,11 +317,18 @@ struct Drawing {
     heard: Heard,
     /// The windows and the given frames, of motion that is not drawn as one.
     whole: Option<(Windows, Option<GivenMotion>)>,
+    /// The path that it follows.
+    path: Option<Asked>,
 }
 
-/// What is drawn for `heard`: in windows, if it is longer than what training saw or if frames are
-/// given.
-fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawing, Error> {
+/// What is drawn for `heard`: in windows, if it is longer than what training saw, if frames are given or
+/// if it follows a path.
+fn drawing(
+    mut heard: Heard,
+    request: &Request,
+    config: &Config,
+    path: Option<&(PathBuf, PathPlan)>,
+) -> Result<Drawing, Error> {
     let (frames, trained) = (heard.audio.frames(), config.data.target_frames);
     let is_song = request.conditions.song.is_some();
     let given = match &request.conditions.given {
@@ -320,20 +344,23 @@ fn drawing(mut heard: Heard, request: &Request, config: &Config) -> Result<Drawi
         }
     };
     let length = frames.min(trained);
-    let must_join = given.is_some() || (is_song && frames > length);
+    let evaluation = CcMotionConfig::of(config)?.evaluation;
+    let path = path.map(|path| Asked::new(path, frames, &evaluation.path));
+    let path = path.transpose()?;
+    let must_join = given.is_some() || path.is_some() || (is_song && frames > length);
     if must_join && targets(config)?.orientation == OrientationTarget::CanonicalQuaternion {
         let message = "a run with `model.orientation_target = \"canonical_quaternion\"` draws each motion \
-                       from its own first heading: windows of a song and given frames do not fit \
-                       together";
+                       from its own first heading: windows of a song, given frames and paths do \
+                       not fit together";
         let hint = "draw parts of a song (`--frames`), or train with `rotation_6d`";
         return Err(Error::usage(message, hint));
     }
-    let windows = match given {
-        Some(_) => Some(Windows::new(frames, length)),
-        None => windows(config, frames)?,
+    let windows = match given.is_some() || path.is_some() {
+        true => Some(Windows::new(frames, length)),
+        false => windows(config, frames)?,
     };
     let whole = windows.map(|windows| (windows, given));
-    Ok(Drawing { heard, whole })
+    Ok(Drawing { heard, whole, path })
 }
 
 /// The conditions, cut to the requested number of frames.

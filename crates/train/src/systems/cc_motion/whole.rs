@@ -24,6 +24,7 @@ use kinegrad_motion::{Motion, Statistics};
 use kinegrad_random::Key;
 
 use super::generate::{Generator, Sample};
+use super::path::PhrasePath;
 use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::sampling::GivenMotion;
@@ -40,6 +41,8 @@ pub struct Whole<'a> {
     pub windows: Windows,
     /// Frames that are given.
     pub given: Option<&'a GivenMotion>,
+    /// The path that it follows.
+    pub path: Option<&'a PhrasePath>,
     /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
     /// the motion is the same to the bit.
     pub in_flight: usize,
@@ -84,6 +87,10 @@ impl Generator {
         if let Some(given) = whole.given {
             given.put_into(&mut sample.raw);
             given.put_into(&mut sample.motion);
+        }
+        if let Some(path) = whole.path {
+            path.finish(&mut sample.raw);
+            path.finish(&mut sample.motion);
         }
         Ok(sample)
     }
@@ -157,6 +164,14 @@ impl Generator {
         let mut done = 0;
         let mut predict = |x: Tensor<3>, time: &[Time]| {
             let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
+            let statistics = self.state.normalization();
+            let step = whole
+                .path
+                .and_then(|path| path.step(&values(x.clone()), windows, statistics, timesteps[0]));
+            let x = match step {
+                Some(step) => x - self.on_device(step, shape),
+                None => x,
+            };
             let mut predicted = Vec::with_capacity(shape.iter().product());
             for batch in whole.batches() {
                 let heard = batch.clone().map(|window| {
@@ -179,6 +194,9 @@ impl Generator {
                 if on_windows(done, all).is_break() {
                     return Err(kinegrad_diffusion::Error::Stopped);
                 }
+            }
+            if let Some(path) = whole.path {
+                path.put(&mut predicted, windows, statistics, timesteps[0]);
             }
             self.stitched(windows, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);

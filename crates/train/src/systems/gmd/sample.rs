@@ -122,6 +122,11 @@ pub(super) fn sample(
             receiver.warning(&format!("{}: {doubt}", path.display()));
         }
     }
+    if let Some(along) = &along
+        && let Some(warning) = along.too_fast(subject)?
+    {
+        receiver.warning(&warning);
+    }
     let hint = "all clips are drawn as one batch: ask for fewer (`--count`, `--goal`), or shorter";
     must_fit_as_batch(subject, clips, frames, !goals.is_empty(), hint)?;
     let names = Names {

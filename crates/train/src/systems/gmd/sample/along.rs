@@ -7,8 +7,9 @@ use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::path::PathPlan;
 
 use super::{PATH, path};
+use crate::checkpoint::State;
 use crate::error::Error;
-use crate::path_target::{PathTarget, in_words, read_path};
+use crate::path_target::{PathTarget, fastest, in_words, read_path};
 use crate::sampling::{Drawn, PathFile, PathRecord, Subject, clip_files};
 use crate::systems::gmd::generate::GeneratedClip;
 use crate::systems::gmd::recipe_name::RecipeName;
@@ -37,6 +38,20 @@ impl Along {
         let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
         let target = PathTarget::new(&plan, frames, skeleton.description().fps)?;
         Ok(Self { file, plan, target })
+    }
+
+    /// What to say of it if it asks for more than the training clips of the run had.
+    ///
+    /// # Errors
+    /// If the checkpoint is damaged.
+    pub fn too_fast(&self, subject: &Subject) -> Result<Option<String>, Error> {
+        let skeleton = subject.config.data.humanml3d.skeleton.skeleton();
+        let fps = skeleton.description().fps;
+        // Displacements of joint 0, metres per frame.
+        let first = skeleton.layout().velocities().start;
+        let state = State::read(&subject.checkpoint)?;
+        let fastest = fastest(&state.statistics, first, fps);
+        Ok(self.target.too_fast(&self.file, fps, fastest))
     }
 
     /// Its file, for messages.

@@ -1,0 +1,222 @@
+//! Motion along paths, of models of every kind: measured in the positions that come out.
+
+use std::fs;
+
+use kinegrad_data::read_array;
+use kinegrad_tests::captures::wav;
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use serde_json::Value;
+
+use crate::{compose, goals};
+
+/// A quarter of a circle of 2 m that begins away from the origin and leads along -x.
+fn quarter() -> String {
+    let point = |k: u32| {
+        let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_2 / 8.0).sin_cos();
+        format!("[{:.5}, {:.5}]", 1.0 - 2.0 * sin, 5.0 - 2.0 * cos)
+    };
+    let points: Vec<String> = (0..=8).map(point).collect();
+    format!("points = [{}]\n", points.join(", "))
+}
+
+/// The root's ground position in each frame of a file of joints or of phrases.
+fn track(sandbox: &Sandbox, file: &str) -> Vec<[f64; 2]> {
+    let array = read_array(&sandbox.path(file)).expect("an array");
+    let width: usize = array.shape[1..].iter().product();
+    let frames = array.values.chunks(width);
+    frames
+        .map(|frame| [frame[0], frame[2]].map(f64::from))
+        .collect()
+}
+
+/// The largest distance of a track from the quarter circle's radius, metres.
+fn off_the_circle(track: &[[f64; 2]]) -> f64 {
+    let distance = |[x, z]: &[f64; 2]| ((x - 1.0).hypot(z - 5.0) - 2.0).abs();
+    track.iter().map(distance).fold(0.0, f64::max)
+}
+
+fn record(sandbox: &Sandbox, file: &str) -> Value {
+    let text = fs::read_to_string(sandbox.path(file)).expect("a record");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+/// The table of that name with a column of drawn motion, wherever a report has it.
+fn within<'v>(value: &'v Value, name: &str) -> Option<&'v Value> {
+    match value {
+        Value::Object(table) => match table.get(name) {
+            Some(found) if found.get("drawn").is_some() => Some(found),
+            _ => table.values().find_map(|value| within(value, name)),
+        },
+        Value::Array(list) => list.iter().find_map(|value| within(value, name)),
+        _ => None,
+    }
+}
+
+#[test]
+fn ways_of_held_out_clips_are_followed_and_measured() {
+    let sandbox = compose::sandbox();
+    let line = "train c.toml --set model.path=true --set paths.drop_prob=0.2 --set \
+                data.augment.path_warp_prob=0.5";
+    sandbox.run(line).succeeded();
+    let eval = |method: &str| {
+        let line = format!(
+            "eval runs/bpe --json --set evaluation.num_paths=2 --set evaluation.path.method={method}"
+        );
+        let output = sandbox.run(&line).succeeded();
+        let found: Value = serde_json::from_str(&output.stdout).expect("JSON");
+        within(&found, "paths").expect("paths").clone()
+    };
+    let free = eval("none");
+    let number = |found: &Value, key: &str| found[key].as_f64().expect("a number");
+    assert_eq!(free["drawn"]["motions"], 2);
+    assert!(number(&free["real"], "mean_distance") < 0.1, "{free}");
+    assert!(number(&free["drawn"], "mean_error") > 0.2, "{free}");
+    for method in ["override", "warp"] {
+        let found = eval(method);
+        assert!(
+            number(&found["drawn"], "mean_distance") < 1e-3,
+            "{method}: {found}"
+        );
+        assert_eq!(found["real"], free["real"]);
+    }
+    let told = eval("tokens");
+    assert_ne!(told["drawn"], free["drawn"]);
+    for (line, expected) in [
+        (
+            "train c.toml --name x --set paths.drop_prob=0.1",
+            "`paths.drop_prob` is 0.1, allowed: 0 without `model.path`",
+        ),
+        (
+            "eval runs/bpe --set evaluation.path.method=fly",
+            "\"fly\" is not among none, warp",
+        ),
+    ] {
+        sandbox.run(line).failed(2, &[expected]);
+    }
+}
+
+#[test]
+fn clips_of_goals_follow_a_path_from_a_file() {
+    let sandbox = goals::trained();
+    sandbox.write("quarter.toml", quarter());
+    let sample = "sample runs/gmd_motion --path quarter.toml --frames 20 --set \
+                  sampling.steering.schedule.motion_until=0";
+    let said = sandbox
+        .run(&format!("{sample} --out on --count 2"))
+        .succeeded();
+    assert!(said.stdout.contains("from the path"), "{}", said.stdout);
+    for name in ["on-000", "on-001"] {
+        let track = track(&sandbox, &format!("{name}.npy"));
+        assert_eq!(track.len(), 20);
+        assert!(off_the_circle(&track) < 0.02, "{}", off_the_circle(&track));
+        let [begin, end] = [track[0], track[19]];
+        assert!((begin[0] - 1.0).hypot(begin[1] - 3.0) < 0.01, "{begin:?}");
+        assert!((end[0] + 1.0).hypot(end[1] - 5.0) < 0.01, "{end:?}");
+        let record = record(&sandbox, &format!("{name}.json"));
+        assert_eq!(record["path"]["file"], "quarter.toml");
+        assert_eq!(
+            record["condition"]["goal_content"]["trajectory"]["points"][0][0],
+            0.0
+        );
+    }
+    // Of a first stage the way that it drew, which is near the path, is beside the clip.
+    let line = format!("{sample} --trajectory-run runs/gmd_trajectory --out staged");
+    sandbox.run(&line).succeeded();
+    let first = read_array(&sandbox.path("staged.path.npy")).expect("a path");
+    assert_eq!(first.shape, [20, 2]);
+    assert!(
+        (f64::from(first.values[1]) - 3.0).abs() < 0.5,
+        "{:?}",
+        &first.values[..2]
+    );
+    sandbox.write("far.toml", "points = [[0, 0], [0, 400]]\n");
+    let far = sandbox.run("sample runs/gmd_motion --path far.toml --frames 20 --out far");
+    let said = far.succeeded().stderr;
+    assert!(said.contains("more than any motion of training"), "{said}");
+    for (line, expected) in [
+        (
+            "sample runs/gmd_trajectory --path quarter.toml --out x",
+            "`--path` with a run of recipe `gmd_trajectory`",
+        ),
+        (
+            "sample runs/gmd_motion --path quarter.toml --goal goal.toml --out x",
+            "`--goal` with `--path`",
+        ),
+        (
+            "sample runs/gmd_motion --path quarter.toml --method tokens --out x",
+            "unknown key `evaluation.path`",
+        ),
+        (
+            "sample runs/gmd_motion --path absent.toml --out x",
+            "absent.toml",
+        ),
+    ] {
+        sandbox.run(line).failed(2, &[expected]);
+    }
+    assert!(!sandbox.path("x.npy").exists());
+}
+
+#[test]
+fn phrases_follow_a_path_from_a_file() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.write("song.wav", wav(6));
+    sandbox.write("quarter.toml", quarter());
+    sandbox.run("train c.toml").succeeded();
+    let sample = "sample runs/smallest --path quarter.toml --seed 3";
+    // A phrase, and a song of several windows.
+    for (what, name) in [("", "phrase"), ("--audio song.wav", "song")] {
+        let line = format!("{sample} {what} --out {name}");
+        let said = sandbox.run(&line).succeeded();
+        assert!(
+            said.stdout.contains("0.000 m from the path"),
+            "{}",
+            said.stdout
+        );
+        let array = read_array(&sandbox.path(format!("{name}.npy"))).expect("a phrase");
+        let track = track(&sandbox, &format!("{name}.npy"));
+        assert!(off_the_circle(&track) < 0.02, "{}", off_the_circle(&track));
+        for (t, pair) in track.windows(2).enumerate() {
+            for (i, channel) in [(0, 3), (1, 5)] {
+                let velocity = f64::from(array.values[t * 25 + channel]);
+                let derived = 30.0 * (pair[1][i] - pair[0][i]);
+                assert!(
+                    (velocity - derived).abs() < 1e-3,
+                    "frame {t}: {velocity} {derived}"
+                );
+            }
+        }
+    }
+    assert_eq!(
+        record(&sandbox, "song.json")["path"]["settings"]["method"],
+        "override"
+    );
+    let error = |eta: f64| {
+        let line = format!(
+            "{sample} --method guidance --set evaluation.path.eta={eta} --out guided-{eta}"
+        );
+        sandbox.run(&line).succeeded();
+        let record = record(&sandbox, &format!("guided-{eta}.json"));
+        record["path"]["report"]["mean_error"]
+            .as_f64()
+            .expect("metres")
+    };
+    let errors = [0.0, 0.05, 0.2].map(error);
+    assert!(errors[0] > errors[1] && errors[1] > errors[2], "{errors:?}");
+    for (line, expected) in [
+        (
+            "sample runs/smallest --path quarter.toml --method tokens --out x",
+            "\"tokens\" is not among override, guidance",
+        ),
+        (
+            "sample runs/smallest --path quarter.toml --continue-from phrase.npy --out x",
+            "`--continue-from` with `--path`",
+        ),
+        (
+            "train c.toml --name x --set data.augment.path_warp_prob=0.5",
+            "`data.augment.path_warp_prob` is 0.5, allowed: 0 with phrases",
+        ),
+    ] {
+        sandbox.run(line).failed(2, &[expected]);
+    }
+}
