@@ -425,8 +425,8 @@ impl System for Toy {
             validation: dataset.validation.len(),
             skipped: dataset.skipped,
             digest: dataset.digest,
-            loader: Box::new(move |config, first_batch| {
-                Loader::new(train, &config.data, config.run.seed, first_batch)
+            loader: Box::new(move |config, share| {
+                Loader::of_share(train, &config.data, config.run.seed, share)
             }),
             statistics,
             network_statistics: None,

@@ -26,6 +26,7 @@ mod interrupt;
 mod log;
 mod preview;
 mod progress;
+mod ranks;
 mod runs;
 
 pub use commands::files::{Existing, Files, bvh_text, must_be_finite};

@@ -45,6 +45,15 @@ pub fn be_quiet() {
     QUIET.store(true, Ordering::Relaxed);
 }
 
+/// Whether errors alone are printed.
+static SILENT: AtomicBool = AtomicBool::new(false);
+
+/// Prints nothing but errors from now on: another rank says the rest.
+pub fn be_silent() {
+    be_quiet();
+    SILENT.store(true, Ordering::Relaxed);
+}
+
 /// Whether progress and notes are not printed.
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
@@ -55,7 +64,9 @@ pub fn remark(text: fmt::Arguments<'_>) {
     if is_quiet() {
         let text = text.to_string();
         let first = text.trim_start();
-        if !(first.starts_with("warning:") || first.starts_with("error:")) {
+        if SILENT.load(Ordering::Relaxed)
+            || !(first.starts_with("warning:") || first.starts_with("error:"))
+        {
             return;
         }
     }

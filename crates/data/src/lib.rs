@@ -82,7 +82,7 @@ pub use labels::is_label;
 pub use layout::{
     AUDIO_FILE, MANIFEST, MOTION_FILE, PREPARATION, check_id, features_path, motion_path,
 };
-pub use loader::{Loader, Samples};
+pub use loader::{BatchShare, Loader, Samples};
 pub use magnitude::LARGEST;
 pub use npy::{
     Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,

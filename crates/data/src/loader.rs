@@ -55,6 +55,36 @@ pub trait Samples: Clone + Send + Sync + 'static {
     }
 }
 
+/// Which batches of the stream a loader hands out: of each `of` in a row the `each` from `offset` on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BatchShare {
+    /// How many of its batches have been handed out before.
+    pub done: u64,
+    /// First of its batches in each row.
+    pub offset: u64,
+    /// Number of its batches in a row.
+    pub each: u64,
+    /// Batches in a row.
+    pub of: u64,
+}
+
+impl BatchShare {
+    /// All batches from `first` on.
+    pub fn all(first: u64) -> Self {
+        Self {
+            done: first,
+            offset: 0,
+            each: 1,
+            of: 1,
+        }
+    }
+
+    /// The number in the stream of the batch that is handed out after `done` others.
+    pub fn number(self, done: u64) -> u64 {
+        (done / self.each).wrapping_mul(self.of) + self.offset + done % self.each
+    }
+}
+
 /// Hands out training batches, one after the other, without end.
 ///
 /// Sample `i` of batch `b` is sample `n = b * batch_size + i` of the stream: item number `n mod P`
@@ -63,7 +93,7 @@ pub trait Samples: Clone + Send + Sync + 'static {
 /// workers changes nothing. Batches cross epochs, and may hold more samples than there are items.
 pub struct Loader {
     make: Box<dyn FnMut(u64) -> Result<Batch, Error> + Send>,
-    next_batch: u64,
+    share: BatchShare,
     prefetch: Option<Prefetch<Result<Batch, Error>>>,
     counters: Arc<Counters>,
 }
@@ -77,6 +107,19 @@ impl Loader {
     /// # Panics
     /// Panics if there are no items, or if `config` has not passed [`DataConfig::validate`].
     pub fn new(samples: impl Samples, config: &DataConfig, seed: u64, first_batch: u64) -> Self {
+        Self::of_share(samples, config, seed, BatchShare::all(first_batch))
+    }
+
+    /// A loader of some batches of the stream.
+    ///
+    /// # Panics
+    /// As [`new`](Self::new).
+    pub fn of_share(
+        samples: impl Samples,
+        config: &DataConfig,
+        seed: u64,
+        share: BatchShare,
+    ) -> Self {
         let items = samples.items();
         assert!(!items.is_empty(), "a loader needs at least one item");
         assert!(config.batch_size > 0, "a batch holds at least one sample");
@@ -86,12 +129,13 @@ impl Loader {
             0 => None,
             workers => {
                 let mut maker = maker.clone();
-                Prefetch::start(workers, first_batch, move |number| maker.make(number))
+                let make = move |done| maker.make(share.number(done));
+                Prefetch::start(workers, share.done, make)
             }
         };
         Self {
-            make: Box::new(move |number| maker.make(number)),
-            next_batch: first_batch,
+            make: Box::new(move |done| maker.make(share.number(done))),
+            share,
             prefetch,
             counters,
         }
@@ -129,9 +173,9 @@ impl Loader {
                 Some(batch) => batch,
                 None => return Ok(None),
             },
-            None => (self.make)(self.next_batch),
+            None => (self.make)(self.share.done),
         };
-        self.next_batch += 1;
+        self.share.done += 1;
         let batch = batch?;
         self.counters.batch(batch.batch_size, asked.elapsed());
         Ok(Some(batch))
@@ -144,7 +188,7 @@ impl Loader {
 
     /// The number of the batch that [`next`](Self::next) will give.
     pub fn next_batch(&self) -> u64 {
-        self.next_batch
+        self.share.number(self.share.done)
     }
 }
 
@@ -248,6 +292,37 @@ mod tests {
     fn batches(config: &DataConfig, seed: u64, first_batch: u64, count: usize) -> Vec<Batch> {
         let mut loader = loader(config, seed, first_batch);
         (0..count).map(|_| loader.next().unwrap()).collect()
+    }
+
+    #[test]
+    fn shares_of_a_row_are_its_batches_and_go_on_where_they_were() {
+        let config = DataConfig {
+            num_workers: 2,
+            ..config()
+        };
+        let phrases = phrases();
+        let motions = phrases.iter().map(|phrase| &phrase.motion);
+        let statistics = Arc::new(phrase_statistics(motions).unwrap());
+        let samples = PhraseSamples::new(phrases.into(), statistics, &config, 1);
+        let all = batches(&config, 1, 0, 24);
+        for rank in 0..3 {
+            // Rows of six batches, two of which are this rank's.
+            let share = BatchShare {
+                done: 0,
+                offset: 2 * rank,
+                each: 2,
+                of: 6,
+            };
+            for done in [0, 4] {
+                let share = BatchShare { done, ..share };
+                let mut loader = Loader::of_share(samples.clone(), &config, 1, share);
+                for taken in done..8 {
+                    let number = 6 * (taken / 2) + 2 * rank + taken % 2;
+                    assert_eq!(loader.next_batch(), number);
+                    assert_eq!(loader.next().unwrap(), all[number as usize]);
+                }
+            }
+        }
     }
 
     #[test]

@@ -13,6 +13,28 @@ pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Config(#[from] ConfigError),
+    /// Another rank of the run ended it, and says why.
+    #[error("rank {rank} ended the run")]
+    OtherRank {
+        /// The rank.
+        rank: usize,
+        /// Its exit code.
+        code: u8,
+        /// Whether its data failed: what was learned before is kept.
+        of_data: bool,
+    },
+    /// The weights of the ranks are no longer the same.
+    #[error("after step {step}, rank {rank} has other weights than rank 0")]
+    #[diagnostic(help(
+        "all ranks need the same build, the same kind of processor and as many threads \
+         (RAYON_NUM_THREADS); the last checkpoint is good"
+    ))]
+    RanksDiffer {
+        /// The step.
+        step: u64,
+        /// The rank.
+        rank: usize,
+    },
     /// The dataset is wrong.
     #[error(transparent)]
     #[diagnostic(transparent)]
@@ -253,7 +275,11 @@ impl Error {
     /// it was given is wrong, 130 when it was interrupted.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::NotFinite { .. } | Self::SampleNotFinite { .. } | Self::Io { .. } => 1,
+            Self::OtherRank { code, .. } => *code,
+            Self::RanksDiffer { .. }
+            | Self::NotFinite { .. }
+            | Self::SampleNotFinite { .. }
+            | Self::Io { .. } => 1,
             Self::Data(error) if error.is_failure() => 1,
             Self::Interrupted => 130,
             _ => 2,

@@ -55,6 +55,7 @@ pub mod systems;
 pub mod telemetry;
 pub mod text_encoder;
 mod text_plan;
+mod together;
 mod trainer;
 
 pub use config::Config;
@@ -64,4 +65,5 @@ pub use parameter_count::ParameterCount;
 pub use path_target::{Followed, PathTarget};
 pub use recipe::{Loss, Measured, Recipe, StepKey};
 pub use text_plan::{TextPlan, TextStep};
+pub use together::Together;
 pub use trainer::{Ending, Trainer, TrainerParts};

@@ -9,4 +9,4 @@ pub use folder::has_begun;
 pub use folder::{PREVIEWS, SAMPLES, UNFINISHED_SAMPLES, is_in_use, preview_page, remove};
 pub use plan::Plan;
 pub use setup::{Material, Outcome, Setup};
-pub use start::{Target, TrainRequest, load_config, train, train_config};
+pub use start::{Target, TrainRequest, load_config, train, train_config, train_together};

@@ -1,10 +1,12 @@
 //! The training loop.
 
+mod accumulation;
 mod not_finite;
 mod previews;
 pub(crate) mod restore;
 
 use std::path::PathBuf;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use burn::module::Module;
@@ -20,9 +22,10 @@ use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
 use crate::parameter_count::is_adapter;
-use crate::recipe::{Loss, Measured, Recipe, StepKey};
+use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
-use not_finite::find_not_finite;
+use crate::together::Together;
+use accumulation::Averaged;
 use restore::order_of;
 
 /// How training ended.
@@ -74,6 +77,8 @@ pub struct TrainerParts<R: Recipe> {
     pub dataset: Digest,
     /// The run's folder.
     pub folder: PathBuf,
+    /// The processes that train it; the first of them writes.
+    pub together: Rc<Together>,
 }
 
 impl<R: Recipe> Trainer<R> {
@@ -90,6 +95,9 @@ impl<R: Recipe> Trainer<R> {
     ) -> Result<Self, Error> {
         let mut trainer = Self::unrecorded(parts, model, checkpoint);
         let parts = &trainer.parts;
+        if !parts.together.writes() {
+            return Ok(trainer);
+        }
         let mut warn = |text: &str| observer.warning(text);
         let metrics = Metrics::open(&parts.folder, trainer.step, &mut warn)?;
         let loader_log = LoaderLog::open(&parts.folder, parts.loader.report())?;
@@ -200,10 +208,15 @@ impl<R: Recipe> Trainer<R> {
             self.progress = Progress::default();
             if self.validate(observer)? {
                 self.save_unless_saved(observer)?;
-                self.checkpoints.set_best(self.progress.best().as_ref())?;
+                let marked = match self.parts.together.writes() {
+                    true => self.checkpoints.set_best(self.progress.best().as_ref()),
+                    false => Ok(()),
+                };
+                self.parts.together.done(marked)?;
             }
         }
         self.preview_if_missing(observer)?;
+        let mut written = Ok(());
         let ending = loop {
             if self.step >= max_steps {
                 break Ending::Finished;
@@ -211,12 +224,15 @@ impl<R: Recipe> Trainer<R> {
             if self.is_out_of_patience() {
                 break Ending::EarlyStopped;
             }
-            if observer.stop_requested() {
+            // What this rank could not write is said here.
+            let before = std::mem::replace(&mut written, Ok(()));
+            let goes = before.map(|()| (!observer.stop_requested()).then_some(()));
+            if self.parts.together.agree(goes, &[])?.is_none() {
                 break Ending::Interrupted;
             }
             let record = match self.train_step(observer) {
                 // The data failed, not the training: what has been learned is kept.
-                Err(error @ Error::Data(_)) => {
+                Err(error @ (Error::Data(_) | Error::OtherRank { of_data: true, .. })) => {
                     self.save_unless_saved(observer)?;
                     return Err(error);
                 }
@@ -225,13 +241,7 @@ impl<R: Recipe> Trainer<R> {
                     None => break Ending::Interrupted,
                 },
             };
-            let every = self.parts.config.train.log_every_steps;
-            if (self.step.is_multiple_of(every) || self.step == max_steps)
-                && let Some((metrics, loader_log)) = &mut self.record
-            {
-                metrics.write(&record)?;
-                loader_log.write(self.step, self.parts.loader.report())?;
-            }
+            written = self.write(&record);
             let best =
                 self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
             let previews = self.previews_are_due();
@@ -242,8 +252,20 @@ impl<R: Recipe> Trainer<R> {
                 self.preview(observer)?;
             }
         };
+        self.parts.together.done(written)?;
         self.save_unless_saved(observer)?;
         Ok(ending)
+    }
+
+    /// Writes what a step has measured, where it is due.
+    fn write(&mut self, record: &Record) -> Result<(), Error> {
+        let train = &self.parts.config.train;
+        let due = self.step.is_multiple_of(train.log_every_steps) || self.step == train.max_steps;
+        if let Some((metrics, loader_log)) = self.record.as_mut().filter(|_| due) {
+            metrics.write(record)?;
+            loader_log.write(self.step, self.parts.loader.report())?;
+        }
+        Ok(())
     }
 
     fn save_unless_saved(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
@@ -270,65 +292,14 @@ impl<R: Recipe> Trainer<R> {
             self.parts.config.train.clone(),
             self.parts.config.optim.clone(),
         );
-        let mut gradients: Vec<Vec<f32>> = Vec::new();
-        let mut loss = 0.0;
-        let mut terms: Vec<(&'static str, f64)> = Vec::new();
-        // One batch at a time is held, so what all of them weigh is known after the last; until
-        // then a batch counts relative to the first.
-        let (mut first_weight, mut divisor) = (None, 0.0);
-        for micro_batch in 0..train.gradient_accumulation_steps {
-            let stop = || observer.stop_requested();
-            // A step of many batches is not waited for; it is done again on resuming.
-            if micro_batch > 0 && stop() {
-                return Ok(None);
-            }
-            let Some(batch) = self.parts.loader.next_unless(&stop)? else {
-                return Ok(None);
-            };
-            let batch = &batch;
-            let weight = self.parts.recipe.weight(batch);
-            let first = if weight > 0.0 { weight } else { 1.0 };
-            let weight = weight / *first_weight.get_or_insert(first);
-            divisor += weight;
-            let key = StepKey {
-                seed: self.parts.config.run.seed,
-                step: self.step,
-                micro_batch,
-            };
-            let model = self.model.as_ref().expect("held between updates");
-            let computed = self
-                .parts
-                .recipe
-                .loss(model, batch, key, &self.parts.device);
-            let value = f64::from(computed.total.clone().into_scalar::<f32>());
-            if !value.is_finite() {
-                let tensor = find_not_finite(model, batch, computed);
-                return Err(self.not_finite(self.step + 1, tensor));
-            }
-            loss += value * weight;
-            for (index, (name, term)) in computed.terms.iter().enumerate() {
-                let value = f64::from(term.clone().into_scalar::<f32>()) * weight;
-                match terms.get_mut(index) {
-                    Some((_, sum)) => *sum += value,
-                    None => terms.push((name, value)),
-                }
-            }
-            let share = Loss {
-                total: computed.total.mul_scalar(weight),
-                terms: Vec::new(),
-                probes: Vec::new(),
-                pending: computed.pending,
-            };
-            drop((computed.terms, computed.probes));
-            accumulate(&mut gradients, self.parts.recipe.backward(model, share));
-        }
-        if train.gradient_accumulation_steps > 1 {
-            loss /= divisor;
-            terms.iter_mut().for_each(|(_, sum)| *sum /= divisor);
-            let sums = gradients.iter_mut().flatten();
-            sums.for_each(|sum| *sum = (f64::from(*sum) / divisor) as f32);
-        }
-
+        let Some(Averaged {
+            gradients,
+            loss,
+            terms,
+        }) = self.averaged(observer)?
+        else {
+            return Ok(None);
+        };
         let grad_norm = global_norm(&gradients);
         if !grad_norm.is_finite() {
             let broken = gradients
@@ -420,7 +391,8 @@ impl<R: Recipe> Trainer<R> {
 
     /// Measures and keeps count of the best; true if the weights are the best so far.
     fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
-        let (val_loss, score) = self.measure()?;
+        let measured = self.measure();
+        let (val_loss, score) = self.parts.together.done(measured)?;
         let best = match score {
             Some(score) => {
                 let before = self.progress.best_score.unwrap_or(f64::INFINITY);
@@ -444,6 +416,21 @@ impl<R: Recipe> Trainer<R> {
     }
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
+        let weights = parameters::values(self.model.as_ref().expect("held between updates"));
+        let together = self.parts.together.clone();
+        together.must_have_equal(self.step, &weights)?;
+        let saved = match together.writes() {
+            true => self.write_checkpoint(&weights),
+            false => Ok(()),
+        };
+        together.done(saved)?;
+        let path = self.checkpoints.step_path(self.step);
+        observer.saved(&path);
+        self.last_saved = Some(path);
+        Ok(())
+    }
+
+    fn write_checkpoint(&mut self, weights: &[Vec<f32>]) -> Result<(), Error> {
         // The lines up to this step must not be lost once the checkpoint counts.
         if let Some((metrics, _)) = &mut self.record {
             metrics.sync()?;
@@ -459,11 +446,10 @@ impl<R: Recipe> Trainer<R> {
             progress: self.progress.clone(),
             checksums: Default::default(),
         };
-        let weights = parameters::values(self.model.as_ref().expect("held between updates"));
         let checkpoint = CheckpointRef {
             state: &state,
             infos: &self.infos,
-            model: &weights,
+            model: weights,
             ema: self.ema.shadow(),
             moments: self.optimizer.moments(),
         };
@@ -482,8 +468,6 @@ impl<R: Recipe> Trainer<R> {
             self.step,
             path.display()
         );
-        observer.saved(&path);
-        self.last_saved = Some(path);
         Ok(())
     }
 
@@ -506,18 +490,6 @@ fn decays(optim: &OptimConfig, info: &ParameterInfo) -> bool {
     match optim.weight_decay_groups {
         WeightDecayGroups::All => true,
         WeightDecayGroups::Matrices => info.shape.len() >= 2 && !is_adapter(info),
-    }
-}
-
-fn accumulate(sums: &mut Vec<Vec<f32>>, gradients: Vec<Vec<f32>>) {
-    if sums.is_empty() {
-        *sums = gradients;
-        return;
-    }
-    for (sum, gradient) in sums.iter_mut().zip(gradients) {
-        for (s, g) in sum.iter_mut().zip(gradient) {
-            *s += g;
-        }
     }
 }
 

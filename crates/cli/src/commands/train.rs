@@ -10,7 +10,7 @@ use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Conditions, Remark, Request};
 use kinegrad_train::systems::Systems;
-use kinegrad_train::{Ending, Error};
+use kinegrad_train::{Ending, Error, Together};
 
 use serde::Serialize;
 
@@ -20,6 +20,7 @@ use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
 use crate::output;
 use crate::progress::{TrainProgress, duration};
+use crate::ranks::{guarded, ranks, speaks};
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
@@ -42,10 +43,28 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         dry_run,
     };
     let started = Instant::now();
+    let together = Together::new(ranks()?);
+    let ranks = together.ranks();
     let mut progress = TrainProgress::new(systems);
-    let outcome = run::train(systems, &request, &mut progress);
+    let outcome = guarded(ranks, || {
+        run::train_together(systems, &request, &together, &mut progress)
+    });
     progress.finish();
-    let outcome = outcome?;
+    let outcome = match (outcome, ranks.size()) {
+        (outcome, 1) => outcome?,
+        (outcome, _) => {
+            let speaks = speaks(ranks, outcome.as_ref().err());
+            match outcome {
+                Ok(outcome) if together.writes() => outcome,
+                Ok(outcome) => {
+                    let interrupted = outcome.ending == Some(Ending::Interrupted);
+                    return Ok(ExitCode::from(if interrupted { 130 } else { 0 }));
+                }
+                Err(error) if speaks => return Err(error),
+                Err(error) => return Ok(ExitCode::from(error.exit_code())),
+            }
+        }
+    };
     if let Some(plan) = &outcome.plan {
         plan::print(plan, json);
         return Ok(ExitCode::SUCCESS);

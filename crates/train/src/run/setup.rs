@@ -1,11 +1,12 @@
 //! A validated run: its device, folder and checkpoint, and its training.
 
 use std::fs::{self, File};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::{Dataset, Digest, Item, ItemSet, Loader, Samples};
+use kinegrad_data::{BatchShare, Dataset, Digest, Item, ItemSet, Loader, Samples};
 use kinegrad_models::parameters;
 use kinegrad_motion::Statistics;
 
@@ -19,6 +20,7 @@ use crate::observer::{Observer, RunSummary};
 use crate::parameter_count::ParameterCount;
 use crate::recipe::{Recipe, RecipeInfo};
 use crate::telemetry::Environment;
+use crate::together::Together;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Ending, Trainer, TrainerParts};
 
@@ -62,6 +64,8 @@ pub struct Setup {
     pub(super) memory_of_samples: u64,
     /// Taken already where the run existed before.
     pub(super) lock: Option<Arc<File>>,
+    /// The processes that train it.
+    pub(crate) together: Rc<Together>,
 }
 
 /// What a run is trained on.
@@ -78,7 +82,7 @@ pub struct Material {
     pub statistics: Statistics,
     /// What normalises the channels of the networks, where that is something else.
     pub network_statistics: Option<Statistics>,
-    /// The stream of batches from a number on.
+    /// The stream of batches, or a share of it.
     pub loader: Box<MakeLoader>,
 }
 
@@ -109,9 +113,9 @@ impl Material {
             digest: dataset.digest,
             statistics,
             network_statistics: None,
-            loader: Box::new(move |config, first_batch| {
+            loader: Box::new(move |config, share| {
                 let samples = samples(dataset.train, config);
-                Loader::new(samples, &config.data, config.run.seed, first_batch)
+                Loader::of_share(samples, &config.data, config.run.seed, share)
             }),
         };
         Ok((material, HeldOut::new(held_out, &config.validation)))
@@ -126,8 +130,21 @@ fn networks_of(recipe: &RecipeInfo) -> &'static [&'static str] {
     }
 }
 
-/// Makes the stream of batches of a config from a number on.
-pub type MakeLoader = dyn FnOnce(&Config, u64) -> Loader;
+/// Makes the stream of batches of a config, or a share of it.
+pub type MakeLoader = dyn FnOnce(&Config, BatchShare) -> Loader;
+
+/// The batches of a rank after `step` steps.
+fn batches(config: &Config, step: u64, together: &Together) -> BatchShare {
+    let of = config.train.gradient_accumulation_steps;
+    let share = together.ranks().share(of);
+    let each = share.end - share.start;
+    BatchShare {
+        done: step * each,
+        offset: share.start,
+        each,
+        of,
+    }
+}
 
 impl Setup {
     /// The same on the device with gradients; `activation_checkpointing` recomputes cheap
@@ -180,6 +197,8 @@ impl Setup {
             let path = Checkpoints::of(&self.folder).step_path(checkpoint.state.step);
             check_moments(&model, checkpoint, &path)?;
         }
+        // All ranks have come as far as this, or end here: nothing is written before.
+        self.together.done(Ok(()))?;
         let Self {
             mut config,
             recipe: info,
@@ -191,6 +210,7 @@ impl Setup {
             dry_run,
             memory,
             memory_of_samples,
+            together,
         } = self;
         let (step, progress) = match &checkpoint {
             Some(checkpoint) => (checkpoint.state.step, checkpoint.state.progress.clone()),
@@ -226,7 +246,7 @@ impl Setup {
                 },
                 nothing_left,
             };
-            let first_batch = step * config.train.gradient_accumulation_steps;
+            let share = batches(&config, step, &together);
             let parts = TrainerParts {
                 recipe,
                 groups: info.groups,
@@ -234,9 +254,10 @@ impl Setup {
                 statistics: material.statistics,
                 network_statistics: material.network_statistics,
                 device,
-                loader: (material.loader)(&config, first_batch),
+                loader: (material.loader)(&config, share),
                 dataset: material.digest,
                 folder: folder.clone(),
+                together,
             };
             let plan = Plan::measure(&planned, parts, model, checkpoint, observer)?;
             return Ok(Outcome {
@@ -249,16 +270,22 @@ impl Setup {
                 lock,
             });
         }
-        let checkpoints = Checkpoints::of(&folder);
-        if checkpoint.is_some() && checkpoints.best() != progress.best() {
-            // All that is written before anything can be refused: a crash came between the
-            // checkpoint and the record of its being the best.
-            checkpoints.set_best(progress.best().as_ref())?;
-        }
+        let written = match together.writes() {
+            true => Written {
+                folder: &folder,
+                config: &config,
+                summary: &summary,
+                device: &device,
+                checkpoint: checkpoint.as_ref(),
+                progress: &progress,
+                nothing_left,
+            }
+            .write(lock),
+            false => Ok(None),
+        };
+        let lock = together.done(written)?;
+        observer.started(&summary);
         if nothing_left {
-            // What a kill after the last checkpoint left undone.
-            checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
-            observer.started(&summary);
             return Ok(Outcome {
                 folder,
                 ending: None,
@@ -269,44 +296,11 @@ impl Setup {
                 lock,
             });
         }
-
-        // Everything that can be refused has been: only now is something written.
-        fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-        let lock = match lock {
-            Some(lock) => lock,
-            None => {
-                let lock = super::folder::lock(&folder)?;
-                // Another process may have begun or ended the run since this one looked.
-                if has_begun(&folder)? {
-                    return Err(exists_already(&config.run.name, &folder));
-                }
-                lock
-            }
-        };
-        write_config(&folder, &config)?;
-        if config.sampling.count_at_end > 0 {
-            // From now on samples are owed, those of an earlier end being of other weights.
-            let owed = folder.join(UNFINISHED_SAMPLES);
-            remove(&owed)?;
-            fs::create_dir(&owed).map_err(Error::io("create", &owed))?;
-        }
-        let environment = Environment {
-            step,
-            parameters: summary.parameters.all,
-            train_items: summary.train_phrases,
-            validation_items: summary.validation_phrases,
-            skipped_items: summary.skipped.len(),
-            ..Environment::here(&device, &summary.device)
-        };
-        environment.record(&folder)?;
-        observer.started(&summary);
-
         if config.validation.every_steps > 0 && material.validation == 0 {
             observer.warning("nothing is held out: there is no validation and no best step");
             config.validation.every_steps = 0;
         }
-        let first_batch = step * config.train.gradient_accumulation_steps;
-        let loader = (material.loader)(&config, first_batch);
+        let loader = (material.loader)(&config, batches(&config, step, &together));
         let parts = TrainerParts {
             recipe,
             groups: info.groups,
@@ -317,8 +311,10 @@ impl Setup {
             loader,
             dataset: material.digest,
             folder: folder.clone(),
+            together: together.clone(),
         };
-        let mut trainer = Trainer::new(parts, model, checkpoint, observer)?;
+        let trainer = Trainer::new(parts, model, checkpoint, observer);
+        let mut trainer = together.done(trainer)?;
         let ending = trainer.run(observer)?;
         let (step, progress) = (trainer.step(), trainer.progress().clone());
         Ok(Outcome {
@@ -328,7 +324,66 @@ impl Setup {
             progress,
             config,
             plan: None,
-            lock: Some(lock),
+            lock,
         })
+    }
+}
+
+/// What is written before a run's first step.
+struct Written<'a> {
+    folder: &'a Path,
+    config: &'a Config,
+    summary: &'a RunSummary,
+    device: &'a Device,
+    checkpoint: Option<&'a Checkpoint>,
+    progress: &'a Progress,
+    nothing_left: bool,
+}
+
+impl Written<'_> {
+    /// Everything that can be refused has been: only now is something written. Returns the run's lock,
+    /// which may have been taken before.
+    fn write(&self, lock: Option<Arc<File>>) -> Result<Option<Arc<File>>, Error> {
+        let Self { folder, config, .. } = *self;
+        let (step, progress) = (self.summary.step, self.progress);
+        let checkpoints = Checkpoints::of(folder);
+        if self.checkpoint.is_some() && checkpoints.best() != progress.best() {
+            // A crash came between the checkpoint and the record of its being the best.
+            checkpoints.set_best(progress.best().as_ref())?;
+        }
+        if self.nothing_left {
+            // What a kill after the last checkpoint left undone.
+            checkpoints.prune(step, config.checkpoint.keep_last, progress.best_step)?;
+            return Ok(lock);
+        }
+        fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+        let lock = match lock {
+            Some(lock) => lock,
+            None => {
+                let lock = super::folder::lock(folder)?;
+                // Another process may have begun or ended the run since this one looked.
+                if has_begun(folder)? {
+                    return Err(exists_already(&config.run.name, folder));
+                }
+                lock
+            }
+        };
+        write_config(folder, config)?;
+        if config.sampling.count_at_end > 0 {
+            // From now on samples are owed, those of an earlier end being of other weights.
+            let owed = folder.join(UNFINISHED_SAMPLES);
+            remove(&owed)?;
+            fs::create_dir(&owed).map_err(Error::io("create", &owed))?;
+        }
+        let environment = Environment {
+            step,
+            parameters: self.summary.parameters.all,
+            train_items: self.summary.train_phrases,
+            validation_items: self.summary.validation_phrases,
+            skipped_items: self.summary.skipped.len(),
+            ..Environment::here(self.device, &self.summary.device)
+        };
+        environment.record(folder)?;
+        Ok(Some(lock))
     }
 }

@@ -1,8 +1,10 @@
 //! Starting and resuming a run: validation before anything is written.
 
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use kinegrad_data::file::read_text;
+use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::folder::{exists_already, has_begun, lock, must_be_a_folder, must_hold_no_other};
@@ -13,6 +15,7 @@ use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
 use crate::system::Systems;
+use crate::together::Together;
 
 /// Which run to train.
 #[derive(Clone, Debug)]
@@ -50,6 +53,41 @@ pub fn train(
     request: &TrainRequest,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
+    train_together(systems, request, &Together::alone(), observer)
+}
+
+/// [`train`] by several processes, each of which calls this with its `together`. The first of them writes
+/// the run; all return the same outcome, but that it alone has the run's lock.
+///
+/// # Errors
+/// As [`train`], on all ranks: those that have met nothing themselves return [`Error::OtherRank`].
+pub fn train_together(
+    systems: Systems<'_>,
+    request: &TrainRequest,
+    together: &Rc<Together>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, Error> {
+    let outcome = begun(systems, request, together, observer);
+    match together.has_agreed() {
+        true => outcome,
+        // It failed before the ranks met.
+        false => together.done(outcome),
+    }
+}
+
+fn begun(
+    systems: Systems<'_>,
+    request: &TrainRequest,
+    together: &Rc<Together>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, Error> {
+    let size = together.ranks().size();
+    if request.dry_run && size > 1 {
+        return Err(Error::usage(
+            format!("`--dry-run` with {size} ranks"),
+            "plan the run in one process, without the launcher",
+        ));
+    }
     let overrides = &request.overrides;
     let begin = |folder, resume| Begin {
         folder,
@@ -61,7 +99,8 @@ pub fn train(
         Target::Folder(folder) => {
             let saved = saved_of(systems, folder)?;
             let given = systems.parse(&config::to_toml(&saved), SAVED, overrides)?;
-            return train_in(systems, given, begin(folder.clone(), true), observer);
+            let begin = begin(folder.clone(), true);
+            return train_in(systems, given, begin, together, observer);
         }
     };
     let resume = matches!(request.target, Target::Resumed(_));
@@ -88,7 +127,7 @@ pub fn train(
         let taken = system.moved(saved.clone(), &config, &folder)?;
         config = resumed(systems, &taken, &config, path, overrides, observer)?;
     }
-    train_in(systems, config, begin(folder, resume), observer)
+    train_in(systems, config, begin(folder, resume), together, observer)
 }
 
 /// What a resumed run goes on with, and warnings for what the file says otherwise.
@@ -180,12 +219,31 @@ pub fn train_config(
     resume: bool,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
+    let together = Together::alone();
     let begin = Begin {
         folder: runs_dir.join(&config.run.name),
         resume,
         dry_run: false,
     };
-    train_in(systems, config, begin, observer)
+    train_in(systems, config, begin, &together, observer)
+}
+
+/// Rejects a number of ranks that cannot share the micro-batches of a step.
+fn must_share(config: &Config, together: &Together) -> Result<(), Error> {
+    let (steps, size) = (
+        config.train.gradient_accumulation_steps,
+        together.ranks().size() as u64,
+    );
+    Ok(require(
+        steps.is_multiple_of(size),
+        "train.gradient_accumulation_steps",
+        steps,
+        format!("a multiple of {size}, as so many ranks share the micro-batches of a step"),
+    )
+    .hint(
+        "a step is the same whatever the number of ranks: set it to a multiple, with fewer \
+         `data.batch_size` to keep what a step sees, or start fewer ranks",
+    )?)
 }
 
 /// Where a run begins or goes on.
@@ -202,6 +260,7 @@ fn train_in(
     systems: Systems<'_>,
     config: Config,
     begin: Begin,
+    together: &Rc<Together>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, Error> {
     let Begin {
@@ -212,6 +271,7 @@ fn train_in(
     for warning in systems.validate(&config)? {
         observer.warning(&warning);
     }
+    must_share(&config, together)?;
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
     must_be_a_folder(&folder)?;
@@ -228,7 +288,8 @@ fn train_in(
         _ => {}
     }
     // What writes nothing needs no lock.
-    let lock = (exists && !dry_run).then(|| lock(&folder)).transpose()?;
+    let locks = exists && !dry_run && together.writes();
+    let lock = locks.then(|| lock(&folder)).transpose()?;
     let (checkpoint, saved) = match resume {
         false => (None, None),
         true => {
@@ -277,6 +338,7 @@ fn train_in(
         lock,
         checkpoint,
         config,
+        together: together.clone(),
     };
     system.train(setup, observer)
 }

@@ -26,7 +26,7 @@ impl<R: Recipe> Trainer<R> {
     /// pictures. Where that fails, training goes on; where it is about to stop, they are drawn when
     /// it is resumed.
     pub(super) fn preview(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
-        if observer.stop_requested() {
+        if observer.stop_requested() || !self.parts.together.writes() {
             return Ok(());
         }
         let checkpoint = self.checkpoints.step_path(self.step);

@@ -98,6 +98,7 @@ fn trainer(batches: usize) -> Trainer<Squares> {
         device: device.clone(),
         dataset: dataset.digest,
         folder: PathBuf::new(),
+        together: Together::alone(),
     };
     let model = Linear::new(25, 2, &Initializer::new(3, &device));
     Trainer::unrecorded(parts, model, None)

@@ -9,6 +9,7 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::run::{Outcome, has_begun, train_config};
 use crate::system::Systems;
+use crate::together::Together;
 use crate::trainer::Ending;
 
 /// Names of the two runs, inside the folder of the run that needs them.
@@ -93,6 +94,21 @@ pub(super) fn run(
         }
     }
     Ok(Ok(init))
+}
+
+/// Rejects to train both by several ranks.
+///
+/// # Errors
+/// [`Error::Usage`].
+pub(super) fn must_be_alone(together: &Together) -> Result<(), Error> {
+    match together.ranks().size() {
+        1 => Ok(()),
+        size => Err(Error::usage(
+            format!("`init.diffusion` is empty, and {size} ranks train"),
+            "train the base model and the decoder in runs of their own, and name them in \
+             `init.diffusion` and `init.decoder`",
+        )),
+    }
 }
 
 /// Says that both are trained first, and how long.

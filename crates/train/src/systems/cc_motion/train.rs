@@ -46,6 +46,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         true => {
             let mut init = own.init.clone();
             if pretrains {
+                pretrain::must_be_alone(&setup.together)?;
                 init = match pretrain::run(&config, &setup.folder, observer)? {
                     Ok(trained) => trained,
                     Err(interrupted) => return Ok(*interrupted),

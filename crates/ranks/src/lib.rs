@@ -1,0 +1,75 @@
+//! Processes that train one run together: who they are, and what they tell each other.
+//!
+//! Every method of [`Ranks`] that says so is collective: all ranks call it, in the same order. Sums are
+//! formed in one [tree](split) whatever the number of ranks, so that two or four of them end with the
+//! same bytes as one.
+
+#[cfg(feature = "mpi")]
+mod mpi;
+mod tree;
+
+use std::fmt::Debug;
+use std::ops::Range;
+
+#[cfg(feature = "mpi")]
+pub use self::mpi::Mpi;
+pub use tree::{add, pairwise, split};
+
+/// Processes that train one run.
+pub trait Ranks: Debug {
+    /// Number of this process, from 0.
+    fn rank(&self) -> usize;
+
+    /// Number of processes.
+    fn size(&self) -> usize;
+
+    /// What every rank says, in the order of ranks. Collective.
+    fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
+
+    /// Replaces `values` by the sums over all ranks, which give equally many: [pairwise] over the ranks.
+    /// Collective.
+    fn sum(&self, values: &mut Vec<f32>);
+
+    /// Ends all ranks at once, after a panic: the others wait for something that does not come.
+    fn abort(&self, code: i32) -> !;
+
+    /// Whether this process writes what there is to write.
+    fn is_first(&self) -> bool {
+        self.rank() == 0
+    }
+
+    /// The part of `count` things in order that this rank takes: as many as any other, consecutive.
+    ///
+    /// # Panics
+    /// Panics if the number of ranks does not divide them.
+    fn share(&self, count: u64) -> Range<u64> {
+        let (rank, size) = (self.rank() as u64, self.size() as u64);
+        assert_eq!(count % size, 0, "{size} ranks share {count}");
+        let each = count / size;
+        rank * each..(rank + 1) * each
+    }
+}
+
+/// One process.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Alone;
+
+impl Ranks for Alone {
+    fn rank(&self) -> usize {
+        0
+    }
+
+    fn size(&self) -> usize {
+        1
+    }
+
+    fn gather(&self, own: &[u8]) -> Vec<Vec<u8>> {
+        vec![own.to_vec()]
+    }
+
+    fn sum(&self, _: &mut Vec<f32>) {}
+
+    fn abort(&self, code: i32) -> ! {
+        std::process::exit(code)
+    }
+}
