@@ -1,0 +1,163 @@
+"""Ranks under a real launcher: the same bytes as one process, and the same end for all."""
+
+import os
+import random
+import time
+import unittest
+
+from job import ROOT, Folder, kill, terminate
+
+MICRO = "--set train.gradient_accumulation_steps=4"
+PHRASES = (
+    f"train {ROOT}/configs/quickstart.toml {MICRO} --set data.batch_size=3 --set data.num_workers=1 "
+    "--set data.synthetic.phrases=40 --set sampling.count_at_end=0 --set validation.every_steps=8 "
+    "--set checkpoint.every_steps=4 --set train.log_every_steps=1"
+)
+CLIPS = (
+    f"train {ROOT}/configs/gmd_motion_tiny.toml {MICRO} --set data.batch_size=2 "
+    "--set data.synthetic.phrases=20 --set sampling.count_at_end=0 --set validation.every_steps=0 "
+    "--set train.log_every_steps=1"
+)
+# How often a rank is killed; 20 for figures.
+KILLS = int(os.environ.get("KINEGRAD_KILLS", "3"))
+
+
+class Ranks(unittest.TestCase):
+    def setUp(self):
+        self.folder = Folder()
+        self.addCleanup(self.folder.remove)
+
+    def equal_on(self, line, ranks, reference):
+        for count in ranks:
+            name = f"on{count}"
+            self.folder.run(count, f"{line} --name {name}")
+            self.assertEqual(self.folder.hashes(name), reference, f"{count} ranks")
+
+    def test_one_two_and_four_ranks_write_the_same_bytes(self):
+        for line in (PHRASES, CLIPS):
+            line += " --set train.max_steps=6"
+            folder = self.folder = Folder()
+            self.addCleanup(folder.remove)
+            folder.run(1, f"{line} --name alone")
+            self.equal_on(line, (2, 4), folder.hashes("alone"))
+
+    def test_training_through_the_sampler_is_the_same_too(self):
+        stages = (
+            f"train {ROOT}/configs/e2e_quickstart.toml --name stages --set train.max_steps=1 "
+            "--set init.pretrain.diffusion_steps=2 --set init.pretrain.decoder_steps=2 "
+            "--set sampling.count_at_end=0 --set validation.every_steps=0"
+        )
+        self.folder.run(1, stages)
+        base = self.folder.path / "runs/stages"
+        line = (
+            f"train {ROOT}/configs/e2e_quickstart.toml {MICRO} --set train.max_steps=3 "
+            f"--set init.diffusion={base}/base --set init.decoder={base}/decoder "
+            "--set sampling.count_at_end=0 --set validation.every_steps=0 --set data.batch_size=2"
+        )
+        self.folder.run(1, f"{line} --name alone")
+        self.equal_on(line, (2, 4), self.folder.hashes("alone"))
+        code, said = self.folder.fails(2, stages.replace("stages", "apart") + f" {MICRO}")
+        self.assertEqual(code, 2, said)
+        self.assertIn("`init.diffusion` is empty, and 2 ranks train", said)
+
+    def test_a_run_goes_on_with_another_number_of_ranks(self):
+        self.folder.run(1, f"{PHRASES} --name whole --set train.max_steps=12")
+        constant = "--set optim.lr_schedule=constant"
+        self.folder.run(1, f"{PHRASES} --name whole2 --set train.max_steps=12 {constant}")
+        part = f"{PHRASES} --name parts {constant}"
+        self.folder.run(4, f"{part} --set train.max_steps=4")
+        self.folder.run(2, f"{part} --resume --set train.max_steps=8")
+        self.folder.run(1, f"{part} --resume --set train.max_steps=12")
+        self.assertEqual(self.folder.hashes("parts"), self.folder.hashes("whole2"))
+
+    def test_a_rank_that_is_killed_ends_the_job_and_loses_nothing(self):
+        line = f"{PHRASES} --set train.max_steps=60"
+        self.folder.run(1, f"{line} --name whole")
+        expected = self.folder.hashes("whole")
+        chance = random.Random(7)
+        for number in range(KILLS):
+            name = f"killed{number}"
+            job = self.folder.start(2, f"{line} --name {name}")
+            self.folder.wait_for_step(name, 4 + chance.randrange(30), job)
+            time.sleep(chance.random() * 0.05)
+            kill(chance.choice(self.folder.ranks_of(job)))
+            killed = time.time()
+            job.communicate(timeout=60)
+            self.assertLess(time.time() - killed, 5.0)
+            self.assertNotEqual(job.returncode, 0)
+            self.assertEqual(self.folder.ranks_of(job), [])
+            self.folder.run(2, f"{line} --name {name} --resume")
+            self.assertEqual(self.folder.hashes(name), expected)
+
+    def test_a_signal_to_one_rank_stops_all_at_one_step(self):
+        line = f"{PHRASES} --set train.max_steps=4000"
+        for rank in (0, 1):
+            name = f"stopped{rank}"
+            job = self.folder.start(2, f"{line} --name {name}")
+            self.folder.wait_for_step(name, 6, job)
+            terminate(self.folder.ranks_of(job)[rank])
+            said, _ = job.communicate(timeout=30)
+            self.assertNotEqual(job.returncode, 0, said)
+            self.assertIn("stopped; `kinegrad train --resume", said)
+            steps = len([l for l in self.lines(name) if '"loss"' in l])
+            newest = self.folder.checkpoints(name)[-1].name
+            self.assertEqual(newest, f"step-{steps:08}", said)
+            self.assertEqual(said.count("error:"), 0, said)
+
+    def test_a_signal_to_the_launcher_leaves_a_checkpoint_that_goes_on(self):
+        line = f"{PHRASES} --set train.max_steps=400 --name told"
+        job = self.folder.start(2, line)
+        self.folder.wait_for_step("told", 6, job)
+        job.terminate()
+        said, _ = job.communicate(timeout=30)
+        self.assertNotEqual(job.returncode, 0, said)
+        self.assertTrue(self.folder.checkpoints("told"), said)
+        self.folder.run(2, f"{line} --resume --set train.max_steps=400 --set train.log_every_steps=1")
+
+    def test_what_one_rank_alone_meets_ends_all_with_one_message(self):
+        self.folder.run(1, "data synth --phrases 24 --frames 40 --out data")
+        line = (
+            f"{PHRASES} --set data.kind=phrases --set data.source=data --set data.cache.memory_mib=0 "
+            "--set data.target_frames=24 --set train.max_steps=4000 --set data.num_workers=0"
+        )
+        job = self.folder.start(2, f"{line} --name missing")
+        self.folder.wait_for_step("missing", 4, job)
+        held = set((self.folder.path / "runs/missing/config.toml").read_text().split())
+        files = sorted(p for p in (self.folder.path / "data").rglob("*.npy"))
+        self.assertTrue(files, held)
+        for file in files[: len(files) // 2]:
+            file.unlink()
+        said, _ = job.communicate(timeout=30)
+        self.assertNotEqual(job.returncode, 0, said)
+        self.assertEqual(said.count("error:"), 1, said)
+        # What was learned before is kept.
+        steps = len([l for l in self.lines("missing") if '"loss"' in l])
+        self.assertEqual(self.folder.checkpoints("missing")[-1].name, f"step-{steps:08}", said)
+
+    def test_a_full_disk_of_the_first_rank_ends_all(self):
+        line = f"{PHRASES} --name full"
+        self.folder.run(2, f"{line} --set train.max_steps=4")
+        log = self.folder.path / "runs/full/metrics.jsonl"
+        log.unlink()
+        log.symlink_to("/dev/full")
+        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=400")
+        self.assertEqual(said.count("error:"), 1, said)
+        self.assertIn("metrics.jsonl", said)
+        self.assertEqual(code, 1, said)
+
+    def test_numbers_that_do_not_divide_and_loops_that_break(self):
+        code, said = self.folder.fails(3, f"{PHRASES} --set train.max_steps=4")
+        self.assertEqual(code, 2, said)
+        self.assertEqual(said.count("`train.gradient_accumulation_steps` is 4"), 1, said)
+        code, said = self.folder.fails(2, f"{PHRASES} --set train.max_steps=4 --dry-run")
+        self.assertIn("`--dry-run` with 2 ranks", said)
+        line = f"{PHRASES} --set train.max_steps=40 --set optim.learning_rate=1e30 --name broken"
+        code, said = self.folder.fails(2, f"{line} --set optim.warmup_steps=0")
+        self.assertEqual((code, said.count("error:")), (1, 1), said)
+
+    def lines(self, name):
+        return (self.folder.path / "runs" / name / "metrics.jsonl").read_text().splitlines()
+
+
+if __name__ == "__main__":
+    unittest.main()
