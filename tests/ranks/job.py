@@ -1,6 +1,7 @@
 """A job of several ranks in a folder of its own."""
 
 import hashlib
+import json
 import os
 import shutil
 import signal
@@ -61,10 +62,11 @@ class Folder:
         return sorted((self.path / "runs" / run / "checkpoints").glob("step-*"))
 
     def hashes(self, run):
-        """Checksums of the newest checkpoint of a run."""
+        """Checksums of the newest checkpoint of a run, and what validation has found so far."""
         newest = self.checkpoints(run)[-1]
         digest = lambda name: hashlib.sha256((newest / name).read_bytes()).hexdigest()
-        return newest.name, *(digest(name) for name in SAME)
+        progress = json.loads((newest / "state.json").read_text())["progress"]
+        return newest.name, progress, *(digest(name) for name in SAME)
 
     def ranks_of(self, job):
         """Processes of the binary below a job, by what they were started with."""

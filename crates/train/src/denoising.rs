@@ -2,6 +2,7 @@
 //! the held-out motion. Recipes of all systems share it.
 
 use std::ops::Range;
+use std::rc::Rc;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -13,6 +14,7 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::config::ValidationConfig;
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
+use crate::together::Together;
 
 /// A batch on the device.
 #[derive(Clone, Debug)]
@@ -339,6 +341,8 @@ pub struct HeldOut {
     collate: Box<dyn Fn(Range<usize>) -> Batch>,
     draws: usize,
     batch_size: usize,
+    /// The processes that share the measuring.
+    together: Rc<Together>,
 }
 
 impl HeldOut {
@@ -352,6 +356,16 @@ impl HeldOut {
             collate: Box::new(move |range| samples.collate(range).expect("items in memory")),
             draws: validation.draws,
             batch_size: validation.batch_size,
+            together: Together::alone(),
+        }
+    }
+
+    /// The same, of which each rank of a run measures a part.
+    #[must_use]
+    pub fn among(self, together: &Rc<Together>) -> Self {
+        Self {
+            together: together.clone(),
+            ..self
         }
     }
 
@@ -362,6 +376,7 @@ impl HeldOut {
             collate: Box::new(|_| unreachable!("nothing is held out")),
             draws: 1,
             batch_size: 1,
+            together: Together::alone(),
         }
     }
 
@@ -388,11 +403,16 @@ impl HeldOut {
 
     /// Each batch, with the numbers of its items.
     pub fn host_batches(&self) -> impl Iterator<Item = (Range<usize>, Batch)> {
-        (0..self.len()).step_by(self.batch_size).map(move |start| {
-            let range = start..(start + self.batch_size).min(self.len());
+        self.ranges().map(|range| {
             let batch = (self.collate)(range.clone());
             (range, batch)
         })
+    }
+
+    /// The numbers of the items of each batch.
+    fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
+        let starts = (0..self.len()).step_by(self.batch_size);
+        starts.map(|start| start..(start + self.batch_size).min(self.len()))
     }
 
     /// Noise keyed by item and draw alone, so that runs with other seeds compare too.
@@ -419,25 +439,49 @@ impl HeldOut {
     ) -> f64 {
         let (all, draws) = (self.len(), self.draws);
         let num_train_timesteps = diffusion.config.num_train_timesteps;
-        let mut sum = 0.0;
-        for draw in 0..draws {
-            for (range, inputs) in self.batches(device) {
-                let timestep = |p| {
-                    let twice = 2 * (draw * all + p) + 1;
-                    twice * num_train_timesteps / (2 * draws * all)
-                };
-                let given = Draws {
-                    timesteps: range.clone().map(timestep).collect(),
-                    noise: self.noise(range.clone(), draw as u64, &inputs.x_start),
-                    keep_cond: None,
-                    keep_style: None,
-                    dropout: None,
-                };
-                let loss = loss(inputs, given).into_scalar::<f32>();
-                sum += f64::from(loss) * range.len() as f64;
-            }
+        self.mean(device, |draw, range, inputs| {
+            let timestep = |p| {
+                let twice = 2 * (draw * all + p) + 1;
+                twice * num_train_timesteps / (2 * draws * all)
+            };
+            let given = Draws {
+                timesteps: range.clone().map(timestep).collect(),
+                noise: self.noise(range, draw as u64, &inputs.x_start),
+                keep_cond: None,
+                keep_style: None,
+                dropout: None,
+            };
+            loss(inputs, given)
+        })
+    }
+
+    /// The mean of a loss over all items and draws, of each batch in each draw. Ranks share the
+    /// batches, and add their losses in one order.
+    pub fn mean(
+        &self,
+        device: &Device,
+        loss: impl Fn(usize, Range<usize>, Inputs) -> Tensor<1>,
+    ) -> f64 {
+        let ranks = self.together.ranks();
+        let (own, size) = (ranks.rank(), ranks.size());
+        let ranges: Vec<Range<usize>> = self.ranges().collect();
+        let draws = 0..self.draws;
+        let jobs = draws.flat_map(|draw| ranges.iter().map(move |range| (draw, range.clone())));
+        let jobs: Vec<(usize, Range<usize>)> = jobs.collect();
+        let mut measured = Vec::new();
+        for (draw, range) in jobs.iter().skip(own).step_by(size) {
+            let inputs = Inputs::new(&(self.collate)(range.clone()), device);
+            let loss = loss(*draw, range.clone(), inputs).into_scalar::<f32>();
+            measured.extend(loss.to_le_bytes());
         }
-        sum / (draws * all) as f64
+        let all = ranks.gather(&measured);
+        let mut sum = 0.0;
+        for (number, (_, range)) in jobs.iter().enumerate() {
+            let (losses, _) = all[number % size].as_chunks::<4>();
+            let loss = f32::from_le_bytes(losses[number / size]);
+            sum += f64::from(loss) * range.len() as f64;
+        }
+        sum / (self.draws * self.len()) as f64
     }
 }
 

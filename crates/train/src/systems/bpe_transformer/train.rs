@@ -57,6 +57,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         }
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
+    let held_out = held_out.among(&setup.together);
     setup.train(
         material,
         recipe(diffusion, channels, &own, ways, held_out)

@@ -133,6 +133,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
     };
     let selection = Selection::new(&dataset.validation, &diffusion, state)?;
     let (material, held_out) = Material::new(dataset, statistics.clone(), &config, samples)?;
+    let held_out = held_out.among(&setup.together);
     let material = Material {
         network_statistics,
         ..material

@@ -129,25 +129,18 @@ impl Recipe for FlowRecipe {
     /// At flow times that cover all evenly over items and draws.
     fn validation_loss(&self, model: &FlowModel, device: &Device) -> Measured {
         let (all, draws) = (self.held_out.len(), self.held_out.draws());
-        let mut sum = 0.0;
-        for draw in 0..draws {
-            for (range, inputs) in self.held_out.batches(device) {
-                let time = |p| ((draw * all + p) as f64 + 0.5) / (draws * all) as f64;
-                let like = of_joints(inputs.x_start.clone());
-                let given = FlowDraws {
-                    times: range.clone().map(time).collect(),
-                    noise: self.held_out.noise(range.clone(), draw as u64, &like),
-                    keep_text: None,
-                };
-                let loss = self
-                    .loss_of(model, inputs, given)
-                    .total
-                    .into_scalar::<f32>();
-                sum += f64::from(loss) * range.len() as f64;
-            }
-        }
+        let total = self.held_out.mean(device, |draw, range, inputs| {
+            let time = |p| ((draw * all + p) as f64 + 0.5) / (draws * all) as f64;
+            let like = of_joints(inputs.x_start.clone());
+            let given = FlowDraws {
+                times: range.clone().map(time).collect(),
+                noise: self.held_out.noise(range, draw as u64, &like),
+                keep_text: None,
+            };
+            self.loss_of(model, inputs, given).total
+        });
         Measured {
-            total: sum / (draws * all) as f64,
+            total,
             terms: Vec::new(),
         }
     }

@@ -48,6 +48,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         PoseWindows::new(clips, space.clone(), features, target, labels, seed)
     };
     let (material, held_out) = Material::new(dataset, features, &config, samples)?;
+    let held_out = held_out.among(&setup.together);
     let material = Material {
         network_statistics: Some(target),
         ..material

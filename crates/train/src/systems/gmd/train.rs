@@ -84,6 +84,7 @@ pub(super) fn train(setup: Setup, observer: &mut dyn Observer) -> Result<Outcome
         }
     };
     let (material, held_out) = Material::new(dataset, statistics, &config, samples)?;
+    let held_out = held_out.among(&setup.together);
     let recipe = clip_recipe(diffusion, channels, &own.loss, joint_motion, held_out)
         .measuring_first(!own.init.diffusion.as_os_str().is_empty());
     setup.train(material, recipe, model, observer)
