@@ -26,9 +26,25 @@ pub trait Ranks: Debug {
     /// What every rank says, in the order of ranks. Collective.
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 
-    /// Replaces `values` by the sums over all ranks, which give equally many: [pairwise] over the ranks.
-    /// Collective.
-    fn sum(&self, values: &mut Vec<f32>);
+    /// The values of every rank, in the order of ranks. Collective.
+    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>>;
+
+    /// Of what each rank gives for each, `parts[r]` for rank r and as many from all, the sum of what is for
+    /// this one: [pairwise] over the ranks. Collective.
+    fn scatter_sums(&self, parts: Vec<Vec<f32>>) -> Vec<f32>;
+
+    /// Replaces `values` by the sums over all ranks, which give equally many: each rank sums a part of them
+    /// and sends it to all, an order of our own, where `MPI_Allreduce` has any. Collective.
+    fn sum(&self, values: &mut Vec<f32>) {
+        let (size, length) = (self.size(), values.len());
+        if size == 1 || length == 0 {
+            return;
+        }
+        let parts = values.chunks(length.div_ceil(size)).map(<[f32]>::to_vec);
+        let mut parts: Vec<Vec<f32>> = parts.collect();
+        parts.resize(size, Vec::new());
+        *values = self.gather_values(&self.scatter_sums(parts)).concat();
+    }
 
     /// Ends all ranks at once, after a panic: the others wait for something that does not come.
     fn abort(&self, code: i32) -> !;
@@ -67,7 +83,13 @@ impl Ranks for Alone {
         vec![own.to_vec()]
     }
 
-    fn sum(&self, _: &mut Vec<f32>) {}
+    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>> {
+        vec![own.to_vec()]
+    }
+
+    fn scatter_sums(&self, mut parts: Vec<Vec<f32>>) -> Vec<f32> {
+        pairwise(&mut parts)
+    }
 
     fn abort(&self, code: i32) -> ! {
         std::process::exit(code)

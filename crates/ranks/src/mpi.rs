@@ -2,11 +2,11 @@
 
 use std::fmt;
 
-use mpi::Threading;
-use mpi::datatype::PartitionMut;
+use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
-use mpi::traits::{Communicator, CommunicatorCollectives};
+use mpi::traits::{Buffer, BufferMut, Communicator, CommunicatorCollectives, Equivalence};
+use mpi::{Count, Threading};
 
 use crate::{Ranks, pairwise};
 
@@ -36,6 +36,42 @@ impl Mpi {
     }
 }
 
+/// Numbers of elements in a row, and where each begins.
+fn places(lengths: impl Iterator<Item = usize>) -> (Vec<Count>, Vec<Count>) {
+    let mut end = 0;
+    let place = |length: usize| {
+        let length = Count::try_from(length).expect("fewer than two thousand million");
+        let start = end;
+        end += length;
+        (length, start)
+    };
+    lengths.map(place).unzip()
+}
+
+impl Mpi {
+    /// What every rank gives, in the order of ranks.
+    fn gathered<T: Equivalence + Default + Clone>(&self, own: &[T]) -> Vec<Vec<T>>
+    where
+        [T]: Buffer,
+        [T]: BufferMut,
+    {
+        let mut lengths = vec![0u64; self.size()];
+        self.world
+            .all_gather_into(&(own.len() as u64), &mut lengths[..]);
+        let (counts, starts) = places(lengths.iter().map(|length| *length as usize));
+        let mut all = vec![T::default(); lengths.iter().sum::<u64>() as usize];
+        let mut parts = PartitionMut::new(&mut all[..], &counts[..], &starts[..]);
+        self.world.all_gather_varcount_into(own, &mut parts);
+        let mut rest = &all[..];
+        let part = |count: &Count| {
+            let (part, behind) = rest.split_at(*count as usize);
+            rest = behind;
+            part.to_vec()
+        };
+        counts.iter().map(part).collect()
+    }
+}
+
 impl fmt::Debug for Mpi {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "rank {} of {}", self.rank(), self.size())
@@ -52,44 +88,34 @@ impl Ranks for Mpi {
     }
 
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>> {
-        let mut lengths = vec![0i32; self.size()];
-        let length = i32::try_from(own.len()).expect("what ranks say is short");
-        self.world.all_gather_into(&length, &mut lengths[..]);
-        let ends = lengths.iter().scan(0, |end, length| {
-            *end += length;
-            Some(*end)
-        });
-        let starts: Vec<i32> = ends
-            .zip(&lengths)
-            .map(|(end, length)| end - length)
-            .collect();
-        let mut all = vec![0u8; lengths.iter().sum::<i32>() as usize];
-        let mut parts = PartitionMut::new(&mut all[..], &lengths[..], &starts[..]);
-        self.world.all_gather_varcount_into(own, &mut parts);
-        let part = |(start, length): (&i32, &i32)| {
-            let start = *start as usize;
-            all[start..start + *length as usize].to_vec()
-        };
-        starts.iter().zip(&lengths).map(part).collect()
+        self.gathered(own)
     }
 
-    /// Each rank sums its part of the values and sends it to all: an order of our own, where
-    /// `MPI_Allreduce` has any.
-    fn sum(&self, values: &mut Vec<f32>) {
-        let (size, length) = (self.size(), values.len());
-        if size == 1 {
-            return;
+    fn gather_values(&self, own: &[f32]) -> Vec<Vec<f32>> {
+        self.gathered(own)
+    }
+
+    fn scatter_sums(&self, parts: Vec<Vec<f32>>) -> Vec<f32> {
+        let (counts, starts) = places(parts.iter().map(Vec::len));
+        let sent = parts.concat();
+        // As many from each rank as this one gives for itself.
+        let (received_counts, received_starts) =
+            places(parts.iter().map(|_| parts[self.rank()].len()));
+        let each = parts[self.rank()].len();
+        drop(parts);
+        let mut received = vec![0.0f32; each * self.size()];
+        let sent = Partition::new(&sent[..], &counts[..], &starts[..]);
+        let mut into = PartitionMut::new(
+            &mut received[..],
+            &received_counts[..],
+            &received_starts[..],
+        );
+        self.world.all_to_all_varcount_into(&sent, &mut into);
+        if each == 0 {
+            return Vec::new();
         }
-        let each = length.div_ceil(size);
-        values.resize(each * size, 0.0);
-        let mut received = vec![0.0f32; each * size];
-        self.world.all_to_all_into(&values[..], &mut received[..]);
-        let mut parts: Vec<Vec<f32>> = received.chunks(each.max(1)).map(<[f32]>::to_vec).collect();
-        if each > 0 {
-            let own = pairwise(&mut parts);
-            self.world.all_gather_into(&own[..], &mut values[..]);
-        }
-        values.truncate(length);
+        let mut parts: Vec<Vec<f32>> = received.chunks(each).map(<[f32]>::to_vec).collect();
+        pairwise(&mut parts)
     }
 
     fn abort(&self, code: i32) -> ! {

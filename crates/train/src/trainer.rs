@@ -2,9 +2,11 @@
 
 mod accumulation;
 mod not_finite;
+mod owners;
 mod previews;
 pub(crate) mod restore;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -20,12 +22,13 @@ use crate::config::{Config, OptimConfig, WeightDecayGroups};
 use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{AdamW, clip_factor, global_norm, learning_rate};
+use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate, squares};
 use crate::parameter_count::is_adapter;
 use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
 use crate::together::Together;
 use accumulation::Averaged;
+use owners::Owners;
 use restore::order_of;
 
 /// How training ended.
@@ -49,6 +52,8 @@ pub struct Trainer<R: Recipe> {
     groups: Vec<usize>,
     optimizer: AdamW,
     ema: Ema,
+    /// Who keeps the states of which parameters, where ranks share them.
+    owners: Option<Owners>,
     step: u64,
     progress: Progress,
     /// What is measured is written; nothing of a trainer that only times its steps.
@@ -114,28 +119,47 @@ impl<R: Recipe> Trainer<R> {
         let infos = parameters::infos(&model);
         let optim = &parts.config.optim;
         let goes_on = checkpoint.is_some();
+        let ranks = parts.together.ranks();
+        let shares = optim.shard_states && ranks.size() > 1;
+        // Frozen parameters have no running means.
+        let trained = infos.iter().zip(parameters::trainable(&model));
+        let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
+        let lengths: Vec<usize> = lengths.collect();
+        let owners = shares.then(|| Owners::new(ranks, lengths.clone()));
+        let keeps = |index| {
+            owners
+                .as_ref()
+                .is_none_or(|owners: &Owners| owners.has(index))
+        };
         let (step, progress, optimizer, shadow) = match checkpoint {
             Some(checkpoint) => {
                 let step = checkpoint.state.step;
                 // Files of tensors come back sorted by name; the module's order is another.
                 let order = order_of(&infos, &checkpoint);
-                let moments = order.iter().map(|&i| checkpoint.moments[i].clone());
+                let kept = order.iter().enumerate();
+                let moments = kept.clone().map(|(index, &i)| match keeps(index) {
+                    true => checkpoint.moments[i].clone(),
+                    false => Moments::default(),
+                });
                 let optimizer = AdamW::restore(optim, moments.collect(), step);
-                let shadow = order.iter().map(|&i| checkpoint.ema[i].values.clone());
+                let shadow = kept.map(|(index, &i)| match keeps(index) {
+                    true => checkpoint.ema[i].values.clone(),
+                    false => Vec::new(),
+                });
                 let shadow = shadow.collect();
                 (step, checkpoint.state.progress, optimizer, shadow)
             }
             None => {
-                // Frozen parameters have no running means.
-                let trained = infos.iter().zip(parameters::trainable(&model));
-                let lengths = trained.map(|(info, trained)| if trained { info.len() } else { 0 });
+                let lengths = lengths.iter().enumerate();
+                let lengths = lengths.map(|(index, &length)| if keeps(index) { length } else { 0 });
                 let optimizer = AdamW::new(optim, lengths);
-                (
-                    0,
-                    Progress::default(),
-                    optimizer,
-                    parameters::values(&model),
-                )
+                let mut shadow = parameters::values(&model);
+                for (index, values) in shadow.iter_mut().enumerate() {
+                    if !keeps(index) {
+                        *values = Vec::new();
+                    }
+                }
+                (0, Progress::default(), optimizer, shadow)
             }
         };
         let decaying = infos.iter().map(|info| decays(optim, info));
@@ -150,6 +174,7 @@ impl<R: Recipe> Trainer<R> {
             ema: Ema::new(&parts.config.ema, shadow),
             record: None,
             infos,
+            owners,
             parts,
             step,
             progress,
@@ -300,11 +325,14 @@ impl<R: Recipe> Trainer<R> {
         else {
             return Ok(None);
         };
-        let grad_norm = global_norm(&gradients);
+        let own = squares(&gradients);
+        let squares = match &self.owners {
+            Some(owners) => owners.numbers(self.parts.together.ranks(), |index| own[index]),
+            None => own,
+        };
+        let grad_norm = global_norm(&squares);
         if !grad_norm.is_finite() {
-            let broken = gradients
-                .iter()
-                .position(|g| g.iter().any(|v| !v.is_finite()));
+            let broken = squares.iter().position(|square| !square.is_finite());
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());
             return Err(self.not_finite(self.step + 1, format!("the gradient of `{name}`")));
         }
@@ -347,8 +375,14 @@ impl<R: Recipe> Trainer<R> {
         let groups = &self.groups;
         let decay = self.ema.decay_at(self.step + 1);
         let (optimizer, ema) = (&mut self.optimizer, &mut self.ema);
+        let owners = self.owners.as_ref();
+        let keeps = |index| owners.is_none_or(|owners| owners.has(index));
         let model = self.model.take().expect("held between updates");
-        self.model = Some(parameters::update(model, |index, values| {
+        let mut own = vec![Vec::new(); gradients.len()];
+        let model = parameters::update(model, |index, values| {
+            if !keeps(index) {
+                return;
+            }
             optimizer.update(
                 index,
                 values,
@@ -357,15 +391,56 @@ impl<R: Recipe> Trainer<R> {
                 rates[groups[index]],
                 decay.map(|decay| ema.average(index, decay)),
             );
-        }));
+            if owners.is_some() {
+                own[index] = values.to_vec();
+            }
+        });
+        self.model = Some(match owners {
+            Some(owners) => {
+                let all = owners.gathered(self.parts.together.ranks(), &own);
+                parameters::update(model, |index, values| {
+                    values.copy_from_slice(&all[index]);
+                })
+            }
+            None => model,
+        });
     }
 
     /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
     /// score that the best step is selected by, where that is another.
+    /// The averaged weights of all parameters.
+    fn averages(&self) -> Cow<'_, [Vec<f32>]> {
+        match &self.owners {
+            Some(owners) => owners
+                .gathered(self.parts.together.ranks(), self.ema.shadow())
+                .into(),
+            None => self.ema.shadow().into(),
+        }
+    }
+
+    /// The optimiser's running means of all parameters.
+    fn moments(&self) -> Cow<'_, [Moments]> {
+        let moments = self.optimizer.moments();
+        let Some(owners) = &self.owners else {
+            return moments.into();
+        };
+        let all = |of: fn(&Moments) -> &Vec<f32>| {
+            let own: Vec<Vec<f32>> = moments.iter().map(|moments| of(moments).clone()).collect();
+            owners.gathered(self.parts.together.ranks(), &own)
+        };
+        let pairs = all(|moments| &moments.exp_avg).into_iter();
+        let pairs = pairs.zip(all(|moments| &moments.exp_avg_sq));
+        let moments = |(exp_avg, exp_avg_sq)| Moments {
+            exp_avg,
+            exp_avg_sq,
+        };
+        pairs.map(moments).collect::<Vec<_>>().into()
+    }
+
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
-        let averaged = parameters::replace(model, self.ema.shadow().to_vec());
+        let averaged = parameters::replace(model, self.averages().into_owned());
         let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
             let broken = terms.iter().find(|(_, value)| !value.is_finite());
@@ -419,8 +494,15 @@ impl<R: Recipe> Trainer<R> {
         let weights = parameters::values(self.model.as_ref().expect("held between updates"));
         let together = self.parts.together.clone();
         together.must_have_equal(self.step, &weights)?;
+        // The lines up to this step must not be lost once the checkpoint counts.
+        let synced = match &mut self.record {
+            Some((metrics, _)) => metrics.sync(),
+            None => Ok(()),
+        };
+        together.done(synced)?;
+        let (ema, moments) = (self.averages(), self.moments());
         let saved = match together.writes() {
-            true => self.write_checkpoint(&weights),
+            true => self.write_checkpoint(&weights, &ema, &moments),
             false => Ok(()),
         };
         together.done(saved)?;
@@ -430,11 +512,12 @@ impl<R: Recipe> Trainer<R> {
         Ok(())
     }
 
-    fn write_checkpoint(&mut self, weights: &[Vec<f32>]) -> Result<(), Error> {
-        // The lines up to this step must not be lost once the checkpoint counts.
-        if let Some((metrics, _)) = &mut self.record {
-            metrics.sync()?;
-        }
+    fn write_checkpoint(
+        &self,
+        weights: &[Vec<f32>],
+        ema: &[Vec<f32>],
+        moments: &[Moments],
+    ) -> Result<(), Error> {
         let state = State {
             format: FORMAT,
             kinegrad: env!("CARGO_PKG_VERSION").to_string(),
@@ -450,8 +533,8 @@ impl<R: Recipe> Trainer<R> {
             state: &state,
             infos: &self.infos,
             model: weights,
-            ema: self.ema.shadow(),
-            moments: self.optimizer.moments(),
+            ema,
+            moments,
         };
         if let Some(tensor) = checkpoint.not_finite() {
             return Err(self.not_finite(self.step, tensor));

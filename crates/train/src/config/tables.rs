@@ -78,6 +78,10 @@ pub struct OptimConfig {
     pub lr_schedule: LrSchedule,
     /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
+    /// Whether each rank of a run of several keeps the running means and the moving average of a part of
+    /// the parameters alone (ZeRO-1): less memory, the same bytes.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub shard_states: bool,
 }
 
 impl OptimConfig {
@@ -98,6 +102,7 @@ impl Default for OptimConfig {
             warmup_steps: 1000,
             lr_schedule: LrSchedule::Cosine,
             groups: BTreeMap::new(),
+            shard_states: false,
         }
     }
 }

@@ -3,7 +3,7 @@ use kinegrad_kernels::optimizer as kernels;
 use crate::config::OptimConfig;
 
 /// The running means of one parameter's gradient and squared gradient.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moments {
     /// Running mean of the gradient.
     pub exp_avg: Vec<f32>,

@@ -1,12 +1,14 @@
 use kinegrad_kernels::optimizer::sum_of_squares;
 
-/// The Euclidean norm over all tensors together, in f64 and in one order.
-pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
-    gradients
-        .iter()
-        .map(|values| sum_of_squares(values))
-        .sum::<f64>()
-        .sqrt()
+/// The sum of the squares of each tensor, in f64.
+pub fn squares(gradients: &[Vec<f32>]) -> Vec<f64> {
+    let squares = gradients.iter().map(|values| sum_of_squares(values));
+    squares.collect()
+}
+
+/// The Euclidean norm over all tensors together, of which these are the sums of [`squares`], in one order.
+pub fn global_norm(squares: &[f64]) -> f64 {
+    squares.iter().sum::<f64>().sqrt()
 }
 
 /// What gradients of global norm `norm` are multiplied by to keep it at most `max_norm`; 1 when

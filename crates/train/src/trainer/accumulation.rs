@@ -166,11 +166,14 @@ impl<R: Recipe> Trainer<R> {
         Ok(recipe.backward(model, share))
     }
 
-    /// The sums of the gradients of all ranks.
+    /// The sums of the gradients of all ranks, of the parameters whose states this one keeps.
     fn over_ranks(&self, gradients: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
         let ranks = self.parts.together.ranks();
         if ranks.size() == 1 {
             return gradients;
+        }
+        if let Some(owners) = &self.owners {
+            return owners.sums(ranks, gradients);
         }
         let lengths: Vec<usize> = gradients.iter().map(Vec::len).collect();
         let mut all = gradients.concat();
