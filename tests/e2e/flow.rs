@@ -177,6 +177,13 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
     let mut broken = vec![0.5; 9 * 66];
     broken[70] = f32::NAN;
     write_values(&sandbox.path("broken.npy"), &[9, 22, 3], &broken).expect("written");
+    let start = values(&sandbox, "start.npy");
+    let frames = start.len() / 66;
+    for (name, factor) in [("far", 1e6), ("flat", 0.0), ("centimetres", 100.0)] {
+        let scaled: Vec<f32> = start.iter().map(|value| value * factor).collect();
+        let path = sandbox.path(format!("{name}.npy"));
+        write_values(&path, &[frames, 22, 3], &scaled).expect("written");
+    }
     sandbox.write("empty.toml", "step = []\n");
     sandbox.write("odd.toml", "[[step]]\nseconds = -1.0\n");
     sandbox.write(
@@ -189,7 +196,13 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
             ["short.npy: 6 frames", "7 frames or more"],
         ),
         ("--history wide.npy", ["wide.npy", "[T, 22, 3]"]),
-        ("--history broken.npy", ["frame 1", "not finite"]),
+        ("--history broken.npy", ["frame 1", "NaN"]),
+        ("--history far.npy", ["far.npy", "at most 10000 m"]),
+        ("--history flat.npy", ["flat.npy", "is 0.0000 m long"]),
+        (
+            "--history centimetres.npy",
+            ["centimetres.npy", "allowed: 0.005 to 3"],
+        ),
         ("--history nowhere.npy", ["nowhere.npy", ""]),
         (
             "--history start.npy --phrase walk_00003",

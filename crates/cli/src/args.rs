@@ -203,7 +203,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// How the motion follows the path: `none`, `warp`, `override`, `guidance`, `override_guidance`,
-    /// `tokens` or `tokens_guidance` in runs of recipe `bpe_motion`; `override` or `guidance` in runs on
+    /// `tokens`, `tokens_guidance` or `tokens_warp` in runs of recipe `bpe_motion`; `override` or `guidance` in runs on
     /// phrases [default: from the run's config]
     #[arg(long, value_name = "METHOD", requires = "path")]
     pub method: Option<String>,

@@ -7,33 +7,53 @@ use std::rc::Rc;
 use kinegrad_ranks::{Alone, Ranks};
 use kinegrad_train::Error;
 
-use crate::output;
-
 /// This process among those of its launcher, or alone.
 ///
 /// # Errors
 /// [`Error::Usage`] if a launcher has started several and this program cannot talk to them.
 pub fn ranks() -> Result<Rc<dyn Ranks>, Error> {
+    let ranks = started();
+    // What the launcher says of how many it has started.
+    let told = match env::var_os("SLURM_PROCID").is_some() {
+        true => number("SLURM_STEP_NUM_TASKS"),
+        false => None,
+    };
+    let told = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"]
+        .iter()
+        .find_map(|name| number(name))
+        .or(told);
+    let (size, has_mpi) = (ranks.size(), cfg!(feature = "mpi"));
+    match told {
+        Some(told) if told > 1 && told != size => {
+            let (what, hint) = match has_mpi {
+                false => (
+                    "knows nothing of MPI".to_string(),
+                    "build it with `--features mpi` (docs/cluster.md), or start it without the launcher",
+                ),
+                true => (
+                    format!("finds {size} of them by MPI"),
+                    "start it with the launcher of the MPI that it was built with; with SLURM, \
+                     `srun --mpi=pmi2` or `--mpi=pmix` (docs/cluster.md)",
+                ),
+            };
+            Err(Error::usage(
+                format!("a launcher has started {told} processes, and this program {what}"),
+                hint,
+            ))
+        }
+        _ => Ok(ranks),
+    }
+}
+
+fn started() -> Rc<dyn Ranks> {
     #[cfg(feature = "mpi")]
     if kinegrad_ranks::Mpi::is_launched()
         && let Some(mpi) = kinegrad_ranks::Mpi::start()
     {
         share_cores();
-        if !mpi.is_first() {
-            output::be_silent();
-        }
-        return Ok(Rc::new(mpi));
+        return Rc::new(mpi);
     }
-    let told = ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE"];
-    match told.iter().find_map(|name| number(name)) {
-        Some(size) if size > 1 && cfg!(not(feature = "mpi")) => Err(Error::usage(
-            format!(
-                "a launcher has started {size} processes, and this program knows nothing of MPI"
-            ),
-            "build it with `--features mpi` (docs/cluster.md), or start it without the launcher",
-        )),
-        _ => Ok(Rc::new(Alone)),
-    }
+    Rc::new(Alone)
 }
 
 fn number(name: &str) -> Option<usize> {
@@ -63,12 +83,4 @@ pub fn guarded<T>(ranks: &dyn Ranks, work: impl FnOnce() -> T) -> T {
         return work();
     }
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| ranks.abort(101))
-}
-
-/// Whether this rank says what ended the run: the first of those that met something themselves.
-pub fn speaks(ranks: &dyn Ranks, error: Option<&Error>) -> bool {
-    let own = error.is_some_and(|error| !matches!(error, Error::OtherRank { .. }));
-    let all = ranks.gather(&[u8::from(own)]);
-    let first = all.iter().position(|said| said == &[1]);
-    first == Some(ranks.rank())
 }

@@ -14,7 +14,7 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::config::ValidationConfig;
 use crate::recipe::{Loss, Measured, Recipe, StepKey};
-use crate::together::Together;
+use crate::together::{About, Together};
 
 /// A batch on the device.
 #[derive(Clone, Debug)]
@@ -474,7 +474,7 @@ impl HeldOut {
             let loss = loss(*draw, range.clone(), inputs).into_scalar::<f32>();
             measured.extend(loss.to_le_bytes());
         }
-        let all = ranks.gather(&measured);
+        let all = self.together.gather(About::Losses, &measured);
         let mut sum = 0.0;
         for (number, (_, range)) in jobs.iter().enumerate() {
             let (losses, _) = all[number % size].as_chunks::<4>();

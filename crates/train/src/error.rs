@@ -20,8 +20,6 @@ pub enum Error {
         rank: usize,
         /// Its exit code.
         code: u8,
-        /// Whether its data failed: what was learned before is kept.
-        of_data: bool,
     },
     /// The weights of the ranks are no longer the same.
     #[error("after step {step}, rank {rank} has other weights than rank 0")]

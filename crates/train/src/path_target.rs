@@ -127,6 +127,56 @@ impl PathTarget {
         })
     }
 
+    /// A motion that is near the path already, moved onto it frame by frame and not turned: its feet held
+    /// where they stand with `fix_feet`. It keeps the pace of the course.
+    ///
+    /// # Errors
+    /// If it is not of the skeleton.
+    pub fn corrected(
+        &self,
+        joints: &Joints,
+        skeleton: &Skeleton,
+        fix_feet: bool,
+    ) -> Result<Followed, Error> {
+        // A body sways from foot to foot; what is moved is its way without that.
+        let fps = skeleton.description().fps;
+        let way = way(&joints.track(0), fps);
+        let track = joints
+            .track(0)
+            .into_iter()
+            .zip(way)
+            .zip(&self.course.points);
+        let track = track.map(|(([x, _, z], [way_x, way_z]), [to_x, to_z])| {
+            [x + to_x - way_x, z + to_z - way_z]
+        });
+        let track: Vec<[f64; 2]> = track.collect();
+        let moved = placed(joints, &track, &vec![0.0; track.len()])?;
+        self.with_feet(moved, joints, skeleton, fix_feet)
+    }
+
+    /// `moved` with the feet that stood in `before` held, where that is asked for, and how it follows.
+    fn with_feet(
+        &self,
+        moved: Joints,
+        before: &Joints,
+        skeleton: &Skeleton,
+        fix_feet: bool,
+    ) -> Result<Followed, Error> {
+        let (joints, legs_short) = match fix_feet {
+            true => {
+                let held = hold(&moved, before, skeleton, &ContactRule::default())?;
+                (held.joints, held.missed)
+            }
+            false => (moved, 0.0),
+        };
+        let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
+        Ok(Followed {
+            joints,
+            report,
+            legs_short,
+        })
+    }
+
     /// A motion that was drawn freely, moved onto the path; its feet held where they stand with
     /// `fix_feet`.
     ///
@@ -160,7 +210,7 @@ impl PathTarget {
             }
             false => (warped.joints, 0.0),
         };
-        let report = PathReport::of(&moved, skeleton, &line, &warped.course)?;
+        let report = PathReport::of(&moved, skeleton, &line, &self.course)?;
         Ok(Followed {
             joints: moved,
             report,
@@ -175,6 +225,23 @@ pub(crate) fn fastest(statistics: &Statistics, first: usize, scale: f64) -> Opti
     let [min, max] = statistics.range.as_ref()?;
     let of = |channel: usize| min[channel].abs().max(max[channel].abs());
     Some(of(first).max(of(first + 2)) * scale)
+}
+
+/// Seconds over which a way is smoothed: a path does not sway from foot to foot.
+const SMOOTH: f64 = 1.0;
+
+/// The way over the ground of a root that is at `places`, a point for each frame, smoothed.
+pub(crate) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
+    let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
+    let axis = |axis: usize| {
+        let values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        savgol(&values, window, 3, Edges::Fitted)
+    };
+    axis(0)
+        .into_iter()
+        .zip(axis(2))
+        .map(|(x, z)| [x, z])
+        .collect()
 }
 
 /// How a motion follows its path, in words.

@@ -27,6 +27,19 @@ pub struct Together {
     ranks: Rc<dyn Ranks>,
     /// Whether they have agreed on anything yet.
     agreed: Cell<bool>,
+    /// See [`keeps_what_is_learned`](Self::keeps_what_is_learned).
+    keeps: Cell<bool>,
+}
+
+/// What ranks exchange, the first byte of each message.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum About {
+    Outcome = 1,
+    Plan = 2,
+    Weights = 3,
+    Losses = 4,
+    Squares = 5,
+    End = 6,
 }
 
 impl Together {
@@ -35,6 +48,7 @@ impl Together {
         Rc::new(Self {
             ranks,
             agreed: Cell::new(false),
+            keeps: Cell::new(false),
         })
     }
 
@@ -58,6 +72,27 @@ impl Together {
         self.agreed.get()
     }
 
+    /// What every rank says about one thing, in the order of ranks. Collective.
+    ///
+    /// # Panics
+    /// Ends all ranks if another one speaks of something else: they are no longer together.
+    pub(crate) fn gather(&self, about: About, own: &[u8]) -> Vec<Vec<u8>> {
+        let mut message = vec![about as u8];
+        message.extend(own);
+        let mut all = self.ranks.gather(&message);
+        if let Some(other) = all.iter().position(|said| said[0] != about as u8) {
+            log::error!(
+                "rank {} speaks of {about:?} and rank {other} of something else: all ranks end",
+                self.ranks.rank()
+            );
+            self.ranks.abort(70);
+        }
+        for said in &mut all {
+            said.remove(0);
+        }
+        all
+    }
+
     /// This rank's outcome and what all ranks say, if all of them go on; none if one stops. Collective.
     ///
     /// # Errors
@@ -69,6 +104,7 @@ impl Together {
     ) -> Result<Option<(T, Vec<Vec<f64>>)>, Error> {
         self.agreed.set(true);
         if self.ranks.size() == 1 {
+            self.keeps.set(matches!(own, Err(Error::Data(_))));
             return own.map(|own| own.map(|own| (own, vec![said.to_vec()])));
         }
         let (status, code) = match &own {
@@ -79,20 +115,21 @@ impl Together {
         };
         let mut message = vec![status as u8, code];
         message.extend(said.iter().flat_map(|value| value.to_le_bytes()));
-        let all = self.ranks.gather(&message);
+        let all = self.gather(About::Outcome, &message);
+        let of = |status: Status| move |message: &&Vec<u8>| message[0] == status as u8;
         let failed = |message: &Vec<u8>| message[0] >= Status::Failed as u8;
+        // One verdict: it must be the same on all ranks, whatever each has met itself.
+        let of_data = all.iter().any(|message| failed(message));
+        self.keeps
+            .set(of_data && !all.iter().any(|message| of(Status::Failed)(&message)));
         if let Some(rank) = all.iter().position(failed) {
+            let code = all[rank][1];
             return Err(match own {
                 Err(error) => error,
-                Ok(_) => Error::OtherRank {
-                    rank,
-                    code: all[rank][1],
-                    of_data: all[rank][0] == Status::FailedData as u8,
-                },
+                Ok(_) => Error::OtherRank { rank, code },
             });
         }
-        let goes = |message: &Vec<u8>| message[0] == Status::Goes as u8;
-        if !all.iter().all(goes) {
+        if !all.iter().all(|message| of(Status::Goes)(&message)) {
             return Ok(None);
         }
         let values = |message: &Vec<u8>| {
@@ -104,6 +141,46 @@ impl Together {
         };
         let said = all.iter().map(values).collect();
         Ok(own?.map(|own| (own, said)))
+    }
+
+    /// Whether what was learned before the error that [`agree`](Self::agree) has just returned is worth
+    /// keeping, the same on all ranks: the data failed, on whichever of them, and nothing else.
+    pub fn keeps_what_is_learned(&self) -> bool {
+        self.keeps.get()
+    }
+
+    /// Rejects ranks that are not about to do the same. Collective.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] names the first of `what` that differs, by its name.
+    pub(crate) fn must_be_about_the_same(&self, what: &[(&str, &str)]) -> Result<(), Error> {
+        if self.ranks.size() == 1 {
+            return Ok(());
+        }
+        for (name, own) in what {
+            let all = self.gather(
+                About::Plan,
+                Digest::of(own.as_bytes()).to_string().as_bytes(),
+            );
+            if let Some(rank) = all.iter().position(|said| said != &all[0]) {
+                return Err(Error::usage(
+                    format!("rank {rank} has another {name} than rank 0"),
+                    "all ranks need the same command, and see the same files: data, configs and \
+                     checkpoints belong on a file system that they share",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// What ended the run, if anything has on any rank: the first rank that met something itself, and its
+    /// exit code. Collective.
+    pub fn ended_by(&self, own: Option<&Error>) -> Option<(usize, u8)> {
+        let own = own.filter(|error| !matches!(error, Error::OtherRank { .. }));
+        let message = own.map_or([0, 0], |error| [1, error.exit_code()]);
+        let all = self.gather(About::End, &message);
+        let rank = all.iter().position(|said| said[0] == 1)?;
+        Some((rank, all[rank][1]))
     }
 
     /// [`agree`](Self::agree) of what either is done or fails.
@@ -128,7 +205,7 @@ impl Together {
         let values = weights.iter().flatten();
         bytes.extend(values.flat_map(|value| value.to_le_bytes()));
         let own = Digest::of(&bytes).to_string();
-        let all = self.ranks.gather(own.as_bytes());
+        let all = self.gather(About::Weights, own.as_bytes());
         let differs = |other: &Vec<u8>| other != &all[0];
         match all.iter().position(differs) {
             None => Ok(()),

@@ -257,7 +257,7 @@ impl<R: Recipe> Trainer<R> {
             }
             let record = match self.train_step(observer) {
                 // The data failed, not the training: what has been learned is kept.
-                Err(error @ (Error::Data(_) | Error::OtherRank { of_data: true, .. })) => {
+                Err(error) if self.parts.together.keeps_what_is_learned() => {
                     self.save_unless_saved(observer)?;
                     return Err(error);
                 }
@@ -274,7 +274,7 @@ impl<R: Recipe> Trainer<R> {
                 self.save(observer)?;
             }
             if previews {
-                self.preview(observer)?;
+                self.preview(false, observer)?;
             }
         };
         self.parts.together.done(written)?;
@@ -327,7 +327,7 @@ impl<R: Recipe> Trainer<R> {
         };
         let own = squares(&gradients);
         let squares = match &self.owners {
-            Some(owners) => owners.numbers(self.parts.together.ranks(), |index| own[index]),
+            Some(owners) => owners.numbers(&self.parts.together, |index| own[index]),
             None => own,
         };
         let grad_norm = global_norm(&squares);
@@ -406,8 +406,6 @@ impl<R: Recipe> Trainer<R> {
         });
     }
 
-    /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
-    /// score that the best step is selected by, where that is another.
     /// The averaged weights of all parameters.
     fn averages(&self) -> Cow<'_, [Vec<f32>]> {
         match &self.owners {
@@ -437,6 +435,8 @@ impl<R: Recipe> Trainer<R> {
         pairs.map(moments).collect::<Vec<_>>().into()
     }
 
+    /// Measures the averaged weights on the held-out phrases and records it: the loss, and the
+    /// score that the best step is selected by, where that is another.
     fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
         let model = self.model.as_ref().expect("held between updates").valid();
@@ -467,7 +467,15 @@ impl<R: Recipe> Trainer<R> {
     /// Measures and keeps count of the best; true if the weights are the best so far.
     fn validate(&mut self, observer: &mut dyn Observer) -> Result<bool, Error> {
         let measured = self.measure();
-        let (val_loss, score) = self.parts.together.done(measured)?;
+        let own = measured
+            .as_ref()
+            .map_or([f64::NAN; 2], |(val_loss, score)| {
+                [*val_loss, score.unwrap_or(f64::NAN)]
+            });
+        let agreed = self.parts.together.agree(measured.map(Some), &own)?;
+        let ((_, score), said) = agreed.expect("nobody stops here");
+        // What the first rank has measured counts for all: they must decide alike.
+        let (val_loss, score) = (said[0][0], score.map(|_| said[0][1]));
         let best = match score {
             Some(score) => {
                 let before = self.progress.best_score.unwrap_or(f64::INFINITY);

@@ -20,7 +20,7 @@ use super::sample::{checkpoint, say_remark};
 use crate::args::TrainArguments;
 use crate::output;
 use crate::progress::{TrainProgress, duration};
-use crate::ranks::{guarded, ranks, speaks};
+use crate::ranks::{guarded, ranks};
 
 /// Trains, then generates the samples of `sampling.count_at_end`.
 pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, Error> {
@@ -45,6 +45,9 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let started = Instant::now();
     let together = Together::new(ranks()?);
     let ranks = together.ranks();
+    if !together.writes() {
+        output::be_silent();
+    }
     let mut progress = TrainProgress::new(systems);
     let outcome = guarded(ranks, || {
         run::train_together(systems, &request, &together, &mut progress)
@@ -53,15 +56,16 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let outcome = match (outcome, ranks.size()) {
         (outcome, 1) => outcome?,
         (outcome, _) => {
-            let speaks = speaks(ranks, outcome.as_ref().err());
-            match outcome {
-                Ok(outcome) if together.writes() => outcome,
-                Ok(outcome) => {
-                    let interrupted = outcome.ending == Some(Ending::Interrupted);
+            // All end with the code of the first that met something, which alone says what.
+            let ended = together.ended_by(outcome.as_ref().err());
+            match (outcome, ended) {
+                (Err(error), Some((rank, _))) if rank == ranks.rank() => return Err(error),
+                (_, Some((_, code))) => return Ok(ExitCode::from(code)),
+                (outcome, None) if together.writes() => outcome?,
+                (outcome, None) => {
+                    let interrupted = outcome?.ending == Some(Ending::Interrupted);
                     return Ok(ExitCode::from(if interrupted { 130 } else { 0 }));
                 }
-                Err(error) if speaks => return Err(error),
-                Err(error) => return Ok(ExitCode::from(error.exit_code())),
             }
         }
     };

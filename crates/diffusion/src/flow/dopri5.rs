@@ -169,10 +169,29 @@ fn largest<const D: usize>(errors: Tensor<D>) -> f64 {
     let mean_squares = values
         .chunks(of_sample.max(1))
         .map(|sample| sample.iter().map(|value| value * value).sum::<f64>() / sample.len() as f64);
-    // Not `f64::max`, which passes over NaN.
-    let worst = mean_squares.fold(
-        0.0,
-        |worst: f64, next| if next <= worst { worst } else { next },
-    );
+    // Not `f64::max`, which passes over NaN: of any sample it stays.
+    let worst = mean_squares.fold(0.0, |worst: f64, next| {
+        match worst.is_nan() || next <= worst {
+            true => worst,
+            false => next,
+        }
+    });
     worst.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+
+    #[test]
+    fn a_number_that_is_none_is_seen_in_any_sample() {
+        for broken in 0..3 {
+            let mut values = vec![0.1f32, 0.2, 0.3, 0.4, 0.5, 0.6];
+            values[2 * broken] = f32::NAN;
+            let errors = Tensor::<2>::from_data(TensorData::new(values, [3, 2]), &Device::flex());
+            assert!(largest(errors).is_nan(), "sample {broken}");
+        }
+    }
 }

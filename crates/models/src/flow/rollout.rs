@@ -262,7 +262,7 @@ impl FlowRollout {
         let last = frames.clone().narrow(1, rows - 1, 1);
         let text = TensorData::new(self.text.clone(), [1, TEXT_CHANNELS]);
         let text = Tensor::<2>::from_data(text, &self.device);
-        // No motion of training is longer.
+        // Nor is training told of more.
         let poses = self.settings.frames.min(self.space.longest);
         let duration = poses as f32 / self.space.longest as f32;
         let history = History {

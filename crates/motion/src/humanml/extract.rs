@@ -67,15 +67,7 @@ impl Extraction {
         skeleton: &Skeleton,
         joints: &Joints,
     ) -> Result<Features, FeatureError> {
-        let mut places = joints.as_slice().to_vec();
-        let last = joints.frames() - 1;
-        let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));
-        places.extend(
-            now.iter()
-                .zip(before)
-                .map(|(now, before)| plus(*now, minus(*now, *before))),
-        );
-        self.features(skeleton, &Joints::new(places, joints.joints())?)
+        self.features(skeleton, &going_on(joints)?)
     }
 
     /// The features of a clip as it stands: neither rescaled nor moved. Heights are above y = 0,
@@ -144,6 +136,22 @@ impl Extraction {
         }));
         values.into_iter().map(|value| value as f32).collect()
     }
+}
+
+/// The clip with one frame more, which moves on as the last one does.
+///
+/// # Errors
+/// [`FeatureError::NonFinite`] if coordinates are so large that something overflows.
+pub fn going_on(joints: &Joints) -> Result<Joints, FeatureError> {
+    let mut places = joints.as_slice().to_vec();
+    let last = joints.frames() - 1;
+    let (before, now) = (joints.frame(last.saturating_sub(1)), joints.frame(last));
+    places.extend(
+        now.iter()
+            .zip(before)
+            .map(|(now, before)| plus(*now, minus(*now, *before))),
+    );
+    Joints::new(places, joints.joints())
 }
 
 /// The joints of one frame with the root's place on the ground subtracted, turned by the root

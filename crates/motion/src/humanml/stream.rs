@@ -27,6 +27,9 @@ struct Posed {
     rotations: Vec<Quaternion>,
 }
 
+/// Furthest place of a joint from the origin along each axis, metres.
+const FURTHEST: f64 = 1e15;
+
 impl FeatureStream {
     /// A stream before its first frame, whose joints of a foot stand below `contact_threshold`
     /// ([`Extraction::contact_threshold`]).
@@ -75,7 +78,8 @@ impl FeatureStream {
             frame: self.frames,
             entry,
         };
-        let bad = |place: &[f64; 3]| !place.iter().all(|value| value.is_finite());
+        // What is further away overflows in the squares of the next row. False for NaN.
+        let bad = |place: &[f64; 3]| !place.iter().all(|value| value.abs() <= FURTHEST);
         if let Some(joint) = frame.iter().position(bad) {
             return Err(not_finite("joints", format!("joint {joint}")));
         }
@@ -265,7 +269,11 @@ mod tests {
         );
         spoiled[5][2] = 1e300;
         let error = stream.push(&spoiled).unwrap_err().to_string();
-        assert!(error.contains("features"), "{error}");
+        assert!(error.contains("joint 5"), "{error}");
+        // In the first frame too, of which there is no row yet.
+        let mut fresh = FeatureStream::new(skeleton.clone(), 0.002).unwrap();
+        assert!(fresh.push(&spoiled).is_err());
+        fresh.push(clip.frame(0)).unwrap();
         let rows = [stream, untouched].map(|mut s| s.push(clip.frame(1)).unwrap());
         assert_eq!(rows[0], rows[1]);
         assert!(FeatureStream::new(skeleton, -1.0).is_err());

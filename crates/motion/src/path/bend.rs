@@ -4,9 +4,10 @@ use std::f64::consts::TAU;
 
 use kinegrad_random::Key;
 
-use super::course::walked;
-use super::placed;
+use super::headings::calm;
+use super::{Warp, between, placed};
 use crate::feet::{ContactRule, hold};
+use crate::humanml::extract::{canonicalize, going_on};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
 /// Largest curvature of the whole way, radians a metre: a circle of 1.25 m.
@@ -15,6 +16,8 @@ const CURVATURE: f64 = 0.8;
 const AMPLITUDE: f64 = 0.5;
 /// Shortest and longest wave, metres.
 const WAVES: [f64; 2] = [2.0, 6.0];
+/// What a foot may miss of where it stands, metres.
+const MISSED: f64 = 0.05;
 
 /// How a way is bent: its direction turns by an angle that depends on the metres walked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,13 +53,21 @@ impl Bend {
         self.curvature * metres + self.waves.map(wave).iter().sum::<f64>()
     }
 
-    /// `joints` on the bent way: each step and the body turned by the angle of its place. The way keeps
-    /// its length, steps and heights stay what they are.
-    pub fn apply(&self, joints: &Joints) -> Joints {
+    /// `joints` of so many frames a second on the bent way: each step and the body turned by the angle of
+    /// its place. The way keeps its length, steps and heights stay what they are. Metres count where the
+    /// body goes, without its sway: one that stands is not turned.
+    pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
-        let turns = walked(&track).into_iter().map(|metres| self.turn(metres));
-        let turns: Vec<f64> = turns.collect();
+        let mut metres = 0.0;
+        let mut turns = vec![self.turn(0.0)];
+        for pair in calm(&track).windows(2) {
+            let step = between(pair[0], pair[1]);
+            if step * fps >= Warp::STANDING {
+                metres += step;
+            }
+            turns.push(self.turn(metres));
+        }
         let mut points = track.clone();
         for t in 1..track.len() {
             let (sin, cos) = (0.5 * (turns[t - 1] + turns[t])).sin_cos();
@@ -67,7 +78,8 @@ impl Bend {
         placed(joints, &points, &turns).expect("a point and a turn for each frame")
     }
 
-    /// The features of a clip on the bent way, its feet held where they stand; with relative root.
+    /// The features of a clip on the bent way, its feet held where they stand; with relative root. One
+    /// whose legs do not reach stays as it is.
     ///
     /// # Errors
     /// [`FeatureError::TooFewFrames`] for a single frame; [`FeatureError::LengthMismatch`] unless they
@@ -78,13 +90,18 @@ impl Bend {
         skeleton: &Skeleton,
     ) -> Result<Features, FeatureError> {
         let joints = features.joints();
-        let rule = ContactRule::default();
-        let held = hold(&self.apply(&joints), &joints, skeleton, &rule)?;
-        let extraction = Extraction {
-            rescale: false,
-            ..Extraction::default()
-        };
-        extraction.features_of_all_frames(skeleton, &held.joints)
+        let bent = self.apply(&joints, skeleton.description().fps);
+        let held = hold(&bent, &joints, skeleton, &ContactRule::default())?;
+        if held.missed > MISSED {
+            return Ok(features.to_relative());
+        }
+        // Features begin at the origin; the floor is the clip's, not this part's lowest joint.
+        let joints = going_on(&held.joints)?;
+        let moved = canonicalize(skeleton, &joints)?;
+        let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
+        let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + floor, *z]);
+        let lifted = Joints::new(places.collect(), joints.joints())?;
+        Extraction::default().features_in_place(skeleton, &lifted)
     }
 }
 
@@ -96,6 +113,7 @@ mod tests {
     use crate::humanml::kinematics::minus;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::skating_ratio;
+    use crate::path::course::walked;
     use crate::path::{headings_of_gait, unwrapped};
     use crate::rotation::length;
 
@@ -121,7 +139,7 @@ mod tests {
             curvature: -0.5,
             waves: [[0.0, 2.0, 0.0]; 2],
         };
-        let bent = bend.apply(&joints);
+        let bent = bend.apply(&joints, 20.0);
         let metres = |joints: &Joints| {
             let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
             walked(&track)[80]
@@ -137,7 +155,7 @@ mod tests {
         let (joints, skeleton) = straight(60);
         let key = Key::new(3, Purpose::Augment);
         let bent: Vec<Joints> = (0..20)
-            .map(|n| Bend::drawn(key.at(n)).apply(&joints))
+            .map(|n| Bend::drawn(key.at(n)).apply(&joints, 20.0))
             .collect();
         let ends: Vec<f64> = bent.iter().map(|bent| heading_at(bent, 59)).collect();
         let most = ends.iter().copied().fold(f64::MIN, f64::max);
@@ -169,11 +187,47 @@ mod tests {
             let bend = Bend::drawn(Key::new(8, Purpose::Augment).at(n));
             let made = bend.of_features(&features, &skeleton).unwrap();
             assert_eq!(made.frames(), features.frames());
-            let (found, asked) = (made.joints(), bend.apply(&features.joints()));
+            let (found, asked) = (made.joints(), bend.apply(&features.joints(), 20.0));
             let turned = |joints: &Joints| heading_at(joints, 65) - heading_at(joints, 5);
             let apart = turned(&found) - turned(&asked);
             assert!(apart.abs() < 0.05, "{apart}");
             assert!(skates(&found) <= before + 0.05, "{}", skates(&found));
         }
+    }
+
+    #[test]
+    fn a_body_that_stands_and_sways_is_not_turned_and_floors_stay() {
+        let (joints, skeleton) = straight(60);
+        let still = joints.frame(7).to_vec();
+        // Half a metre above the floor, swaying by a centimetre.
+        let places = (0..60).flat_map(|t| {
+            let (a, b) = (
+                0.01 * (0.9 * f64::from(t)).sin(),
+                0.01 * (1.3 * f64::from(t)).cos(),
+            );
+            still.iter().map(move |[x, y, z]| [x + a, y + 0.5, z + b])
+        });
+        let standing = Joints::new(places.collect(), 22).unwrap();
+        let features = Extraction {
+            rescale: false,
+            ..Extraction::default()
+        };
+        let joints = going_on(&standing).unwrap();
+        let moved = canonicalize(&skeleton, &joints).unwrap();
+        let places = moved.as_slice().iter().map(|[x, y, z]| [*x, y + 0.5, *z]);
+        let lifted = Joints::new(places.collect(), 22).unwrap();
+        let features = features.features_in_place(&skeleton, &lifted).unwrap();
+        let bend = Bend {
+            curvature: 0.8,
+            waves: [[0.5, 2.0, 1.0]; 2],
+        };
+        let bent = bend.of_features(&features, &skeleton).unwrap();
+        let pairs = features
+            .joints()
+            .to_f32()
+            .into_iter()
+            .zip(bent.joints().to_f32());
+        let apart = pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()));
+        assert!(apart < 0.01, "{apart}");
     }
 }

@@ -49,13 +49,20 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
 /// Where somebody goes who is at `track`, frame by frame: headings of the track without its sway, held
 /// while the step is shorter than `least` metres.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
+    headings_above(&gradient(&calm(track)), least.max(STILL))
+}
+
+/// A track without the sway of its steps.
+pub(super) fn calm(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let axis = |i: usize| {
         let values: Vec<f64> = track.iter().map(|point| point[i]).collect();
         savgol(&values, GAIT_WINDOW, 1, Edges::Fitted)
     };
-    let (x, z) = (axis(0), axis(1));
-    let calm: Vec<[f64; 2]> = x.into_iter().zip(z).map(|(x, z)| [x, z]).collect();
-    headings_above(&gradient(&calm), least.max(STILL))
+    axis(0)
+        .into_iter()
+        .zip(axis(1))
+        .map(|(x, z)| [x, z])
+        .collect()
 }
 
 /// Frames that a gait is averaged over: about a step of a walk.

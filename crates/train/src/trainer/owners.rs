@@ -6,6 +6,8 @@ use std::cmp::Reverse;
 
 use kinegrad_ranks::Ranks;
 
+use crate::together::{About, Together};
+
 /// Which rank keeps the optimiser's state and the moving average of each parameter.
 #[derive(Clone, Debug)]
 pub(super) struct Owners {
@@ -74,13 +76,13 @@ impl Owners {
     }
 
     /// A number of each tensor, known to its owner.
-    pub fn numbers(&self, ranks: &dyn Ranks, own: impl Fn(usize) -> f64) -> Vec<f64> {
+    pub fn numbers(&self, together: &Together, own: impl Fn(usize) -> f64) -> Vec<f64> {
         let said: Vec<u8> = self
             .of_rank(self.rank)
             .flat_map(|index| own(index).to_le_bytes())
             .collect();
         let mut all = vec![0.0; self.of.len()];
-        for (rank, said) in ranks.gather(&said).iter().enumerate() {
+        for (rank, said) in together.gather(About::Squares, &said).iter().enumerate() {
             let (numbers, _) = said.as_chunks::<8>();
             for (index, number) in self.of_rank(rank).zip(numbers) {
                 all[index] = f64::from_le_bytes(*number);
@@ -123,7 +125,7 @@ mod tests {
         let owners = Owners::new(&Alone, vec![2, 0, 1]);
         assert_eq!(owners.sums(&Alone, tensors.clone()), tensors);
         assert_eq!(owners.gathered(&Alone, &tensors), tensors);
-        let numbers = owners.numbers(&Alone, |index| index as f64);
+        let numbers = owners.numbers(&Together::alone(), |index| index as f64);
         assert_eq!(numbers, [0.0, 1.0, 2.0]);
     }
 }

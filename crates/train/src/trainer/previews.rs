@@ -15,20 +15,33 @@ impl<R: Recipe> Trainer<R> {
 
     /// Draws what a process that ended at this step has left undone.
     pub(super) fn preview_if_missing(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
-        let drawn = preview_page(&self.parts.folder, self.step).exists();
-        match self.previews_are_due() && !drawn {
-            true => self.preview(observer),
+        match self.previews_are_due() {
+            true => {
+                let drawn = preview_page(&self.parts.folder, self.step).exists();
+                self.preview(drawn, observer)
+            }
             false => Ok(()),
         }
     }
 
     /// Lets the observer draw samples of this step's checkpoint, which is written, and records their
-    /// pictures. Where that fails, training goes on; where it is about to stop, they are drawn when
-    /// it is resumed.
-    pub(super) fn preview(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
-        if observer.stop_requested() || !self.parts.together.writes() {
-            return Ok(());
-        }
+    /// pictures, unless they are `drawn`. Where that fails, training goes on; where it is about to stop,
+    /// they are drawn when it is resumed. The rank that writes draws, and all know how that has ended.
+    pub(super) fn preview(
+        &mut self,
+        drawn: bool,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        let together = self.parts.together.clone();
+        let draws = together.writes() && !drawn && !observer.stop_requested();
+        let recorded = match draws {
+            true => self.draw_previews(observer),
+            false => Ok(()),
+        };
+        together.done(recorded)
+    }
+
+    fn draw_previews(&mut self, observer: &mut dyn Observer) -> Result<(), Error> {
         let checkpoint = self.checkpoints.step_path(self.step);
         match observer.preview(&checkpoint, self.step) {
             Ok(previews) => {

@@ -84,6 +84,8 @@ pub enum PathMethod {
     Tokens,
     /// Both: told and guided.
     TokensGuidance,
+    /// Told, and what is left moved onto the path afterwards.
+    TokensWarp,
 }
 
 impl PathMethod {
@@ -107,7 +109,7 @@ impl PathMethod {
 
     /// Whether the network is told the path.
     pub fn tells(self) -> bool {
-        matches!(self, Self::Tokens | Self::TokensGuidance)
+        matches!(self, Self::Tokens | Self::TokensGuidance | Self::TokensWarp)
     }
 }
 
@@ -160,6 +162,10 @@ pub(super) fn finish(
     let joints = features.joints();
     match config.method {
         PathMethod::Warp => target.warped(&joints, skeleton, config.fix_feet),
+        PathMethod::TokensWarp => {
+            let near = target.placed(&joints, skeleton)?;
+            target.corrected(&near.joints, skeleton, config.fix_feet)
+        }
         _ => target.placed(&joints, skeleton),
     }
 }

@@ -4,15 +4,14 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_models::blended::PATH_CHANNELS;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
-use kinegrad_motion::path::{Edges, PathFeatures, savgol};
+use kinegrad_motion::path::PathFeatures;
+
+use crate::path_target::way;
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
 /// Sharpest turn that is told, radians a metre: a body that stands sways on the spot.
 const SHARPEST: f32 = 3.0;
-/// Seconds over which the way of a clip is smoothed: a path does not sway from foot to foot.
-const SMOOTH: f64 = 1.0;
-
 /// The ways of training clips, as the paths that they follow.
 #[derive(Clone, Debug)]
 pub(super) struct Ways {
@@ -54,20 +53,6 @@ impl Ways {
         let data = TensorData::new(told, [batch, PATH_CHANNELS, time]);
         Tensor::from_data(data, &x_start.device())
     }
-}
-
-/// The way over the ground of a root that is at `places`, a point for each frame, smoothed.
-pub(super) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
-    let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
-    let axis = |axis: usize| {
-        let values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
-        savgol(&values, window, 3, Edges::Fitted)
-    };
-    axis(0)
-        .into_iter()
-        .zip(axis(2))
-        .map(|(x, z)| [x, z])
-        .collect()
 }
 
 /// What is told of one path, a point for each frame: `[1, PATH_CHANNELS, frames]`.

@@ -15,12 +15,11 @@ use serde::Serialize;
 
 use super::path::finish;
 use super::report::distance;
-use super::told::way;
 use super::{ComposeEvaluationConfig, Composer, Line};
 use crate::captions::ClipText;
 use crate::error::Error;
 use crate::evaluation::OnStep;
-use crate::path_target::{PathTarget, features_of};
+use crate::path_target::{PathTarget, features_of, way};
 use crate::sampling::item_seed;
 
 /// The shortest way that is followed, metres: who stays where he is follows none.

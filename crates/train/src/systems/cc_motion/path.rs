@@ -191,13 +191,21 @@ impl PhrasePath {
         }
         let length = windows.length();
         let channels = predicted.len() / (windows.len() * length);
+        let all = channels_of(&self.points);
         for window in 0..windows.len() {
-            let points = self.seen(windows.of(window));
-            for (channel, values) in channels_of(&points) {
+            let frames = windows.of(window);
+            for (channel, values) in &all {
+                let (channel, values) = (*channel, &values[frames.clone()]);
+                // Places are seen from the window's beginning.
+                let origin = if POSITION.contains(&channel) {
+                    values[0]
+                } else {
+                    0.0
+                };
                 let (mean, std) = (statistics.mean[channel], statistics.std[channel]);
                 let first = (window * channels + channel) * length;
-                for (t, value) in values.into_iter().enumerate() {
-                    predicted[first + t] = ((value - mean) / std) as f32;
+                for (t, value) in values.iter().enumerate() {
+                    predicted[first + t] = ((value - origin - mean) / std) as f32;
                 }
             }
         }

@@ -76,7 +76,7 @@ impl Generator {
         let raw = match &self.decoder {
             None => {
                 let mut values = latents;
-                let all = self.stitched(&whole.windows, &mut values, normalized.as_ref());
+                let all = self.stitched(whole, &mut values, normalized.as_ref());
                 self.predicted(&all)?
             }
             Some(_) => self.decoded(whole, physical.as_ref(), &latents)?.into(),
@@ -116,24 +116,26 @@ impl Generator {
     }
 
     /// Windows as the network predicts them, as one motion of which each becomes its part.
-    fn stitched(&self, windows: &Windows, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
+    fn stitched(&self, whole: &Whole<'_>, values: &mut [f32], known: Option<&Known>) -> Vec<f32> {
         let turning = Turning {
             layout: Layout::Predicted(self.targets),
             statistics: Some(self.state.normalization()),
         };
-        self.turned_and_stitched(turning, windows, values, known)
+        self.turned_and_stitched(turning, whole, values, known)
     }
 
     /// Windows as one motion, of which each becomes its part, where it stood and as it was turned. A
-    /// model that was trained on one heading draws windows that agree, and they stay as they are.
+    /// model that was trained on one heading draws windows that agree, and so do those along a path, which
+    /// is where it is: they stay as they are.
     fn turned_and_stitched(
         &self,
         turning: Turning<'_>,
-        windows: &Windows,
+        whole: &Whole<'_>,
         values: &mut [f32],
         known: Option<&Known>,
     ) -> Vec<f32> {
-        if !self.state.config.data.augment.rotate_yaw {
+        let windows = &whole.windows;
+        if !self.state.config.data.augment.rotate_yaw || whole.path.is_some() {
             return windows.stitch(values, known, turning.layout);
         }
         let angles = turning.angles(windows, values, known);
@@ -198,7 +200,7 @@ impl Generator {
             if let Some(path) = whole.path {
                 path.put(&mut predicted, windows, statistics, timesteps[0]);
             }
-            self.stitched(windows, &mut predicted, known);
+            self.stitched(whole, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);
             // What the network would have said, had it predicted that.
             let model_output = self.diffusion.convert(
@@ -271,7 +273,7 @@ impl Generator {
             layout: Layout::Phrase,
             statistics: None,
         };
-        let all = self.turned_and_stitched(turning, windows, &mut decoded, known);
+        let all = self.turned_and_stitched(turning, whole, &mut decoded, known);
         let mut motion = Motion::from_channel_major(&all, windows.frames())?;
         let coherence = decoder.coherence();
         if coherence != Coherence::None {

@@ -11,6 +11,7 @@ use serde::Serialize;
 use serde_json::to_value;
 
 use super::report::RolloutReport;
+use super::sample::untaught_guidance;
 use super::{FlowGenerator, FlowTables, RolloutEvaluationConfig};
 use crate::captions::{ClipText, must_know_texts};
 use crate::clips::{dataset_or, with_held_out};
@@ -55,7 +56,7 @@ pub(super) fn prepare<'a>(
         "a run of recipe `flow`",
         "leave it out",
     )?;
-    let asked = FlowTables::of(&subject.config)?.evaluation;
+    let own = FlowTables::of(&subject.config)?;
     let sampler = FlowSamplerConfig::of(&subject.config.sampling.sampler)?;
     let data = dataset_or(&subject.config.data, request.source.as_deref());
     let dataset = with_held_out(
@@ -63,8 +64,12 @@ pub(super) fn prepare<'a>(
         &subject.checkpoint,
         "motions go on from held-out clips",
     )?;
-    let held_out = dataset.validation.evenly(asked.rollouts)?;
+    let held_out = dataset.validation.evenly(own.evaluation.rollouts)?;
     let mut remarks = Vec::new();
+    if let Some(warning) = untaught_guidance(subject, &own) {
+        remarks.push(format!("warning: {warning}"));
+    }
+    let asked = own.evaluation;
     if held_out.len() < asked.rollouts {
         remarks.push(format!(
             "note: {} clips are held out for {}, fewer than {} rollouts",
@@ -107,12 +112,14 @@ fn evaluate(
 ) -> Result<RolloutEvaluation, Error> {
     let skeleton = generator.space().skeleton.clone();
     let needed = generator.shortest_history();
+    // The same beginnings, however long a run's histories are.
+    let begin = needed.max(RolloutReport::SHORTEST);
     let all = held_out.len() * settings.frames;
     let (mut drawn, mut real) = (Vec::new(), Vec::new());
     let mut evaluations = 0;
     for (number, clip) in held_out.iter().enumerate() {
         let joints = clip.features.joints();
-        let history = part(&joints, 0, needed);
+        let history = part(&joints, begin - needed, begin);
         let key = Key::new(item_seed(seed, &clip.id), Purpose::Sampling);
         let frames = settings.frames;
         let rollout = generator.rollout(&history, frames, sampler, &settings, key);
@@ -130,7 +137,7 @@ fn evaluate(
         evaluations += rollout.evaluations();
         let motion = Joints::new(places, skeleton.joints()).expect("whole frames");
         drawn.push((bones(&skeleton, &history), motion));
-        let rest = part(&joints, needed, joints.frames());
+        let rest = part(&joints, begin, joints.frames());
         if rest.frames() >= RolloutReport::SHORTEST {
             real.push((bones(&skeleton, &history), rest));
         }

@@ -1,5 +1,6 @@
 //! Sampling motion that goes on from a history.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,6 +10,7 @@ use kinegrad_diffusion::FlowSamplerConfig;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_random::{Key, Purpose};
 
+use super::report::bone_lengths;
 use super::{Flow, FlowGenerator, FlowTables, PoseSpace};
 use crate::captions::{ClipText, TextInput, must_know_texts, text_of};
 use crate::clips::{clips_named, dataset_or};
@@ -82,10 +84,13 @@ pub(super) fn sample(
     let starts = starts(subject, request, receiver, &space)?;
     if script.frames > longest {
         receiver.note(&format!(
-            "{} frames are more than the longest motion of training, {longest}: the model is told \
-             that length, and goes on",
+            "{} frames are more than `data.target_frames`, {longest}, the longest motion that the model is \
+             told of: it is told that length, and goes on",
             script.frames
         ));
+    }
+    if let Some(warning) = untaught_guidance(subject, &own) {
+        receiver.warning(&warning);
     }
     let names = Names {
         stems: starts.iter().map(|start| start.stem.clone()).collect(),
@@ -272,6 +277,24 @@ fn starts(
     chosen.iter().map(start).collect()
 }
 
+/// What to say of guidance with a network that was always told its text.
+pub(super) fn untaught_guidance(subject: &Subject, own: &FlowTables) -> Option<String> {
+    let scale = subject.config.sampling.sampler.guidance_scale;
+    let guided = scale != 1.0 && own.pose.cond_drop_prob == 0.0;
+    guided.then(|| {
+        format!(
+            "`sampling.sampler.guidance_scale` is {scale}, and the run was trained with \
+             `pose.cond_drop_prob = 0`: it does not know what motion without a text is"
+        )
+    })
+}
+
+/// Furthest place of a history from the origin, metres.
+const FURTHEST: f32 = 1e4;
+
+/// Lengths of bones, metres: of bodies, not of numbers in other units.
+const BONES: RangeInclusive<f64> = 0.005..=3.0;
+
 /// Joints `[T, J, 3]`.
 fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     let array = read_array(path)?;
@@ -287,17 +310,41 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     if !matches!(array.shape[..], [_, found, 3] if found == joints) {
         return Err(refused(format!("an array of shape {:?}", array.shape)));
     }
-    let bad = array.values.iter().position(|value| !value.is_finite());
+    // False for NaN.
+    let bad = array
+        .values
+        .iter()
+        .position(|value| !(value.abs() <= FURTHEST));
     if let Some(place) = bad {
-        let frame = place / (3 * joints);
+        let (frame, value) = (place / (3 * joints), array.values[place]);
         return Err(refused(format!(
-            "frame {frame} has a number that is not finite"
+            "frame {frame} has the number {value}: a place is at most {FURTHEST} m from the origin"
         )));
     }
     if array.shape[0] < needed {
         return Err(refused(format!("{} frames", array.shape[0])));
     }
     let found = Joints::from_f32(&array.values, joints)?;
+    let last = found.frame(found.frames() - 1);
+    let lengths = bone_lengths(&space.skeleton, last).into_iter();
+    for ((joint, name), length) in space
+        .skeleton
+        .description()
+        .joint_names
+        .iter()
+        .enumerate()
+        .skip(1)
+        .zip(lengths)
+    {
+        if !BONES.contains(&length) {
+            return Err(refused(format!(
+                "the bone to joint {joint} ({name}) is {length:.4} m long in the last frame, allowed: {} to \
+                 {} m",
+                BONES.start(),
+                BONES.end()
+            )));
+        }
+    }
     // What no features can be made of is refused with the file's name.
     let rows = space.rows(&found);
     rows.map_err(|error| refused(error.to_string()))?;

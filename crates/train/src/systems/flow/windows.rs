@@ -250,7 +250,7 @@ impl Samples for PoseWindows {
 /// Progress and duration of pose number `pose` of so many.
 pub(super) fn place(pose: usize, poses: usize, longest: usize) -> [f32; 2] {
     let behind = pose as f32 / (poses - 1).max(1) as f32;
-    [1.0 - behind, poses as f32 / longest as f32]
+    [1.0 - behind, poses.min(longest) as f32 / longest as f32]
 }
 
 /// Some frames, turned about the vertical axis by an angle in radians.
@@ -264,14 +264,18 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
 /// network can tell from a history every pose would take back another guess.
 const RETURN: f64 = 0.1;
 
+/// Steps of a history over which a drift grows to its deviation: those of the document's histories. Of
+/// shorter ones it is as quick, and ends nearer.
+const DRIFT_STEPS: f64 = 16.0;
+
 /// The frames with a random walk added to all but the last, of the whole body and of each joint
-/// beside it, either of which ends `deviation` metres from where it began; the last has what
+/// beside it, either of which is `deviation` metres from where it began after [`DRIFT_STEPS`]; the last has what
 /// [`RETURN`] leaves of it: a target taken from the last two leads that part of the way back to where
 /// the body was recorded.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;
-    let step = deviation / (steps as f64).sqrt();
+    let step = deviation / DRIFT_STEPS.sqrt();
     let normals = key.normals(steps * (joints + 1) * 3);
     let mut drift = vec![[0.0; 3]; joints + 1];
     let mut places = Vec::with_capacity(frames * joints);
