@@ -79,6 +79,19 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
         );
         assert_eq!(found["real"], free["real"]);
     }
+    // All of a network that knows no paths is trained on with them.
+    sandbox
+        .run("train c.toml --name plain --set train.max_steps=4")
+        .succeeded();
+    let line = "train c.toml --name from --set init.diffusion=runs/plain --set model.path=true --set \
+                train.max_steps=4";
+    sandbox.run(line).succeeded();
+    sandbox
+        .run(&line.replace(
+            " --set train.max_steps=4",
+            " --set train.max_steps=6 --resume",
+        ))
+        .succeeded();
     let told = eval("tokens");
     assert_ne!(told["drawn"], free["drawn"]);
     for (line, expected) in [

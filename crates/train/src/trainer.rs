@@ -22,7 +22,7 @@ use crate::config::{Config, OptimConfig, WeightDecayGroups};
 use crate::ema::Ema;
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
-use crate::optim::{AdamW, Moments, clip_factor, global_norm, learning_rate, squares};
+use crate::optim::{AdamW, Moments, clip_factor, learning_rate, norm_of_squares, squares};
 use crate::parameter_count::is_adapter;
 use crate::recipe::{Measured, Recipe};
 use crate::telemetry::{LoaderLog, Metrics, Record};
@@ -330,7 +330,7 @@ impl<R: Recipe> Trainer<R> {
             Some(owners) => owners.numbers(&self.parts.together, |index| own[index]),
             None => own,
         };
-        let grad_norm = global_norm(&squares);
+        let grad_norm = norm_of_squares(&squares);
         if !grad_norm.is_finite() {
             let broken = squares.iter().position(|square| !square.is_finite());
             let name = broken.map_or("gradients", |index| self.infos[index].name.as_str());

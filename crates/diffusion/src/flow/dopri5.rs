@@ -181,7 +181,7 @@ fn largest<const D: usize>(errors: Tensor<D>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::Device;
+    use burn::tensor::{Device, TensorData};
 
     use super::*;
 

@@ -6,9 +6,14 @@ pub fn squares(gradients: &[Vec<f32>]) -> Vec<f64> {
     squares.collect()
 }
 
-/// The Euclidean norm over all tensors together, of which these are the sums of [`squares`], in one order.
-pub fn global_norm(squares: &[f64]) -> f64 {
+/// The Euclidean norm over all tensors together, of which these are the [`squares`], in one order.
+pub fn norm_of_squares(squares: &[f64]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
+}
+
+/// The Euclidean norm over all tensors together, in f64 and in one order.
+pub fn global_norm(gradients: &[Vec<f32>]) -> f64 {
+    norm_of_squares(&squares(gradients))
 }
 
 /// What gradients of global norm `norm` are multiplied by to keep it at most `max_norm`; 1 when

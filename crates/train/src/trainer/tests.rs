@@ -11,6 +11,7 @@ use super::*;
 use crate::config::WeightDecayGroups;
 use crate::denoising::Inputs;
 use crate::observer::RunSummary;
+use crate::recipe::{Loss, StepKey};
 use crate::systems::BUILT_IN;
 
 /// The mean over valid frames of a linear map's square: a loss without draws.

@@ -62,6 +62,15 @@ pub(super) fn with_paths(mut tables: Table) -> Table {
     tables
 }
 
+/// Whether a run trains a network that is told paths, which one to start from need not be.
+///
+/// # Errors
+/// If the config is of another system.
+pub(super) fn tells_paths(config: &Config) -> Result<bool, Error> {
+    let told = BpeTables::of(config)?.model.network.sizes().path;
+    Ok(told || config.train.recipe == ADAPTER)
+}
+
 /// The tables of this system.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

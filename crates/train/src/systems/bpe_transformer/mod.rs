@@ -113,9 +113,9 @@ impl System for BpeTransformer {
                 start.map(tables).transpose()?
             }
         };
-        Ok(tables.map(|tables| match config.train.recipe == ADAPTER {
-            true => config::with_paths(tables),
-            false => tables,
+        Ok(tables.map(|tables| match config::tells_paths(config) {
+            Ok(true) => config::with_paths(tables),
+            _ => tables,
         }))
     }
 

@@ -9,7 +9,7 @@ use kinegrad_models::{Initializer, parameters};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 use kinegrad_motion::{Representation, Statistics};
 
-use super::config::with_paths;
+use super::config::{tells_paths, with_paths};
 use super::{ADAPTER, BpeTables, INHERITED};
 use crate::captions::TextInput;
 use crate::checkpoint::{State, Weights, read_weights};
@@ -71,7 +71,7 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     }
     let mut base = state.config.clone();
     let known = BpeTables::of(&base)?.model.network.sizes().path;
-    if config.train.recipe == ADAPTER && !known {
+    if tells_paths(config)? && !known {
         base.system = with_paths(base.system);
     }
     must_agree::<BpeTables>(config, &base, &INHERITED)?;
