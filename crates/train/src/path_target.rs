@@ -105,7 +105,7 @@ impl PathTarget {
     }
 
     /// Ground positions as they are seen from the path's start, on the path itself.
-    pub(crate) fn from_origin(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    pub(crate) fn on_path(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let ([x0, z0], (sin, cos)) = (self.course.points[0], self.headings[0].sin_cos());
         let moved = |[x, z]: &[f64; 2]| [x0 + x * cos + z * sin, z0 - x * sin + z * cos];
         points.iter().map(moved).collect()
@@ -118,7 +118,7 @@ impl PathTarget {
     pub fn placed(&self, joints: &Joints, skeleton: &Skeleton) -> Result<Followed, Error> {
         let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = vec![self.headings[0]; track.len()];
-        let joints = placed(joints, &self.from_origin(&track), &turns)?;
+        let joints = placed(joints, &self.on_path(&track), &turns)?;
         let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
         Ok(Followed {
             joints,

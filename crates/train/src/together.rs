@@ -21,6 +21,9 @@ enum Status {
     FailedData = 3,
 }
 
+/// What a rank has and what all ranks say, in their order; none where one of them stops.
+pub type Agreed<T> = Option<(T, Vec<Vec<f64>>)>;
+
 /// The ranks of a run.
 #[derive(Debug)]
 pub struct Together {
@@ -101,7 +104,7 @@ impl Together {
         &self,
         own: Result<Option<T>, Error>,
         said: &[f64],
-    ) -> Result<Option<(T, Vec<Vec<f64>>)>, Error> {
+    ) -> Result<Agreed<T>, Error> {
         self.agreed.set(true);
         if self.ranks.size() == 1 {
             self.keeps.set(matches!(own, Err(Error::Data(_))));
@@ -116,20 +119,21 @@ impl Together {
         let mut message = vec![status as u8, code];
         message.extend(said.iter().flat_map(|value| value.to_le_bytes()));
         let all = self.gather(About::Outcome, &message);
-        let of = |status: Status| move |message: &&Vec<u8>| message[0] == status as u8;
-        let failed = |message: &Vec<u8>| message[0] >= Status::Failed as u8;
-        // One verdict: it must be the same on all ranks, whatever each has met itself.
-        let of_data = all.iter().any(|message| failed(message));
-        self.keeps
-            .set(of_data && !all.iter().any(|message| of(Status::Failed)(&message)));
-        if let Some(rank) = all.iter().position(failed) {
+        let is = |message: &Vec<u8>, status: Status| message[0] == status as u8;
+        let failed =
+            |message: &Vec<u8>| is(message, Status::Failed) || is(message, Status::FailedData);
+        let first = all.iter().position(failed);
+        // One verdict, the same on all ranks whatever each has met itself.
+        let by_data_alone = !all.iter().any(|message| is(message, Status::Failed));
+        self.keeps.set(first.is_some() && by_data_alone);
+        if let Some(rank) = first {
             let code = all[rank][1];
             return Err(match own {
                 Err(error) => error,
                 Ok(_) => Error::OtherRank { rank, code },
             });
         }
-        if !all.iter().all(|message| of(Status::Goes)(&message)) {
+        if !all.iter().all(|message| is(message, Status::Goes)) {
             return Ok(None);
         }
         let values = |message: &Vec<u8>| {

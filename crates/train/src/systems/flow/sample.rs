@@ -310,11 +310,8 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     if !matches!(array.shape[..], [_, found, 3] if found == joints) {
         return Err(refused(format!("an array of shape {:?}", array.shape)));
     }
-    // False for NaN.
-    let bad = array
-        .values
-        .iter()
-        .position(|value| !(value.abs() <= FURTHEST));
+    let near = -FURTHEST..=FURTHEST;
+    let bad = array.values.iter().position(|value| !near.contains(value));
     if let Some(place) = bad {
         let (frame, value) = (place / (3 * joints), array.values[place]);
         return Err(refused(format!(

@@ -88,7 +88,7 @@ impl Along {
         let said = in_words(&placed.report);
         drawn.files = clip_files(features, placed.joints, skeleton);
         if let Some(first) = &sample.path {
-            let first = self.target.from_origin(&first[..frames]);
+            let first = self.target.on_path(&first[..frames]);
             drawn.files.push((PATH, path(&first)));
         }
         drawn.record.path = Some(PathRecord {
