@@ -10,7 +10,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::feet::{ContactRule, hold};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
-    Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, PathPlan, PathReport, Polyline,
+    Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, PathPlan, PathReport, Polyline,
     Turning, Warp, headings_of, placed, savgol, unwrapped,
 };
 
@@ -29,6 +29,14 @@ pub struct PathTarget {
 }
 
 impl PathTarget {
+    /// How bodies are turned on it: as their own way turns, and one that stands not by its sway.
+    const WARP: Warp = Warp {
+        along: Along::Stretch,
+        turning: Turning::Relative,
+        smooth: true,
+        least_speed: Warp::STANDING,
+    };
+
     /// The target of a plan for `frames` frames at `fps` frames per second.
     ///
     /// # Errors
@@ -127,8 +135,8 @@ impl PathTarget {
         })
     }
 
-    /// A motion that is near the path already, moved onto it frame by frame and not turned: its feet held
-    /// where they stand with `fix_feet`. It keeps the pace of the course.
+    /// A motion that is near the path already, moved onto it frame by frame, in the pace of the course, and
+    /// turned as its way turns there: its feet held where they stand with `fix_feet`.
     ///
     /// # Errors
     /// If it is not of the skeleton.
@@ -138,19 +146,20 @@ impl PathTarget {
         skeleton: &Skeleton,
         fix_feet: bool,
     ) -> Result<Followed, Error> {
-        // A body sways from foot to foot; what is moved is its way without that.
         let fps = skeleton.description().fps;
-        let way = way(&joints.track(0), fps);
-        let track = joints
-            .track(0)
-            .into_iter()
-            .zip(way)
-            .zip(&self.course.points);
-        let track = track.map(|(([x, _, z], [way_x, way_z]), [to_x, to_z])| {
-            [x + to_x - way_x, z + to_z - way_z]
+        let root = joints.track(0);
+        let track: Vec<[f64; 2]> = root.iter().map(|[x, _, z]| [*x, *z]).collect();
+        let turns = Self::WARP.turns(joints, skeleton, &track, &self.course);
+        // A body sways from foot to foot; what is moved is its way without that.
+        let way = way(&root, fps);
+        let moved = track.iter().zip(&way).zip(&self.course.points).zip(&turns);
+        let moved = moved.map(|(((place, way), to), turn)| {
+            let [dx, dz] = [0, 1].map(|axis| place[axis] - way[axis]);
+            let (sin, cos) = turn.sin_cos();
+            [to[0] + dx * cos + dz * sin, to[1] - dx * sin + dz * cos]
         });
-        let track: Vec<[f64; 2]> = track.collect();
-        let moved = placed(joints, &track, &vec![0.0; track.len()])?;
+        let moved: Vec<[f64; 2]> = moved.collect();
+        let moved = placed(joints, &moved, &turns)?;
         self.with_feet(moved, joints, skeleton, fix_feet)
     }
 
@@ -188,17 +197,11 @@ impl PathTarget {
         skeleton: &Skeleton,
         fix_feet: bool,
     ) -> Result<Followed, Error> {
-        let warp = Warp {
-            turning: Turning::Relative,
-            smooth: true,
-            least_speed: Warp::STANDING,
-            ..Warp::default()
-        };
         // As far as its speed leads in so many frames.
         let line = self
             .line
             .up_to(self.course.metres.last().copied().unwrap_or(0.0));
-        let warped = warp.apply(joints, skeleton, &line);
+        let warped = Self::WARP.apply(joints, skeleton, &line);
         let warped = warped.map_err(|error| {
             let message = format!("the motion cannot be moved onto the path: {error}");
             Error::usage(message, "docs/paths.md")

@@ -87,7 +87,11 @@ impl Warp {
         })
     }
 
-    fn turns(
+    /// What each frame of `joints`, whose root is at `track`, is turned by about +y on its course, radians.
+    ///
+    /// # Panics
+    /// Panics if there are fewer frames than points of the course.
+    pub fn turns(
         &self,
         joints: &Joints,
         skeleton: &Skeleton,
