@@ -3,6 +3,7 @@
 use std::fs;
 
 use kinegrad_data::read_array;
+use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_tests::captures::wav;
 use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
 use serde_json::Value;
@@ -94,6 +95,30 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
         .succeeded();
     let told = eval("tokens");
     assert_ne!(told["drawn"], free["drawn"]);
+    // Features are of the motion that the joints are of, wherever it was moved to.
+    sandbox.write("quarter.toml", quarter());
+    for method in ["warp", "override", "tokens", "tokens_warp"] {
+        let line = format!(
+            "sample runs/bpe --path quarter.toml --method {method} --frames 40 --out {method}"
+        );
+        sandbox.run(&line).succeeded();
+        let joints = track(&sandbox, &format!("{method}.npy"));
+        let rows = read_array(&sandbox.path(format!("{method}.features.npy"))).expect("features");
+        let layout = Skeleton::humanml3d().layout();
+        let features = Features::new(rows.values, layout, Root::Relative).expect("features");
+        let root = features.joints().track(0);
+        for t in [13, 39] {
+            let gone = (joints[t][0] - joints[0][0]).hypot(joints[t][1] - joints[0][1]);
+            let said = (root[t][0] - root[0][0]).hypot(root[t][2] - root[0][2]);
+            assert!(
+                (gone - said).abs() < 2e-3,
+                "{method}, frame {t}: {gone} {said}"
+            );
+        }
+        if method == "warp" || method == "override" {
+            assert!(off_the_circle(&joints) < 0.02, "{method}");
+        }
+    }
     for (line, expected) in [
         (
             "train c.toml --name x --set paths.drop_prob=0.1",

@@ -32,12 +32,16 @@ class Folder:
         launcher = [*LAUNCHER, "-n", str(ranks)] if ranks > 1 else []
         return [*launcher, BINARY, *arguments.split()]
 
-    def start(self, ranks, arguments):
+    def start(self, ranks, arguments, **environment):
+        """A job of ranks that do the same."""
+        return self.launch(self.command(ranks, arguments), environment)
+
+    def launch(self, command, environment):
         """A job, in a process group of its own."""
         return subprocess.Popen(
-            self.command(ranks, arguments),
+            command,
             cwd=self.path,
-            env=ENVIRONMENT,
+            env=ENVIRONMENT | environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -51,9 +55,18 @@ class Folder:
         assert job.returncode == 0, f"{ranks} ranks, {arguments}: {job.returncode}\n{said}"
         return said
 
-    def fails(self, ranks, arguments):
+    def fails(self, ranks, arguments, **environment):
         """A job that must fail; its exit code and what it says."""
-        job = self.start(ranks, arguments)
+        return self.must_fail(self.start(ranks, arguments, **environment))
+
+    def fails_apart(self, first, second):
+        """A job of two ranks with arguments of their own, which must fail."""
+        one = [BINARY, *first.split()]
+        other = [BINARY, *second.split()]
+        command = [*LAUNCHER, "-n", "1", *one, ":", "-n", "1", *other]
+        return self.must_fail(self.launch(command, {}))
+
+    def must_fail(self, job):
         said, _ = job.communicate(timeout=120)
         assert job.returncode != 0, said
         return job.returncode, said

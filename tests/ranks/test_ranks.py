@@ -158,6 +158,33 @@ class Ranks(unittest.TestCase):
         code, said = self.folder.fails(2, f"{line} --set optim.warmup_steps=0")
         self.assertEqual((code, said.count("error:")), (1, 1), said)
 
+    def test_a_preview_that_cannot_be_recorded_ends_all(self):
+        line = (
+            f"{PHRASES} --name seen --set train.log_every_steps=1000 --set validation.every_steps=0 "
+            "--set sampling.preview_every_steps=4"
+        )
+        self.folder.run(2, f"{line} --set train.max_steps=2")
+        log = self.folder.path / "runs/seen/events.out.tfevents.kinegrad"
+        log.unlink()
+        log.symlink_to("/dev/full")
+        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=12")
+        self.assertEqual((code, said.count("error:")), (1, 1), said)
+        self.assertIn("events.out.tfevents", said)
+
+    def test_ranks_that_are_not_about_the_same_are_refused(self):
+        line = f"{PHRASES} --set train.max_steps=4 --name apart"
+        code, said = self.folder.fails_apart(line, f"{line} --set train.max_grad_norm=0.5")
+        self.assertEqual((code, said.count("error:")), (2, 1), said)
+        self.assertIn("rank 1 has another config than rank 0", said)
+        self.assertFalse((self.folder.path / "runs/apart").exists())
+
+    def test_a_launcher_that_is_not_understood_is_refused(self):
+        # What mpirun of another MPI says, which this program was not built for.
+        line = f"{PHRASES} --set train.max_steps=4"
+        code, said = self.folder.fails(1, line, OMPI_COMM_WORLD_SIZE="2")
+        self.assertEqual(code, 2, said)
+        self.assertIn("a launcher has started 2 processes, and this program finds 1", said)
+
     def lines(self, name):
         return (self.folder.path / "runs" / name / "metrics.jsonl").read_text().splitlines()
 

@@ -11,7 +11,7 @@ use kinegrad_motion::feet::{ContactRule, hold};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
     Along, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, PathPlan, PathReport, Polyline,
-    Turning, Warp, headings_of, placed, savgol, unwrapped,
+    Turning, Warp, headings_of, placed, savgol, smoothed, unwrapped,
 };
 
 use crate::error::Error;
@@ -160,16 +160,18 @@ impl PathTarget {
         });
         let moved: Vec<[f64; 2]> = moved.collect();
         let moved = placed(joints, &moved, &turns)?;
-        self.with_feet(moved, joints, skeleton, fix_feet)
+        self.with_feet(moved, joints, skeleton, fix_feet, &self.line)
     }
 
-    /// `moved` with the feet that stood in `before` held, where that is asked for, and how it follows.
+    /// `moved` with the feet that stood in `before` held, where that is asked for, and how it follows
+    /// `line`.
     fn with_feet(
         &self,
         moved: Joints,
         before: &Joints,
         skeleton: &Skeleton,
         fix_feet: bool,
+        line: &Polyline,
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match fix_feet {
             true => {
@@ -178,7 +180,7 @@ impl PathTarget {
             }
             false => (moved, 0.0),
         };
-        let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
+        let report = PathReport::of(&joints, skeleton, line, &self.course)?;
         Ok(Followed {
             joints,
             report,
@@ -206,19 +208,7 @@ impl PathTarget {
             let message = format!("the motion cannot be moved onto the path: {error}");
             Error::usage(message, "docs/paths.md")
         })?;
-        let (moved, legs_short) = match fix_feet {
-            true => {
-                let held = hold(&warped.joints, joints, skeleton, &ContactRule::default())?;
-                (held.joints, held.missed)
-            }
-            false => (warped.joints, 0.0),
-        };
-        let report = PathReport::of(&moved, skeleton, &line, &self.course)?;
-        Ok(Followed {
-            joints: moved,
-            report,
-            legs_short,
-        })
+        self.with_feet(warped.joints, joints, skeleton, fix_feet, &line)
     }
 }
 
@@ -236,15 +226,8 @@ const SMOOTH: f64 = 1.0;
 /// The way over the ground of a root that is at `places`, a point for each frame, smoothed.
 pub(crate) fn way(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
-    let axis = |axis: usize| {
-        let values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
-        savgol(&values, window, 3, Edges::Fitted)
-    };
-    axis(0)
-        .into_iter()
-        .zip(axis(2))
-        .map(|(x, z)| [x, z])
-        .collect()
+    let track: Vec<[f64; 2]> = places.iter().map(|[x, _, z]| [*x, *z]).collect();
+    smoothed(&track, window, 3)
 }
 
 /// How a motion follows its path, in words.

@@ -78,17 +78,14 @@ impl Together {
     /// What every rank says about one thing, in the order of ranks. Collective.
     ///
     /// # Panics
-    /// Ends all ranks if another one speaks of something else: they are no longer together.
+    /// Panics if another rank speaks of something else: they are no longer together.
     pub(crate) fn gather(&self, about: About, own: &[u8]) -> Vec<Vec<u8>> {
         let mut message = vec![about as u8];
         message.extend(own);
         let mut all = self.ranks.gather(&message);
         if let Some(other) = all.iter().position(|said| said[0] != about as u8) {
-            log::error!(
-                "rank {} speaks of {about:?} and rank {other} of something else: all ranks end",
-                self.ranks.rank()
-            );
-            self.ranks.abort(70);
+            let own = self.ranks.rank();
+            panic!("rank {own} speaks of {about:?}, and rank {other} of something else");
         }
         for said in &mut all {
             said.remove(0);

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::{Edges, STILL, savgol};
+use super::{STILL, smoothed};
 
 /// What a path says of each frame to a network (docs/sources.md, section 7, option C).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,15 +54,7 @@ pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
 
 /// A track without the sway of its steps.
 pub(super) fn calm(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let axis = |i: usize| {
-        let values: Vec<f64> = track.iter().map(|point| point[i]).collect();
-        savgol(&values, GAIT_WINDOW, 1, Edges::Fitted)
-    };
-    axis(0)
-        .into_iter()
-        .zip(axis(1))
-        .map(|(x, z)| [x, z])
-        .collect()
+    smoothed(track, GAIT_WINDOW, 1)
 }
 
 /// Frames that a gait is averaged over: about a step of a walk.

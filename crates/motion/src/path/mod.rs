@@ -34,7 +34,7 @@ pub use loss::{PathLoss, PathLossConfig, root_channels};
 pub use measures::{PathReport, distance_from, slide};
 pub use plan::{CurveKind, PathPlan};
 pub use polyline::{PathPoint, Polyline};
-pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights};
+pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights, smoothed};
 pub use spline::{CatmullRom, Parameterization};
 pub use warp::{Turning, Warp, Warped, placed};
 

@@ -105,6 +105,22 @@ pub fn savgol(values: &[f64], window: usize, order: usize, edges: Edges) -> Vec<
     (0..n).map(smoothed).collect()
 }
 
+/// A track over the ground, of which each axis is [smoothed](savgol), its ends fitted.
+///
+/// # Panics
+/// As [`savgol`].
+pub fn smoothed(track: &[[f64; 2]], window: usize, order: usize) -> Vec<[f64; 2]> {
+    let axis = |i: usize| {
+        let values: Vec<f64> = track.iter().map(|point| point[i]).collect();
+        savgol(&values, window, order, Edges::Fitted)
+    };
+    axis(0)
+        .into_iter()
+        .zip(axis(1))
+        .map(|(x, z)| [x, z])
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -107,6 +107,11 @@ impl PathMethod {
         !matches!(self, Self::None | Self::Warp)
     }
 
+    /// Whether the drawn motion is moved afterwards, so that its features are others.
+    pub fn moves_afterwards(self) -> bool {
+        matches!(self, Self::Warp | Self::TokensWarp)
+    }
+
     /// Whether the network is told the path.
     pub fn tells(self) -> bool {
         matches!(self, Self::Tokens | Self::TokensGuidance | Self::TokensWarp)

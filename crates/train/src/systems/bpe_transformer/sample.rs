@@ -6,7 +6,6 @@ use kinegrad_data::Dataset;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Root;
 use kinegrad_random::{Key, Purpose};
-
 use serde_json::to_value;
 
 use super::path::finish;
@@ -133,9 +132,9 @@ pub(super) fn sample(
                             found.legs_short
                         ));
                     }
-                    let features = match settings.method {
-                        PathMethod::Warp => features_of(&found.joints, &skeleton, features.root())?,
-                        _ => features,
+                    let features = match settings.method.moves_afterwards() {
+                        true => features_of(&found.joints, &skeleton, features.root())?,
+                        false => features,
                     };
                     let record = PathRecord {
                         file: file.clone(),
